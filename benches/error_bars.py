@@ -19,7 +19,7 @@ import record
 from trade_cases import CASES
 
 import stepcore as sc
-from stepcore.engine.error_bar import bodies
+from stepcore.engine.norm import Matter, Tracks, apart
 
 PERIOD, FINER = 0.02, 2048
 
@@ -70,40 +70,32 @@ def measured(model: sc.Model, horizon: float) -> list[dict[str, Any]]:
         except sc.SimulationError:
             continue
         seen, cost, until, bar = poses(model, horizon, error_bar=True, **way)
-        good = np.arange(1, len(seen) + 1) * PERIOD < until
-        truth = apart(model, pair[0], pair[1])[good].max(initial=0.0)
-        true = apart(model, seen, pair[0])[good].max(initial=0.0)
+        good = np.arange(1, len(bar) + 1) * PERIOD < until
+        truth, true = (
+            apart(one, pair[0], Matter.of(model))[0, good].max(initial=0.0)
+            for one in (pair[1], seen)
+        )
         steps = "own" if "accuracy" not in way else "accuracy 1 mm"
         row = {"steps": steps, "true": true, "bar": bar[good].max(initial=0.0), "truth": truth}
         rows.append(row | {"until": until, "cost": cost / plain})
     return rows
 
 
-def poses(model: sc.Model, horizon: float, **fields: Any) -> tuple[Any, float, float, Any]:
-    """Centres of mass and orientations at every period, time [s], until when, and the bar [m]."""
+def poses(model: sc.Model, horizon: float, **fields: Any) -> tuple[Tracks, float, float, Any]:
+    """Poses at every period, time [s], until when, and the bar [m]."""
     sim = sc.Sim(model, **fields)
     sim.reset(0 if model.keys else None)
     n, out, bar = round(PERIOD / sim.settings.dt), [], []
     began = time.process_time()
     for _ in range(round(horizon / PERIOD)):
         sim.step(n)
-        turn = sim.xmat
-        centre = sim.xpos + (turn @ model.body_ipos[:, :, None])[..., 0]
-        out.append(np.concatenate([centre[..., None], turn], axis=-1))
+        out.append((sim.xpos, sim.xquat))
         if fields.get("error_bar"):
             bar.append(sim.error.largest)
     cost = time.process_time() - began
     until = sim.predictable_until if fields.get("error_bar") else np.inf
-    return np.array(out), cost, until, np.array(bar)
-
-
-def apart(model: sc.Model, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The largest distance of a body at each sample [m]."""
-    moving, gyration, _ = bodies(model)
-    off = one - other
-    square = (off[..., 0] ** 2).sum(-1) + gyration**2 * (off[..., 1:] ** 2).sum((-2, -1)) / 2
-    far: np.ndarray = np.sqrt(square)[:, moving].max(axis=1)
-    return far
+    xpos, xquat = (np.array(values)[None] for values in zip(*out, strict=True))
+    return Matter.of(model).tracks(xpos, xquat), cost, until, np.array(bar)
 
 
 if __name__ == "__main__":

@@ -17,8 +17,7 @@ from pathlib import Path
 import mujoco
 from attributes.runs import SCENES, case_of, measured
 
-from stepcore.mjcf.notation import Spec
-from stepcore.mjcf.schema import ROOT
+from stepcore.mjcf.schema import ROOT, Spec
 from stepcore.scene import elements
 from stepcore.scene.element import Element, table
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import stepcore as sc
-from stepcore.engine.touches import Touches
+from stepcore.engine.tables import Touches
 
 from .certificate import certify
 from .cover import upper_bound

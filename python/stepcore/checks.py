@@ -138,6 +138,22 @@ def number(value: object) -> float | None:
     return result if math.isfinite(result) else None
 
 
+def listed(value: object) -> list[Any] | None:
+    """Return the entries of a sequence or an array, or None for other values."""
+    if isinstance(value, (str, bytes, dict, set)) or value is None:
+        return None
+    try:
+        return [*value]  # type: ignore[misc]
+    except TypeError:
+        return None
+
+
+def all_numbers(entries: Iterable[object] | None) -> tuple[float, ...] | None:
+    """Return the entries as finite floats, or None if an entry is no finite number."""
+    result = tuple(number(entry) for entry in entries or ())
+    return None if entries is None or None in result else result  # type: ignore[return-value]
+
+
 # Arguments of calls.
 
 
@@ -169,18 +185,6 @@ def seconds(name: str, value: object) -> float:
 MOST_STEPS = 1e9
 
 
-def flag_of(name: str, value: object) -> bool:
-    """Return `value` as a bool; raise ValueError unless it is True or False."""
-    if not _is_flag(value):
-        raise ValueError(f"{name} = {shown(value)}: must be True or False")
-    return bool(value)
-
-
-def _is_flag(value: object) -> bool:
-    # numpy's bool is no Python bool; the name of its type identifies it without numpy.
-    return isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
-
-
 def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST_STEPS) -> None:
     """Raise ValueError if runs over the horizon [s] need more than `most` steps in all."""
     total = horizon / dt * runs
@@ -189,6 +193,14 @@ def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST
             f"horizon = {horizon:g}: {words} of dt = {dt:g} s that is {total:.2g} steps; must be "
             f"at most {most:g}"
         )
+
+
+def flag_of(name: str, value: object) -> bool:
+    """Return `value` as a bool; raise ValueError unless it is True or False."""
+    result = _flag(value)
+    if result is None:
+        raise ValueError(f"{name} = {shown(value)}: must be True or False")
+    return result
 
 
 def word(name: str, value: object) -> str:
@@ -214,36 +226,54 @@ def threads(value: object) -> int:
 # Checks of fields.
 
 
-def real(low: float = -math.inf, above: float = -math.inf, high: float = math.inf) -> Check:
-    """Return a check for a finite number in [low, high] and greater than `above`."""
-    bounds = []
-    if low > -math.inf:
-        bounds.append(f">= {low:g}")
-    if above > -math.inf:
-        bounds.append(f"> {above:g}")
-    if high < math.inf:
-        bounds.append(f"<= {high:g}")
-    limit = " ".join(["a finite number", *[" and ".join(bounds)] * bool(bounds)])
+def checked(convert: Callable[[Any], Any], limit: str) -> Check:
+    """Return a check that stores what `convert` makes of a value, and refuses it for None."""
 
-    def check(owner: Any, field: str, value: object) -> float:
-        result = number(value)
-        if result is None or not low <= result <= high or not result > above:
+    def check(owner: Any, field: str, value: object) -> Any:
+        result = convert(value)
+        if result is None:
             raise refuse(owner, field, value, limit)
         return result
 
     return check
 
 
+def _flag(value: object) -> bool | None:
+    # numpy's bool is no Python bool; the name of its type identifies it without numpy.
+    known = isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
+    return bool(value) if known else None
+
+
+# True or False; 0 and 1 are refused.
+flag = checked(_flag, "True or False")
+text = checked(lambda value: value if isinstance(value, str) else None, "a string")
+# Finite numbers, any number of them.
+numbers = checked(lambda value: all_numbers(listed(value)), "finite numbers")
+
+
+def real(low: float = -math.inf, above: float = -math.inf, high: float = math.inf) -> Check:
+    """Return a check for a finite number in [low, high] and greater than `above`."""
+    bounds = [f">= {low:g}"] * (low > -math.inf) + [f"> {above:g}"] * (above > -math.inf)
+    bounds += [f"<= {high:g}"] * (high < math.inf)
+    limit = " ".join(["a finite number", *[" and ".join(bounds)] * bool(bounds)])
+
+    def convert(value: object) -> float | None:
+        result = number(value)
+        fits = result is not None and low <= result <= high and result > above
+        return result if fits else None
+
+    return checked(convert, limit)
+
+
 def whole(low: int, high: int) -> Check:
     """Return a check for a whole number in [low, high]."""
 
-    def check(owner: Any, field: str, value: object) -> int:
+    def convert(value: object) -> int | None:
         result = number(value)
-        if result is None or result != int(result) or not low <= result <= high:
-            raise refuse(owner, field, value, f"a whole number from {low} to {high}")
-        return int(result)
+        fits = result is not None and result == int(result) and low <= result <= high
+        return int(result) if fits else None  # type: ignore[arg-type]
 
-    return check
+    return checked(convert, f"a whole number from {low} to {high}")
 
 
 def one_of(*allowed: object) -> Check:
@@ -263,71 +293,23 @@ def one_of(*allowed: object) -> Check:
     return check
 
 
-def flag(owner: Any, field: str, value: object) -> bool:
-    """Check for True or False; 0 and 1 are refused."""
-    if _is_flag(value):
-        return bool(value)
-    raise refuse(owner, field, value, "True or False")
-
-
-def text(owner: Any, field: str, value: object) -> str:
-    """Check for a string."""
-    if not isinstance(value, str):
-        raise refuse(owner, field, value, "a string")
-    return value
-
-
-def listed(value: object) -> list[Any] | None:
-    """Return the entries of a sequence or an array, or None for other values."""
-    if isinstance(value, (str, bytes, dict, set)) or value is None:
-        return None
-    try:
-        return [*value]  # type: ignore[misc]
-    except TypeError:
-        return None
-
-
-def all_numbers(entries: Iterable[object]) -> tuple[float, ...] | None:
-    """Return the entries as finite floats, or None if an entry is no finite number."""
-    result: list[float] = []
-    for entry in entries:
-        value = number(entry)
-        if value is None:
-            return None
-        result.append(value)
-    return tuple(result)
-
-
 def vector(count: int, *, low: float = -math.inf, fill: tuple[float, ...] = ()) -> Check:
     """Return a check for `count` finite numbers >= `low`.
 
     With `fill`, a single number or a shorter sequence is allowed; the rest comes from `fill`.
     """
+    least = 1 if fill else count
     limit = f"{count} finite numbers" if not fill else f"1 to {count} finite numbers"
-    if low > -math.inf:
-        limit += f" >= {low:g}"
+    limit += f" >= {low:g}" * (low > -math.inf)
 
-    def check(owner: Any, field: str, value: object) -> tuple[float, ...]:
+    def convert(value: object) -> tuple[float, ...] | None:
         entries = listed(value)
-        if entries is None and fill:
-            entries = [value]
-        if entries is None or not (1 if fill else count) <= len(entries) <= count:
-            raise refuse(owner, field, value, limit)
-        result = all_numbers(entries)
-        if result is None or (low > -math.inf and any(entry < low for entry in result)):
-            raise refuse(owner, field, value, limit)
+        result = all_numbers([value] if entries is None and fill else entries)
+        if result is None or not least <= len(result) <= count or min(result, default=low) < low:
+            return None
         return result + fill[len(result) :]
 
-    return check
-
-
-def numbers(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """Check for a sequence of finite numbers of any length."""
-    entries = listed(value)
-    result = None if entries is None else all_numbers(entries)
-    if result is None:
-        raise refuse(owner, field, value, "finite numbers")
-    return result
+    return checked(convert, limit)
 
 
 def unit(count: int) -> Check:
@@ -353,31 +335,24 @@ def pose(owner: Any, field: str, value: object) -> tuple[float, ...]:
     return entries[:3] + tuple(unit(4)(owner, f"{field}[3:]", entries[3:]))
 
 
-def interval(owner: Any, field: str, value: object) -> tuple[float, float]:
-    """Check for two finite numbers, the first smaller."""
-    entries = all_numbers(listed(value) or ())
-    if entries is not None and len(entries) == 2 and entries[0] < entries[1]:
-        return entries[0], entries[1]
-    raise refuse(owner, field, value, "two finite numbers, the first smaller")
+def _interval(value: object) -> tuple[float, ...] | None:
+    entries = all_numbers(listed(value)) or ()
+    return entries if len(entries) == 2 and entries[0] < entries[1] else None
 
 
-def interval_or_zero(owner: Any, field: str, value: object) -> tuple[float, float]:
-    """Check for two finite numbers, the first smaller, or (0, 0)."""
-    if all_numbers(listed(value) or ()) == (0.0, 0.0):
-        return 0.0, 0.0
-    return interval(owner, field, value)
+interval = checked(_interval, "two finite numbers, the first smaller")
+interval_or_zero = checked(
+    lambda value: (all_numbers(listed(value)) == (0.0, 0.0) and (0.0, 0.0)) or _interval(value),
+    "two finite numbers, the first smaller",
+)
 
 
 def solref(owner: Any, field: str, value: object) -> tuple[float, ...]:
     """Check for time constant [s] and damping ratio > 0, or -stiffness and -damping <= 0."""
     result: tuple[float, ...] = vector(2)(owner, field, value)
     if (result[0] > 0) != (result[1] > 0):
-        raise refuse(
-            owner,
-            field,
-            value,
-            "(time constant, damping ratio) both > 0, or (-stiffness, -damping) both <= 0",
-        )
+        limit = "(time constant, damping ratio) both > 0, or (-stiffness, -damping) both <= 0"
+        raise refuse(owner, field, value, limit)
     return result
 
 
@@ -444,12 +419,8 @@ def optional(check: Check) -> Check:
 def element(*kinds: str) -> Check:
     """Return a check for a scene element of one of these classes."""
 
-    def check(owner: Any, field: str, value: object) -> object:
-        if type(value).__name__ not in kinds:
-            raise refuse(owner, field, value, "a " + " or ".join(kinds))
-        return value
-
-    return check
+    limit = "a " + " or ".join(kinds)
+    return checked(lambda value: value if type(value).__name__ in kinds else None, limit)
 
 
 def whole_pair(owner: Any, field: str, value: object) -> tuple[int, ...]:
@@ -461,14 +432,13 @@ def whole_pair(owner: Any, field: str, value: object) -> tuple[int, ...]:
     return tuple(check(owner, field, entry) for entry in entries)
 
 
-def inertia(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """Check for an inertia, xx yy zz xy xz yz or xx yy zz alone, with xx, yy, zz >= 0."""
-    entries = listed(value)
-    result = None if entries is None or len(entries) not in (3, 6) else all_numbers(entries)
-    if result is None or min(result[:3]) < 0:
-        limit = "3 or 6 finite numbers (xx yy zz xy xz yz), the first three >= 0"
-        raise refuse(owner, field, value, limit)
-    return result + (0.0,) * (6 - len(result))
+def _inertia(value: object) -> tuple[float, ...] | None:
+    result = all_numbers(listed(value)) or ()
+    fits = len(result) in (3, 6) and min(result[:3]) >= 0
+    return result + (0.0,) * (6 - len(result)) if fits else None
+
+
+inertia = checked(_inertia, "3 or 6 finite numbers (xx yy zz xy xz yz), the first three >= 0")
 
 
 def function(*arguments: str) -> Check:

@@ -68,11 +68,12 @@ def test_it_writes_data_and_a_page(capsys, scene, tmp_path):
 
 
 def test_the_motion_is_the_user_s(capsys, scene, tmp_path):
-    (tmp_path / "far.py").write_text("def far(time, sim):\n    return [3.0]\n")
-    args = ["--control", f"{tmp_path / 'far.py'}:far", "--horizon", 0.1]
-    status, out, _ = call(capsys, scene(0.5), *args)
+    (tmp_path / "fast.py").write_text("def fast(time, sim):\n    return [(-1) ** (time > 0.05)]\n")
+    args = ["--control", f"{tmp_path / 'fast.py'}:fast", "--horizon", 0.1]
+    weak = ('name="servo"', 'name="servo" forcerange="-.1 .1"')
+    status, out, _ = call(capsys, scene(0.5, weak=weak), *args)
     out = " ".join(out.split())
-    assert status == 0 and "The control of servo `servo` is clamped for 100 % of the run" in out
+    assert status == 0 and "Servo `servo` is at the end of its forcerange (100 mN·m)" in out
     assert "another motion" not in out
 
 

@@ -171,14 +171,17 @@ def test_a_bad_input_is_one_line(capsys, carts, args, words):
     assert words in said.err and said.err.count("\n") == 1 and not said.out
 
 
-def test_a_run_says_what_it_showed(capsys, carts):
-    """A control of 30 in a range of ±10."""
-    assert main(["run", carts, "--ctrl", "b=30"]) == 0
-    said = capsys.readouterr().out
-    assert "warning: The control of motor `b` is clamped for 100 % of the run" in said
-    assert main(["run", carts, "--ctrl", "b=30", "--json"]) == 0
+def test_a_run_says_what_it_showed(capsys, tmp_path, carts):
+    """A servo of 4 N on a cart of 4 kg that is asked for 1 m is at its end all the time."""
+    weak, motor = tmp_path / "weak.xml", '<motor name="b" joint="y" ctrlrange="-10 10"/>'
+    servo = '<position name="b" joint="y" kp="100" kv="1" forcerange="-4 4"/>'
+    weak.write_text(CARTS.replace(motor, servo))
+    assert main(["run", str(weak), "--ctrl", "b=1"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "warning: Servo `b` is at the end of its forcerange (4 N) for 100 % of the run" in said
+    assert main(["run", str(weak), "--ctrl", "b=1", "--json"]) == 0
     (finding,) = json.loads(capsys.readouterr().out)["findings"]
-    assert finding["kind"] == "clamped control" and finding["element"] == "motor `b`"
+    assert finding["kind"] == "saturation" and finding["element"] == "servo `b`"
     assert main(["run", carts, "--ctrl", "b=3"]) == 0
     assert "warning" not in capsys.readouterr().out
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.engine.gradients import Tape, pulled
-from stepcore.engine.rollout_steps import Steps
+from stepcore.engine.gradients import Steps, Tape, pulled
 
 EXACT = {"solver": "newton", "tolerance": 1e-14, "sweeps": 200}
 FLYER = """<mujoco><option timestep="0.005" integrator="Euler"/><worldbody>

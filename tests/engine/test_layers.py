@@ -34,8 +34,8 @@ LAYERS = (
 HANDED = (
     "report.plot",
     "executors",
-    "scene.contents",
-    "scene.holdings",
+    "scene",
+    "mjcf",
     "viewing",
     "engine",
     "experiment",
@@ -43,8 +43,8 @@ HANDED = (
 )
 # Types may tie files of these to each other: a Model gives the plan of a Sim, which has its Model;
 # a view has its world, which gives views; a Sim opens the page that shows it; `Scene.compile` gives
-# a Model, which has its Scene.
-TIED = ("engine.", "viewing.", "scene.scene")
+# a Model, which has its Scene; a Scene is handed to what lays it out, reads and writes it.
+TIED = ("engine.", "viewing.", "scene.", "mjcf.", "urdf.")
 
 
 def name_of(file):

@@ -5,7 +5,7 @@ import pytest
 from test_linearize_by_parameters import ARM, PATHS
 
 import stepcore as sc
-from stepcore.engine.rollout_steps import Steps, sensitivities
+from stepcore.engine.gradients import Steps, sensitivities
 
 STEPS = 40
 
@@ -23,7 +23,7 @@ def rollout(integrator="implicitfast", paths=PATHS, **settings):
 def test_many_steps_at_once_are_linearised_as_each_alone(settings):
     """With contacts, friction loss and limits; bit for bit."""
     steps = rollout(**settings)
-    together, sim = steps.share([0]).linear(range(STEPS)), sc.Sim(steps.models[0])
+    together, sim = steps.linear(range(1), range(STEPS)), sc.Sim(steps.models[0])
     for step in range(STEPS):
         for name, rows in steps.states.items():
             getattr(sim, name)[:] = rows[0, step]

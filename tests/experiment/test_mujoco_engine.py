@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from menagerie import PANDA, needed
 
+import stepcore as sc
 from stepcore import lesson
 from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
@@ -224,3 +225,16 @@ def test_the_estimated_cost_ranks_methods():
     assert coarse == pytest.approx(engine.work(Change(), schedule) / 2)
     # About 10 µs a step.
     assert 2 < computing_time(work["euler"], engine.shipped) * engine.dt < 50
+
+
+def test_a_file_that_stepcore_refuses_can_be_predicted():
+    result = sc.predict(JELLY, engine="mujoco", horizon=0.3, starts=2, progress=False)
+    assert result.time > 0 and result.integrator in ("rk4", "implicitfast", "discrete")
+    assert result.ran.endswith("in MuJoCo alone")
+
+
+def test_a_file_that_stepcore_refuses_has_sweeps_and_steps():
+    result = sc.converge(JELLY, engine="mujoco", horizon=0.3, starts=1, progress=False)
+    assert result.verdict == "solved" and result.better == "smaller steps"
+    errors = [trial.error for trial in result.dts]
+    assert errors == sorted(errors, reverse=True) and len(result.table) == 0

@@ -12,8 +12,7 @@ from pathlib import Path
 from cases import ODD, run
 
 import stepcore as sc
-from stepcore.mjcf.notation import Spec
-from stepcore.mjcf.schema import ROOT
+from stepcore.mjcf.schema import ROOT, Spec
 
 BODY = '<body name="{0}"><joint name="j{0}"/><geom size=".1"/>{1}</body>'
 TAGS = (

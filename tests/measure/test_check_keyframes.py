@@ -1,4 +1,4 @@
-"""`check` on keyframes beyond limits, and on a start that a spring holds."""
+"""`check` on keyframes beyond limits."""
 
 import numpy as np
 import pytest
@@ -26,14 +26,3 @@ def test_a_keyframe_beyond_its_limits_is_told(joint, motor, qpos, ctrl, kind, va
 @pytest.mark.parametrize(("qpos", "ctrl"), [("1.5708", "1.5708"), ("-1.571", "-1.57"), ("0", "0")])
 def test_a_keyframe_that_is_rounded_is_not_told(qpos, ctrl):
     assert kinds(HELD.format(RANGE, SERVO, qpos, ctrl), horizon=0.05) == []
-
-
-LEG = """<mujoco><worldbody><body pos="0 0 1"><joint name="leg" type="slide" axis="0 0 1"
-stiffness="{}" damping="40" range="-.2 .2"/><geom size=".1" mass="5"/></body></worldbody>
-<actuator><motor name="push" joint="leg" ctrlrange="-5 5"/></actuator></mujoco>"""
-
-
-@pytest.mark.parametrize(("stiffness", "found"), [(2000, []), (0, ["motor too weak"])])
-def test_a_leg_that_a_spring_holds_needs_no_motor(stiffness, found):
-    """It sags by 5 g / 2000 = 25 mm, well within its range; without the spring it falls."""
-    assert kinds(LEG.format(stiffness), horizon=0.05) == found

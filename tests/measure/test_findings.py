@@ -11,13 +11,12 @@ import pytest
 
 import stepcore as sc
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import scheduled
-from stepcore.experiment.single_run import SingleRun
-from stepcore.measure.monitors import Monitor, verified
-from stepcore.measure.monitors import monitored as in_runner
+from stepcore.experiment.schedule import home, scheduled
+from stepcore.measure.monitors import monitored, shown, verified
 from stepcore.measure.monitors.actuators import stronger
+from stepcore.measure.monitors.contacts import overlaps, resting
 from stepcore.measure.monitors.creep import creeps
+from stepcore.measure.monitors.recording import followed
 from stepcore.measure.monitors.soft_rows import impedance, yielding
 
 G = 9.81
@@ -25,19 +24,18 @@ SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 
 
 def watched(scene, time=1.0, key=None, control=None, depth=None, **settings):
-    """A watched run of a scene, and its findings with the cures that hold in the same run."""
+    """A recorded run of a scene, and its findings with the cures that hold in the same run."""
 
     def run(model):
-        sim = sc.Sim(model)
-        sim.reset(0 if key is None and model.keys else key)
-        watch = Monitor(model)
-        period = 0.002 if control else None
-        SingleRun(sim, control, period, probes=[watch]).run(round(time / sim.settings.dt))
-        return watch
+        start, held = home(model, key)
+        how = {"control": control, "hold": round(0.002 / model.settings.dt)}
+        if control is None:
+            how = {"ctrl": held[None, None]}
+        return followed(model, start, round(time / model.settings.dt), **how)
 
     model = scene.compile().with_settings(**settings)
-    watch = run(model)
-    return watch, verified(watch.findings(depth), model, run, 0.0)
+    seen = run(model)
+    return seen, verified(shown(seen, depth), model, run)
 
 
 def the(findings, kind):
@@ -75,7 +73,7 @@ def ball(radius, solref="0.02 1", solimp="0.9 0.95 0.001", mass=1.0, height=None
 def test_the_depth_of_a_ball_at_rest(solref, solimp, mass):
     """The load of a free ball is g, whatever its mass."""
     watch, _ = watched(ball(0.002, solref, solimp, mass), time=2.0)
-    (rest,) = watch.contacts.resting()
+    (rest,) = resting(watch)
     values = (*map(float, solimp.split()), 0.5, 2.0)
     predicted = yielding(tuple(map(float, solref.split())), values, G, dt=0.002)
     assert rest.depth == pytest.approx(predicted, rel=1e-6)
@@ -96,7 +94,7 @@ def test_the_solref_of_a_wanted_depth_gives_it(solref):
     new = pair(one.text)
     dt = 0.002 if new[0] < 0 else min(0.002, new[0] / 2)
     again, _ = watched(ball(0.05, f"{new[0]} {new[1]}"), dt=dt)
-    assert next(again.contacts.resting()).depth == pytest.approx(1e-4, rel=0.02)
+    assert next(resting(again)).depth == pytest.approx(1e-4, rel=0.02)
 
 
 def test_a_ball_that_sinks_in_is_told_without_being_asked():
@@ -107,7 +105,7 @@ def test_a_ball_that_sinks_in_is_told_without_being_asked():
     new = pair(one.text)
     again, rest = watched(ball(0.05, f"{new[0]} {new[1]}"))
     assert rest == []
-    assert next(again.contacts.resting()).depth == pytest.approx(0.05 * 0.01, rel=0.02)
+    assert next(resting(again)).depth == pytest.approx(0.05 * 0.01, rel=0.02)
 
 
 BOX = """<mujoco><option cone="{}"/><worldbody>
@@ -181,7 +179,7 @@ def creep_speed(degrees, impratio=1.0):
 def test_creep_on_an_incline(degrees, impratio):
     scene = incline(degrees, impratio=impratio)
     watch, findings = watched(scene)
-    (creep,) = creeps(watch.contacts, watch.times[1:])
+    (creep,) = creeps(watch)
     angle, speed = math.radians(degrees), creep_speed(degrees, impratio)
     assert creep.speed == pytest.approx(speed, rel=1e-3)
     assert creep.share == pytest.approx(math.tan(angle), rel=1e-3)
@@ -197,13 +195,13 @@ def test_the_impratio_that_is_named_leaves_what_is_said(cone):
     impratio = float(re.search(r'impratio="(\S+)"', one.text)[1])
     left, unit = re.search(r"leaves ([\d.]+) (\S+), or", one.text).groups()
     watch, findings = watched(incline(30, impratio=impratio))
-    (creep,) = creeps(watch.contacts, watch.times[1:])
+    (creep,) = creeps(watch)
     assert unit == "µm/s" and creep.speed == pytest.approx(float(left) * 1e-6, rel=0.02)
     assert findings == []
     settings = {"law": "rigid", "solver": "pgs", "integrator": "semi-implicit", "sweeps": 200}
     watch, findings = watched(incline(30), **settings)
     assert findings == [] and sc.Sim(incline(30)).model.nv == 2
-    assert all(abs(creep.speed) < 1e-12 for creep in creeps(watch.contacts, watch.times[1:]))
+    assert all(abs(creep.speed) < 1e-12 for creep in creeps(watch))
 
 
 GRIPPER = """<mujoco><option cone="{cone}"/><default><geom solref="{solref}"/></default><worldbody>
@@ -227,7 +225,9 @@ def test_a_ball_creeps_out_of_a_gripper(cone):
     impratio = float(re.search(r'impratio="(\S+)"', one.text)[1])
     still = GRIPPER.format(cone="elliptic", solref="0.02 1")
     watch, findings = watched(sc.loads(still), impratio=impratio)
-    assert findings == [] and len(next(iter(watch.contacts.seen.values()))) == watch.contacts.looks
+    assert findings == [] and all(
+        len(places) == len(watch) for places in watch.contacts.groups.values()
+    )
 
 
 def test_what_slides_or_rolls_does_not_creep():
@@ -246,7 +246,7 @@ mass=".01"/><geom name="disc" type="cylinder" size=".08 .01" mass=".2"/></body><
 def test_a_top_does_not_creep():
     """Its tip turns on the floor by far more than it slips."""
     watch, findings = watched(sc.loads(TOP), time=2.0)
-    assert len(watch.contacts.seen[0, 0]) > 900
+    assert len(watch.contacts.groups[0, 0]) > 0.9 * len(watch)
     assert not [one for one in findings if one.kind == "creep"]
 
 
@@ -287,9 +287,8 @@ def test_a_run_that_fails_tells_only_what_it_began_with():
     spring = scene.joints[0]
     spring.type, spring.stiffness = "slide", 1e8
     model = scene.compile()
-    runner = Runner(model, scheduled(Motion(horizon=1.0, starts=1), model, 0.01))
-    assert runner.run(model.settings, 0).failure
-    assert {one.kind for one in in_runner(runner, model.settings)[0]} == {"overlap at the start"}
+    findings, failure = monitored(model, scheduled(Motion(horizon=1.0, starts=1), model, 0.01))
+    assert failure and {one.kind for one in findings} == {"overlap at the start"}
 
 
 # Overlaps.
@@ -344,7 +343,7 @@ def test_a_foot_that_a_leg_pulls_out_of_the_floor_is_not_thrown():
     """The spring lifts the foot of 50 g by 5 cm; the trunk of 5 kg does not rise."""
     scene = sc.loads(LEG.replace(".405", ".31"))
     watch, findings = watched(scene, time=0.2)
-    (overlap,) = {one.pair: one for one in watch.contacts.starts}.values()
+    (overlap,) = {one.pair: one for one in overlaps(watch)}.values()
     assert overlap.depth == pytest.approx(0.01)
     assert overlap.speed < (2 * G * 0.01) ** 0.5
     assert not [one for one in findings if "thrown" in one.text]
@@ -398,23 +397,6 @@ def test_the_gap_that_a_weld_s_cure_leaves_is_that_of_a_run():
     assert math.dist(arm, ball) == pytest.approx(left, rel=0.01) and left > 65e-6
 
 
-# Rows.
-
-
-@pytest.mark.parametrize(("sweeps", "told"), [(5, True), (3000, False)])
-def test_rows_that_stay_unsolved_are_told(sweeps, told):
-    """1000 kg on 1 kg: a sweep leaves 0.999 of the error (`converge`)."""
-    scene = sc.lesson.stack(sweeps, "rigid", (1.0, 1000.0))
-    watch, findings = watched(scene, time=0.2)
-    assert [one.kind for one in findings] == ["residual"] * told
-    if told:
-        one = the(findings, "residual")
-        assert one.value > 10 * G * 0.002 and "not solved by pgs 5 sweeps" in one.text
-        model = scene.compile()
-        assert one.element in {model.element_name("contact", k) for k in (0, 1)}
-        assert watch.worst >= one.value
-
-
 # Healthy scenes.
 
 
@@ -438,7 +420,7 @@ def test_a_general_servo_that_sags_gets_a_stronger_gain(law):
      <geom size=".05" pos=".5 0 0" mass="1"/></body></worldbody><actuator>
      <general name="hold" joint="a" {law} biastype="affine" gainprm="20" biasprm="0 -20 -8"/>
      </actuator></mujoco>""").compile()
-    gain, bias = (value for _, value in stronger(model, {0: 4.0}, damped=True))
+    gain, bias = stronger(model, {0: 4.0}, damped=True).values()
     # The damping ratio is kept: kv grows by the root.
     assert (gain[0] if isinstance(gain, tuple) else gain, *bias[:3]) == (80, 0, -80, -16)
     found = sc.run(model, horizon=3, progress=False)

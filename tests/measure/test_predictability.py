@@ -10,8 +10,7 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
-from stepcore.experiment.growth import Growth, _end
-from stepcore.experiment.intervals import difference, student
+from stepcore.experiment.predictable import Growth, _end
 
 QUIET = {"threads": 1, "progress": False}
 
@@ -102,8 +101,8 @@ def test_one_motion_has_one_answer_whatever_the_horizon():
 
 def test_growth_ends_between_samples_and_masks_what_follows():
     samples = np.array([1.0, 2.0, 3.0])
-    growth = Growth(samples, np.ones((2, 3)), np.array([1.5, np.inf]), samples, sc.Settings())
-    assert growth.scored.tolist() == [[True, False, False], [True, True, True]]
+    growth = Growth(samples, np.ones((2, 3)), np.array([1.5, np.inf]))
+    assert growth.scored(samples).tolist() == [[True, False, False], [True, True, True]]
     assert growth.overall == 1.5
 
 
@@ -138,18 +137,6 @@ def test_processes_find_the_same():
     with ProcessPoolExecutor(1) as pool:
         there = sc.predict(lesson.drop(), executor=pool, **options)
     assert here.to_json() == there.to_json()
-
-
-def test_students_t_and_intervals_that_cover():
-    table = {1: 12.7062, 2: 4.3027, 4: 2.7764, 9: 2.2622, 31: 2.0395, 63: 1.9983}
-    for freedom, wanted in table.items():
-        assert student(freedom) == pytest.approx(wanted, rel=4e-3)
-    assert student(31) == pytest.approx(2.03951, abs=1e-5)
-    rng = np.random.default_rng(0)
-    found = [difference(rng.normal(0.3, 1, 32), rng.normal(0, 1, 32)) for _ in range(2000)]
-    held = np.mean([abs(one.mean - 0.3) <= one.interval for one in found])
-    # A binomial share of 2000: 0.95 within four of its standard deviations.
-    assert held == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / 2000))
 
 
 def test_the_command_predicts(capsys, tmp_path):

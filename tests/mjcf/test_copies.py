@@ -3,7 +3,7 @@
 import pytest
 
 import stepcore as sc
-from stepcore.mjcf import copies
+from stepcore.mjcf import attach, nodes
 
 BODY = '<body name="b"><joint name="j"/><geom size=".1"/></body>'
 
@@ -12,9 +12,9 @@ BODY = '<body name="b"><joint name="j"/><geom size=".1"/></body>'
 def made(monkeypatch):
     """How many elements were copied, and a limit that tests reach."""
     found = []
-    monkeypatch.setattr(copies, "MOST", 1000)
-    alone = copies._alone
-    monkeypatch.setattr(copies, "_alone", lambda node: found.append(node.tag) or alone(node))
+    monkeypatch.setattr(attach, "MOST_COPIES", 1000)
+    alone = attach._alone
+    monkeypatch.setattr(attach, "_alone", lambda node: found.append(node.tag) or alone(node))
     return found
 
 
@@ -70,11 +70,9 @@ def test_classes_and_frames_of_attached_models_count(tmp_path, made):
 
 
 def test_a_model_is_read_once_however_many_attach_it(tmp_path, monkeypatch):
-    from stepcore.mjcf import include
-
     read = []
-    parse = include.parse
-    monkeypatch.setattr(include, "parse", lambda data, file: read.append(file) or parse(data, file))
+    parse = nodes.parse
+    monkeypatch.setattr(nodes, "parse", lambda data, file: read.append(file) or parse(data, file))
     (tmp_path / "leg.xml").write_text(f"<mujoco><worldbody>{BODY}</worldbody></mujoco>")
     assets = "".join(f'<model name="m{i}" file="leg.xml"/>' for i in range(5))
     attach = "".join(f'<attach model="m{i}" prefix="p{i}"/>' for i in range(5))
@@ -94,8 +92,8 @@ def test_models_attached_in_turn_have_a_limit(tmp_path):
 
 def test_each_replicate_looks_at_what_refers_to_it_alone(monkeypatch):
     looked = []
-    named_by = copies.named_by
-    monkeypatch.setattr(copies, "named_by", lambda node: looked.append(1) or named_by(node))
+    named_by = attach.named_by
+    monkeypatch.setattr(attach, "named_by", lambda node: looked.append(1) or named_by(node))
     count = 200
     bodies = "".join(
         f'<replicate count="2"><body><joint name="j{i}x"/><geom size=".1"/></body></replicate>'

@@ -12,7 +12,7 @@ import pytest
 from png_writer import SIGNATURE, chunk, grey
 
 import stepcore as sc
-from stepcore.mjcf import refusals
+from stepcore.mjcf import nodes
 from stepcore.mjcf.nodes import repaired
 from stepcore.scene import hfield_files, mesh_files
 
@@ -120,7 +120,7 @@ def test_the_errors_of_a_file_are_looked_up_up_to_a_number(monkeypatch):
     )
     with pytest.raises(sc.MJCFError) as caught:
         sc.loads(text)
-    assert len(caught.value.errors) == refusals.MOST
+    assert len(caught.value.errors) == nodes.MOST_ERRORS
 
 
 def test_comments_without_an_end_are_looked_for_once():

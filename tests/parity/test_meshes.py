@@ -16,7 +16,7 @@ import pytest
 from covering import every_pair, first
 
 import stepcore as sc
-from stepcore.mjcf.builtin_meshes import OTHERS
+from stepcore.mjcf.assets import OTHERS
 
 MODES = ("convex", "exact", "legacy", "shell")
 

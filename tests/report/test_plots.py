@@ -93,7 +93,7 @@ def test_a_convergence_shows_residual_by_sweeps_and_error_of_equal_work(results)
     assert {"cold start", "warm start"} <= {line.get_label() for line in sweeps.lines}
     cold = next(line for line in sweeps.lines if line.get_label() == "cold start")
     assert list(cold.get_xdata()) == convergence.sweeps["sweeps"]
-    splits = convergence.candidates.splits
+    splits = convergence.splits
     assert [name.split("\n")[0] for name in ticks(work)] == [
         f"{split.steps} × {split.sweeps}" for split in splits
     ]

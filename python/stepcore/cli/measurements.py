@@ -284,8 +284,9 @@ MEASUREMENTS = {
     "predict": Measurement(
         "stepcore.measure.predictability",
         "gymnasium:ant --horizon 5 --plot growth.png",
-        {},
+        {"engine": ENGINE},
         motion={},
+        source=True,
     ),
     "diagnose": Measurement(
         "stepcore.measure.diagnosis",
@@ -319,9 +320,10 @@ MEASUREMENTS = {
     "converge": Measurement(
         "stepcore.measure.convergence",
         "lesson:stack --plot residual.png",
-        {"states": COUNT},
+        {"states": COUNT, "engine": ENGINE},
         full="print every row, all runs of equal work, the residual by sweeps",
         motion={},
+        source=True,
     ),
     "identify": Measurement(
         "stepcore.measure.identification",
@@ -365,7 +367,7 @@ MEASUREMENTS = {
         },
         excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),
         warn=False,
-        more=lambda args, model: {"key": key_of(args, model)},
+        motion={},
     ),
     "plan": Measurement(
         "stepcore.measure.plan",

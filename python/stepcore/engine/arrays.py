@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -49,69 +50,45 @@ class StateArray:
 
 
 class ReadOnly(Generic[T]):
-    """An attribute that can be read but not assigned; `read` is told the object that has it."""
+    """An attribute that can be read but not assigned.
 
-    def __init__(self, doc: str) -> None:
-        self.__doc__ = doc
+    read: returns its value, given the object that has it and its name.
+    """
+
+    def __init__(self, doc: str, read: Callable[[Any, str], T]) -> None:
+        self.__doc__, self.read = doc, read
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
     def __get__(self, owner: Any, kind: type | None = None) -> T:
-        return self if owner is None else self.read(owner)  # type: ignore[return-value]
+        return self if owner is None else self.read(owner, self.name)  # type: ignore[return-value]
 
     def __set__(self, owner: Any, value: object) -> None:
         raise AttributeError(f"{self.name} of a {type(owner).__name__} is read-only")
 
-    def read(self, owner: Any) -> T:
-        """Return the value of the attribute."""
-        raise NotImplementedError
 
+def readout(doc: str, of: str = "") -> ReadOnly[Floats]:
+    """Return an attribute that the engine computes from the state, or kept from the last solve.
 
-class Readout(ReadOnly[Floats]):
-    """An array computed from the state or kept from the last solve, by the engine's name.
-
-    of: the readout that an alias with MuJoCo's name returns.
+    of: what an alias with MuJoCo's name reads.
     """
-
-    def __init__(self, doc: str, of: str | None = None) -> None:
-        super().__init__(doc)
-        self.of = of
-
-    def read(self, owner: Any) -> Floats:
-        array: Floats = owner._core.readout(self.of or self.name)
-        return array
+    return ReadOnly(doc, lambda owner, name: owner._core.readout(of or name))
 
 
-class ModelArray(ReadOnly[NDArray[Any]]):
-    """A constant array of a `Model`."""
-
-    def __init__(self, doc: str, table: str = "_arrays") -> None:
-        super().__init__(doc)
-        self.table = table
-
-    def read(self, owner: Any) -> NDArray[Any]:
-        array: NDArray[Any] = getattr(owner, self.table)[self.name]
-        return array
+def constant(doc: str, table: str = "_arrays") -> ReadOnly[NDArray[Any]]:
+    """Return an attribute that is a constant array of a `Model`."""
+    return ReadOnly(doc, lambda owner, name: getattr(owner, table)[name])
 
 
-class Names(ReadOnly[tuple[str, ...]]):
-    """The names of a model's elements of one kind; the attribute's name gives the kind."""
-
-    def read(self, owner: Any) -> tuple[str, ...]:
-        names: tuple[str, ...] = owner.names[self.name.removesuffix("_names")]
-        return names
+def element_names(doc: str) -> ReadOnly[tuple[str, ...]]:
+    """Return an attribute with the names of a model's elements, of the kind that its name says."""
+    return ReadOnly(doc, lambda owner, name: owner.names[name.removesuffix("_names")])
 
 
-class Count(ReadOnly[int]):
-    """The number of a model's elements of one kind."""
-
-    def __init__(self, doc: str, kind: str) -> None:
-        super().__init__(doc)
-        self.kind = kind
-
-    def read(self, owner: Any) -> int:
-        return len(owner.names[self.kind])
+def number_of(kind: str, doc: str) -> ReadOnly[int]:
+    """Return an attribute with the number of a model's elements of a kind."""
+    return ReadOnly(doc, lambda owner, name: len(owner.names[kind]))
 
 
 def fill(array: Floats, name: str, value: ArrayLike) -> None:

@@ -6,7 +6,6 @@ import copy
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,14 +15,21 @@ from numpy.typing import ArrayLike, NDArray
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine import gradients
-from stepcore.engine.arrays import INPUTS, Floats, indices_of, kept, last_of, numbers, snapshot
-from stepcore.engine.gradients import Gradients
+from stepcore.engine.arrays import (
+    INPUTS,
+    STATE,
+    Floats,
+    indices_of,
+    kept,
+    last_of,
+    numbers,
+    snapshot,
+)
+from stepcore.engine.gradients import Gradients, X
 from stepcore.engine.linearization import Linearizations, LinearWorlds
 from stepcore.engine.parameters import Parameters, columns
-from stepcore.engine.rollout import NAMES, Rollout, recorded_rollout
-from stepcore.engine.rollout_steps import X
 from stepcore.engine.tables import Momentum, contact_table, contacts_of_body, row_table
-from stepcore.engine.trajectory import every_step, recordable, sampled
+from stepcore.engine.trajectory import OF_WORLDS, Rollout, recordable, samples
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
 from stepcore.engine.world import World, compiled
 from stepcore.signatures import refuse_unknown_settings, takes_settings
@@ -153,13 +159,12 @@ class Batch(World):
         spread worlds has far more energy than it can have gained.
         """
         with self._long(n, progress) as told:
-            self._core.step(n, told)
+            self._call(self._core.step, n, told)
         self._told(n)
 
     def forward(self) -> None:
         """Compute poses, contacts and forces at the present states, without taking a step."""
-        with self._explained():
-            self._core.forward()
+        self._call(self._core.forward)
 
     def rollout(
         self, ctrl: ArrayLike, record: Sequence[str] = (), *, progress: Choice = None
@@ -182,24 +187,16 @@ class Batch(World):
         >>> run.qpos.shape, run.recorded["energy"].shape
         ((2, 5, 2), (2, 5, 2))
         """
-        table, names = numbers("ctrl", ctrl), recordable(record, NAMES)
+        table, names = numbers("ctrl", ctrl), recordable(record, OF_WORLDS)
         if table.ndim != 3 or table.shape[::2] != (len(self), self._model.nu):
             limit = f"({len(self)}, steps, {self._model.nu})"
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
         steps = table.shape[1]
-        # A world that failed is read where it stands.
-        whole = sampled(names, self.settings) and not (names and self._on_failure == "go on")
         with self._long(steps, progress) as told:
-            if whole:
-                asked = every_step(["qpos", "qvel", "act", *names], steps)
-                made, _ = self._core.follow(asked, table, told)
-                qpos, qvel, act, *more = made
-                states = Rollout(qpos, qvel, act, dict(zip(names, more, strict=True)))
-            else:
-                roll = partial(self._core.follow, every_step([], 1))
-                states = recorded_rollout(self, roll, table, names, told)
+            made = samples(self, (*STATE, *names), steps, table, told)
         self._told(steps)
-        return states
+        qpos, qvel, act, *more = made
+        return Rollout(qpos, qvel, act, dict(zip(names, more, strict=True)))
 
     def linearize(self, parameters: Sequence[str] = ()) -> Linearizations:
         """Linearise the next step of every world about its state, without taking the step.
@@ -295,28 +292,18 @@ class Batch(World):
 
     @contextmanager
     def _long(self, steps: int, progress: Choice) -> Iterator[Callable[[int], None] | None]:
-        """Show the progress of a long call; errors raised within get their replay."""
+        """Show the progress of a long call."""
         checks.progress("Batch", progress)
-        with self._explained():
-            # The engine rejects an invalid number of steps.
-            total = steps if isinstance(steps, (int, np.integer)) else 0
-            if total <= (1 if progress is None else 0):
-                yield None
-                return
-            # Imported here because only long calls need the bar.
-            from stepcore.report.progress import BEGUN, Progress
+        # The engine rejects an invalid number of steps.
+        total = steps if isinstance(steps, (int, np.integer)) else 0
+        if total <= (1 if progress is None else 0):
+            yield None
+            return
+        # Imported here because only long calls need the bar.
+        from stepcore.report.progress import BEGUN, Progress
 
-            with Progress("steps", total, progress, after=BEGUN) as bar:
-                yield bar.advance
-
-    @contextmanager
-    def _explained(self) -> Iterator[None]:
-        """Attach a `replay` to a SimulationError raised within."""
-        try:
-            yield
-        except SimulationError as error:
-            self._explain(error)
-            raise
+        with Progress("steps", total, progress, after=BEGUN) as bar:
+            yield bar.advance
 
     @property
     def time(self) -> float:

@@ -15,7 +15,6 @@ from stepcore.scene.elements import Body
 from stepcore.scene.layout import Layout, called, named
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
     from stepcore.scene.scene import Scene
 
 # The number of compiled scenes that a process caches for the models sent to it.
@@ -53,7 +52,7 @@ def compiled(scene: Scene) -> _core.Model:
     return compile_data(scene, data)
 
 
-def compile_data(scene: Contents, data: dict[str, Any] | ValueError) -> _core.Model:
+def compile_data(scene: Scene, data: dict[str, Any] | ValueError) -> _core.Model:
     """Return the engine's model; add file and line to an error about an element of a file."""
     try:
         if isinstance(data, ValueError):
@@ -109,7 +108,7 @@ def _with_file_lines(error: ValueError, layout: Layout) -> ValueError:
     parts: list[str] = []
     end = 0
     mentions: list[tuple[int, int, str, int]] = getattr(error, "mentions", [])
-    mentioned = [layout.elements[kind][index] for _, _, kind, index in mentions]
+    mentioned = [layout.elements(kind)[index] for _, _, kind, index in mentions]
     for at, (start, stop, _, _) in enumerate(mentions):
         element = mentioned[at]
         label = text[start:stop]

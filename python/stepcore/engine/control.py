@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore._core import SimulationError
@@ -69,9 +69,8 @@ def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) 
         shape = f"an array of shape {table.shape}" if np.ndim(value) else checks.shown(value)
         raise ControlError(_refused(function, sim, shape))
     table = table.reshape(nu)
-    finite = finite_controls(sim, table)
-    if not finite.all():
-        k = int(np.flatnonzero(~finite)[0])
+    if bad := not_finite(sim, table):
+        (k,) = bad
         what = "NaN" if np.isnan(table[k]) else f"{table[k]:g}"
         text = _refused(function, sim, f"{what} for {sim.model.element_name('actuator', k)}")
         raise (ControlError if time == 0 else ValueError)(text)
@@ -87,11 +86,15 @@ def _refused(function: Callable[..., Any], sim: World, what: str) -> str:
     return f"{control_name(function)} returned {what} at time {sim.time:g} s: {limit}"
 
 
-def finite_controls(sim: World | Model, table: Floats) -> NDArray[np.bool_]:
-    """Return which controls are finite in the precision of the settings, shaped as `table`."""
+def not_finite(sim: World | Model, table: Floats) -> tuple[int, ...]:
+    """Return the first index of a table at which no number is finite in the settings' precision.
+
+    () if all are.
+    """
     with np.errstate(over="ignore"):
         single = sim.settings.precision == "f32"
-        return np.isfinite(table.astype(np.float32) if single else table)
+        finite = np.isfinite(table.astype(np.float32) if single else table)
+    return () if finite.all() else tuple(int(k) for k in np.argwhere(~finite)[0])
 
 
 def fresh(function: Control) -> Control:

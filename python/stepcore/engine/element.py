@@ -129,7 +129,7 @@ class SceneField:
 
 def _owner(layout: Layout, kind: str, index: int) -> Any:
     scene: Any = layout.scene
-    return scene.contact_override if kind == OVERRIDE else layout.elements[kind][index]
+    return scene.contact_override if kind == OVERRIDE else layout.elements(kind)[index]
 
 
 def _contact_fields(model: Model, layout: Layout, index: int) -> tuple[SceneField, ...]:

@@ -7,12 +7,13 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import INPUTS, STATE, Floats, refuse_late
 from stepcore.engine.control import ControlError, controls, fresh
+from stepcore.engine.norm import Matter, Tracks, apart, largest, rms
 from stepcore.engine.run_settings import converged_settings
+from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -31,7 +32,8 @@ LOOK = 0.05
 class ErrorBar(NamedTuple):
     """The estimated error of a run in position [m], inf where it is not known.
 
-    rms: root mean square over the moving bodies. largest: of the body that is farthest off.
+    rms: over the moving bodies, in the norm of `stepcore.engine.norm`. largest: of the body that is
+    farthest off.
     """
 
     rms: float
@@ -44,7 +46,6 @@ class FinerRun:
     It begins where the first run does, and again wherever somebody writes the state of that.
 
     until: the time from which the two have parted [s]; inf while they are together.
-    moving: mask of the bodies that move, (nbody,).
     """
 
     def __init__(self, sim: Sim) -> None:
@@ -56,12 +57,15 @@ class FinerRun:
         self.sim._core.unwatch()
         self.steps = round(model.settings.dt / own.dt)
         self.block = max(1, round(LOOK / model.settings.dt))
-        self.moving, self.gyration, reach = bodies(model)
+        self.matter = Matter.of(model)
+        reach = longest(model, self.matter)
         self.parted, self.together = PARTED * reach, TOGETHER * reach
         self.until = np.inf
         # The state of the first run when both were there last; None: they have not met.
         self.state: dict[str, Floats] | None = None
         self.failed = False
+        # How far bodies are apart now, once it was asked.
+        self.far: Floats | None = None
         # What the finer run's own copy of a control function returned last.
         self.ctrl: Floats | None = None
 
@@ -83,11 +87,10 @@ class FinerRun:
         try:
             if not self.failed:
                 self.sim.step(n * self.steps)
-        except SimulationError:
+        except (SimulationError, KeyboardInterrupt) as error:
             self._fail()
-        except KeyboardInterrupt:
-            self._fail()
-            raise
+            if isinstance(error, KeyboardInterrupt):
+                raise
         self._keep()
         if not self.failed:
             self._look()
@@ -119,22 +122,34 @@ class FinerRun:
             own["ctrl"][...] = self.ctrl
 
     def _keep(self) -> None:
+        self.far = None
         self.state = {name: np.array(self.of._arrays[name]) for name in STATE}
 
     def errors(self) -> Floats:
         """Return the error of each body [m], (nbody,); inf where it is not known."""
-        if np.isfinite(self.until):
-            return np.where(self.moving, np.inf, 0.0)
-        return self._distances()
+        errors = np.zeros(self.of.model.nbody)
+        known = not np.isfinite(self.until)
+        errors[self.matter.moving] = self._distances() if known else np.inf
+        return errors
+
+    @property
+    def error(self) -> ErrorBar:
+        """The error of all moving bodies."""
+        far = self.errors()[None, None, self.matter.moving]
+        if not far.size:
+            return ErrorBar(0.0, 0.0)
+        return ErrorBar(float(rms(far)[0]), float(largest(far)[0]))
 
     def _distances(self) -> Floats:
-        a, b, ipos = self.of, self.sim, self.of.model.body_ipos[:, :, None]
-        turn = a.xmat - b.xmat
-        apart = a.xpos - b.xpos + (turn @ ipos)[..., 0]
-        # The turn's chord: 2 sin(angle/2) = ‖Δ‖/√2.
-        square = (apart**2).sum(1) + self.gyration**2 * (turn**2).sum((1, 2)) / 2
-        far: Floats = np.sqrt(square)
-        return far
+        """How far each moving body is from where it is in the finer run [m]."""
+        if self.far is None:
+            self.far = apart(self._poses(self.of), self._poses(self.sim), self.matter)[0, 0]
+        return self.far
+
+    def _poses(self, sim: Sim) -> Tracks:
+        moving, ipos = self.matter.moving, self.matter.ipos[:, :, None]
+        com = sim.xpos[moving] + (sim.xmat[moving] @ ipos)[..., 0]
+        return Tracks(com[None, None], sim.xquat[moving][None, None])
 
     def kept(self) -> tuple[bytes, float, bool]:
         """Return what a copy goes on from."""
@@ -195,19 +210,9 @@ def finer_settings(settings: Settings) -> Settings:
     return converged_settings(settings, dt=settings.dt / STEP, sleep=False, ledger=False)
 
 
-def bodies(model: Model) -> tuple[NDArray[np.bool_], Floats, float]:
-    """Return which bodies move, their radii of gyration [m], and the longest reach of one [m].
-
-    The reach goes from the parent's frame over the body's own to its mass.
-    """
-    parent = model.body_parent
-    moving = np.zeros(len(parent), bool)
-    moving[model.jnt_body] = True
-    for body in range(1, len(parent)):
-        moving[body] |= moving[parent[body]]
-    inertia = np.trace(model.body_inertia, axis1=1, axis2=2)
-    gyration = np.sqrt(inertia / 2 / np.maximum(model.body_mass, 1e-300)) * moving
-    arms = np.linalg.norm([body.pos for body in model.scene.bodies], axis=1)
-    own = arms + np.linalg.norm(model.body_ipos, axis=1) + gyration
-    reach = float(own[moving].max(initial=0.0))
-    return moving, gyration, reach or 1.0
+def longest(model: Model, matter: Matter) -> float:
+    """Return the longest way from a parent's frame over a moving body's own to its mass [m]."""
+    bodies = Layout(model.scene).bodies
+    arms = [np.linalg.norm(bodies[index].pos) for index in matter.moving]
+    ways = np.array(arms) + np.linalg.norm(matter.ipos, axis=1) + matter.gyration
+    return float(ways.max(initial=0.0)) or 1.0

@@ -8,7 +8,7 @@ and applied to any copy of the scene.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -19,12 +19,12 @@ from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
-    from stepcore.scene.contents import Contents
     from stepcore.scene.elements import Geom
+    from stepcore.scene.scene import Scene
 
 # Above this number of body pairs in contact, pairs are removed body by body.
 MAX_PAIRS = 30
-SomeScene = TypeVar("SomeScene", bound="Contents")
+SomeScene = TypeVar("SomeScene", bound="Scene")
 Edit = tuple[str, Any]
 
 
@@ -66,18 +66,26 @@ def without(scene: SomeScene, removals: Iterable[Removal]) -> SomeScene:
     return scene
 
 
-def _change(scene: Contents, edit: str, value: Any) -> None:
+def _change(scene: Scene, edit: str, value: Any) -> None:
     match edit:
         case "feature":
             setattr(scene.features, value, False)
         case "exclude":
-            _exclude(scene, value)
+            # Faster than `Scene.exclude`, which searches all bodies.
+            excluded = [(scene.bodies[a], scene.bodies[b]) for a, b in value]
+            scene.excludes += excluded
+            # Excludes do not apply to explicit pairs.
+            ends = [{id(a), id(b)} for a, b in excluded]
+            pairs = [(pair, {id(pair.geom1.body), id(pair.geom2.body)}) for pair in scene.pairs]
+            scene.pairs = [pair for pair, bodies in pairs if bodies not in ends]
         case "no fluid":
             scene.density = scene.viscosity = 0.0
-        case "frictionless":
-            _limit_condim(scene, value, 1)
-        case "sliding only":
-            _limit_condim(scene, value, 3)
+        case "frictionless" | "sliding only":
+            most, own = 1 if edit == "frictionless" else 3, [scene.geoms[geom] for geom in value]
+            ids = set(map(id, own))
+            inner = [p for p in scene.pairs if {id(p.geom1), id(p.geom2)} <= ids]
+            for element in (*own, *inner):
+                element.condim = min(element.condim, most)
         case "no contact":
             own = [scene.geoms[geom] for geom in value]
             for geom in own:
@@ -89,32 +97,21 @@ def _change(scene: Contents, edit: str, value: Any) -> None:
                 scene.equalities[equality].active = False
         case "cleared":
             # Fields of some elements get their defaults.
-            elements, indices, fields = value
+            held, indices, fields = value
             for index, field in product(indices, fields):
-                element = getattr(scene, elements)[index]
+                element = getattr(scene, held)[index]
                 setattr(element, field, getattr(type(element), field))
         case "settings":
             scene.options.update(value)
 
 
-def _exclude(scene: Contents, pairs: Iterable[tuple[int, int]]) -> None:
-    for a, b in pairs:
-        # Faster than `Scene.exclude`, which searches all bodies.
-        scene.excludes.append((scene.bodies[a], scene.bodies[b]))
-        ends = {id(scene.bodies[a]), id(scene.bodies[b])}
-        # Excludes do not apply to explicit pairs.
-        scene.pairs = [
-            pair for pair in scene.pairs if {id(pair.geom1.body), id(pair.geom2.body)} != ends
-        ]
+def _cleared(kind: str, own: Sequence[int], held: str, *fields: str, name: str) -> list[Removal]:
+    """Return the removal that clears fields of elements; none without elements.
 
-
-def _limit_condim(scene: Contents, geoms: Iterable[int], most: int) -> None:
-    own = {id(scene.geoms[geom]): scene.geoms[geom] for geom in geoms}
-    for geom in own.values():
-        geom.condim = min(geom.condim, most)
-    for pair in scene.pairs:
-        if id(pair.geom1) in own and id(pair.geom2) in own:
-            pair.condim = min(pair.condim, most)
+    held: the scene's list of them. name: of the removal, or one element's noun, to be counted.
+    """
+    edit = ("cleared", (held, tuple(own), fields))
+    return [Removal(kind, counted(len(own), name), (edit,))] if own else []
 
 
 @dataclass(frozen=True)
@@ -198,47 +195,38 @@ class RemovableFeatures:
     def terms(self) -> list[Removal]:
         """Return the removals of smooth forces, armature and friction loss."""
         scene, features = self.scene, self.scene.features
-        removals: list[Removal] = []
-        if features.frictionloss and features.constraint:
-            removals += self._term("friction loss", "frictionloss")
-        heavy = tuple(i for i, joint in enumerate(scene.joints) if joint.armature > 0)
-        if heavy:
-            edit: Edit = ("cleared", ("joints", heavy, ("armature",)))
-            removals.append(Removal("armature", counted(len(heavy), "joint"), (edit,)))
-        if features.damper:
-            removals += self._term("joint damping", "damper")
-        if features.spring:
-            removals += self._term("joint springs", "spring")
-        removals += self.tendons()
-        if scene.density > 0 or scene.viscosity > 0:
-            removals.append(Removal("fluid", "", (("no fluid", None),)))
-        removals += self.belts()
-        removals += self.adhesion()
-        light = tuple(i for i, body in enumerate(scene.bodies) if body.gravcomp != 0)
-        if light and features.gravity:
-            edit = ("cleared", ("bodies", light, ("gravcomp",)))
-            name = counted(len(light), "body")
-            removals.append(Removal("gravity compensation", name, (edit,)))
-        if features.coriolis and not all(self.plan["constant"]):
-            name = "Coriolis, gyroscopic"
-            removals.append(Removal("velocity forces", name, (("feature", "coriolis"),)))
-        return removals
-
-    def belts(self) -> list[Removal]:
-        """Return the removal of all moving surfaces of geoms that collide."""
-        own = tuple(self.geom[i] for i in self.split(is_belt)[0])
-        edit = ("cleared", ("geoms", own, ("surfacevel",)))
-        return [Removal("moving surfaces", counted(len(own), "geom"), (edit,))] if own else []
+        heavy = [i for i, joint in enumerate(scene.joints) if joint.armature > 0]
+        belts = [self.geom[i] for i in self.split(is_belt)[0]]
+        light = [i for i, body in enumerate(scene.bodies) if body.gravcomp != 0]
+        fluid = Removal("fluid", "", (("no fluid", None),))
+        coriolis = Removal("velocity forces", "Coriolis, gyroscopic", (("feature", "coriolis"),))
+        return [
+            *self._joints("friction loss", "frictionloss"),
+            *_cleared("armature", heavy, "joints", "armature", name="joint"),
+            *self._joints("joint damping", "damper"),
+            *self._joints("joint springs", "spring"),
+            *self.tendons(),
+            *([fluid] if scene.density > 0 or scene.viscosity > 0 else []),
+            *_cleared("moving surfaces", belts, "geoms", "surfacevel", name="geom"),
+            *self.adhesion(),
+            *_cleared(
+                "gravity compensation",
+                light if features.gravity else (),
+                "bodies",
+                "gravcomp",
+                name="body",
+            ),
+            *([coriolis] if features.coriolis and not all(self.plan["constant"]) else []),
+        ]
 
     def adhesion(self) -> list[Removal]:
         """Return the removal of the adhesion of colliding geoms and explicit pairs."""
-        scene = self.scene
         geoms = tuple(self.geom[i] for i in self.split(is_sticky)[0])
-        pairs = tuple(i for i, pair in enumerate(scene.pairs) if pair.adhesion > 0)
-        edits = [("geoms", geoms), ("pairs", pairs)]
-        made = tuple(("cleared", (held, own, ("adhesion",))) for held, own in edits if own)
-        words = [counted(len(own), word) for own, word in ((geoms, "geom"), (pairs, "pair")) if own]
-        return [Removal("adhesion", " and ".join(words), made)] if made else []
+        pairs = tuple(i for i, pair in enumerate(self.scene.pairs) if pair.adhesion > 0)
+        both = [("geom", geoms), ("pair", pairs)]
+        edits = tuple(("cleared", (f"{noun}s", own, ("adhesion",))) for noun, own in both if own)
+        words = " and ".join(counted(len(own), noun) for noun, own in both if own)
+        return [Removal("adhesion", words, edits)] if edits else []
 
     def split(self, has: Callable[[Geom], bool]) -> tuple[list[int], list[int]]:
         """Return the geoms that pass a test, colliding and other, by index in the model."""
@@ -246,65 +234,60 @@ class RemovableFeatures:
         collides = self.plan["collides"]
         return [i for i in own if collides[i]], [i for i in own if not collides[i]]
 
-    def _term(self, kind: str, feature: str) -> list[Removal]:
+    def _acts(self, feature: str) -> bool:
+        """Return whether the scene has springs, dampers, friction loss or armature switched on."""
+        features = self.scene.features
+        rows = feature != "frictionloss" or features.constraint
+        return rows and bool(getattr(features, feature, True))
+
+    def _joints(self, kind: str, feature: str) -> list[Removal]:
         """Return the removal of a joint feature, which keeps the same feature of tendons."""
         has = HAS[feature]
         joints = [j for j, joint in enumerate(self.scene.joints) if has.test(joint)]
-        if not joints:
+        if not joints or not self._acts(feature):
             return []
-        edit: Edit = ("feature", feature)
         if any(has.test(tendon) for tendon in self.scene.tendons):
-            edit = ("cleared", ("joints", tuple(joints), has.fields))
-        return [Removal(kind, counted(len(joints), "joint"), (edit,))]
+            return _cleared(kind, joints, "joints", *has.fields, name="joint")
+        return [Removal(kind, counted(len(joints), "joint"), (("feature", feature),))]
 
     def tendons(self) -> list[Removal]:
         """Return the removals of spring, damping, friction loss, armature and each limit."""
-        features, tendons = self.scene.features, self.scene.tendons
-        rows = features.constraint
-        on = {
-            "spring": features.spring,
-            "damper": features.damper,
-            "frictionloss": features.frictionloss and rows,
-            "armature": True,
-        }
-        removals = []
+        features, tendons, removals = self.scene.features, self.scene.tendons, list[Removal]()
         for feature, has in HAS.items():
-            own = tuple(i for i, tendon in enumerate(tendons) if has.test(tendon))
-            if own and on[feature]:
-                edit = ("cleared", ("tendons", own, has.fields))
-                removals.append(
-                    Removal(f"tendon {has.words}", counted(len(own), "tendon"), (edit,))
-                )
-        for i, tendon in enumerate(tendons if features.limit and rows else ()):
-            if tendon.range is not None:
-                edit = ("cleared", ("tendons", (i,), ("range",)))
-                name = self.model.called("tendon")[i]
-                removals.append(Removal("tendon limit", name, (edit,)))
-        return removals
+            own = [i for i, t in enumerate(tendons) if has.test(t) and self._acts(feature)]
+            removals += _cleared(f"tendon {has.words}", own, "tendons", *has.fields, name="tendon")
+        on = features.limit and features.constraint
+        ranged = [i for i, tendon in enumerate(tendons) if on and tendon.range is not None]
+        names = self.model.called("tendon") if ranged else ()
+        return removals + [
+            Removal("tendon limit", names[i], (("cleared", ("tendons", (i,), ("range",))),))
+            for i in ranged
+        ]
 
     def limits(self, usage: MotionUsage) -> list[Removal]:
         """Return the removals of all unreached limits together, and of each reached limit."""
-        features = self.scene.features
-        if not (features.limit and features.constraint):
-            return []
-        names = self.model.called("joint")
-        ranged = [i for i, j in enumerate(self.joint) if self.scene.joints[j].range is not None]
-        unused = tuple(self.joint[i] for i in ranged if i not in usage.limited)
-        removals = []
-        if unused:
-            removals.append(Removal("limits", _unreached(unused), (_no_range(unused),)))
-        reached = [i for i in ranged if i in usage.limited]
-        own = [Removal("limit", names[i], (_no_range([self.joint[i]]),)) for i in reached]
-        return [*removals, *own]
+        features, names = self.scene.features, self.model.called("joint")
+        on = features.limit and features.constraint
+        ranged = [
+            i for i, j in enumerate(self.joint) if on and self.scene.joints[j].range is not None
+        ]
+        unused = [i for i in ranged if i not in usage.limited]
+        never = f"{counted(len(unused), 'joint')} whose limit is never reached"
+        groups = [("limits", never, unused)] if unused else []
+        groups += [("limit", names[i], [i]) for i in ranged if i in usage.limited]
+        own = ((kind, name, tuple(self.joint[i] for i in some)) for kind, name, some in groups)
+        return [
+            Removal(kind, name, (("cleared", ("joints", joints, ("range",))),))
+            for kind, name, joints in own
+        ]
 
     def colliders(self, usage: MotionUsage) -> list[Removal]:
         """Return the removals of body pairs, self-collision and groups of geoms."""
-        pairs, called = self.body_pairs(), self.model.called("body")
-        removals = []
+        pairs, called = list(self.body_pairs()), self.model.called("body")
         unused = [pair for pair in pairs if pair not in usage.touched]
-        if unused:
-            removals.append(self._excluding("colliders", _unmet(unused), unused))
         met = [pair for pair in pairs if pair in usage.touched]
+        never = f"{counted(len(unused), 'pair')} of bodies that never touch"
+        removals = [self._excluding("colliders", never, unused)] if unused else []
         if len(met) <= MAX_PAIRS:
             for a, b in met:
                 removals.append(self._excluding("collider", f"{called[a]}/{called[b]}", [(a, b)]))
@@ -318,7 +301,14 @@ class RemovableFeatures:
         if own and len(own) < len(pairs):
             name = counted(len(own), "pair") + " of bodies"
             removals.append(self._excluding("self-collision", name, own))
-        return removals + self._groups()
+        geoms = self.scene.geoms
+        solid = [self.geom[i] for i, on in enumerate(self.plan["collides"]) if on]
+        groups = sorted({geoms[i].group for i in solid})
+        for group in groups if len(groups) > 1 else ():
+            some = tuple(i for i in solid if geoms[i].group == group)
+            name = f"group {group} ({counted(len(some), 'geom')})"
+            removals.append(Removal("collider group", name, (("no contact", some),)))
+        return removals
 
     def body_pairs(self) -> dict[tuple[int, int], list[tuple[int, int]]]:
         """Return the pairs of geoms by pair of bodies, the smaller index first."""
@@ -332,17 +322,6 @@ class RemovableFeatures:
     def _excluding(self, kind: str, name: str, pairs: Iterable[tuple[int, int]]) -> Removal:
         value = tuple((self.body[a], self.body[b]) for a, b in pairs)
         return Removal(kind, name, (("exclude", value),))
-
-    def _groups(self) -> list[Removal]:
-        geoms = self.scene.geoms
-        solid = [self.geom[i] for i, on in enumerate(self.plan["collides"]) if on]
-        groups = sorted({geoms[i].group for i in solid})
-        removals = []
-        for group in groups if len(groups) > 1 else ():
-            own = tuple(i for i in solid if geoms[i].group == group)
-            name = f"group {group} ({counted(len(own), 'geom')})"
-            removals.append(Removal("collider group", name, (("no contact", own),)))
-        return removals
 
     def equalities(self) -> list[Removal]:
         """Return the removal of each active equality."""
@@ -367,16 +346,3 @@ def _positions(compiled: Iterable[Any], listed: Iterable[Any]) -> list[int]:
     """Map compiled elements, in model order, to their indices in the scene's list."""
     index = {id(element): i for i, element in enumerate(listed)}
     return [index[id(element)] for element in compiled]
-
-
-def _no_range(joints: Iterable[int]) -> Edit:
-    """Return the edit that removes the limits of joints."""
-    return "cleared", ("joints", tuple(joints), ("range",))
-
-
-def _unreached(joints: Any) -> str:
-    return f"{counted(len(joints), 'joint')} whose limit is never reached"
-
-
-def _unmet(pairs: Any) -> str:
-    return f"{counted(len(pairs), 'pair')} of bodies that never touch"

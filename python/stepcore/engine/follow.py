@@ -15,15 +15,12 @@ from numpy.typing import ArrayLike
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, numbers
-from stepcore.engine.batch import Batch
-from stepcore.engine.batch import unwatched as unwatched_batch
-from stepcore.engine.control import Control, ControlError, controls, finite_controls, fresh
+from stepcore.engine.control import Control, ControlError, fresh, not_finite
 from stepcore.engine.model import Model
 from stepcore.engine.replay import attach
-from stepcore.engine.rollout import NAMES
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
-from stepcore.engine.trajectory import recordable, sampled, sampled_steps
+from stepcore.engine.trajectory import OF_WORLDS, pieces, recordable, sampled, samples
 from stepcore.executors import checkpoint
 
 # The states of a run at which operations are counted.
@@ -119,13 +116,11 @@ def follow(
     clock = thread_time if threads == 1 else process_time
     begun = clock()
     checkpoint()
-    if control is not None:
-        for start in range(len(starts)):
-            run.alone(start)
-    elif run.steps and sampled(run.names, model.settings):
+    if control is None and run.steps and sampled(run.names, model.settings):
         run.whole(threads)
     else:
-        run.together(threads)
+        for start in range(len(starts)):
+            run.alone(start)
     return run.followed(clock() - begun)
 
 
@@ -156,7 +151,7 @@ class _Run:
             raise ValueError(f"bound = {checks.shown(self.bound)}: must be a distance [m] > 0")
         if self.ctrl is not None and self.control is not None:
             raise ValueError("control: must be None where ctrl is given")
-        self.names = recordable(self.record, NAMES)
+        self.names = recordable(self.record, OF_WORLDS)
         self.ctrl = None if self.ctrl is None else self.table()
         self.made = np.full(len(self.starts), self.steps)
         self.inner = self.made.copy()
@@ -172,9 +167,7 @@ class _Run:
         ):
             limit = f"({n} or 1, rows, {nu}) with at least one row"
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
-        finite = finite_controls(self.model, table)
-        if not finite.all():
-            where = tuple(int(k) for k in np.argwhere(~finite)[0])
+        if where := not_finite(self.model, table):
             raise ValueError(f"ctrl{list(where)} = {table[where]}: must be finite")
         return table
 
@@ -184,21 +177,17 @@ class _Run:
         table = self.ctrl[:, rows]
         return np.broadcast_to(table, (len(self.starts), *table.shape[1:]))
 
-    def keep(self, starts: Sequence[int], sample: int, sim: Any, axis: Any) -> None:
-        """Record a sample of runs that go on, and end those that are beyond the bound."""
+    def keep(self, start: int, sample: int, sim: Sim) -> None:
+        """Record a sample of a run, and end the run if a body is beyond the bound."""
         for name in self.names:
-            value = np.asarray(getattr(sim, name))[axis]
+            value = np.asarray(getattr(sim, name))
             if name not in self.data:
-                shape = (len(self.starts), self.steps // self.every + 1, *value.shape[1:])
+                shape = (len(self.starts), self.steps // self.every + 1, *value.shape)
                 self.data[name] = np.full(shape, np.nan)
-            going = [k for k, start in enumerate(starts) if start not in self.failures]
-            self.data[name][[starts[k] for k in going], sample] = value[going]
-        if not np.isfinite(self.bound):
-            return
-        xpos = np.asarray(sim.xpos)[axis]
-        for k, start in enumerate(starts):
-            home = self.home.setdefault(start, xpos[k])
-            far = float(np.linalg.norm(xpos[k] - home, axis=-1).max(initial=0.0))
+            self.data[name][start, sample] = value
+        if np.isfinite(self.bound):
+            home = self.home.setdefault(start, sim.xpos)
+            far = float(np.linalg.norm(sim.xpos - home, axis=-1).max(initial=0.0))
             if far > self.bound:
                 self.end(start, self.beyond(start, sample, far))
 
@@ -251,43 +240,20 @@ class _Run:
             self.inner[:] = evaluations
         _keep_batch(key, kept)
 
-    def together(self, threads: int) -> None:
-        """Run all starts as the worlds of a batch, which is read at each sample."""
-        n = len(self.starts)
-        batch = unwatched_batch(Batch(self.model, n, threads=threads, on_failure="go on"))
-        for world, start in enumerate(self.starts):
-            start.put(batch, world)
-        everyone = range(n)
-        self.keep(everyone, 0, batch, ...)
-        for done in range(0, self.steps, self.every):
-            checkpoint()
-            if self.ctrl is None:
-                batch.step(self.every, progress=False)
-            else:
-                batch.rollout(self.rows(done, self.every), progress=False)
-            for world, error in batch.failures.items():
-                self.end(world, error)
-            if len(self.failures) == n:
-                return
-            self.keep(everyone, done // self.every + 1, batch, ...)
-
     def alone(self, start: int) -> None:
         """Run one start as a Sim."""
         sim = unwatched(Sim(self.model))
         self.starts[start].put(sim)
-        self.keep([start], 0, sim, None)
-        function = None if self.control is None else fresh(self.control)
+        drive: Any = None if self.control is None else fresh(self.control)
+        if self.ctrl is not None:
+            drive = self.ctrl[start % len(self.ctrl)]
         try:
-            done = 0
-            while done < self.steps and start not in self.failures:
-                if done % self.hold == 0 and function is not None:
-                    checkpoint()
-                    sim.ctrl = controls(function, sim)
-                ends = (step - done % step for step in (self.hold, self.every))
-                done += (count := min(ends))
-                sim.step(count)
+            for done in pieces(sim, self.steps, drive, self.hold, pauses=(self.every,)):
+                checkpoint()
                 if done % self.every == 0:
-                    self.keep([start], done // self.every, sim, None)
+                    self.keep(start, done // self.every, sim)
+                if start in self.failures:
+                    break
         except SimulationError as error:
             self.end(start, error)
         except ControlError:
@@ -323,8 +289,7 @@ class _Run:
             for done in np.unique(middles.astype(int)) if made else []:
                 before = round(sim.time / self.model.settings.dt)
                 rows = None if self.ctrl is None else self.rows(before, done + 1 - before)[start]
-                if done > before:
-                    sampled_steps(sim, done - before, None if rows is None else rows[:-1])
+                samples(sim, (), done - before, None if rows is None else rows[None, :-1])
                 if rows is not None:
                     sim.ctrl[:] = rows[-1]
                 counts.append(sim.count_flops())

@@ -1,33 +1,42 @@
-"""Gradients of rollouts on their way back through the steps, and what makes them say nothing."""
+"""Derivatives of rollouts, step by step: forward, and gradients on their way back.
+
+Also what makes a gradient say nothing.
+"""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
-from stepcore.engine.arrays import STATE, Floats, numbers, refuse_late
-from stepcore.engine.parameters import split_entry
-from stepcore.engine.rollout import Rollout
-from stepcore.engine.rollout_steps import Steps, rows_of
+from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers, refuse_late
+from stepcore.engine.coordinates import Coordinates
+from stepcore.engine.linearization import LinearSteps, LinearWorlds
+from stepcore.engine.parameters import columns, split_entry
 from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.trajectory import Rollout
 
 if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
+    from stepcore.report.progress import Choice
 
-# A gradient that grows more than this on its way back says nothing beyond the next step or two.
+# A gradient that grows more than this on its way back says nothing beyond the next step or two; nor
+# does a part of one that is smaller by this.
 GROWTH = 1e6
 # One that is another by this share of itself in steps half as long says nothing either.
 APART = 0.5
 TINY = np.finfo(float).tiny
-# Of what is asked: a share below which nothing is said of the initial state.
-LEFT = 1e-6
 # Steps before and after one, in which its contact is looked for.
 NEAR = 50
+# Steps of a world that are linearised together, and as many numbers of matrices as are in memory
+# at once: 64 MiB.
+BLOCK, ROOM = 64, 2**23
+# What x is made of.
+X = (*STATE, "ctrl_history")
 
 
 class GradientWarning(UserWarning):
@@ -60,6 +69,133 @@ class Gradients(NamedTuple):
     growth: Floats
     one_sided: list[tuple[int, int, str]]
     error: Floats | None = None
+
+
+def rows_of(
+    given: Mapping[str, ArrayLike | None], sizes: Mapping[str, tuple[int, ...]]
+) -> dict[str, Floats]:
+    """Arrays of these shapes; None is zero."""
+    arrays = {}
+    for name, value in given.items():
+        array = np.zeros(sizes[name]) if value is None else numbers(name, value)
+        if array.shape != sizes[name]:
+            raise ValueError(f"{name} has shape {array.shape}: must be {sizes[name]}")
+        arrays[name] = array
+    return arrays
+
+
+class Steps:
+    """The steps of a rollout of a batch, each to be linearised where it began.
+
+    Arguments are checked first; `roll` then steps the batch, once.
+    """
+
+    rollout: Rollout
+    # Of each world, before the first step and after each.
+    states: dict[str, Floats]
+
+    def __init__(self, batch: Batch, ctrl: ArrayLike, parameters: Sequence[str]) -> None:
+        # Refuses steps that cannot be linearised before one is taken.
+        LinearWorlds([batch.model], 1)
+        self.by = columns(batch.model, parameters)
+        self.labels = [column.label for column in self.by]
+        self.batch = batch
+        self.ctrl, self.n = np.array(numbers("ctrl", ctrl)), len(batch)
+        if self.ctrl.ndim != 3 or self.ctrl.shape[::2] != (self.n, batch.model.nu):
+            limit = f"({self.n}, steps, {batch.model.nu})"
+            raise ValueError(f"ctrl has shape {self.ctrl.shape}: must be {limit}")
+        self.count = self.ctrl.shape[1]
+        self.tangents = Coordinates(batch.model)
+        self._linearised: tuple[range, LinearWorlds] | None = None
+        # Of x.
+        self.size = 2 * batch.model.nv + batch.model.na + batch._arrays["ctrl_history"].shape[1]
+
+    def sizes(self, *rows: int) -> dict[str, tuple[int, ...]]:
+        """The shapes of arrays with so many rows for each world's state."""
+        model = self.batch.model
+        widths = (model.nq, model.nv, model.na)
+        return {name: (self.n, *rows, width) for name, width in zip(STATE, widths, strict=True)}
+
+    def roll(self, progress: Choice = None) -> Steps:
+        """Step the batch."""
+        batch = self.batch
+        self.models = batch.param.models()
+        self.held = {name: np.array(getattr(batch, name)) for name in INPUTS[1:]}
+        self.start = {name: np.array(getattr(batch, name)) for name in X}
+        self.time = batch.time
+        past = [name for name in X[len(STATE) :] if self.start[name].size]
+        self.rollout = batch.rollout(self.ctrl, past, progress=progress)
+        after = {**self.rollout._asdict(), **self.rollout.recorded}
+        # Scenes without late controls have no past.
+        nothing = np.zeros((self.n, self.count, 0))
+        self.states = {
+            name: np.concatenate([first[:, None], after.get(name, nothing)], axis=1)
+            for name, first in self.start.items()
+        }
+        return self
+
+    def halved(self) -> Steps:
+        """The same rollout in steps half as long, of a batch of its own that goes on."""
+        batch = self.batch
+        model = batch.model.with_settings(dt=batch.settings.dt / 2)
+        own = type(batch)(model, self.n, threads=batch._threads, on_failure="go on")
+        own._core.unwatch()
+        own._residuals.told = True
+        own.param.update(batch.param.columns())
+        for name, rows in (self.start | self.held).items():
+            getattr(own, name)[...] = rows
+        steps = Steps(own, np.repeat(self.ctrl, 2, axis=1), self.labels).roll(progress=False)
+        # Where a world fails is no state to be linearised at.
+        failed = list(own.failures)
+        for name, rows in steps.states.items():
+            rows[failed] = steps.start[name][failed, None]
+        return steps
+
+    def shares(self) -> list[range]:
+        """Return all worlds, as many at a time as `ROOM` holds the steps of a block of."""
+        block = BLOCK * self.size * (self.size + self.batch.model.nu + len(self.labels))
+        most = max(1, ROOM // max(1, block))
+        return [range(k, min(k + most, self.n)) for k in range(0, self.n, most)]
+
+    def blocks(self) -> list[range]:
+        """All steps, as many at a time as are linearised together."""
+        return [range(k, min(k + BLOCK, self.count)) for k in range(0, self.count, BLOCK)]
+
+    def changes(self) -> Floats:
+        """What each step changes of x, nearly, (n, steps, size)."""
+        moved = self.batch.settings.dt * self.states["qvel"][:, 1:]
+        others = (np.diff(self.states[name], axis=1) for name in X[1:])
+        return np.concatenate([moved, *others], axis=-1)
+
+    def dofs(self, given: Mapping[str, Floats]) -> Floats:
+        """The gradients by the states after each step as those of x, (n, steps, size)."""
+        dq = self.tangents.to_dofs(self.rollout.qpos, given["qpos"])
+        return self.x([dq, given["qvel"], given["act"]])
+
+    def x(self, parts: Sequence[Floats]) -> Floats:
+        """Changes by dof, of velocities and activations as those of x; none of the past."""
+        past = np.zeros((*parts[1].shape[:-1], self.batch._arrays["ctrl_history"].shape[1]))
+        return np.concatenate([*parts, past], axis=-1)
+
+    def linear(self, worlds: range, steps: range) -> LinearSteps:
+        """Linearise some steps of some worlds: of shape (worlds, steps, …)."""
+        own, some = slice(worlds.start, worlds.stop), slice(steps.start, steps.stop)
+        states = {name: rows[own, some] for name, rows in self.states.items()}
+        states["ctrl"] = self.ctrl[own, some]
+        for name, rows in self.held.items():
+            states[name] = np.repeat(rows[own][:, None], len(steps), 1)
+        return self._worlds(worlds).linear(states, self.by)
+
+    def _worlds(self, worlds: range) -> LinearWorlds:
+        """Return the linearisers of some worlds; the last ones are kept."""
+        if self._linearised is None or self._linearised[0] != worlds:
+            if len(worlds) == self.n and self.models is self.batch.param.models():
+                made = self.batch._linearised_worlds()
+            else:
+                models = [self.models[world] for world in worlds]
+                made = LinearWorlds(models, self.batch._threads, worlds.start)
+            self._linearised = worlds, made
+        return self._linearised[1]
 
 
 def vjp(
@@ -218,11 +354,11 @@ def jvp(
     first = steps.x([changes[name] for name in STATE])
 
     rows = np.zeros((steps.n, steps.count, first.shape[1]))
-    for share in steps.shares():
-        own = share.own
+    for worlds in steps.shares():
+        own = slice(worlds.start, worlds.stop)
         x = first[own]
         for block in steps.blocks():
-            A, B, P, _ = share.linear(block)
+            A, B, P, _ = steps.linear(worlds, block)
             by = (
                 B @ moved[own, block[0] : block[-1] + 1, :, None] + P @ values.T[own, None, :, None]
             )
@@ -266,12 +402,12 @@ def adjoints(steps: Steps, weights: Floats) -> Adjoints:
     ctrl, ctrl_terms = np.zeros((n, count, model.nu)), np.zeros(n)
     values = np.zeros((n, len(steps.by)))
     sided = list[tuple[int, int, str]]()
-    for share in steps.shares():
-        own = share.own
+    for worlds in steps.shares():
+        own = slice(worlds.start, worlds.stop)
         for block in reversed(steps.blocks()):
-            A, B, P, degenerate = share.linear(block)
+            A, B, P, degenerate = steps.linear(worlds, block)
             sided += [
-                (share.worlds[world], block[k], model.element_name(*element))
+                (worlds[world], block[k], model.element_name(*element))
                 for world, k, element in degenerate
             ]
             for k in reversed(range(len(block))):
@@ -307,12 +443,12 @@ def apart(back: Adjoints, finer: Adjoints, steps: Steps, asked: Floats) -> dict[
     most = np.maximum(asked, back.sizes.max(axis=1, initial=0.0))
     both = finer.ctrl[:, ::2] + finer.ctrl[:, 1::2]
     parts = {
-        "the initial state": _distance(back.rows[:, 0], finer.rows[:, 0], LEFT * most),
-        "the controls": _distance(back.ctrl, both, LEFT * back.ctrl_terms),
+        "the initial state": _distance(back.rows[:, 0], finer.rows[:, 0], most / GROWTH),
+        "the controls": _distance(back.ctrl, both, back.ctrl_terms / GROWTH),
     }
     changes = np.sum(np.abs(back.after * steps.changes()), axis=(1, 2))
     for k, column in enumerate(steps.by):
-        least = LEFT * changes / abs(column.value)
+        least = changes / GROWTH / abs(column.value)
         parts[f"`{column.label}`"] = _distance(back.values[:, k], finer.values[:, k], least)
     return parts
 
@@ -358,18 +494,18 @@ def parted(steps: Steps, world: int, of: str, error: float, back: Adjoints, fine
 
 def _impact(steps: Steps, world: int, step: int) -> str:
     """Name the contact that pushes most near where a step begins, with the time when it began."""
-    touches, dt = _Touches(steps, world), steps.batch.settings.dt
+    touches, dt = _touching(steps, world), steps.batch.settings.dt
     # In steps half as long an impact of few steps may be over before, or still to come.
     near = sorted(
         range(max(0, step - NEAR), min(step + NEAR, steps.count)), key=lambda k: abs(k - step)
     )
     for k in near:
-        if pairs := touches.at(k):
+        if pairs := touches(k):
             break
     else:
         return ""
     pair, began = max(pairs, key=lambda names: pairs[names]), k
-    while began and pair in touches.at(began - 1):
+    while began and pair in touches(began - 1):
         began -= 1
     known = "contact" if began == 0 else "impact"
     names = " with ".join(f"`{checks.cut(name, 60)}`" for name in pair)
@@ -377,17 +513,13 @@ def _impact(steps: Steps, world: int, step: int) -> str:
     return f", at the {known} of {names}" + f" at {time:.4g} s" * (known == "impact")
 
 
-class _Touches:
-    """What touches in a world where its steps begin."""
+def _touching(steps: Steps, world: int) -> Callable[[int], dict[tuple[str, str], float]]:
+    """Return a function of a step: the geoms that touch where it begins, with their force [N]."""
+    sim = unwatched(Sim(steps.models[world]))
+    for name, rows in steps.held.items():
+        getattr(sim, name)[...] = rows[world]
 
-    def __init__(self, steps: Steps, world: int) -> None:
-        self.sim, self.steps, self.world = unwatched(Sim(steps.models[world])), steps, world
-        for name, rows in steps.held.items():
-            getattr(self.sim, name)[...] = rows[world]
-
-    def at(self, step: int) -> dict[tuple[str, str], float]:
-        """The pairs of geoms that touch there, with the force between them [N]."""
-        sim, steps, world = self.sim, self.steps, self.world
+    def at(step: int) -> dict[tuple[str, str], float]:
         for name, rows in steps.states.items():
             getattr(sim, name)[...] = rows[world, step]
         sim.ctrl[...] = steps.ctrl[world, step]
@@ -397,3 +529,30 @@ class _Touches:
             pair = str(contact["name1"]), str(contact["name2"])
             forces[pair] = forces.get(pair, 0.0) + float(np.linalg.norm(contact["force"]))
         return {pair: force for pair, force in forces.items() if force > 0}
+
+    return at
+
+
+def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -> Floats:
+    """Return the derivatives of a world's states by numbers, then by its first x.
+
+    changes: of the controls by further numbers, shape (steps, nu, further).
+
+    Shape (steps + 1, size of x, parameters + further + size of x); the first row is the initial
+    state.
+    """
+    model = steps.models[world]
+    size, labels = steps.size, len(steps.labels)
+    pushes = np.zeros((steps.count, model.nu, 0)) if changes is None else changes
+    count = labels + pushes.shape[2]
+    # The numbers stand below the state as what stays: each step is one product.
+    slopes = np.zeros((steps.count + 1, size + count, count + size))
+    slopes[0, :size, count:] = np.eye(size)
+    slopes[:, size:, :count] = np.eye(count)
+    for block in steps.blocks():
+        A, B, P = (one[0] for one in steps.linear(range(world, world + 1), block)[:3])
+        each = np.concatenate([A, P, B @ pushes[block]], axis=2)
+        own = slopes[block[0] : block[-1] + 2]
+        for step, before, after in zip(each, own, own[1:, :size], strict=False):
+            np.matmul(step, before, out=after)
+    return slopes[:, :size]

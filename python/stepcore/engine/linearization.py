@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
@@ -26,6 +27,7 @@ AXES = {
 }
 
 
+@dataclass(eq=False, repr=False)
 class Linearization:
     """A step linearised about one state: x⁺ = A x + B u + P p to first order.
 
@@ -55,26 +57,19 @@ class Linearization:
     1.0
     """
 
-    def __init__(
-        self,
-        A: Floats,
-        B: Floats,
-        dt: float,
-        labels: tuple[str, ...],
-        controls: tuple[str, ...] = (),
-        degenerate: tuple[str, ...] = (),
-        degenerate_ids: tuple[tuple[str, int, int], ...] = (),
-        P: Floats | None = None,
-        parameters: tuple[str, ...] = (),
-    ) -> None:
-        self.A, self.B = A, B
-        self.P: Floats = np.zeros((len(A), 0)) if P is None else P
-        self.parameters = parameters
-        self.dt = dt
-        self.labels = labels
-        self.controls = controls
-        self.degenerate = degenerate
-        self.degenerate_ids = degenerate_ids
+    A: Floats
+    B: Floats
+    dt: float
+    labels: tuple[str, ...]
+    controls: tuple[str, ...] = ()
+    degenerate: tuple[str, ...] = ()
+    degenerate_ids: tuple[tuple[str, int, int], ...] = ()
+    P: Floats = field(default=None)  # type: ignore[arg-type]
+    parameters: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.P is None:
+            self.P = np.zeros((len(self.A), 0))
 
     @property
     def nv(self) -> int:
@@ -94,18 +89,11 @@ class Linearization:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all fields as plain data."""
-        return {
-            "A": self.A.tolist(),
-            "B": self.B.tolist(),
-            "P": self.P.tolist(),
-            "parameters": list(self.parameters),
-            "dt": self.dt,
-            "labels": list(self.labels),
-            "controls": list(self.controls),
-            "degenerate": list(self.degenerate),
-            "degenerate_ids": [list(element) for element in self.degenerate_ids],
-            "spectral_radius": self.spectral_radius,
-        }
+        # Imported here so that the engine alone does not load the reports.
+        from stepcore.report.table import jsonable
+
+        plain: dict[str, Any] = jsonable(vars(self) | {"spectral_radius": self.spectral_radius})
+        return plain
 
     def __repr__(self) -> str:
         count = f"{self.nv} dofs, {len(self.controls)} controls"

@@ -16,11 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings
-from stepcore.engine.arrays import Count, Floats, ModelArray, Names, frozen, numbers
+from stepcore.engine.arrays import (
+    Floats,
+    constant,
+    element_names,
+    frozen,
+    number_of,
+    numbers,
+)
 from stepcore.engine.compilation import bare, compiled_once, compiled_scenes
 from stepcore.engine.run_settings import in_metres
-from stepcore.engine.tables import ContactPair, Keyframe, contact_pair, pair_arrays
-from stepcore.engine.touches import Touches, touches
+from stepcore.engine.tables import ContactPair, Keyframe, Touches
 from stepcore.scene import gc_pause
 from stepcore.scene.value_paths import changed
 from stepcore.signatures import refuse_unknown_settings, takes_settings
@@ -114,7 +120,35 @@ class Model:
         >>> touches.dist[:, 0].round(12).tolist()
         [-0.1, 1.5]
         """
-        return touches(self, geom1, geom2, qpos, precision, lanes)
+        first, second = self._geom("geom1", geom1), self._geom("geom2", geom2)
+        positions = numbers("qpos", qpos)
+        if positions.ndim == 0 or positions.shape[-1] != self.nq:
+            raise ValueError(f"qpos has shape {positions.shape}: must be (…, {self.nq})")
+        if not np.isfinite(positions).all():
+            raise ValueError("qpos has entries that are not finite: every entry must be")
+        if precision not in ("f64", "f32"):
+            raise ValueError(f"precision = {checks.shown(precision)}: must be 'f64' or 'f32'")
+        leading = positions.shape[:-1]
+        flat = positions.reshape(math.prod(leading), self.nq)
+        how = precision + " lanes" * checks.flag_of("lanes", lanes)
+        contacts = self._core.touches(first, second, flat, how)
+        return Touches(*(array.reshape(leading + array.shape[1:]) for array in contacts))  # type: ignore[arg-type]
+
+    def _geom(self, field: str, geom: int | str) -> int:
+        names = self.geom_names
+        if isinstance(geom, str):
+            if not geom or geom not in names:
+                near = checks.nearest(geom, names)
+                raise ValueError(f"{field}: no geom {checks.quoted(geom)}{near}")
+            return names.index(geom)
+        try:
+            index = operator.index(geom)
+        except TypeError:
+            index = -1
+        if not 0 <= index < len(names):
+            limit = f"must be a geom's name or an index from 0 to {len(names) - 1}"
+            raise ValueError(f"{field} = {checks.shown(geom)}: {limit}")
+        return index
 
     @property
     def settings(self) -> Settings:
@@ -128,12 +162,12 @@ class Model:
 
     # Counts.
 
-    nu = Count("Length of ctrl: the number of actuators.", "actuator")
-    nbody = Count("The number of bodies, the world included.", "body")
-    njnt = Count("The number of joints.", "joint")
-    ngeom = Count("The number of geoms.", "geom")
-    nsite = Count("The number of sites.", "site")
-    ntendon = Count("The number of tendons.", "tendon")
+    nu = number_of("actuator", "Length of ctrl: the number of actuators.")
+    nbody = number_of("body", "The number of bodies, the world included.")
+    njnt = number_of("joint", "The number of joints.")
+    ngeom = number_of("geom", "The number of geoms.")
+    nsite = number_of("site", "The number of sites.")
+    ntendon = number_of("tendon", "The number of tendons.")
 
     @property
     def nq(self) -> int:
@@ -176,14 +210,14 @@ class Model:
         """Names of "body", "joint", "geom", "site", "tendon", "actuator", "equality", "key"."""
         return {kind: tuple(names) for kind, names in self._core.names().items()}
 
-    body_names = Names("Names of the bodies, the world first.")
-    joint_names = Names("Names of the joints.")
-    geom_names = Names("Names of the geoms.")
-    site_names = Names("Names of the sites.")
-    tendon_names = Names("Names of the tendons.")
-    sensor_names = Names("Names of the sensors.")
-    actuator_names = Names("Names of the actuators.")
-    key_names = Names("Names of the keyframes.")
+    body_names = element_names("Names of the bodies, the world first.")
+    joint_names = element_names("Names of the joints.")
+    geom_names = element_names("Names of the geoms.")
+    site_names = element_names("Names of the sites.")
+    tendon_names = element_names("Names of the tendons.")
+    sensor_names = element_names("Names of the sensors.")
+    actuator_names = element_names("Names of the actuators.")
+    key_names = element_names("Names of the keyframes.")
 
     def element_name(self, kind: str, index: int, part: int = -1) -> str:
         """Return the full name of an element: "spring of joint `knee`", "contact `floor`/`foot`".
@@ -297,7 +331,14 @@ class Model:
                 f"pairs: this model is a heap, whose {self.npair} pairs of geoms that could meet "
                 "are not listed: contact_pair(index) tells of one, Sim.contacts which touch now"
             )
-        return pair_arrays(self._core)
+        pairs = [self.contact_pair(index) for index in range(len(self._core.pairs()))]
+        arrays: dict[str, NDArray[Any]] = {
+            "pair_geoms": np.array([pair.geoms for pair in pairs], dtype=np.int32).reshape(-1, 2),
+            "pair_solref": np.array([pair.solref for pair in pairs], dtype=float).reshape(-1, 2),
+            "pair_friction": np.array([pair.friction for pair in pairs], dtype=float),
+            "pair_invweight0": np.array([pair.invweight0 for pair in pairs], dtype=float),
+        }
+        return {name: frozen(array) for name, array in arrays.items()}
 
     def contact_pair(self, index: int) -> ContactPair:
         """Return the two geoms of a contact pair, and the parameters that their contacts share.
@@ -306,76 +347,79 @@ class Model:
 
         Raises ValueError if no pair has this index.
         """
-        return contact_pair(self._core, checks.count("index", index, 0))
+        first, second, condim, friction, solref, invweight = self._core.pair(
+            checks.count("index", index, 0)
+        )
+        return ContactPair((first, second), condim, friction, (solref[0], solref[1]), invweight)
 
-    qpos0 = ModelArray("Positions in the pose in which the scene is described, shape (nq,).")
-    body_mass = ModelArray("Mass of each body [kg], shape (nbody,).")
-    body_ipos = ModelArray("Centre of mass in the body's frame [m], shape (nbody, 3).")
-    body_iquat = ModelArray(
+    qpos0 = constant("Positions in the pose in which the scene is described, shape (nq,).")
+    body_mass = constant("Mass of each body [kg], shape (nbody,).")
+    body_ipos = constant("Centre of mass in the body's frame [m], shape (nbody, 3).")
+    body_iquat = constant(
         "Orientation of the principal axes of the inertia in the body's frame, shape (nbody, 4)."
     )
-    body_inertia = ModelArray(
+    body_inertia = constant(
         "Inertia about the centre of mass, in the body's axes [kg·m²], shape (nbody, 3, 3)."
     )
-    body_parent = ModelArray("Index of each body's parent, shape (nbody,).")
-    body_invweight0 = ModelArray(
+    body_parent = constant("Index of each body's parent, shape (nbody,).")
+    body_invweight0 = constant(
         "Mean inverse mass [1/kg] and inverse inertia [1/(kg·m²)] at qpos0, shape (nbody, 2)."
     )
-    dof_invweight0 = ModelArray(
+    dof_invweight0 = constant(
         "Diagonal of the inverse mass matrix at qpos0, averaged over each joint, shape (nv,)."
     )
-    jnt_qposadr = ModelArray("Index in qpos at which each joint begins, shape (njnt,).")
-    jnt_dofadr = ModelArray("Index in qvel at which each joint begins, shape (njnt,).")
-    jnt_body = ModelArray("Index of the body that each joint moves, shape (njnt,).")
-    jnt_range = ModelArray(
+    jnt_qposadr = constant("Index in qpos at which each joint begins, shape (njnt,).")
+    jnt_dofadr = constant("Index in qvel at which each joint begins, shape (njnt,).")
+    jnt_body = constant("Index of the body that each joint moves, shape (njnt,).")
+    jnt_range = constant(
         "Lower and upper limit of each joint [rad or m], ±inf without one, shape (njnt, 2)."
     )
-    jnt_axis = ModelArray("Axis of each joint in the body's frame, a unit vector, shape (njnt, 3).")
-    jnt_pos = ModelArray("Anchor of each joint in the body's frame [m], shape (njnt, 3).")
-    geom_size = ModelArray("Sizes of each geom in MuJoCo's convention [m], shape (ngeom, 3).")
-    geom_body = ModelArray("Index of each geom's body, shape (ngeom,).")
-    sensor_dim = ModelArray("How many numbers each sensor gives, shape (nsensor,).")
-    site_body = ModelArray("Index of each site's body, shape (nsite,).")
-    tendon_length0 = ModelArray("Length of each tendon at qpos0, shape (ntendon,).")
-    tendon_invweight0 = ModelArray(
+    jnt_axis = constant("Axis of each joint in the body's frame, a unit vector, shape (njnt, 3).")
+    jnt_pos = constant("Anchor of each joint in the body's frame [m], shape (njnt, 3).")
+    geom_size = constant("Sizes of each geom in MuJoCo's convention [m], shape (ngeom, 3).")
+    geom_body = constant("Index of each geom's body, shape (ngeom,).")
+    sensor_dim = constant("How many numbers each sensor gives, shape (nsensor,).")
+    site_body = constant("Index of each site's body, shape (nsite,).")
+    tendon_length0 = constant("Length of each tendon at qpos0, shape (ntendon,).")
+    tendon_invweight0 = constant(
         "J M⁻¹ Jᵀ of each tendon's moment arms J at qpos0, shape (ntendon,)."
     )
-    tendon_lengthspring = ModelArray(
+    tendon_lengthspring = constant(
         "Lengths between which each tendon's spring is slack, shape (ntendon, 2)."
     )
-    tendon_range = ModelArray(
+    tendon_range = constant(
         "Shortest and longest length of each tendon, ±inf without a limit, shape (ntendon, 2)."
     )
-    actuator_joint = ModelArray("Index of the joint that each actuator drives, shape (nu,).")
-    actuator_ctrlrange = ModelArray(
+    actuator_joint = constant("Index of the joint that each actuator drives, shape (nu,).")
+    actuator_ctrlrange = constant(
         "Range to which each control is clamped, ±inf without one, shape (nu, 2)."
     )
-    actuator_actrange = ModelArray(
+    actuator_actrange = constant(
         "Range to which each activation is clamped, ±inf without one, shape (nu, 2)."
     )
-    actuator_actadr = ModelArray(
+    actuator_actadr = constant(
         "Index in act of each actuator's activation, -1 without one, shape (nu,)."
     )
-    actuator_gear = ModelArray("Gear of each actuator for each dof of its joint, shape (nu, 6).")
-    actuator_gain = ModelArray("Force per unit of control, before the gear, shape (nu,).")
-    actuator_bias = ModelArray(
+    actuator_gear = constant("Gear of each actuator for each dof of its joint, shape (nu, 6).")
+    actuator_gain = constant("Force per unit of control, before the gear, shape (nu,).")
+    actuator_bias = constant(
         "Force at control 0, and per unit of length and of velocity, before the gear, "
         "shape (nu, 3). A damping ratio is converted to the damping that it stands for."
     )
-    actuator_forcerange = ModelArray(
+    actuator_forcerange = constant(
         "Range to which each force is clamped before the gear [N or N·m], ±inf without one, "
         "shape (nu, 2)."
     )
-    pair_geoms = ModelArray(
+    pair_geoms = constant(
         "The two geoms of each pair that can ever collide, shape (npair, 2).", "_pair_arrays"
     )
-    pair_solref = ModelArray(
+    pair_solref = constant(
         "The solref that the geoms of each pair have together, (npair, 2).", "_pair_arrays"
     )
-    pair_friction = ModelArray(
+    pair_friction = constant(
         "Coefficient of sliding friction of each pair, shape (npair,).", "_pair_arrays"
     )
-    pair_invweight0 = ModelArray(
+    pair_invweight0 = constant(
         "Sum of both bodies' mean inverse mass of each pair at qpos0 [1/kg], shape (npair,).",
         "_pair_arrays",
     )

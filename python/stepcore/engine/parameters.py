@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from stepcore import _core
     from stepcore.engine.model import Model
 
-# So many models are compiled in the calling thread: starting others takes longer.
-FEW = 2
 # Where the model is compiled around a value: these multiples of a share of it. Of a number that
 # goes with 1/p³ the derivative is then off by 2e-12 of itself, and by 1e-12 for rounding.
 AROUND = (-2, -1, 1, 2)
@@ -200,16 +198,16 @@ class Parameters(Mapping[str, Floats]):
 
 
 class Made:
-    """A compiled model, and its initial arrays where they differ from those of the base model."""
+    """What a row of values is compiled to: the engine's model, or the error that refuses it."""
 
-    def __init__(self, core: _core.Model) -> None:
+    def __init__(self, core: _core.Model | ValueError) -> None:
         self.core = core
         self._initial: dict[str, Any] | None = None
 
     def initial(self, base: dict[str, Any]) -> dict[str, Any]:
         """Return the initial arrays, or nothing if they are those of the base model."""
         if self._initial is None:
-            own = dict(self.core.initial())
+            own = {} if isinstance(self.core, ValueError) else dict(self.core.initial())
             self._initial = {} if own == base else own
         return self._initial
 
@@ -218,6 +216,7 @@ class Variants:
     """The models compiled for all distinct rows of a table of parameters.
 
     models: the engine's models. model_of: for each world, the index in `models`.
+    before: another table, whose models serve where its rows are the same.
     """
 
     def __init__(
@@ -228,46 +227,45 @@ class Variants:
         before: Variants | None = None,
     ) -> None:
         self._base, self._columns = model, columns
-        self.models: list[_core.Model] = []
-        self.model_of: list[int] = [0] * n
-        self._refused: dict[int, ValueError] = {}
-        self._made: dict[int, Model] = {}
-        # By row: the engine's model, with the initial arrays that it has of its own; and what makes
-        # more of them.
-        self._known: dict[bytes, Made] = {}
-        self._variation: ModelVariation | None = None
-        if not columns:
-            self.models.append(model.core)
-            return
+        table = [np.zeros((n, 0)), *(column.reshape(n, -1) for column in columns.values())]
+        rows = [row.tobytes() for row in np.concatenate(table, axis=1)]
+        # By row, its first world.
+        first = dict(zip(reversed(rows), reversed(range(n)), strict=True))
+        first = {row: first[row] for row in dict.fromkeys(rows)}
         kept: dict[bytes, Made] = {}
-        if before is not None and before.layout() == self.layout():
-            kept, self._variation = before._known, before._variation
-        rows = np.concatenate([column.reshape(n, -1) for column in columns.values()], axis=1)
-        known: dict[bytes, int] = {}
-        new: list[tuple[int, int]] = []
-        for world in range(n):
-            row = rows[world].tobytes()
-            index = known.setdefault(row, len(self.models))
-            if index == len(self.models):
-                self.models.append(kept[row].core if row in kept else model.core)
-                if row not in kept:
-                    new.append((index, world))
-            self.model_of[world] = index
-        self._compile(new)
-        for row, index in known.items():
-            if index not in self._refused:
-                self._known[row] = kept.get(row) or Made(self.models[index])
+        self._variation: ModelVariation | None = None
+        if before is not None and before._layout == self._layout:
+            kept, self._variation = before._made, before._variation
+        new = [row for row in first if row not in kept]
+        compiled = self._compiled([first[row] for row in new])
+        kept = kept | {row: Made(core) for row, core in zip(new, compiled, strict=True)}
+        self._made: dict[bytes, Made] = {row: kept[row] for row in first}
+        places = {row: place for place, row in enumerate(first)}
+        self.model_of = [places[row] for row in rows]
+        self._models: dict[int, Model] = {}
 
-    def layout(self) -> list[tuple[str, tuple[int, ...]]]:
-        """Return the paths and the shapes of their values, in the order of a row."""
+    @property
+    def models(self) -> list[Any]:
+        """The engine's models."""
+        return [made.core for made in self._made.values()]
+
+    @property
+    def _layout(self) -> list[tuple[str, tuple[int, ...]]]:
+        """The paths and the shapes of their values, in the order of a row."""
         return [(path, column.shape[1:]) for path, column in self._columns.items()]
 
-    def _compile(self, new: list[tuple[int, int]]) -> None:
-        """Compile the models at these indices of these worlds, several at a time."""
-        if not new:
-            return
+    def _compiled(self, worlds: list[int]) -> list[_core.Model | ValueError]:
+        """Compile the models of these worlds, several at a time."""
+        if not self._columns or not worlds:
+            return [self._base.core] * len(worlds)
         variation = self._variation or ModelVariation(self._base, self._columns)
         self._variation = variation
+
+        def data(world: int) -> dict[str, Any] | ValueError:
+            try:
+                return variation.data(self.values(world))
+            except ValueError as error:
+                return error
 
         def compiled(data: dict[str, Any] | ValueError) -> _core.Model | ValueError:
             try:
@@ -275,33 +273,21 @@ class Variants:
             except ValueError as error:
                 return error
 
-        scenes = (self._data(variation, world) for _, world in new)
-        if len(new) <= FEW:
-            made = list(map(compiled, scenes))
-        else:
-            # Imported here because only parameters need Python threads.
-            from concurrent.futures import ThreadPoolExecutor
+        # Scenes are created one after another, while the engine compiles earlier ones.
+        scenes = map(data, worlds)
+        if len(worlds) == 1:
+            return list(map(compiled, scenes))
+        # Imported here because only parameters need Python threads.
+        from concurrent.futures import ThreadPoolExecutor
 
-            # Scenes are created one after another, while the engine compiles earlier ones.
-            with ThreadPoolExecutor(checks.threads(None)) as pool:
-                made = list(pool.map(compiled, scenes))
-        for (index, _), model in zip(new, made, strict=True):
-            if isinstance(model, ValueError):
-                self._refused[index] = model
-            else:
-                self.models[index] = model
-
-    def _data(self, variation: ModelVariation, world: int) -> dict[str, Any] | ValueError:
-        """Return the plain data of a world's scene, or the error that prevents it."""
-        try:
-            return variation.data(self.values(world))
-        except ValueError as error:
-            return error
+        with ThreadPoolExecutor(checks.threads(None)) as pool:
+            return list(pool.map(compiled, scenes))
 
     def errors(self) -> dict[int, ValueError]:
         """Return the error of each world whose values are rejected."""
-        refused = self._refused
-        return {w: refused[index] for w, index in enumerate(self.model_of) if index in refused}
+        models = self.models
+        each = ((world, models[index]) for world, index in enumerate(self.model_of))
+        return {world: made for world, made in each if isinstance(made, ValueError)}
 
     def values(self, world: int) -> dict[str, Any]:
         """Return a world's row as an argument of `Model.with_values`."""
@@ -314,9 +300,9 @@ class Variants:
         if not self._columns:
             return self._base
         index = self.model_of[world]
-        if index not in self._made:
-            self._made[index] = self._base.with_values(self.values(world))
-        return self._made[index]
+        if index not in self._models:
+            self._models[index] = self._base.with_values(self.values(world))
+        return self._models[index]
 
     @cached_property
     def by_world(self) -> list[Model]:
@@ -325,16 +311,13 @@ class Variants:
 
     def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
         """Return the worlds whose initial arrays differ from the model's, with these arrays."""
-        own = dict(self._base.core.initial())
-        all_arrays = enumerate(made.initial(own) for made in self._known.values())
-        different = {index: arrays for index, arrays in all_arrays if arrays}
-        if not different:
-            return []
-        worlds: dict[int, list[int]] = {index: [] for index in different}
-        for world, index in enumerate(self.model_of):
+        base = dict(self._base.core.initial())
+        arrays = [made.initial(base) for made in self._made.values()]
+        worlds: dict[int, list[int]] = {k: [] for k, own in enumerate(arrays) if own}
+        for world, index in enumerate(self.model_of if worlds else ()):
             if index in worlds:
                 worlds[index].append(world)
-        return [(worlds[index], arrays) for index, arrays in different.items()]
+        return [(some, arrays[index]) for index, some in worlds.items()]
 
 
 def _value(model: Model, path: str, row: Any) -> Any:

@@ -18,6 +18,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.engine.element import NAMES
 from stepcore.engine.features import RemovableFeatures, Removal, is_belt, is_sticky, without
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.report.result import Result
@@ -28,8 +29,6 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
-# The number of elements of an entry that are printed.
-NAMES = 4
 # The number of costliest entries in the answer, and of entries in a table without --all.
 COSTLY, PRINTED = 3, 9
 LEGEND = (
@@ -146,16 +145,12 @@ class Plan(Result):
 
     def tables(self, full: bool) -> list[Table]:
         """Return tables of used and omitted work; `full`: all entries and elements."""
-        used, left_out = self.used, self.left_out
-        if not full:
-            used, left_out = (
-                _most(used, lambda e: e.flops or 0.0),
-                _most(left_out, lambda e: e.count),
-            )
-        does = _table(used, "Computed in a step", len(self.used))
-        less = LESS * any((entry.flops or 0) < 0 for entry in used)
+        printed = len(self.entries) if full else PRINTED
+        does = _table(self.used, "Computed in a step", printed, lambda entry: entry.flops or 0.0)
+        less = LESS * any(str(row.get("flops")).startswith("-") for row in does)
         does.legend = f"{does.legend} {LEGEND}{less}".strip()
-        tables = [does, _table(left_out, "Left out of a step", len(self.left_out))]
+        omits = _table(self.left_out, "Left out of a step", printed, lambda entry: entry.count)
+        tables = [does, omits]
         if full:
             elements = [
                 {"used": "yes" if entry.used else "no", "what": entry.name, "element": name}
@@ -167,31 +162,24 @@ class Plan(Result):
 
     def details(self) -> dict[str, Any]:
         """Return the data of the complete step."""
-        return {
-            "at": self.at,
-            "flops": self.flops,
-            "stages": self.stages,
-            "micros": self.micros,
-        }
+        return {name: getattr(self, name) for name in ("at", "flops", "stages", "micros")}
 
     def __repr__(self) -> str:
         return f"<Plan of {self.name}: {len(self.used)} used, {len(self.left_out)} left out>"
 
 
-def _most(entries: list[PlanEntry], size: Callable[[PlanEntry], float]) -> list[PlanEntry]:
-    """Return the largest entries in stage order, or all if there are few."""
-    if len(entries) <= PRINTED + 1:
-        return entries
-    largest = sorted(entries, key=size, reverse=True)[:PRINTED]
-    return [entry for entry in entries if any(entry is large for large in largest)]
-
-
-def _table(entries: list[PlanEntry], heading: str, every: int) -> Table:
+def _table(
+    entries: list[PlanEntry], heading: str, printed: int, size: Callable[[PlanEntry], float]
+) -> Table:
+    """Return a table of the largest entries in stage order, or of all if there are few."""
+    shown = entries
+    if len(entries) > printed + 1:
+        largest = set(map(id, sorted(entries, key=size, reverse=True)[:printed]))
+        shown = [entry for entry in entries if id(entry) in largest]
     numbers = ("n", "rows", "flops", "µs")
-    rows = [_cells(entry) for entry in entries]
-    columns = list(rows[0]) if rows else []
-    columns = [c for c in columns if c not in numbers or any(row[c] for row in rows)]
-    left = every - len(entries)
+    rows = [_cells(entry) for entry in shown]
+    columns = [c for c in (rows or [{}])[0] if c not in numbers or any(row[c] for row in rows)]
+    left = len(entries) - len(shown)
     legend = f"Not shown: {left} smaller ones (--all; in Python text(full=True))." if left else ""
     return Table(rows, columns, dict.fromkeys(numbers, ""), heading=heading, legend=legend)
 
@@ -364,18 +352,16 @@ class _Listing:
 
     def surfaces(self) -> Iterator[Listed]:
         """Yield moving and adhesive surfaces."""
-        why = "they collide with nothing"
-        used, unused = (_pick(self.geom_names, own) for own in self.features.split(is_belt))
-        name = "surfaces that move (by geom)"
-        yield _entry("solve", name, used, removal=self.removals.get("moving surfaces"))
-        yield _entry("solve", name, unused, why)
-        used, unused = (_pick(self.geom_names, own) for own in self.features.split(is_sticky))
         called = dict(zip(map(id, self.geoms), self.geom_names, strict=True))
         pairs = [pair for pair in self.scene.pairs if pair.adhesion > 0]
-        used += [f"{called[id(pair.geom1)]}/{called[id(pair.geom2)]}" for pair in pairs]
-        name = "adhesion (by geom)"
-        yield _entry("solve", name, used, removal=self.removals.get("adhesion"))
-        yield _entry("solve", name, unused, why)
+        sticky = [f"{called[id(pair.geom1)]}/{called[id(pair.geom2)]}" for pair in pairs]
+        for name, kind, has, more in (
+            ("surfaces that move (by geom)", "moving surfaces", is_belt, []),
+            ("adhesion (by geom)", "adhesion", is_sticky, sticky),
+        ):
+            used, unused = (_pick(self.geom_names, own) for own in self.features.split(has))
+            yield _entry("solve", name, used + more, removal=self.removals.get(kind))
+            yield _entry("solve", name, unused, "they collide with nothing")
 
     def _excluding(self, indices: Sequence[int]) -> Removal | None:
         """Return the removal of these pairs; None if their bodies have further pairs."""

@@ -1,4 +1,4 @@
-"""`Replay`: a failed run that can be repeated: scene, settings, complete state and inputs."""
+"""`Replay`, a failed run that can be repeated, and `PostMortem`, what elements did in it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ import json
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from stepcore import checks, files
+from stepcore import _core, checks, files
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, digest
-from stepcore.engine.postmortem import PostMortem, run_again
+from stepcore.engine.arrays import INPUTS, Floats, digest
+from stepcore.report.result import Result
+from stepcore.report.table import Table
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -68,7 +69,37 @@ class Replay:
 
     def run(self) -> PostMortem:
         """Repeat the run; see `stepcore.replay`."""
-        return run_again(self)
+        settings = self.settings.replace(ledger=False)
+        model = _core.compile(self.scene)
+        sim = _core.Sim(model, settings)
+        sim.unwatch()
+        sim.restore(self.state, None)
+        own = dict(sim.arrays())
+        changes = {step: arrays for step, *arrays in self.inputs}
+        time, energy, steps = [], [], []
+        for step in range(self.steps):
+            _put(own, changes.get(step))
+            try:
+                before, after, injected = sim.taped_step()
+            except SimulationError:
+                # The replay fails too early, so `same` will be False.
+                break
+            energy += [before, after] if step == 0 else [after]
+            time.append(sim.time)
+            steps.append(dict(injected))
+        _put(own, changes.get(self.steps))
+        elements = sorted({element for injected in steps for element in injected})
+        return PostMortem(
+            name=self.name or "scene",
+            replay=self,
+            same=_fails(self, sim, own),
+            time=np.array(time),
+            energy=np.array(energy),
+            work={
+                model.element_name(*element): np.array([step.get(element, 0.0) for step in steps])
+                for element in elements
+            },
+        )
 
     def to_json(self) -> str:
         """Return the text of the file, with meshes and height fields as base64."""
@@ -148,6 +179,151 @@ def _check(body: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+# The number of steps, and of elements, that are printed.
+PRINTED_STEPS = 12
+PRINTED_ELEMENTS = 5
+
+
+@dataclass(repr=False)
+class PostMortem(Result):
+    """A repeated failure, with the energy that each element injected in each step.
+
+    same: whether the replay failed in the same step with the same bits.
+    time: the time after each step [s], shape (n,).
+    energy: kinetic energy plus the energy of springs and penalty contacts [J], before the first
+        step and after each step, shape (n + 1,).
+    work: for each element, the energy that the element injected in each step [J], shape (n,): the
+        work on the motion plus the change of the stored energy. The sum over all elements is the
+        change of the total energy, including gravity. In an exact motion a conservative element
+        injects no energy.
+    shares: each element's share of the energy injected, the largest first.
+
+    >>> import stepcore as sc
+    >>> sim = sc.Sim(sc.lesson.spring(), dt=0.1, integrator="explicit", ledger=True)
+    >>> sim.reset("start")
+    >>> try:
+    ...     sim.step(1000)
+    ... except sc.SimulationError as error:
+    ...     again = error.replay.run()
+    >>> bool(again.energy[-1] > 1e9 * again.energy[0]), list(again.shares)
+    (True, ['spring of joint `spring`'])
+    """
+
+    kind = "postmortem"
+    units: ClassVar = {"energy": "J", "time": "s", "work": "J"}
+
+    replay: Replay
+    same: bool
+    time: Floats
+    energy: Floats
+    work: dict[str, Floats]
+
+    @property
+    def settings(self) -> Settings:
+        """The settings of the run."""
+        return self.replay.settings
+
+    @property
+    def paragraph(self) -> str:
+        """The text of the error."""
+        return str(self.replay.happened["text"])
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Share of each element in the injected energy, largest first."""
+        shares: dict[str, float] = self.replay.happened["shares"]
+        return shares
+
+    @property
+    def title(self) -> str:
+        """Title of the post-mortem."""
+        return f"{self.name}: post-mortem"
+
+    @property
+    def sentences(self) -> list[str]:
+        """The text of the error, and whether the replay reproduced the failure."""
+        text = self.paragraph
+        step = self.replay.happened["step"]
+        again = f"The replay fails again after {self.replay.steps} steps, with the same bits."
+        other = f"The replay does not fail in step {step} with the same bits as the run."
+        said = [text[:1].upper() + text[1:].removesuffix(".") + ".", again if self.same else other]
+        if not len(self.time):
+            said.append(
+                "With ledger=True in its settings a run records the steps before a failure."
+            )
+        return said
+
+    @property
+    def table(self) -> Table:
+        """For each step, the energy after the step and the energy injected by each element [J]."""
+        return self._steps(list(self.work), len(self.time))
+
+    def tables(self, full: bool) -> list[Table]:
+        """Return the last steps of the leading elements; `full`: all steps and elements."""
+        if not len(self.time):
+            return []
+        names = self.leading(len(self.work) if full else PRINTED_ELEMENTS)
+        table = self._steps(names, len(self.time) if full else PRINTED_STEPS)
+        table.heading = (
+            "Kinetic and spring energy [J], and what each element injected in the step [J]"
+        )
+        return [table]
+
+    def _steps(self, names: list[str], most: int) -> Table:
+        count = len(self.time)
+        first = self.replay.happened["step"] - count + 1
+        records = [
+            {"step": first + k, "energy": float(self.energy[k + 1])}
+            | {name: float(self.work[name][k]) for name in names}
+            for k in range(max(count - most, 0), count)
+        ]
+        return Table(records, ["step", "energy", *names], dict.fromkeys(names, ".3g"))
+
+    def details(self) -> dict[str, Any]:
+        """Return the recorded steps as arrays, and the data of the failure."""
+        return {
+            "steps": self.replay.steps,
+            "same": self.same,
+            "happened": self.replay.happened,
+            "time": self.time,
+            "energy": self.energy,
+            "work": self.work,
+        }
+
+    def leading(self, most: int) -> list[str]:
+        """Return the leading elements: by share, then by the largest energy moved in a step."""
+        moved = {
+            name: float(np.abs(work[np.isfinite(work)]).max(initial=0.0))
+            for name, work in self.work.items()
+        }
+        rest = sorted((name for name in moved if name not in self.shares), key=lambda n: -moved[n])
+        names = [name for name in self.shares if name in self.work]
+        return (names + [name for name in rest if moved[name] > 0])[:most]
+
+
+def _put(own: dict[str, Floats], inputs: list[list[float]] | None) -> None:
+    if inputs is not None:
+        for name, values in zip(INPUTS, inputs, strict=True):
+            if own[name].size != len(values):
+                text = f"has {len(values)} numbers; the scene takes {own[name].size}"
+                raise ValueError(f"an input of {name} {text}")
+            own[name].reshape(-1)[:] = values
+
+
+def _fails(failure: Replay, sim: _core.Sim, own: dict[str, Floats]) -> bool:
+    """Return whether the present state equals the failure's last finite state and fails too."""
+    happened = failure.happened
+    if digest(own["qpos"], own["qvel"]) != happened["state"]:
+        return False
+    if happened["gained"]:
+        return True
+    try:
+        sim.step(1)
+    except SimulationError as error:
+        return error.step == happened["step"]
+    return False
+
+
 def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> None:
     """Attach a `replay` to an error.
 
@@ -186,13 +362,13 @@ def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
     (True, 'spring of joint `spring`')
     """
     if isinstance(source, Replay):
-        return run_again(source)
+        return source.run()
     if not isinstance(source, (str, os.PathLike)):
         limit = "a path or a Replay"
         raise ValueError(f"replay: source = {checks.shown(source)}: must be {limit}")
     loaded = Replay.load(source)
     try:
-        return run_again(loaded)
+        return loaded.run()
     except ValueError as error:
         raise _unusable(checks.cut(os.fsdecode(source), 300), error) from None
 
@@ -203,14 +379,8 @@ def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
 MOST_STEPS = 100_000
 # Array types in a scene: numbers, and indices of vertices.
 ARRAYS = ("<f8", "<i8", "<u8", "<i4", "<u4")
-# The length of an input: the step, then the input arrays of a step.
-INPUT = 7
 
 whole = checks.whole(0, 2**63 - 1)
-
-
-def _maybe(check: checks.Check) -> checks.Check:
-    return lambda owner, name, value: None if value is None else check(owner, name, value)
 
 
 def _float(owner: Any, name: str, value: object) -> float:
@@ -223,16 +393,8 @@ def _float(owner: Any, name: str, value: object) -> float:
         raise checks.refuse(owner, name, value, "a number below 1e308") from None
 
 
-def _is(kind: type, limit: str) -> checks.Check:
-    def check(owner: Any, name: str, value: object) -> Any:
-        if not isinstance(value, kind):
-            raise checks.refuse(owner, name, value, limit)
-        return value
-
-    return check
-
-
-_list, _dict = _is(list, "a list"), _is(dict, "an object")
+_list = checks.checked(lambda value: value if isinstance(value, list) else None, "a list")
+_dict = checks.checked(lambda value: value if isinstance(value, dict) else None, "an object")
 
 
 def _each(check: checks.Check) -> checks.Check:
@@ -245,7 +407,8 @@ def _id(owner: Any, name: str, value: object) -> tuple[str, int, int]:
     entries = _list(owner, name, value)
     if len(entries) != 3 or not isinstance(entries[0], str):
         raise checks.refuse(owner, name, value, "(kind, index, part)")
-    return entries[0], *(checks.whole(-1, 2**63 - 1)(owner, name, entry) for entry in entries[1:])
+    index, part = (checks.whole(-1, 2**63 - 1)(owner, name, entry) for entry in entries[1:])
+    return entries[0], index, part
 
 
 def _shares(owner: Any, name: str, value: object) -> dict[str, float]:
@@ -262,14 +425,11 @@ def _state(owner: Any, name: str, value: object) -> bytes:
 
 
 def _input(owner: Any, name: str, value: object) -> tuple[Any, ...]:
-    entries = _list(owner, name, value)
-    if len(entries) != INPUT:
-        raise checks.refuse(owner, name, value, f"a list of {INPUT} entries")
-    arrays = [
-        list(checks.numbers(owner, f"{name}[{k + 1}]", array))
-        for k, array in enumerate(entries[1:])
-    ]
-    return whole(owner, f"{name}[0]", entries[0]), *arrays
+    entries, most = _list(owner, name, value), 1 + len(INPUTS)
+    if len(entries) != most:
+        raise checks.refuse(owner, name, value, f"a list of {most} entries")
+    arrays = (checks.numbers(owner, f"{name}[{k}]", entries[k]) for k in range(1, most))
+    return whole(owner, f"{name}[0]", entries[0]), *map(list, arrays)
 
 
 def _event(owner: Any, name: str, value: object) -> dict[str, Any]:
@@ -285,10 +445,10 @@ ATTRIBUTES: dict[str, checks.Check] = {
     "time": _float,
     "world": whole,
     "gained": checks.flag,
-    "growth": _maybe(_float),
-    "stable_dt": _maybe(_float),
+    "growth": checks.optional(_float),
+    "stable_dt": checks.optional(_float),
     "element": checks.text,
-    "element_id": _maybe(_id),
+    "element_id": checks.optional(_id),
     "shares": _shares,
     "share_ids": _each(_id),
 }

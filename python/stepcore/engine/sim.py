@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
-from stepcore._core import Settings, SimulationError
+from stepcore._core import Settings
 from stepcore.engine.arrays import Floats, kept, last_of, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.error_bar import ErrorBar, FinerRun
@@ -104,11 +104,7 @@ class Sim(World):
             self._step(n)
 
     def _step(self, n: int) -> None:
-        try:
-            self._core.step(n)
-        except SimulationError as error:
-            self._explain(error)
-            raise
+        self._call(self._core.step, n)
 
     def advance(self, duration: float) -> None:
         """Go on by a time [s], a whole number of steps; see `step`, whose errors this raises.
@@ -129,22 +125,14 @@ class Sim(World):
         The balance is also checked every 64 steps, and at the end of `run` and of a `step` with n
         >= 128. Raises SimulationError if the motion has more energy than is physically possible.
         """
-        try:
-            self._core.balance()
-        except SimulationError as error:
-            self._explain(error)
-            raise
+        self._call(self._core.balance)
 
     def forward(self) -> None:
         """Compute poses, contacts and forces at the present state, without taking a step.
 
         Raises the same errors as `step`.
         """
-        try:
-            self._core.forward()
-        except SimulationError as error:
-            self._explain(error)
-            raise
+        self._call(self._core.forward)
 
     def linearize(self, parameters: Sequence[str] = ()) -> Linearization:
         """Linearise the next step about the present state, without taking the step.
@@ -319,9 +307,10 @@ class Sim(World):
     def error(self) -> ErrorBar:
         """The estimated error in position [m] since the state was last written: RMS and largest.
 
-        A body's error is the RMS displacement of its mass: the distance between centres of mass,
-        and the turn times the radius of gyration. It is the distance from a finer run under the
-        same inputs, from `error_bar=True`. inf: it is not known, see `predictable_until`.
+        It is the distance from a finer run under the same inputs, from `error_bar=True`, in the
+        norm of all measurements (`stepcore.engine.norm`): of a body, the distance between centres
+        of mass, and the turn times the radius of gyration. inf: it is not known, see
+        `predictable_until`.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.spring(), dt=0.01, error_bar=True)
@@ -330,11 +319,7 @@ class Sim(World):
         >>> 0.01 < sim.error.largest < 0.1
         True
         """
-        finer = self._judge()
-        each = finer.errors()[finer.moving]
-        if not len(each):
-            return ErrorBar(0.0, 0.0)
-        return ErrorBar(float(np.sqrt(np.mean(each**2))), float(each.max()))
+        return self._judge().error
 
     @property
     def body_error(self) -> Floats:

@@ -1,4 +1,4 @@
-"""Contacts and rows of a solve as structured arrays; keyframes, pairs and sums as tuples."""
+"""What worlds return: contacts and rows as structured arrays; keyframes, hits, sums as tuples."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from stepcore.engine.arrays import Floats, frozen
 
 if TYPE_CHECKING:
-    from stepcore import _core
     from stepcore.engine.model import Model
 
 VECTORS = ("pos", "normal", "force", "torque")
@@ -79,22 +78,37 @@ class ContactPair(NamedTuple):
     invweight0: float
 
 
-def contact_pair(core: _core.Model, index: int) -> ContactPair:
-    """Return a contact pair; see `Model.contact_pair`."""
-    first, second, condim, friction, solref, invweight = core.pair(index)
-    return ContactPair((first, second), condim, friction, (solref[0], solref[1]), invweight)
+class Touches(NamedTuple):
+    """The contacts of two geoms, by pose and then by slot.
+
+    exists: whether the slot has a contact, at any distance, shape (…, slots). Without a contact the
+        other entries are undefined.
+    dist: signed distance [m], negative = overlap, shape (…, slots).
+    pos: halfway between the surfaces [m], shape (…, slots, 3).
+    normal: unit vector from the first geom to the second, shape (…, slots, 3).
+    feature: an integer that identifies the touching features (a corner, a pair of edges)
+        consistently over all poses, shape (…, slots).
+    """
+
+    exists: NDArray[np.bool_]
+    dist: Floats
+    pos: Floats
+    normal: Floats
+    feature: Floats
 
 
-def pair_arrays(core: _core.Model) -> dict[str, NDArray[Any]]:
-    """Return the arrays `pair_…` of a model that is no heap."""
-    pairs = [contact_pair(core, index) for index in range(len(core.pairs()))]
-    arrays: dict[str, NDArray[Any]] = {
-        "pair_geoms": np.array([pair.geoms for pair in pairs], dtype=np.int32).reshape(-1, 2),
-        "pair_solref": np.array([pair.solref for pair in pairs], dtype=float).reshape(-1, 2),
-        "pair_friction": np.array([pair.friction for pair in pairs], dtype=float),
-        "pair_invweight0": np.array([pair.invweight0 for pair in pairs], dtype=float),
-    }
-    return {name: frozen(array) for name, array in arrays.items()}
+class RayHits(NamedTuple):
+    """The first hits of rays; the shape (…) is that of the rays.
+
+    distance: in units of the length of each ray's direction, i.e. metres for a unit vector; −1
+        without a hit. Shape (…).
+    geom: index of the geom, −1 without a hit. Shape (…).
+    normal: the surface's outward unit normal in world axes, zero without a hit. Shape (…, 3).
+    """
+
+    distance: Floats
+    geom: NDArray[np.int64]
+    normal: Floats
 
 
 def contact_table(

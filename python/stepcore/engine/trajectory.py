@@ -1,22 +1,25 @@
-"""`Trajectory`: the record of a run by `Sim.run`, and the loop that records the run."""
+"""`Trajectory` and `Rollout`: recorded runs, and the loop in which worlds are stepped."""
 
 from __future__ import annotations
 
+import csv
+import importlib
 import math
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+import zipfile
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepcore import checks
-from stepcore._core import Settings, SimulationError
-from stepcore.engine import trajectory_file
-from stepcore.engine.arrays import Floats, numbers
-from stepcore.engine.axes import Axis, axes_of
-from stepcore.engine.control import controls, finite_controls
+from stepcore import checks, files
+from stepcore._core import Settings
+from stepcore.engine.arrays import STATE, Floats, numbers
+from stepcore.engine.axes import UNITS, Axis, axes_of
+from stepcore.engine.control import controls, not_finite
 from stepcore.engine.error_bar import driven, judged
 from stepcore.engine.snapshots import Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
@@ -34,6 +37,11 @@ Driven = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
 # With more snapshots than this (20 s of motion) a notebook shows no page.
 INLINE = 1200
+
+# Files: the version increases when the layout changes; the name of the column of times of a table;
+# and extensions of other formats, with which a file name would be misleading.
+KIND, VERSION, TIME = "stepcore trajectory", 1, "time [s]"
+OTHERS = (".tsv", ".txt", ".json", ".xlsx", ".parquet", ".html", ".mcap", ".mp4", ".gif")
 
 # What the engine samples within a run, see `sampled`; the rest is read between its calls.
 SAMPLED = {
@@ -54,6 +62,24 @@ RECORDED = (
     "unrecovered_overlap",
     *("error", "body_error"),
 )
+# Counts of a single Sim's solve, its error bar; and momentum, which is a pair of arrays.
+ONLY_OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum", "error", "body_error")
+OF_WORLDS = tuple(name for name in RECORDED if name not in ONLY_OF_ONE_WORLD)
+
+
+class Rollout(NamedTuple):
+    """The states of a batch after every step.
+
+    qpos: shape (n, steps, nq).
+    qvel: shape (n, steps, nv).
+    act: shape (n, steps, na).
+    recorded: further recorded quantities by name, each of shape (n, steps, …).
+    """
+
+    qpos: Floats
+    qvel: Floats
+    act: Floats
+    recorded: Mapping[str, NDArray[Any]] = {}
 
 
 @dataclass(repr=False)
@@ -108,9 +134,6 @@ class Trajectory:
             return self._axes[name]
         model = None if self.snapshots is None else self.snapshots.model
         return axes_of(model, name, self[name].shape[1:])
-
-    def _every_axis(self) -> dict[str, tuple[Axis, ...]]:
-        return {name: self.axes(name) for name in self.data}
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         # Called only for missing attributes. `data` is missing too while a copy is constructed.
@@ -167,7 +190,31 @@ class Trajectory:
         >>> Trajectory.load("drop.npz")["qpos"].shape
         (251, 1)
         """
-        trajectory_file.write(path, self.time, self.data, self._every_axis(), self.unsolved)
+        target = files.path("path", path)
+        if target.lower().endswith(OTHERS):
+            limit = "must end in .npz or .csv"
+            frame = "to_pandas() has the frame that pandas writes in other formats"
+            raise ValueError(f"path = {checks.shown(target)}: {limit}; {frame}")
+        if target.lower().endswith(".csv"):
+            # All digits, and time from the beginning of the run.
+            columns = {TIME: self.time - self.time[:1]} | self._columns()
+            with open(target, "w", encoding="utf-8", newline="") as file:
+                csv.writer(file).writerow(columns)
+                np.savetxt(file, np.column_stack(list(columns.values())), "%.17g", ",")
+            return
+        arrays = {"kind": np.array(KIND), "version": np.array(VERSION), "time": self.time}
+        arrays["unsolved"] = np.array(self.unsolved)
+        for name, values in self.data.items():
+            arrays[f"data/{name}"] = values
+            for k, axis in enumerate(self.axes(name)):
+                arrays[f"axis/{name}/{k}/{axis.name}"] = np.array(axis.entries, dtype=np.str_)
+        # Imported here so that the engine alone does not load the reports.
+        from stepcore.report.outputs import MARK
+
+        with open(target, "wb") as file:
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        with zipfile.ZipFile(target, "a") as archive:
+            archive.comment = MARK.encode()
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
@@ -178,8 +225,52 @@ class Trajectory:
         Raises ValueError for another or a damaged file, FileNotFoundError for a missing file and
         IsADirectoryError for a folder.
         """
-        time, data, unsolved, axes = trajectory_file.read(path)
-        return cls(time, data, unsolved, _axes=axes)
+        shown = checks.cut(source := files.path("path", path), 300)
+        if os.path.isdir(source):
+            raise IsADirectoryError(f"{shown}: is a folder, not a trajectory")
+        try:
+            with open(source, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+        except FileNotFoundError:
+            raise FileNotFoundError(f"{shown}: no such file") from None
+        except (ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile):
+            raise ValueError(f"{shown}: is no trajectory, or was damaged") from None
+        if "kind" not in arrays or str(arrays["kind"]) != KIND:
+            raise ValueError(f"{shown}: is no trajectory; `Trajectory.save` writes them")
+        if str(arrays.get("version")) != str(VERSION):
+            what = f"version {checks.cut(str(arrays.get('version')), 80)} of a trajectory"
+            raise ValueError(f"{shown}: {what}; this stepcore reads version {VERSION}")
+        try:
+            return cls._of(arrays)
+        except (ValueError, TypeError, KeyError, OverflowError):
+            raise ValueError(f"{shown}: is no whole trajectory: it was edited or damaged") from None
+
+    @classmethod
+    def _of(cls, arrays: Mapping[str, NDArray[Any]]) -> Trajectory:
+        """Return the run of a file's arrays; ValueError or KeyError for inconsistent ones."""
+        time = arrays["time"]
+        data = {n.removeprefix("data/"): arrays[n] for n in arrays if n.startswith("data/")}
+        if time.ndim != 1 or time.dtype.kind != "f":
+            raise ValueError("time")
+        axes: dict[str, tuple[Axis, ...]] = dict.fromkeys(data, ())
+        for name, entries in arrays.items():
+            if name.startswith("axis/"):
+                _, array, _, axis = name.split("/")
+                axes[array] += (Axis(axis, tuple(map(str, entries))),)
+        for name, values in data.items():
+            if values.shape != (len(time), *(len(axis.entries) for axis in axes[name])):
+                raise ValueError(name)
+        return cls(time, data, str(arrays["unsolved"]), _axes=axes)
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Return the values over time by names such as "qpos[knee]", each of shape (n,)."""
+        columns: dict[str, NDArray[Any]] = {}
+        for name, values in self.data.items():
+            entries = [axis.entries for axis in self.axes(name)]
+            for index in np.ndindex(*values.shape[1:]):
+                of = ", ".join(names[k] for names, k in zip(entries, index, strict=True))
+                columns[f"{name}[{of}]" if of else name] = values[(slice(None), *index)]
+        return columns
 
     def to_pandas(self) -> Any:
         """Return the run as a pandas DataFrame.
@@ -187,14 +278,23 @@ class Trajectory:
         The frame has a row for each instant and columns such as "qpos[knee]". Needs pandas (the
         extra "data").
         """
-        return trajectory_file.to_pandas(self.time, self.data, self._every_axis())
+        pandas = _needed("pandas", "Trajectory.to_pandas")
+        return pandas.DataFrame(self._columns(), index=pandas.Index(self.time, name=TIME))
 
     def to_xarray(self) -> Any:
         """Return the run as an xarray Dataset: ``dataset.xpos.sel(body="torso", xyz="z")``.
 
         Needs xarray (the extra "data").
         """
-        return trajectory_file.to_xarray(self.time, self.data, self._every_axis())
+        xarray = _needed("xarray", "Trajectory.to_xarray")
+        coordinates: dict[str, Any] = {"time": ("time", self.time, {"units": UNITS["time"]})}
+        variables = {}
+        for name, values in self.data.items():
+            own = self.axes(name)
+            units = {"units": UNITS[name]} if name in UNITS else {}
+            variables[name] = (("time", *(axis.name for axis in own)), values, units)
+            coordinates |= {a.name: (a.name, np.array(a.entries, dtype=np.str_)) for a in own}
+        return xarray.Dataset(variables, coordinates)
 
     def save_mcap(self, path: str | os.PathLike[str]) -> None:
         """Write the run as a log for Foxglove (MCAP, JSON with schemas).
@@ -297,6 +397,13 @@ class Trajectory:
         return framed(text)
 
 
+def _needed(package: str, what: str) -> Any:
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        raise ImportError(f"{what} needs {package}: pip install 'stepcore[data]'") from None
+
+
 def record_run(
     sim: SomeWorld,
     duration: float,
@@ -308,52 +415,130 @@ def record_run(
     dt = sim.settings.dt
     steps = whole_steps("duration", duration, dt)
     period = 1 if control_dt is None else whole_steps("control_dt", control_dt, dt, least=1)
-    function = control if callable(control) else None
-    if function is not None:
-        checks.function("time", "sim")("run", "control", function)
-    table = None if callable(control) or control is None else _table(sim, control)
-    names = judged(sim, recordable(record))
-    data = {}
+    if callable(control):
+        checks.function("time", "sim")("run", "control", control)
+    elif control is not None:
+        control = _table(sim, control)
+    names, arrays = judged(sim, recordable(record)), dict[str, NDArray[Any]]()
     try:
-        time = np.empty(steps + 1)
-        for name in names:
+        for name in ("time", *names):
             value = np.asarray(getattr(sim, name))
-            data[name] = np.empty((steps + 1, *value.shape), dtype=value.dtype)
+            arrays[name] = np.empty((steps + 1, *value.shape), dtype=value.dtype)
+            arrays[name][0] = value
     except MemoryError:
         what = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
         raise ValueError(f"{what}; run shorter pieces, or record less") from None
-    residuals, stride = Residuals(sim), max(1, steps // LOOKS)
-    snapshots, finer = Taking(sim, steps), getattr(sim, "_finer", None)
-    whole = finer is None and sampled(names, sim.settings)
-    arrays, done = {"time": time, **data}, 0
-    for name, values in arrays.items():
-        values[0] = getattr(sim, name)
-    # Until somebody looks at the Sim it runs in one call.
-    looks = (stride, snapshots.stride, steps if function is None else period) if whole else (1,)
-    with driven(sim, control) as beside:
+    residuals, stride, snapshots = Residuals(sim), max(1, steps // LOOKS), Taking(sim, steps)
+    for done in pieces(sim, steps, control, period, arrays, (stride,), snapshots):
+        if done and done % stride == 0:
+            residuals.look(sim)
+    time = arrays.pop("time")
+    return Trajectory(time, arrays, residuals.sentence(sim.settings), snapshots.kept())
+
+
+def pieces(
+    sim: SomeWorld,
+    steps: int,
+    control: Driven[SomeWorld] = None,
+    hold: int = 1,
+    arrays: Mapping[str, NDArray[Any]] = MappingProxyType({}),
+    pauses: Sequence[int] = (),
+    snapshots: Taking | None = None,
+) -> Iterator[int]:
+    """Run a Sim under controls, and yield how many steps were made wherever the caller looks.
+
+    This is the one loop over control periods: between two looks the engine runs on its own.
+
+    control: a function of (time, sim), or a table of controls; of a period of `hold` steps each.
+    arrays: by name; what comes of a step is written behind the numbers that it came from.
+    pauses: numbers of steps, after each multiple of which the caller looks; also at both ends.
+    snapshots: are taken with the controls of the step that follows.
+    """
+    function = control if callable(control) else None
+    table = None if function is not None or control is None else np.asarray(control)
+    looks = [*pauses, *([] if function is None else [hold])]
+    looks += [] if snapshots is None else [snapshots.stride]
+    done, names = 0, tuple(arrays)
+    with driven(sim, function) as beside:
         while done < steps:
-            if function is not None and done % period == 0:
+            yield done
+            count, rows = min([steps - done, *(each - done % each for each in looks)]), None
+            if function is not None and done % hold == 0:
                 beside()
                 sim.ctrl = controls(function, sim)
-            snapshots.look(done)
-            count = min(steps - done, *(each - done % each for each in looks))
-            rows = None
-            if table is not None:
-                periods = np.arange(done, done + count) // period
+            elif table is not None:
+                periods = np.arange(done, done + count) // hold
                 rows = table[np.minimum(periods, len(table) - 1)]
-            if whole:
-                sampled_steps(sim, count, rows, arrays, done + 1)
-            else:
-                if rows is not None:
-                    sim.ctrl = rows[0]
-                sim.step()
-                for name, values in arrays.items():
-                    values[done + 1] = getattr(sim, name)
+                sim.ctrl = rows[0]
+            if snapshots is not None:
+                snapshots.look(done)
+            rooms = [array[None, done + 1 : done + 1 + count] for array in arrays.values()]
+            samples(sim, names, count, None if rows is None else rows[None], rooms=rooms)
             done += count
-            if done % stride == 0:
-                residuals.look(sim)
-    snapshots.look(steps)
-    return Trajectory(time, data, residuals.sentence(sim.settings), snapshots.kept())
+    if snapshots is not None:
+        snapshots.look(steps)
+    yield steps
+
+
+def samples(
+    world: World,
+    names: Sequence[str],
+    steps: int,
+    ctrl: Floats | None = None,
+    told: Callable[[int], object] | None = None,
+    rooms: list[NDArray[Any]] | None = None,
+) -> list[NDArray[Any]]:
+    """Take steps, and return quantities after each of them, (worlds, steps, …).
+
+    The engine makes all steps in one call, if it samples all of these quantities; what it does not
+    is read between its calls.
+
+    ctrl: a row for each step, (worlds, steps, nu); None leaves the controls at hand.
+    told: of a `Batch`: is told how many steps were made.
+    rooms: arrays to write into, and to return.
+    """
+    own = () if told is None else (told,)
+    if _sampled(world, names):
+        made, _ = world._call(world._core.follow, every_step(names, steps), ctrl, *own)
+        if ctrl is None and "ctrl" in names:
+            # As they were given, not as single precision has them.
+            made[names.index("ctrl")][:] = world._arrays["ctrl"].reshape(len(made[0]), 1, -1)
+        for room, values in zip(rooms or (), made, strict=rooms is not None):
+            room[...] = values
+        return list(made)
+    if ctrl is not None and (bad := not_finite(world, ctrl)):
+        raise ValueError(f"ctrl{list(bad)} = {ctrl[bad]}: must be finite; nothing was stepped")
+    qpos = world._arrays["qpos"]
+    batch, n = qpos.ndim > 1, len(qpos) if qpos.ndim > 1 else 1
+    for step in range(steps):
+        if ctrl is not None:
+            world._arrays["ctrl"][...] = ctrl[:, step] if batch else ctrl[0, step]
+        if batch:
+            world._call(world._core.step, 1)
+        else:
+            world.step()
+        values = [getattr(world, name) for name in names]
+        rooms = [_room(value, n, steps, batch) for value in values] if rooms is None else rooms
+        for room, value in zip(rooms, values, strict=True):
+            room[:, step] = value
+        if told is not None:
+            told(1)
+    return rooms or [_room(getattr(world, name), n, 0, batch) for name in names]
+
+
+def _room(value: Any, n: int, steps: int, batch: bool) -> NDArray[Any]:
+    """Return an array for so many steps of a quantity of n worlds."""
+    given = np.asarray(value)
+    return np.empty((n, steps, *given.shape[batch:]), dtype=given.dtype)
+
+
+def _sampled(world: World, names: Sequence[str]) -> bool:
+    """Return whether the engine samples all of these quantities within its steps."""
+    if getattr(world, "_finer", None) is not None:
+        return False
+    # A world that failed while others go on is read where it stands.
+    stands = getattr(world, "_on_failure", "stop") == "go on" and not set(names) <= set(STATE)
+    return not stands and sampled(names, world.settings)
 
 
 def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
@@ -377,7 +562,15 @@ def _table(sim: SomeWorld, control: ArrayLike) -> Floats:
     if table.ndim != 2 or table.shape[1] != sim.model.nu or not len(table):
         limit = f"of shape (n, {sim.model.nu}) with n > 0"
         raise ValueError(f"control has shape {table.shape}: must be {limit}")
-    _check_finite(sim, table)
+    if bad := not_finite(sim, table):
+        (row, k), value = bad, table[bad]
+        name = sim.model.actuator_names[k]
+        where = (
+            f'actuator "{name}", in row {row} of control' if name else f"in row {row} of control"
+        )
+        limit = "finite in single precision" if sim.settings.precision == "f32" else "finite"
+        said = f"ctrl[{k}] = {'NaN' if np.isnan(value) else value}: must be {limit} ({where})"
+        raise ValueError(f"{said}; the state was left as it is")
     return table
 
 
@@ -388,50 +581,16 @@ def sampled(names: Collection[str], settings: Settings) -> bool:
     return set(names) <= SAMPLED - solved
 
 
-def every_step(names: list[str], steps: int) -> _core._Asked:
-    """Return what the engine is asked for by who wants a sample of each step, and gives its row."""
+def every_step(names: Sequence[str], steps: int) -> _core._Asked:
+    """Return what the engine is asked for: a sample of each step, under a row of controls each."""
     return {
-        "names": names,
+        "names": list(names),
         "steps": steps,
         "every": 1,
         "hold": 1,
         "first": False,
         "bound": np.inf,
     }
-
-
-def sampled_steps(
-    sim: World,
-    count: int,
-    rows: Floats | None,
-    arrays: Mapping[str, Floats] = {},
-    place: int = 0,
-) -> None:
-    """Take steps of a Sim, each with its row of controls, and write what comes of them.
-
-    arrays: by name; the first step is written at `place`.
-    """
-    own = None if rows is None else rows[None]
-    try:
-        samples, _ = sim._core.follow(every_step(list(arrays), count), own)
-    except SimulationError as error:
-        sim._explain(error)
-        raise
-    for (name, values), sample in zip(arrays.items(), samples, strict=True):
-        values[place : place + count] = sim.ctrl if name == "ctrl" and rows is None else sample[0]
-
-
-def _check_finite(sim: World, table: NDArray[np.float64]) -> None:
-    """Check rows of controls before the run, so that an error leaves the Sim unchanged."""
-    finite = finite_controls(sim, table)
-    if not finite.all():
-        row, k = np.argwhere(~finite)[0]
-        name = sim.model.actuator_names[k]
-        of = f'actuator "{name}", ' if name else ""
-        limit = "finite in single precision" if sim.settings.precision == "f32" else "finite"
-        value = f"ctrl[{k}] = {'NaN' if np.isnan(table[row, k]) else table[row, k]}"
-        where = f"{of}in row {row} of control"
-        raise ValueError(f"{value}: must be {limit} ({where}); the state was left as it is")
 
 
 def recordable(record: Sequence[str], known: Sequence[str] = RECORDED) -> tuple[str, ...]:

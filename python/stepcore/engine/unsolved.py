@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 WEIGHTLESS = 0.05
 # Persistent: large in this share of the samples, with at least this number of samples.
 STAYS, FEWEST = 0.5, 16
-# The approximate number of samples of a run. A batch samples after FIRST, 2 FIRST, 4 FIRST, … steps
-# and warns of a world with this number of consecutive large residuals.
-LOOKS, FIRST, IN_A_ROW = 64, 64, 3
+# The approximate number of samples of a run. A batch samples after 64, 128, 256, … steps and warns
+# of a world with this number of consecutive large residuals.
+LOOKS, IN_A_ROW = 64, 3
 # The most sweeps of ``sweeps="auto"``.
 MOST_SWEEPS = 10_000
 
@@ -61,7 +61,7 @@ class BatchResiduals:
     """The residuals of a batch, sampled at increasing intervals."""
 
     def __init__(self) -> None:
-        self.steps, self.next = 0, FIRST
+        self.steps, self.next = 0, LOOKS
         self.large: Floats | None = None
         self.told = False
 

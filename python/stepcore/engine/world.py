@@ -5,15 +5,16 @@ from __future__ import annotations
 import importlib
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import _core, checks
-from stepcore.engine.arrays import Floats, Readout, StateArray, numbers
-from stepcore.engine.rays import RayHits, ray_hits
+from stepcore._core import SimulationError
+from stepcore.engine.arrays import Floats, StateArray, numbers, readout
+from stepcore.engine.tables import RayHits
 from stepcore.engine.views import (
     ActuatorView,
     BodyView,
@@ -25,10 +26,12 @@ from stepcore.engine.views import (
 )
 
 if TYPE_CHECKING:
-    from stepcore._core import Settings, SimulationError
+    from stepcore._core import Settings
     from stepcore.engine.model import Model
 
 
+# Groups of geoms.
+GROUPS = 6
 # The arrays of a keyframe, in the order of its fields.
 OF_KEYS = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat")
 
@@ -75,73 +78,73 @@ class World(checks.KnownNames, ABC):
     mocap_quat = StateArray("Orientations of mocap bodies, quaternions w x y z, shape (nmocap, 4).")
 
     # Readouts of the present state.
-    xpos = Readout("Position of each body's frame [m], shape (nbody, 3).")
-    xquat = Readout("Orientation of each body's frame as a quaternion w x y z, shape (nbody, 4).")
-    xmat = Readout("Orientation of each body's frame as a rotation matrix, shape (nbody, 3, 3).")
-    geom_xpos = Readout("Position of each geom [m], shape (ngeom, 3).")
-    geom_xmat = Readout("Orientation of each geom as a rotation matrix, shape (ngeom, 3, 3).")
-    site_xpos = Readout("Position of each site [m], shape (nsite, 3).")
-    ten_length = Readout("Length of each tendon [m, or the unit of its joints], shape (ntendon,).")
-    ten_velocity = Readout("Rate of each tendon's length, shape (ntendon,).")
-    ten_J = Readout(
+    xpos = readout("Position of each body's frame [m], shape (nbody, 3).")
+    xquat = readout("Orientation of each body's frame as a quaternion w x y z, shape (nbody, 4).")
+    xmat = readout("Orientation of each body's frame as a rotation matrix, shape (nbody, 3, 3).")
+    geom_xpos = readout("Position of each geom [m], shape (ngeom, 3).")
+    geom_xmat = readout("Orientation of each geom as a rotation matrix, shape (ngeom, 3, 3).")
+    site_xpos = readout("Position of each site [m], shape (nsite, 3).")
+    ten_length = readout("Length of each tendon [m, or the unit of its joints], shape (ntendon,).")
+    ten_velocity = readout("Rate of each tendon's length, shape (ntendon,).")
+    ten_J = readout(
         "Derivative of each tendon's length by the dofs, its moment arms, shape (ntendon, nv)."
     )
-    ten_force = Readout(
+    ten_force = readout(
         "Force of each tendon's spring and damper, positive where it lengthens it [N], "
         "shape (ntendon,)."
     )
-    site_xmat = Readout("Orientation of each site as a rotation matrix, shape (nsite, 3, 3).")
-    subtree_com = Readout(
+    site_xmat = readout("Orientation of each site as a rotation matrix, shape (nsite, 3, 3).")
+    subtree_com = readout(
         "Centre of mass of each body with all that hangs on it [m], shape (nbody, 3)."
     )
-    cinert = Readout(
+    cinert = readout(
         "Inertia of each body about c, the centre of mass of the tree that it is in: "
         "xx, yy, zz, xy, xz, yz [kg·m²], then its mass times the way from c to its own centre "
         "[kg·m], then its mass [kg]; shape (nbody, 10). A tree is all that hangs on one child of "
         "the world, and c is that child's `subtree_com`. Zero for the world."
     )
-    cvel = Readout(
+    cvel = readout(
         "Velocity of each body: angular [rad/s], then linear, of the point of the body at c (see "
         "`cinert`) [m/s], in world axes; shape (nbody, 6)."
     )
-    bias = Readout(
+    bias = readout(
         "Coriolis, centrifugal and gravity forces [N or N·m], shape (nv,); on the left-hand side "
         "of the equation of motion, M qacc + bias = forces. MuJoCo calls it qfrc_bias."
     )
-    actuator_length = Readout("Length of each actuator, times its gear [m or rad], shape (nu,).")
-    actuator_velocity = Readout("Velocity of each actuator, times its gear, shape (nu,).")
-    passive = Readout(
+    actuator_length = readout("Length of each actuator, times its gear [m or rad], shape (nu,).")
+    actuator_velocity = readout("Velocity of each actuator, times its gear, shape (nu,).")
+    passive = readout(
         "Forces of springs and dampers of joints and tendons [N or N·m], shape (nv,). MuJoCo calls "
         "them qfrc_passive."
     )
-    M = Readout("MuJoCo's name for `mass_matrix()`; every entry, shape (nv, nv).", of="mass_matrix")
-    qfrc_bias = Readout("MuJoCo's name for `bias`.", of="bias")
-    qfrc_passive = Readout("MuJoCo's name for `passive`.", of="passive")
+    M = readout("MuJoCo's name for `mass_matrix()`; every entry, shape (nv, nv).", of="mass_matrix")
+    qfrc_bias = readout("MuJoCo's name for `bias`.", of="bias")
+    qfrc_passive = readout("MuJoCo's name for `passive`.", of="passive")
 
     # Readouts of the last step or forward().
-    qacc = Readout("Accelerations of the last solve [m/s² or rad/s²], shape (nv,).")
-    constraint_force = Readout(
+    qacc = readout("Accelerations of the last solve [m/s² or rad/s²], shape (nv,).")
+    constraint_force = readout(
         "Force of all constraint rows on the dofs, Jᵀλ/dt, and of contacts under the law penalty "
         "[N or N·m], shape (nv,). MuJoCo calls it qfrc_constraint."
     )
-    qfrc_constraint = Readout("MuJoCo's name for `constraint_force`.", of="constraint_force")
-    cacc = Readout(
+    qfrc_constraint = readout("MuJoCo's name for `constraint_force`.", of="constraint_force")
+    cacc = readout(
         "Acceleration of each body in the last solve, written as `cvel` is [rad/s², m/s²], shape "
         "(nbody, 6). Gravity counts as an upward acceleration: a body at rest has +9.81. The "
         "linear part is the rate of `cvel`, not of a point that moves along: a sensor gives that."
     )
-    cfrc_ext = Readout(
+    cfrc_ext = readout(
         "Applied forces, contacts, body equalities and all that acts along spatial tendons, on "
         "each body in the last solve: moment about c (see `cinert`) [N·m], then force [N], in "
         "world axes; shape (nbody, 6). Forces of fixed tendons and of other actuators count as "
         "the joints' own. Before there was a solve, and after `reset`, of one at "
         "the present state."
     )
-    cfrc_int = Readout(
+    cfrc_int = readout(
         "What each body's parent exerts on it in the last solve, written as `cfrc_ext` is, shape "
         "(nbody, 6)."
     )
-    actuator_force = Readout("Force of each actuator before its gear [N or N·m], shape (nu,).")
+    actuator_force = readout("Force of each actuator before its gear [N or N·m], shape (nu,).")
 
     _core: Any
     _model: Model
@@ -271,7 +274,25 @@ class World(checks.KnownNames, ABC):
         """
         worlds = self._arrays["qpos"].shape[:-1]
         excluded = None if exclude is None else self.model.index("body", exclude)
-        return ray_hits(self._core, worlds, origin, direction, excluded, groups, static)
+        ends = [_vectors("origin", origin), _vectors("direction", direction)]
+        if not ends[1].any(axis=-1).all():
+            raise ValueError("direction = (0, 0, 0): must have a length")
+        try:
+            # The axes of rays after that of the worlds.
+            further = (1,) * max(max(end.ndim for end in ends) - 1, 1)
+            shape = np.broadcast_shapes(*(end.shape for end in ends), (*worlds, *further))
+        except ValueError:
+            shapes = " and ".join(str(end.shape) for end in ends)
+            limit = f"shapes that broadcast{f', with {worlds[0]} worlds first' if worlds else ''}"
+            said = f"origin and direction have shapes {shapes}: must have {limit}"
+            raise ValueError(said) from None
+        lead = shape[:-1]
+        rays = np.concatenate([np.broadcast_to(end, (*lead, 3)) for end in ends], axis=-1)
+        fixed = not checks.flag("ray", "static", static)
+        found = self._core.rays(rays.ravel(), excluded, _groups(groups), fixed)
+        distance, geom, normal = found
+        met = np.array(geom, dtype=np.int64).reshape(lead)
+        return RayHits(distance.reshape(lead), met, normal.reshape((*lead, 3)))
 
     # Views by name.
 
@@ -350,8 +371,15 @@ class World(checks.KnownNames, ABC):
             if len(row):
                 self._arrays[name].reshape(-1, len(row))[worlds] = row
 
+    def _call(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Call the engine; a SimulationError gets its `replay`, which can be run again."""
+        try:
+            return call(*arguments)
+        except SimulationError as error:
+            self._explain(error)
+            raise
+
     def _explain(self, error: SimulationError) -> None:
-        """Attach a `replay`, which can be saved and run again, to an error."""
         # Imported here because only failures need the post-mortem.
         from stepcore.engine.replay import attach
 
@@ -362,3 +390,24 @@ class World(checks.KnownNames, ABC):
 
     def _model_of(self, world: int) -> Model:
         return self._model
+
+
+def _vectors(name: str, value: ArrayLike) -> Floats:
+    table = numbers(name, value)
+    if table.ndim == 0 or table.shape[-1] != 3:
+        raise ValueError(f"{name} has shape {table.shape}: must be (…, 3)")
+    if not np.isfinite(table).all():
+        raise ValueError(f"{name}: must be finite")
+    return table
+
+
+def _groups(groups: Sequence[int] | None) -> list[bool] | None:
+    """Return, for each group of geoms, whether it can be hit; None for all."""
+    if groups is None:
+        return None
+    seen = [False] * GROUPS
+    for group in checks.listed(groups) or [None]:
+        if isinstance(group, bool) or group not in range(GROUPS):
+            raise checks.refuse("ray", "groups", groups, f"integers from 0 to {GROUPS - 1}")
+        seen[group] = True
+    return seen

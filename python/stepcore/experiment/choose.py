@@ -122,7 +122,8 @@ class Proof:
     """What a choice did on starts that no choice has seen.
 
     trial: the choice, run from these starts. error: what was asked [m].
-    missed: the number of these starts that exceed it.
+    missed: the number of these starts that exceed it. unclear: the number of those whose converged
+    motion is not known well enough to tell.
 
     >>> [round(share_of(missed, 32), 3) for missed in (0, 2)]
     [0.089, 0.184]
@@ -131,6 +132,15 @@ class Proof:
     trial: Trial
     error: float
     missed: int
+    unclear: int = 0
+
+    @classmethod
+    def of(cls, trial: Trial, error: float) -> Proof:
+        """Return what a trial proves of an error [m]."""
+        if trial.failure:
+            return cls(trial, error, len(trial.starts))
+        unclear = np.abs(trial.errors - error) <= trial.unsure
+        return cls(trial, error, int(((trial.errors > error) & ~unclear).sum()), int(unclear.sum()))
 
     @property
     def starts(self) -> int:
@@ -139,8 +149,11 @@ class Proof:
 
     @property
     def share(self) -> float:
-        """The largest share of all starts that misses the error, with 95 % confidence."""
-        return share_of(self.missed, self.starts)
+        """The largest share of all starts that misses the error, with 95 % confidence.
+
+        Starts that cannot be told count as misses.
+        """
+        return share_of(self.missed + self.unclear, self.starts)
 
     @property
     def words(self) -> str:
@@ -149,6 +162,11 @@ class Proof:
         share = math.ceil(100 * self.share)
         worst = "fails" if self.trial.failure else f"has {metres(self.trial.error)}"
         over = f"; the worst one {worst}" if self.missed else f" ({worst[4:]} in the worst)"
+        if self.unclear:
+            over = (
+                f", and {self.unclear} cannot be told, because the converged motion is not known "
+                "well enough there"
+            )
         return (
             f"{number} of {counted(self.starts, 'untouched start')} missed it{over}: with "
             f"{100 * CONFIDENCE:.0f} % confidence at most {share} % of starts do."

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -97,11 +97,17 @@ class Engine(Protocol):
     def work(self, change: Change, schedule: Schedule) -> float:
         """Count the floating-point operations of a simulated second; inf where none can be run."""
 
+    def evaluation(self, change: Change, schedule: Schedule) -> float:
+        """Count the operations of an evaluation of the forces, in steps within an accuracy."""
+
     def ways(self, schedule: Schedule, goal: float) -> list[Way]:
         """Return ways to the converged motion; goal: how exact it should be [m]."""
 
     def families(self, schedule: Schedule) -> list[Change]:
         """Return the settings to try, all but the time step."""
+
+    def has_rows(self, schedule: Schedule) -> bool:
+        """Return whether a contact, limit or other row acts at a sample of the shipped motion."""
 
     def seconds(self, change: Change, schedule: Schedule) -> float:
         """Return the processor time of a run from the first start [s]; NaN if it fails."""
@@ -122,6 +128,7 @@ class Stepcore:
         self._models: dict[Change, Model] = {}
         self._looks: list[tuple[np.ndarray, ...]] = []
         self._counts: dict[Change, float] = {}
+        self._evaluations: dict[Change, float] = {}
         self._rows: bool | None = None
 
     @property
@@ -156,7 +163,9 @@ class Stepcore:
             why = dict.fromkeys(range(len(starts)), one_line(error))
             return Tracks(np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan), why)
         failures = {k: one_line(error) for k, error in ran.failures.items()}
-        return self.matter.tracks(ran["xpos"][:, first:], ran["xquat"][:, first:], failures)
+        tracks = self.matter.tracks(ran["xpos"][:, first:], ran["xquat"][:, first:], failures)
+        within = model.settings.accuracy is not None
+        return dataclasses.replace(tracks, evaluations=ran.inner) if within else tracks
 
     def work(self, change: Change, schedule: Schedule) -> float:
         """Count the operations of a simulated second, at the same states for all changes.
@@ -170,6 +179,10 @@ class Stepcore:
         if change not in self._counts:
             self._counts[change] = self._counted(change, schedule)
         return self._counts[change] / settings.dt
+
+    def evaluation(self, change: Change, schedule: Schedule) -> float:
+        self.work(change, schedule)
+        return self._evaluations.get(change, math.inf)
 
     def seconds(self, change: Change, schedule: Schedule) -> float:
         try:
@@ -186,7 +199,7 @@ class Stepcore:
             whole = np.flatnonzero(np.isfinite(seen["qpos"][0]).all(axis=-1))
             some = whole[np.unique(np.linspace(0, len(whole) - 1, LOOKS).astype(int))]
             self._looks = [tuple(seen[name][0, k] for name in names) for k in some]
-        total = 0
+        total = evaluations = 0
         try:
             sim = unwatched(Sim(schedule.on(self.of(change))))
             for qpos, qvel, act, ctrl in self._looks:
@@ -195,21 +208,19 @@ class Stepcore:
                 # The second step has impulses to begin from.
                 sim.step(1)
                 total += sim.count_flops()
+                if sim.settings.accuracy is not None:
+                    before = sim._core.evaluations
+                    sim.step(1)
+                    evaluations += sim._core.evaluations - before
         except (ValueError, SimulationError):
             return math.inf
+        self._evaluations[change] = total / max(1, evaluations)
         return total / len(self._looks)
 
     def has_rows(self, schedule: Schedule) -> bool:
-        """Return whether a contact, limit or other row acts at a sample of the shipped motion."""
         if self._rows is None:
-            seen = run(self.model, schedule, schedule.indices[:8], record=("qpos", "qvel"))
-            sim, self._rows = unwatched(Sim(self.model)), False
-            flat = (seen[name].reshape(-1, seen[name].shape[-1]) for name in ("qpos", "qvel"))
-            for qpos, qvel in zip(*flat, strict=True):
-                if not (self._rows or np.isnan(qvel).any()):
-                    sim.qpos[:], sim.qvel[:] = qpos, qvel
-                    sim.forward()
-                    self._rows = len(sim.rows) > 0
+            some = visits(self.model, schedule, schedule.indices[:8], schedule.every)
+            self._rows = any(len(sim.rows) > 0 for _, _, sim in some)
         return bool(self._rows)
 
     def families(self, schedule: Schedule) -> list[Change]:
@@ -273,6 +284,27 @@ def run(
         return follow(model, begin, steps, every, control=schedule.control, hold=count, **how)
     ctrl, hold = schedule.rows(starts, dt)
     return follow(model, begin, steps, every, ctrl=ctrl, hold=hold, **how)
+
+
+def visits(
+    model: Model, schedule: Schedule, starts: Sequence[int], every: int
+) -> Iterator[tuple[int, float, Sim]]:
+    """Yield a Sim at states of a motion, after `forward`, with its start and its time [s].
+
+    every: control periods between two states, a divisor of the periods. A run that fails ends.
+    """
+    names = ("qpos", "qvel", "act", "ctrl")
+    often = dataclasses.replace(schedule, every=every)
+    seen, sim = run(model, often, starts, record=names), unwatched(Sim(model))
+    for place, start in enumerate(starts):
+        schedule.starts[start].put(sim)
+        for time, *state in zip(seen.times, *(seen[name][place] for name in names), strict=True):
+            if not np.isfinite(state[0]).all():
+                break
+            for name, values in zip(names, state, strict=True):
+                getattr(sim, name)[:] = values
+            sim.forward()
+            yield start, float(time), sim
 
 
 def check_repeatable(model: Model, schedule: Schedule) -> None:

@@ -15,20 +15,20 @@ rows without times, are not tried. A log with times is run to its end, within th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.control import ControlError
+from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.norm import Matter
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.control_table import control_table
-from stepcore.experiment.cost import USUAL
 from stepcore.experiment.default_motion import kind_of
+from stepcore.experiment.engines import run
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.run import Probe
-from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.experiment.sizes import scene_size
 from stepcore.report.units import seconds
@@ -38,6 +38,8 @@ from stepcore.report.units import seconds
 LONGEST, STEPS, COST = 10.0, 20_000, 1e9
 # The share of the cost of a converged motion that one run from each start may have.
 SHARE = 1 / 30
+# The states at which the cost of a step is counted.
+COUNTED = 8
 # The time between samples, and between two judgements of them [s].
 SAMPLE, LOOK = 0.02, 0.1
 # The time over which a speed is averaged [s]. Growth is that from one such time to the next.
@@ -55,11 +57,12 @@ class Horizon:
     """The horizon of a motion.
 
     length: the simulated time [s]. words: why it is not the default, as a sentence without a full
-    stop; "" for the default.
+    stop; "" for the default. ran: the pilot run, which is as long or longer; None without one.
     """
 
     length: float
     words: str = ""
+    ran: Followed | None = field(default=None, repr=False, compare=False)
 
     def after(self, motion: str) -> str:
         """Return a motion in words, with the reason for its horizon."""
@@ -81,7 +84,8 @@ def horizon_of(
         return _whole(model, motion, default, cost)
     if not _is_tried(model, motion) or dt > LOOK or min(LONGEST, STEPS * dt) <= default:
         return Horizon(default)
-    return _Pilot(model, motion, default, cost).horizon()
+    pilot = _Pilot(model, motion, default, cost)
+    return replace(pilot.horizon(), ran=pilot.ran)
 
 
 def _whole(model: Model, motion: Motion, default: float, cost: float) -> Horizon:
@@ -99,9 +103,9 @@ def _whole(model: Model, motion: Motion, default: float, cost: float) -> Horizon
 def affordable(effort: float, starts: int) -> float:
     """Return the largest cost of a run for which a converged motion can be computed.
 
-    effort: the limit on the cost of the converged motion, in steps × (dofs + 2).
+    effort: the most operations of the study.
     """
-    return SHARE * USUAL * effort / starts
+    return SHARE * effort / starts
 
 
 def _is_tried(model: Model, motion: Motion) -> bool:
@@ -110,112 +114,114 @@ def _is_tried(model: Model, motion: Motion) -> bool:
     return motion.control is not None or (motion.kind or kind_of(model)) in ("fall", "hold")
 
 
-class _AtRest(Exception):
-    """Raised to end the pilot run."""
+class _Pilot:
+    """The pilot run: first over the default horizon, and then, if it is not at rest, whole.
 
-
-class _Pilot(Probe):
-    """The pilot run, and a probe of the bodies' places in it."""
+    It is looked at from the default horizon on, as if it had ended there.
+    """
 
     def __init__(self, model: Model, motion: Motion, default: float, cost: float) -> None:
         dt = model.settings.dt
-        self.default, self.longest = default, min(LONGEST, STEPS * dt)
-        self.cost, self.spent = cost, 0.0
+        self.model, self.default, self.longest = model, default, min(LONGEST, STEPS * dt)
+        self.cost = cost
         period = motion.period(dt) or dt * max(1, round(SAMPLE / dt))
         whole = replace(motion, horizon=max(self.longest, period), starts=1)
-        schedule = scheduled(whole, model, period)
-        self.every = max(1, round(SAMPLE / period)) * period
-        schedule = replace(schedule, every=max(1, round(SAMPLE / period)))
-        self.runner, self.settings = Runner(model, schedule), model.settings
-        bodies = self.runner.bodies
-        self.moving, self.gyration = bodies.moving, bodies.gyration
-        self.size = scene_size(model.scene)
-        self.places: list[np.ndarray] = []
-        self.quats: np.ndarray | None = None
-        self.words, self.time = "", 0.0
+        self.count = max(1, round(SAMPLE / period))
+        self.every = self.count * period
+        self.schedule = replace(scheduled(whole, model, period), every=self.count)
+        self.matter, self.size = Matter.of(model), scene_size(model.scene)
+        self.ran: Followed | None = None
 
     def horizon(self) -> Horizon:
         """Run until the motion is at rest, and return the horizon."""
-        failed = False
+        first = max(1, math.ceil(self.default / self.every - 0.5))
+        places, paid, failed = self._places(first)
+        if not failed and (self._rests(places) or self._repeats(places)):
+            return Horizon(self.default)
+        whole, look = self.schedule.periods // self.count, max(1, round(LOOK / self.every))
+        most = min(whole, look * math.ceil(paid / self.every / look))
+        if not failed and first < most:
+            places, paid, failed = self._places(most)
+            # What came later may cost more than the beginning.
+            most = max(first + 1, min(most, look * math.ceil(paid / self.every / look)))
+            places = places[: most + 1]
+        for end in range(look * math.ceil((first + 1) / look), len(places), look):
+            time = round(end * self.every, 9)
+            at, late = seconds(time), f"not at rest after {seconds(self.default)}"
+            if self._rests(places[: end + 1]):
+                return Horizon(time, f"{late}: went on to {at}")
+            if self._repeats(places[: end + 1]):
+                return Horizon(time, f"{late}: went on to {at}, where it repeats")
+        length = round((len(places) - 1) * self.every, 9)
+        if failed:
+            # A run over this horizon shows the failure.
+            length = min(self.longest, math.ceil((length + LOOK) / LOOK) * LOOK)
+            return Horizon(max(self.default, length), "")
+        if length <= self.default + self.every / 2:
+            return Horizon(self.default)
+        further = "; --horizon goes on further" if most < whole else ", the longest run"
+        return Horizon(length, f"still moving at {seconds(length)}{further}")
+
+    def _places(self, samples: int) -> tuple[np.ndarray, float, bool]:
+        """Run over some samples; return the places of the bodies, up to a failure.
+
+        Places are centres and turns [m], (n, bodies, 7). Also returned are how much of the motion
+        may be run for its cost [s], and whether the run failed.
+        """
+        part = replace(self.schedule, periods=samples * self.count)
+        record = ["qpos", "qvel", "act", "ctrl", "xpos", "xquat"]
+        if self.model.settings.accuracy is None:
+            record.append("actuator_force")
         try:
-            self.runner.follow(self.runner.sim(self.settings), 0, [self])
-        except _AtRest:
-            pass
+            ran = self.ran = run(self.model, part, [0], record=record)
         except ControlError:
             raise
         except (SimulationError, ValueError):
-            failed = True
-        if failed:
-            # A run over this horizon shows the failure.
-            length = min(self.longest, math.ceil((self.time + LOOK) / LOOK) * LOOK)
-            return Horizon(max(self.default, length), "")
-        length = round(self.time, 9)
-        if length <= self.default + self.every / 2:
-            return Horizon(self.default)
-        words = self.words or f"still moving at {seconds(length)}, the longest run"
-        return Horizon(length, words)
+            return np.zeros((1, len(self.matter.moving), 7)), 0.0, True
+        good = int(np.isfinite(ran["xpos"][0]).all(axis=(1, 2)).sum())
+        xpos, quat = (ran[name][0, :good, self.matter.moving] for name in ("xpos", "xquat"))
+        # Of the two quaternions of a rotation, the one near the last.
+        quat, xpos = quat.swapaxes(0, 1).copy(), xpos.swapaxes(0, 1)
+        flips = np.sum(quat[1:] * quat[:-1], axis=2) < 0
+        quat[1:][np.logical_xor.accumulate(flips, axis=0)] *= -1
+        turned = 2 * self.matter.gyration[:, None] * quat
+        states = {name: ran[name][0, :good] for name in record[:4]}
+        return np.concatenate([xpos, turned], axis=2), self._paid(states), bool(ran.failures)
 
-    def begin(self, sim: Sim) -> None:
-        self.begun = float(sim.time)
-        self.sample(sim)
+    def _paid(self, states: dict[str, np.ndarray]) -> float:
+        """Return for how long the motion may run for its cost [s], by steps at some states."""
+        model = self.schedule.on(self.model)
+        sim, flops, count = unwatched(Sim(model)), 0.0, len(states["qpos"])
+        for k in np.unique(np.linspace(0, count - 1, COUNTED).astype(int)):
+            for name, values in states.items():
+                getattr(sim, name)[:] = values[k]
+            flops += sim.count_flops() / min(COUNTED, count)
+        return self.cost * model.settings.dt / max(flops, 1.0)
 
-    def sample(self, sim: Sim) -> None:
-        """Record the places of the bodies, and end the run if they are at rest."""
-        quat = sim.xquat[self.moving].copy()
-        if self.quats is not None:
-            # Of the two quaternions of a rotation, the one near the last.
-            quat[np.sum(quat * self.quats, axis=1) < 0] *= -1
-        self.quats = quat
-        turned = 2 * np.reshape(self.gyration, (-1, 1)) * quat
-        self.places.append(np.hstack([sim.xpos[self.moving], turned]))
-        self.time = float(sim.time) - self.begun
-        looks = (len(self.places) - 1) % max(1, round(LOOK / self.every)) == 0
-        if looks:
-            self.spent += sim.count_flops() * LOOK / self.settings.dt
-        if self.time < self.default - self.every / 2 or not (looks or self._first):
-            return
-        end, late = seconds(round(self.time, 9)), f"not at rest after {seconds(self.default)}"
-        if self._rests():
-            self.words = f"{late}: went on to {end}"
-            raise _AtRest
-        if self._repeats():
-            self.words = f"{late}: went on to {end}, where it repeats"
-            raise _AtRest
-        if self.spent > self.cost:
-            self.words = f"still moving at {end}; --horizon goes on further"
-            raise _AtRest
-
-    @property
-    def _first(self) -> bool:
-        return self.time < self.default + self.every / 2
-
-    def _rests(self) -> bool:
-        """Return whether the bodies move slowly, and will."""
-        count = round(WINDOW / self.every)
-        if len(self.places) < 2 * count:
+    def _rests(self, places: np.ndarray) -> bool:
+        """Return whether the bodies move slowly at the end, and will."""
+        count, time = round(WINDOW / self.every), (len(places) - 1) * self.every
+        if len(places) < 2 * count:
             return False
-        steps = np.diff(np.array(self.places[-2 * count :]), axis=0)
+        steps = np.diff(places[-2 * count :], axis=0)
         way = np.linalg.norm(steps, axis=2).max(axis=1)
         before, now = (float(part.mean()) / self.every for part in (way[:count], way[count:]))
         growth = math.log(now / before) / WINDOW if now > before > 0 else 0.0
-        exponent = min(growth * (self.longest - self.time), GROWTH)
+        exponent = min(growth * (self.longest - time), GROWTH)
         return now * LONGEST * math.exp(exponent) <= STILL * self.size
 
-    def _repeats(self) -> bool:
+    def _repeats(self, places: np.ndarray) -> bool:
         """Return whether the bodies are where they were a period before, for a whole period."""
-        places = np.array(self.places)
-        flat = places.reshape(len(places), -1)
-        least, most = round(PERIOD / self.every), (len(flat) - 1) // 2
-        for lag in range(max(1, least), most + 1):
-            # The last sample first: it rules most periods out.
-            if not self._alike(places, lag, 1):
-                continue
-            if self._alike(places, lag, lag):
-                return True
-        return False
-
-    def _alike(self, places: np.ndarray, lag: int, count: int) -> bool:
-        recent = places[-count:]
-        apart = np.linalg.norm(recent - places[-count - lag : len(places) - lag], axis=2)
-        way = np.linalg.norm(np.ptp(places[-2 * lag :], axis=0), axis=1).max()
-        return bool(apart.max() <= ALIKE * way)
+        back = places[::-1]
+        lags = np.arange(max(1, round(PERIOD / self.every)), (len(places) - 1) // 2 + 1)
+        if not len(lags):
+            return False
+        spans = np.maximum.accumulate(back) - np.minimum.accumulate(back)
+        ways = ALIKE * np.linalg.norm(spans, axis=2).max(axis=1)[2 * lags - 1]
+        # The last sample first: it rules most periods out.
+        last = np.linalg.norm(back[lags] - back[0], axis=2).max(axis=1)
+        some = np.flatnonzero(last <= ways)
+        return any(
+            np.linalg.norm(back[:lag] - back[lag : 2 * lag], axis=2).max() <= way
+            for lag, way in zip(lags[some].tolist(), ways[some].tolist(), strict=True)
+        )

@@ -53,7 +53,7 @@ FACTORS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 0.125, -0.125)
 # out of an overlap.
 SHOCK = 0.1
 # The time between samples of a trial, and between looks at its contacts [s].
-SAMPLE, LOOK = 0.008, 0.04
+SAMPLE, LOOK = 0.008, 0.1
 # A robot falls if it tilts by more than this [rad], or the height of its centre of mass above the
 # lowest of its geoms shrinks by this share. What sinks into the floor as a whole has not fallen.
 TILT, SINKS = 0.35, 0.25
@@ -299,7 +299,8 @@ class Moves:
         except (SimulationError, ValueError) as error:
             nothing = Seen(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
             return [replace(nothing, failure=one_line(error)) for _ in starts]
-        sim = Sim(driven)
+        # Only where bodies are is asked of it.
+        sim = Sim(model, solver="pgs", sweeps=1)
         return [self._seen(sim, ran, k, start) for k, start in enumerate(starts)]
 
     def _seen(self, sim: Sim, ran: Followed, k: int, start: Start) -> Seen:

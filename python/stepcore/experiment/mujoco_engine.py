@@ -314,6 +314,9 @@ class MuJoCo:
             state = made[-1]
         return states, played, ""
 
+    def evaluation(self, change: Change, schedule: Schedule) -> float:
+        return math.nan  # MuJoCo's steps have a fixed length.
+
     def work(self, change: Change, schedule: Schedule) -> float:
         """Estimate the operations of a simulated second, at the same states for all changes.
 
@@ -374,6 +377,10 @@ class MuJoCo:
             for fields in (SOLVED if self._rows else [{}])
         ]
         return list(dict.fromkeys([Change(), *made]))
+
+    def has_rows(self, schedule: Schedule) -> bool:
+        # Counting the work looks at states of the motion.
+        return math.isfinite(self.work(Change(), schedule)) and self._rows
 
     def seconds(self, change: Change, schedule: Schedule) -> float:
         with self._world(schedule.change.also(change)) as world:

@@ -14,7 +14,7 @@ none at 1e-10. Much smaller nudges drown in rounding.)
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,8 @@ NEARBY, ASIDE = 1e-10, 1e-6
 APART = 0.02
 # The growth above which a motion counts as unpredictable.
 GROWTH = 1e3
+# Two motions agree on when a start ends to this share of the time.
+AGREE = 0.2
 
 
 @dataclass(frozen=True)
@@ -64,10 +66,10 @@ class Growth:
         failure = next((part.failure for part in parts if part.failure), "")
         return cls(parts[0].times, factor, ends, failure)
 
-    def agrees(self, other: Growth, share: float) -> bool:
-        """Return whether every start ends at the same time as in another growth, to a share."""
+    def agrees(self, other: Growth) -> bool:
+        """Return whether every start ends at about the same time as in another growth."""
         a, b = (np.minimum(own.ends, 1e300) for own in (self, other))
-        return bool((np.abs(a - b) <= share * np.maximum(a, b)).all())
+        return bool((np.abs(a - b) <= AGREE * np.maximum(a, b)).all())
 
     def scored(self, samples: np.ndarray) -> np.ndarray:
         """Return which samples can be predicted, (starts, n); the first one always counts."""
@@ -113,6 +115,32 @@ def growth(
         factor = np.maximum(factor, away[:, 1:] / np.maximum(away[:, :1], 1e-300))
     ends = np.array([_end(own.times, growing) for growing in factor])
     return Growth(own.times, factor, ends, base.failure)
+
+
+def settled(
+    engine: Engine,
+    changes: Iterable[Change],
+    schedule: Schedule,
+    starts: Sequence[int],
+    size: float,
+    directions: int = 1,
+) -> tuple[Growth, Change]:
+    """Measure the growth at shorter and shorter steps, until two of them agree on when starts end.
+
+    A motion of long steps may be unstable itself. Where no start ends, the first step is enough.
+    Of two that agree the longer one is returned, with its change: it has less rounding.
+
+    changes: with steps ever shorter.
+    """
+    last = None
+    for change in changes:
+        now = growth(engine, change, schedule, starts, size, directions), change
+        if not (now[0].failure or np.isfinite(now[0].ends).any()):
+            return now
+        if last is not None and now[0].agrees(last[0]):
+            return last
+        last = now
+    return now
 
 
 def resampled(schedule: Schedule) -> Schedule:

@@ -423,8 +423,6 @@ def overlaps(model: Model) -> Callable[[Start], float]:
 
     def overlap(start: Start) -> float:
         start.put(sim)
-        sim.forward()
-        dist = sim.contacts["dist"]
-        return -float(dist.min()) if len(dist) else 0.0
+        return float(sim.overlap)
 
     return overlap

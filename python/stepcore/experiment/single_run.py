@@ -1,37 +1,36 @@
-"""One run of a Sim under a user's controls and pushes, observed by probes and timed."""
+"""`SingleRun`: one run of a Sim from its present state, under controls and pushes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from time import perf_counter
-from typing import Any
+from dataclasses import dataclass, replace
+from time import process_time
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from stepcore import checks
 from stepcore._core import SimulationError
-from stepcore.engine.control import Control, controls
-from stepcore.engine.error_bar import driven, judged
+from stepcore.engine.control import Control, fresh
+from stepcore.engine.error_bar import judged
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.snapshots import Taking
-from stepcore.engine.trajectory import Trajectory, whole_steps
-from stepcore.experiment.run import Probe
+from stepcore.engine.trajectory import Trajectory, pieces
+from stepcore.experiment.change import Servo
+from stepcore.experiment.default_motion import default_motion
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.motion_words import drive_in_words, held_in_words
+from stepcore.experiment.schedule import given_controls, home
 from stepcore.report.progress import Choice, Progress
-from stepcore.report.units import time_of
+from stepcore.report.units import metres, seconds, time_of
 
-# The approximate number of observations of a run by its probes.
-LOOKS = 2000
-# The number of progress reports of a run.
-TOLD = 100
+# The approximate number of readings of a run, and of its progress reports.
+READINGS, TOLD = 400, 100
 # The default duration of a push [s], and the text form of a push.
 PUSH = 0.1
 PUSH_FORM = "BODY:FX,FY,FZ@T or BODY:FX,FY,FZ@T+DURATION, in N and s"
-# The number of states that are kept along a run, of steps timed from each, and of repetitions. The
-# shortest time counts, because other load on the machine only adds time.
-STATES, STEPS, TIMES = 20, 4, 3
 
 
 @dataclass(frozen=True)
@@ -108,155 +107,6 @@ class Push:
         return f"{self.body}:{','.join(f'{x:g}' for x in self.force)}@{self.start:g}{lasting}"
 
 
-@dataclass
-class SingleRun:
-    """One run of a Sim from its current state.
-
-    sim: the Sim.
-    control: a function of (time, sim) that returns the controls. It is called every `control_dt`
-        [s], by default before every step. None keeps the controls constant.
-    pushes: forces that are added to the applied forces of the Sim.
-    probes: observe the run about `LOOKS` times.
-    record: the names of the arrays to record at every step.
-    progress: the choice of progress bar; see `Progress`.
-    trajectory: the recorded arrays; None without `record`.
-    """
-
-    sim: Sim
-    control: Control | None = None
-    control_dt: float | None = None
-    pushes: Sequence[Push] = ()
-    probes: Sequence[Probe] = ()
-    record: Sequence[str] = ()
-    progress: Choice = False
-    trajectory: Trajectory | None = field(default=None, init=False)
-
-    def run(self, steps: int) -> None:
-        """Make `steps` steps.
-
-        Raises any exception of `Sim.step` and of the control function.
-        """
-        sim, dt = self.sim, self.sim.settings.dt
-        period = 1 if self.control_dt is None else whole_steps("control_dt", self.control_dt, dt, 1)
-        stride = 1 if self.record else max(1, steps // LOOKS)
-        self.record = judged(sim, self.record) if self.record else ()
-        applied = np.array(sim.xfrc_applied)
-        spans = [(push.on(sim.model), push.force, push.span(dt)) for push in self.pushes]
-        data: dict[str, list[np.ndarray]] = {name: [] for name in ("time", *self.record)}
-        for probe in self.probes:
-            probe.begin(sim)
-        self._note(data)
-        taking = Taking(sim, steps) if self.record else None
-        try:
-            with (
-                Progress("steps", steps, self.progress) as bar,
-                driven(sim, self.control) as beside,
-            ):
-                self._steps(steps, period, stride, spans, applied, data, taking, bar, beside)
-        finally:
-            # A failed run keeps the records up to the failure.
-            sim.xfrc_applied[:] = applied
-            if taking is not None:
-                arrays = {name: np.array(values) for name, values in data.items()}
-                kept = taking.kept()
-                self.trajectory = Trajectory(arrays.pop("time"), arrays, snapshots=kept)
-
-    def _steps(
-        self,
-        steps: int,
-        period: int,
-        stride: int,
-        spans: list[tuple[int, tuple[float, float, float], range]],
-        applied: np.ndarray,
-        data: dict[str, list[np.ndarray]],
-        taking: Taking | None,
-        bar: Progress,
-        beside: Callable[[], None],
-    ) -> None:
-        sim = self.sim
-        edges = sorted({edge for *_, span in spans for edge in (span.start, span.stop)})
-        done = told = 0
-        while done < steps:
-            if self.control is not None and done % period == 0:
-                beside()
-                sim.ctrl = controls(self.control, sim)
-            if done in edges or (done == 0 and spans):
-                sim.xfrc_applied[:] = applied
-                for body, force, span in spans:
-                    if done in span:
-                        sim.xfrc_applied[body, :3] += force
-            upto = [steps, *(edge for edge in edges if edge > done)]
-            if self.control is not None:
-                upto.append((done // period + 1) * period)
-            if self.probes or self.record:
-                upto.append((done // stride + 1) * stride)
-            count = min(upto) - done
-            if taking is not None:
-                taking.look(done)
-            sim.step(count)
-            done += count
-            if done % stride == 0 or done == steps:
-                for probe in self.probes:
-                    probe.step(sim)
-                self._note(data)
-            if done >= told or done == steps:
-                bar.advance(done - bar.done)
-                told = done + max(1, steps // TOLD)
-        if taking is not None:
-            taking.look(steps)
-
-    def _note(self, data: dict[str, list[np.ndarray]]) -> None:
-        if self.record:
-            for name, values in data.items():
-                values.append(np.array(getattr(self.sim, name)))
-
-
-class Pace(Probe):
-    """A probe that keeps states along a run, and times steps from these states after the run.
-
-    Steps are not timed during the run, because a probe evicts the data of the step from the
-    processor's caches, and the next step then takes several times as long.
-
-    looks: the number of times that the probe observes the run.
-    """
-
-    def __init__(self, looks: int) -> None:
-        self.every = max(1, looks // STATES)
-        self.looks = 0
-        self.states: list[bytes] = []
-
-    def begin(self, sim: Any) -> None:
-        self.states.append(sim.state())
-
-    def step(self, sim: Any) -> None:
-        self.looks += 1
-        if self.looks % self.every == 0:
-            self.states.append(sim.state())
-
-    def seconds(self, sim: Any) -> float:
-        """Return the mean computing time of a step over the states [s]; 0 if every state fails.
-
-        sim: a Sim of the run's model and settings; its state is overwritten.
-        """
-        times = [timed for state in self.states if (timed := _timed(sim, state)) is not None]
-        return float(np.mean(times)) if times else 0.0
-
-
-def _timed(sim: Any, state: bytes) -> float | None:
-    """Return the computing time of a step from a state [s], or None if the step fails."""
-    best = np.inf
-    for _ in range(TIMES):
-        sim.restore(state)
-        try:
-            sim.step()
-            begin = perf_counter()
-            sim.step(STEPS)
-        except SimulationError:
-            return None
-        best = min(best, perf_counter() - begin)
-    return best / STEPS
-
-
 def _finite(push: str, part: str, read: Callable[[str], float | None] = float) -> float:
     try:
         value = read(part)
@@ -265,3 +115,149 @@ def _finite(push: str, part: str, read: Callable[[str], float | None] = float) -
     if value is None or not math.isfinite(value):
         raise ValueError(f"push {push}: '{part}' must be a finite number")
     return value
+
+
+class Drive(NamedTuple):
+    """What drives a run: a control function or rows, their period [s], words, and servos of ours.
+
+    Without control, the controls are constant.
+    """
+
+    control: Control | np.ndarray | None
+    period: float | None
+    words: str
+    servos: tuple[Servo, ...] = ()
+
+    def fresh(self) -> Drive:
+        """Return the same drive with a new copy of a control object."""
+        return self._replace(control=fresh(self.control)) if callable(self.control) else self
+
+
+def drive_of(sim: Sim, motion: Motion, horizon: float) -> Drive:
+    """Return what drives a run. Constant controls are written to the Sim."""
+    model, dt, held = sim.model, sim.settings.dt, np.array(sim.ctrl)
+    period, every = motion.control_dt or dt, motion.control_dt
+    if not motion.is_users and (motion.kind is None or not model.nu):
+        return Drive(None, every, held_in_words(model, held))
+    begin, periods = home(model, motion.key)[0], int(np.ceil(horizon / period)) + 1
+    begin = replace(begin, qpos=np.array(sim.qpos))
+    controls = given_controls(motion, model, begin, held, period)
+    if controls is None:
+        how = (motion.kind, begin, held, [begin], motion.seed, period, periods)
+        controls = default_motion(model, *how)
+    said = controls.words or drive_in_words(model, motion, "", f"every {seconds(period)}")
+    if controls.function is not None:
+        return Drive(controls.function, every, said)
+    log = controls.log
+    assert log is not None
+    if len(log.times) == 1:
+        sim.ctrl = log.rows.reshape(-1)
+        return Drive(None, every, said, controls.servos)
+    # Without a period of its own, each row of controls is that of a step.
+    rows = log.steps(0.0, period, periods).reshape(periods, -1)
+    return Drive(rows, period, said, controls.servos)
+
+
+@dataclass
+class Bar:
+    """The largest estimated error of a run [m], of which body, and when [s]."""
+
+    error: float = 0.0
+    body: int = 0
+    time: float = 0.0
+
+    def look(self, sim: Sim) -> None:
+        each = sim.body_error
+        body = int(each.argmax())
+        if each[body] > self.error:
+            self.error, self.body, self.time = float(each[body]), body, sim.time
+
+    def words(self, sim: Sim, asked: float | None) -> str:
+        """Return what the finer run says, after the last step; asked: the accuracy [m]."""
+        until = sim.predictable_until
+        if math.isfinite(until):
+            return (
+                f"From {seconds(until)} on no error is known: a finer run is elsewhere. Take "
+                "shorter steps; stepcore predict says whether any can tell."
+            )
+        said = f"The error is estimated as {metres(sim.error.largest)} at the end"
+        if self.error > 0:
+            body = sim.model.element_name("body", self.body)
+            said += f" and at most {metres(self.error)} ({body} at {seconds(self.time)})"
+        against = "" if asked is None else f"; asked for {metres(asked)}"
+        return f"{said}, from a finer run{against}."
+
+
+class SingleRun:
+    """One run of a Sim from its present state, with what is recorded of it.
+
+    drive, pushes: see `Drive` and `Push`. names: the arrays to read about `READINGS` times.
+    record: the arrays to record at every step.
+    readings: the arrays that were read, by name, and "time"; the first is the start.
+    trajectory: what was recorded; None without `record`. seconds: computing time of the steps.
+    error: why the run failed. bar: of a run with a finer one beside it.
+    """
+
+    def __init__(
+        self,
+        sim: Sim,
+        drive: Drive,
+        pushes: Sequence[Push],
+        names: Sequence[str],
+        record: Sequence[str] = (),
+    ) -> None:
+        self.sim, self.drive, self.pushes = sim, drive, pushes
+        self.record = ("time", *judged(sim, record)) if record else ()
+        self.bar = None if sim._finer is None else Bar()
+        self.trajectory: Trajectory | None = None
+        self.error: SimulationError | None = None
+        self.seconds, self.done = 0.0, 0
+        self.readings: dict[str, list[np.ndarray]] = {name: [] for name in ("time", *names)}
+
+    def run(self, steps: int, progress: Choice = False) -> None:
+        """Make steps. A run that fails ends, and what was recorded up to there is kept."""
+        sim, dt = self.sim, self.sim.settings.dt
+        hold = round(self.drive.period / dt) if self.drive.period else 1
+        applied = np.array(sim.xfrc_applied)
+        spans = [(push.on(sim.model), push.force, push.span(dt)) for push in self.pushes]
+        edges = {edge for *_, span in spans for edge in (span.start, span.stop)}
+        every = max(1, steps // READINGS)
+        often = [every, max(1, steps // TOLD), *([math.gcd(*edges) or steps] if edges else [])]
+        arrays, taking = self._arrays(steps), Taking(sim, steps) if self.record else None
+        begun = process_time()
+        try:
+            with Progress("steps", steps, progress) as shown:
+                for done in pieces(sim, steps, self.drive.control, hold, arrays, often, taking):
+                    self.seconds += process_time() - begun
+                    self.done = done
+                    if done in edges:
+                        sim.xfrc_applied[:] = applied
+                        for body, force, span in spans:
+                            sim.xfrc_applied[body, :3] += np.multiply(force, done in span)
+                    if done % every == 0:
+                        self._read()
+                    shown.advance(done - shown.done)
+                    begun = process_time()
+            sim.balance()
+        except SimulationError as error:
+            self.error = error
+        finally:
+            sim.xfrc_applied[:] = applied
+            if taking is not None:
+                kept = {name: values[: self.done + 1] for name, values in arrays.items()}
+                self.trajectory = Trajectory(kept.pop("time"), kept, snapshots=taking.kept())
+
+    def _arrays(self, steps: int) -> dict[str, np.ndarray]:
+        """Return arrays for what is recorded at every step, which begin with the present state."""
+        arrays = {}
+        for name in self.record:
+            value = np.asarray(getattr(self.sim, name))
+            arrays[name] = np.empty((steps + 1, *value.shape), value.dtype)
+            arrays[name][0] = value
+        return arrays
+
+    def _read(self) -> None:
+        for name, values in self.readings.items():
+            values.append(np.array(getattr(self.sim, name)))
+        if self.bar is not None:
+            self.bar.look(self.sim)

@@ -19,20 +19,22 @@ from stepcore.experiment.arguments import Workers
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, check_repeatable
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import engine_of
 from stepcore.experiment.norm import Tracks, apart, largest, rms
-from stepcore.experiment.price import OVERHEAD, computing_time
+from stepcore.experiment.price import OPERATION, OVERHEAD, computing_time
 from stepcore.experiment.schedule import STARTS, Schedule, time_steps
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Converging, Truth
-from stepcore.report.units import metres
+from stepcore.report.units import metres, seconds
 
 # Starts that run together: the worlds of a vector register.
 TOGETHER = 8
-# The most operations of a whole study: about ten seconds of a core.
-EFFORT = 3e10
-# What the lanes of a vector register save; steps within an accuracy go one world at a time.
-LANES = 3.0
+# The most operations of a whole study: about half a minute of a core.
+EFFORT = 1e11
+# An operation of steps within an accuracy, which go one world at a time, takes as long as this many
+# in lanes: 0.5 ns and 0.33 ns on dm_control's walker.
+LANES = 1.5
 # Offset between the seed of the first starts and those of further ones.
 APART = 1_000_003
 # How often a run is timed.
@@ -57,7 +59,8 @@ class Study:
     workers: threads or an executor for the runs; see `stepcore.experiment.arguments.Workers`.
 
     schedule: the starts, the controls and the time grid of the motion. starts: those of the search,
-    by index. spent: the counted operations so far.
+    by index. spent: the counted operations so far. allowed: those that may be spent so far, at most
+    `effort`.
 
     How the error depends on the stiffness of a spring, say:
 
@@ -91,10 +94,10 @@ class Study:
         self.schedule: Schedule = self.engine.scheduled(self.motion, period, starts=count)
         self.starts: tuple[int, ...] = tuple(self.schedule.indices)
         self.workers, self.effort, self.by = workers or Workers(), effort, by
-        self.spent, self.runs = 0.0, 0
+        self.spent, self.runs, self.allowed = 0.0, 0, effort
         self._tracks: dict[tuple[Change, int], Tracks] = {}
         self._truths: dict[Change, Converging] = {}
-        self._blocks = 0
+        self._blocks, self._dearer = 0, 1.0
         if self.schedule.calls_user:
             check_repeatable(self.model, self.schedule)
 
@@ -102,6 +105,14 @@ class Study:
     def model(self) -> Model:
         """stepcore's model of the scene; ValueError if MuJoCo alone can load the scene."""
         return self.engine.model
+
+    @property
+    def motion_ran(self) -> str:
+        """The motion of the search in words."""
+        if not self.engine.known:
+            return f"{self.schedule.drive or 'the controls given'}; in MuJoCo alone"
+        schedule = self.schedule.part(0, len(self.starts))
+        return motion_in_words(self.model, self.motion, schedule)
 
     def fresh(self, count: int) -> tuple[int, ...]:
         """Return the indices of further starts, from which nothing has been run."""
@@ -120,15 +131,39 @@ class Study:
     def price(self, change: Change, starts: int) -> float:
         """Return the operations of runs from some starts; those within an accuracy weigh more."""
         alone = 1.0 if getattr(self.engine.settings(change), "accuracy", None) is None else LANES
-        work = self.engine.work(change, self.schedule)
+        work = self.work(change)
         if not math.isfinite(work):
             work = USUAL * (self.engine.nv + 2) / float(self.engine.settings(change).dt)
         steps = OVERHEAD / float(self.engine.settings(change).dt)
         return alone * (work + steps) * self.schedule.horizon * starts
 
+    def affords(self, change: Change, starts: int) -> bool:
+        """Return whether runs from some starts are within the operations allowed so far."""
+        return self.spent + self.price(change, starts) <= self.allowed
+
+    def work(self, change: Change) -> float:
+        """Return the operations of a simulated second.
+
+        Of steps within an accuracy, which are short at impacts, these are the evaluations of the
+        runs that were made. Before the first run they are those of some states, times what runs
+        within other accuracies took more.
+        """
+        counted = self.engine.work(change, self.schedule)
+        if getattr(self.engine.settings(change), "accuracy", None) is None:
+            return counted
+        runs = (self._tracks.get((change, start)) for start in self.schedule.indices)
+        whole = [run.evaluations for run in runs if run is not None and not run.failures]
+        made = [float(own[0]) for own in whole if own is not None]
+        if not made:
+            return counted * self._dearer
+        one = self.engine.evaluation(change, self.schedule)
+        work = one * float(np.mean(made)) / self.schedule.horizon
+        self._dearer = max(self._dearer, work / counted)
+        return work
+
     def cost(self, change: Change) -> float:
         """Return the cost of a change: µs by counted work, or operations, per simulated second."""
-        work = self.engine.work(change, self.schedule)
+        work = self.work(change)
         return work if self.by == "flops" else computing_time(work, self.engine.settings(change))
 
     def tracks(
@@ -147,11 +182,17 @@ class Study:
             todo = [s for s, own in zip(starts, known, strict=True) if own is None]
             jobs += [(change, todo[k : k + TOGETHER]) for k in range(0, len(todo), TOGETHER)]
         follow = partial(_followed, self.engine, self.schedule)
-        for (change, some), made in zip(jobs, self.workers.each(follow, jobs, bar), strict=True):
-            self.spent += self.price(change, len(some))
-            self.runs += len(some)
-            for k, start in enumerate(some):
-                self._tracks[change, start] = made.some([k])
+
+        def took(indices: range, made: list[Tracks]) -> None:
+            """Remember runs as they come: a deadline may end the others."""
+            for (change, some), own in zip(jobs[indices.start : indices.stop], made, strict=True):
+                for k, start in enumerate(some):
+                    self._tracks[change, start] = own.some([k])
+                self.runs += len(some)
+                # A run that fails costs its steps until then.
+                self.spent += self.price(change, len(some)) * float(np.isfinite(own.com).mean())
+
+        self.workers.each(follow, jobs, bar, took=took)
         return [self._together(change, starts) for change in changes]
 
     def ran(self, change: Change, start: int) -> bool:
@@ -226,7 +267,7 @@ class Study:
             errors=np.maximum(rms(far, truth.scored), truth.unsure),
             unsure=truth.unsure,
             largest=np.maximum(largest(far, truth.scored), truth.unsure),
-            work=self.engine.work(change, self.schedule),
+            work=self.work(change),
             cost=self.cost(change),
             failure=tracks.failure,
             tracks=tracks,
@@ -247,14 +288,19 @@ class Study:
                     times[change] = min(times.get(change, math.inf), spent)
         return {change: 1e6 * spent / self.schedule.horizon for change, spent in times.items()}
 
-    def tell(self, wrong: float, moved: float) -> None:
+    def tell(self, wrong: float, moved: float, goal: float, needs: float) -> None:
         """Say how far a search for the converged motion has come.
 
         wrong: the error of the shipped settings [m]. moved: what the last refinement moved [m].
+        goal: what it should move [m]. needs: the operations until then, about.
         """
         if math.isfinite(wrong):
             said = f"error as shipped {metres(wrong)}, ± {metres(moved)}"
-            self.workers.deadline.so_far(f"{said}; the converged motion is made finer now")
+            wait = seconds(max(1.0, round(1e-6 * OPERATION * needs)))
+            self.workers.deadline.so_far(
+                f"{said}: {metres(moved / SHARE)} can be verified now, {metres(goal / SHARE)} in "
+                f"about {wait}"
+            )
 
 
 def _followed(engine: Engine, schedule: Schedule, job: tuple[Change, list[int]]) -> Any:

@@ -4,14 +4,15 @@ Several methods climb their ladders on one start, the one with the cheapest next
 rung moves the motion by less than a tenth of the error in question. That method runs from all
 starts; only starts that still move climb on. How far a start may be off is the distance to its run
 at the rung before, which is larger than its error from order 1 on. Where order is lost that is no
-bound; so the hardest start also runs one rung finer, and the method that came second is compared:
-if either is further away than the rung before, all starts are taken to be as much less sure.
+bound; so the hardest start also runs one rung finer, which tells how much all finer rungs would
+move it, and the method that came second is compared: if either says that it may be further away
+than the rung before, all starts are taken to be as much less sure.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -20,7 +21,7 @@ import numpy as np
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, Way
 from stepcore.experiment.norm import Tracks, apart, rms
-from stepcore.experiment.predictable import Growth, growth
+from stepcore.experiment.predictable import Growth, settled
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.settings import label
 from stepcore.report.units import metres, seconds
@@ -30,12 +31,14 @@ SHARE = 0.1
 # A rung that leaves more than this share of the last one's change does not converge; after two of
 # them a start is left as it is (one may be luck).
 STALLED, PATIENCE = 0.9, 2
+# The least gain of a rung that is believed, where moves shrink less the motion may be off by more.
+LEAST_GAIN = 1.1
 # Rungs of a ladder, at most, and rungs after which a method that still fails is given up.
 RUNGS, HOPELESS = 20, 5
 # The share of a study's effort that finding the method may take.
 FINDING = 0.25
-# Where growth ends within the horizon it is measured at finer rungs too, until two agree so well.
-AGREE, FINER = 0.2, 3
+# Where growth ends within the horizon it is measured at so many finer rungs too, until two agree.
+FINER = 3
 # Nudges that grow less than this from all starts of a search are not measured from further ones.
 TAME = 30.0
 SHIPPED = Change()
@@ -47,12 +50,14 @@ class Runs(Protocol):
     engine: Engine
     schedule: Schedule
     size: float
+    starts: tuple[int, ...]
     effort: float
     spent: float
 
     def tracks(self, changes: Sequence[Change], starts: Sequence[int]) -> list[Tracks]: ...
     def price(self, change: Change, starts: int) -> float: ...
-    def tell(self, wrong: float, moved: float) -> None: ...
+    def affords(self, change: Change, starts: int) -> bool: ...
+    def tell(self, wrong: float, moved: float, goal: float, needs: float) -> None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +67,8 @@ class Truth:
     starts: by index. tracks: the motion. change: that of the finest run, under these `settings`.
     unsure: how far it may be off, of every start [m], (starts,).
     scored: the samples that can be predicted, (starts, n). growth: of nudges from these starts.
-    goal: how sure it was to be [m].
+    goal: how sure it was to be [m]. needs: the operations that would make it so, about; 0 if it is,
+        inf if finer runs do not make it surer.
     """
 
     starts: tuple[int, ...]
@@ -73,6 +79,7 @@ class Truth:
     scored: np.ndarray
     growth: Growth
     goal: float
+    needs: float = 0.0
 
     def part(self, starts: Sequence[int]) -> Truth:
         """Return the truth of some of its starts, by index."""
@@ -102,12 +109,30 @@ class Truth:
 
 @dataclass
 class _Start:
-    """What is known from one start: its finest rung, and how far that moved the motion [m]."""
+    """What is known from one start: its finest rung, and how far that moved the motion [m].
+
+    gain: how many times less that is than at the rung before.
+    doubt: how many times more all finer rungs may move it.
+    """
 
     rung: int
     tracks: Tracks
     moved: float
     worse: int = 0
+    gain: float = 2.0
+    doubt: float = 1.0
+
+    @property
+    def unsure(self) -> float:
+        return self.moved * self.doubt
+
+
+def left(gain: float) -> float:
+    """Return what all finer rungs may move, over what the last one moved: a geometric series.
+
+    gain: how many times less a rung moves than the one before.
+    """
+    return max(1.0, 1 / (max(gain, LEAST_GAIN) - 1))
 
 
 class Converging:
@@ -133,15 +158,31 @@ class Converging:
         goal = self.goal if goal is None else goal
         assert goal is not None
         self._begin([s for s in starts if s not in self.known], goal)
-        self._refine([s for s in starts if self.known[s].moved * self.doubt > goal], goal)
+        self._refine(starts, goal)
         self._witness(starts)
+        self._refine(starts, goal)
         own = [self.known[s] for s in starts]
         grown = self._growth(starts)
         tracks, scored = Tracks.joined([one.tracks for one in own]), grown.scored(self.times)
-        unsure = self.doubt * np.array([one.moved for one in own])
+        unsure = np.array([one.unsure for one in own])
         finest = self.at(max(one.rung for one in own))
         settings = self.study.engine.settings(finest)
-        return Truth(tuple(starts), tracks, finest, settings, unsure, scored, grown, goal)
+        needs = self._needs(starts, goal)
+        return Truth(tuple(starts), tracks, finest, settings, unsure, scored, grown, goal, needs)
+
+    def _needs(self, starts: Sequence[int], goal: float) -> float:
+        """Return the operations that would bring starts to a goal, by their last gain."""
+        needs = 0.0
+        for own in (self.known[s] for s in starts):
+            if goal > 0 and own.unsure > goal:
+                if own.gain * STALLED <= 1.0:
+                    return math.inf
+                rungs = math.log(own.unsure / goal) / math.log(own.gain)
+                if own.rung + rungs > RUNGS:
+                    return math.inf
+                last = own.rung + math.ceil(rungs)
+                needs += sum(self.study.price(self.at(k), 1) for k in range(own.rung + 1, last + 1))
+        return needs
 
     @property
     def times(self) -> np.ndarray:
@@ -198,7 +239,9 @@ class Converging:
                 if moved[k] <= goal:
                     self.goal = goal
                     break
-                study.tell(wrong, moved[k])
+                # Of order 1, work times what a rung moves stays as it is.
+                needs = study.price(change[k], len(study.starts)) * moved[k] / goal
+                study.tell(wrong, moved[k], goal, needs)
         own = last[k]
         assert own is not None
         rivals = [
@@ -225,8 +268,11 @@ class Converging:
             return
         assert self.goal is not None
         coarser = int(math.log2(max(1.0, goal / self.goal))) if self.goal > 0 else 0
-        study = self.study
-        for rung in range(max(1, self.rung - coarser), self.rung + PATIENCE + 1):
+        study, first = self.study, max(1, self.rung - coarser)
+        # Two rungs, of which the finer one costs about twice the other.
+        while first > 1 and not study.affords(self.at(first), 3 * len(starts) // 2):
+            first -= 1
+        for rung in range(first, self.rung + PATIENCE + 1):
             before, now = study.tracks([self.at(rung - 1), self.at(rung)], starts)
             if not now.failure:
                 break
@@ -240,16 +286,22 @@ class Converging:
             self._measure_growth(starts, rung)
         moved = self._between(before, now, starts)
         for k, start in enumerate(starts):
-            self.known[start] = _Start(rung, now.some([k]), float(moved[k]))
+            own = _Start(rung, now.some([k]), float(moved[k]), doubt=self.doubt)
+            self.known[start] = own
 
     def _refine(self, starts: Sequence[int], goal: float) -> None:
         """Run the starts that still move at finer rungs, as long as that makes them surer."""
-        study, todo = self.study, list(starts)
-        while todo:
+        study = self.study
+        while True:
+            todo = [
+                s for s in starts if self.known[s].unsure > goal and self.known[s].worse < PATIENCE
+            ]
+            if not todo:
+                return
             # Those at one rung go together.
             rung = min(self.known[s].rung for s in todo) + 1
             some = [s for s in todo if self.known[s].rung == rung - 1]
-            if rung >= RUNGS or study.spent + study.price(self.at(rung), len(some)) > study.effort:
+            if rung >= RUNGS or not study.affords(self.at(rung), len(some)):
                 return
             (finer,) = study.tracks([self.at(rung)], some)
             if finer.failure:
@@ -258,26 +310,26 @@ class Converging:
             for k, moved in enumerate(self._between(before, finer, some).tolist()):
                 own = self.known[some[k]]
                 worse = own.worse + 1 if moved > STALLED * own.moved else 0
-                self.known[some[k]] = _Start(rung, finer.some([k]), moved, worse)
-            todo = [
-                s
-                for s in todo
-                if self.known[s].moved * self.doubt > goal and self.known[s].worse < PATIENCE
-            ]
+                gain = own.moved / moved if moved > 0 else math.inf
+                # One good rung may be luck (hopper in MuJoCo): what was doubted before fades.
+                doubt = max(left(gain), math.sqrt(own.doubt))
+                self.known[some[k]] = _Start(rung, finer.some([k]), moved, worse, gain, doubt)
 
     def _witness(self, starts: Sequence[int]) -> None:
         """Run the hardest start one rung finer, and doubt all if that moves it no less."""
         study = self.study
-        hardest = max(starts, key=lambda s: self.known[s].moved)
+        hardest = max(starts, key=lambda s: self.known[s].unsure)
         own = self.known[hardest]
         change = self.at(own.rung + 1)
-        if self._witnessed or study.spent + study.price(change, 1) > study.effort:
+        if self._witnessed or not study.affords(change, 1):
             return
         self._witnessed = True
         (finer,) = study.tracks([change], [hardest])
         if not finer.failure and own.moved > 0:
             far = float(self._between(own.tracks, finer, [hardest])[0])
-            self.doubt = max(self.doubt, far / own.moved)
+            self.doubt = max(self.doubt, left(own.moved / far if far > 0 else math.inf))
+            for other in self.known.values():
+                other.doubt = max(other.doubt, self.doubt)
 
     def _measure_growth(self, starts: Sequence[int], rung: int) -> None:
         """Measure until when the motion from some starts can be predicted.
@@ -285,18 +337,18 @@ class Converging:
         Steps within an accuracy differ from run to run, so growth is measured at fixed ones there.
         Where it ends, finer rungs must show the same end: a coarse motion may be unstable itself.
         """
-        study, last = self.study, None
+        study = self.study
         way = self.way if self.way.fixed else study.engine.ways(study.schedule, 1.0)[0]
         first = max(1, rung - 1) if self.way.fixed else 2
-        for finer in range(FINER + 1):
-            change = self.physics.also(way.at(first + finer))
-            now = growth(study.engine, change, study.schedule, starts, study.size)
-            study.spent += study.price(change, 2 * len(starts))
-            ends = now.failure or np.isfinite(now.ends).any()
-            if not ends or (last is not None and now.agrees(last, AGREE)):
-                break
-            if study.spent + study.price(change, 4 * len(starts)) > study.effort:
-                break
-            last = now
+
+        def changes() -> Iterator[Change]:
+            for finer in range(FINER + 1):
+                change = self.physics.also(way.at(first + finer))
+                if finer and not study.affords(change, 2 * len(starts)):
+                    return
+                study.spent += study.price(change, 2 * len(starts))
+                yield change
+
+        now, _ = settled(study.engine, changes(), study.schedule, starts, study.size)
         for k, start in enumerate(starts):
             self.grown[start] = now.some([k])

@@ -5,55 +5,42 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
-from stepcore._core import Settings
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
-from stepcore.experiment.growth import DIRECTIONS, GROWTH, NEARBY, Growth
+from stepcore.experiment.change import Change
+from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.reference import ReferenceRuns
-from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import STARTS, scheduled, time_steps
+from stepcore.experiment.predictable import GROWTH, NEARBY, Growth, settled
+from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.study import SHIPPED, Study
+from stepcore.experiment.truth import FINER
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds, times
 
 # The default horizon [s].
 HORIZON = 10.0
-
-
-@dataclass(frozen=True)
-class StartGrowth:
-    """The growth of perturbations from one start, relative to their initial size.
-
-    start: the index of the start.
-    predictable: how long the motion can be predicted [s]; inf beyond the horizon.
-    growth: the growth at the end of the run.
-    largest: the largest growth at any time.
-    """
-
-    start: int
-    predictable: float
-    growth: float
-    largest: float
+# The rung of a ladder with a quarter of the shipped step, and the nudged runs of each start: a
+# nudge in any direction soon contains the one that grows fastest.
+QUARTER, DIRECTIONS = 2, 3
 
 
 @dataclass(eq=False, repr=False)
 class Predictability(Result):
     """The result of `stepcore.predict`: how long a scene can be predicted.
 
-    name, settings: the name and the settings of the scene.
     motion: the motion that was run, over `horizon` [s] in steps of `dt` [s] under `integrator`.
-    growth: the growth of the perturbations; see `stepcore.experiment.growth.Growth`.
+    growth: the growth of the perturbations; see `stepcore.experiment.predictable.Growth`.
     """
 
     kind = "predictability"
     units: ClassVar = {"predictable": "s", "growth": "1", "largest": "1", "times": "s"}
 
-    settings: Settings
+    settings: Any
     motion: Motion
     horizon: float
     dt: float
@@ -76,18 +63,26 @@ class Predictability(Result):
         return f"{self.name}: how long it can be predicted"
 
     @property
-    def rows(self) -> list[StartGrowth]:
-        """The growth from each start."""
-        starts = zip(self.growth.ends, self.growth.factor, strict=True)
-        return [
-            StartGrowth(start, float(end), float(factor[-1]), float(factor.max()))
-            for start, (end, factor) in enumerate(starts)
-        ]
-
-    @property
     def table(self) -> Table:
-        """Table with one row for each start; see `StartGrowth`."""
-        return Table(map(vars, self.rows))
+        """One row for each start: how long it can be predicted, its growth at the end and at most.
+
+        predictable: [s]; inf beyond the horizon.
+        """
+        starts = enumerate(zip(self.growth.ends, self.growth.factor, strict=True))
+        return Table(
+            {
+                "start": start,
+                "predictable": float(end),
+                "growth": float(factor[-1]),
+                "largest": float(factor.max()),
+            }
+            for start, (end, factor) in starts
+        )
+
+    def tables(self, full: bool) -> list[Table]:
+        """Return the table of the starts."""
+        heading = "For each start: how long it can be predicted [s]; the growth at the end, at most"
+        return [Table(self.table, heading=heading)]
 
     @property
     def setup(self) -> str:
@@ -122,14 +117,6 @@ class Predictability(Result):
             )
         return said
 
-    def tables(self, full: bool) -> list[Table]:
-        """Return the table of the starts."""
-        heading = (
-            "For each start: how long the motion can be predicted [s]; the growth of the "
-            "perturbation at the end, and the largest"
-        )
-        return [Table(self.table, heading=heading)]
-
     def details(self) -> dict[str, Any]:
         """Return the numbers of the result, with the growth over time."""
         return {
@@ -152,6 +139,8 @@ class Predictability(Result):
 def predict(
     model: Source,
     motion: Motion | str | None = None,
+    *,
+    engine: str = "stepcore",
     **fields: Unpack[MeasurementFields],
 ) -> Predictability:
     """Measure how long the motion of a scene can be predicted.
@@ -159,11 +148,12 @@ def predict(
     Each start runs again from three perturbed states, 1e-10 of the scene's size away. The motion
     counts as predictable until the distance between these runs has grown by a factor of 1e3. After
     that, only statistics of the motion are meaningful. The runs use rk4 at a quarter of the shipped
-    time step, with rows solved to rounding. If such a run fails, a quarter of that step or another
-    integrator is used.
+    time step, with rows solved to rounding. Where a start is lost, shorter steps must show the same
+    time. If rk4 fails, implicitfast is used.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, or its fields as arguments. By default 10 s, and 8 starts.
+    engine: "stepcore", or "mujoco", which also runs files that stepcore cannot load.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, or if the scene cannot be run.
@@ -173,30 +163,51 @@ def predict(
     >>> spring.time, round(float(spring.growth.factor.max()), 2)
     (inf, 1.0)
     """
-    setup = set_up(predict, model, motion, fields, missing="no motion to predict")
-    model, (_, motion, workers) = setup.model, setup
-    horizon = HORIZON if motion.horizon is None else motion.horizon
-    motion = dataclasses.replace(motion, horizon=horizon, starts=motion.starts or STARTS)
-    own = model.settings.dt
-    steps, period = time_steps(own, None, motion.period(own), horizon)
-    runner = Runner(model, scheduled(motion, model, period))
-    runner.check_repeatable()
-    # Sleeping bodies would hide the growth of perturbations.
-    runs = ReferenceRuns(runner, model.settings.replace(sleep=False), min(steps), 0.0, workers)
-    with workers.bar("runs", 1 + (1 + DIRECTIONS) * runs.starts) as bar:
-        level, growth = runs.growth(bar)
-    lost = runs.starts - len(growth.ends)
-    if lost:
-        starts = f"{lost} of {counted(runs.starts, 'start')}"
-        workers.deadline.left_out.append(starts)
+    setup = set_up(predict, model, motion, fields, missing="no motion to predict", engine=engine)
+    horizon = HORIZON if setup.motion.horizon is None else setup.motion.horizon
+    motion = dataclasses.replace(setup.motion, horizon=horizon)
+    study = Study(motion=motion, engine=setup.engine, workers=setup.workers)
+    known, deadline = list[tuple[Growth, Change] | None](), setup.workers.deadline
+    job = partial(grown, study.engine, study.schedule, study.size)
+
+    def left_out() -> str:
+        return f"{known.count(None)} of {counted(len(study.starts), 'start')}"
+
+    with setup.workers.bar("runs", len(study.starts)) as bar:
+        # The first start alone is an answer already.
+        first = setup.workers.each(job, study.starts[:1], bar)[0]
+        deadline.so_far(_so_far(first[0], study.schedule.horizon))
+        known += [None] * (len(study.starts) - 1)
+        with deadline.stage(left_out):
+            setup.workers.each(job, study.starts[1:], bar, known)
+    every = [first, *(one for one in known if one is not None)]
+    finest = min((study.engine.settings(change) for _, change in every), key=lambda s: s.dt)
     return Predictability(
         name=setup.name,
-        settings=model.settings,
-        motion=motion,
-        horizon=runner.schedule.horizon,
-        dt=level.dt,
-        integrator=level.integrator,
-        growth=growth,
-        batches=workers.speedup.sentences,
-        ran=motion_in_words(model, motion, runner.schedule),
+        settings=study.engine.settings(SHIPPED),
+        motion=dataclasses.replace(motion, starts=len(study.starts)),
+        horizon=study.schedule.horizon,
+        dt=finest.dt,
+        integrator=finest.integrator,
+        growth=Growth.joined([growth for growth, _ in every]),
+        ran=study.motion_ran,
     )
+
+
+def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[Growth, Change]:
+    """Measure the growth from one start: under rk4, or another method if that fails."""
+    for way in reversed([way for way in engine.ways(schedule, 1.0) if way.fixed]):
+        rungs = [way.at(QUARTER + finer) for finer in range(FINER + 1)]
+        growth, change = settled(engine, rungs, schedule, [start], size, DIRECTIONS)
+        if not growth.failure:
+            return growth, change
+        if change != rungs[-1]:
+            # Runs of other steps fail at the same time: the motion itself does.
+            break
+    raise ValueError(f"the motion fails{schedule.driven}, at shorter steps too: {growth.failure}")
+
+
+def _so_far(growth: Growth, horizon: float) -> str:
+    time = growth.overall
+    how = f"for {seconds(time)}" if math.isfinite(time) else f"over all of {seconds(horizon)}"
+    return f"from 1 start, the motion can be predicted {how}; others are run now"

@@ -2,42 +2,36 @@
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.axes import axes_of
-from stepcore.engine.control import Control, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced, refsafe_note
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
-from stepcore.experiment.change import Change, Servo
+from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import PositionTable
-from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import (
     begin_in_words,
-    drive_in_words,
-    held_in_words,
     scene_in_words,
 )
-from stepcore.experiment.run import Probe
-from stepcore.experiment.schedule import given_controls, home
-from stepcore.experiment.single_run import LOOKS, Pace, Push, SingleRun
+from stepcore.experiment.single_run import Push, SingleRun, drive_of
 from stepcore.loading import find_model
-from stepcore.measure.monitors import Finding, Monitor, verified
+from stepcore.measure.monitors import Finding, Recording, shown, verified
+from stepcore.measure.monitors.recording import RECORDED, whole
 from stepcore.report.progress import Choice
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import computing, counted, metres, seconds, times
+from stepcore.report.units import computing, counted, seconds, times
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -238,49 +232,6 @@ def sim_of(
     return Sim(model, settings, threads=threads, error_bar=judged)
 
 
-class Bars(Probe):
-    """A probe that keeps the largest estimated error of a run.
-
-    error: [m]. body: which body's. time: when [s].
-    """
-
-    def __init__(self) -> None:
-        self.error, self.body, self.time = 0.0, 0, 0.0
-
-    def step(self, sim: Any) -> None:
-        each = sim.body_error
-        body = int(each.argmax())
-        if each[body] > self.error:
-            self.error, self.body, self.time = float(each[body]), body, sim.time
-
-    def words(self, sim: Sim, asked: float | None) -> str:
-        """Return what the finer run says, after the last step; asked: the accuracy [m]."""
-        until = sim.predictable_until
-        if math.isfinite(until):
-            return (
-                f"From {seconds(until)} on no error is known: a finer run is elsewhere. Take "
-                "shorter steps; stepcore predict says whether any can tell."
-            )
-        said = f"The error is estimated as {metres(sim.error.largest)} at the end"
-        if self.error > 0:
-            body = sim.model.element_name("body", self.body)
-            said += f" and at most {metres(self.error)} ({body} at {seconds(self.time)})"
-        against = "" if asked is None else f"; asked for {metres(asked)}"
-        return f"{said}, from a finer run{against}."
-
-
-class Driven(NamedTuple):
-    """What drives a run: a control function, its period [s], words, and servos of ours.
-
-    Without a function, controls are constant.
-    """
-
-    control: Control | None
-    period: float | None
-    words: str
-    servos: tuple[Servo, ...] = ()
-
-
 def simulated(
     sim: Sim,
     settings: Settings,
@@ -298,115 +249,74 @@ def simulated(
     interruptible: whether Ctrl-C ends the run with a result, and not with KeyboardInterrupt.
     """
     model, dt = sim.model, sim.settings.dt
-    sim.reset(key=0 if motion.key is None and model.keys else motion.key)
+    key = 0 if motion.key is None and model.keys else motion.key
+    sim.reset(key=key)
     if isinstance(motion.ctrl, PositionTable):
         sim.qpos = motion.ctrl.begin(model, sim.qpos)
     if not horizon / dt < MOST_STEPS:
         limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s (2^64 steps)"
         raise ValueError(f"horizon = {horizon:g}: must be {limit}")
-    harder = refsafe_note(model.scene, sim.settings)
-    steps, notes = round(horizon / dt), [*filter(None, [harder]), *model.scene.notes]
-    bars = None if sim._finer is None else Bars()
+    steps, notes = round(horizon / dt), [refsafe_note(model.scene, sim.settings)]
     if motion.horizon is not None and abs(steps * dt - horizon) > 1e-6 * dt:
-        notes.append(
-            f"{horizon:g} s is not a whole number of steps of {dt:g} s: the run is "
-            f"{steps * dt:g} s long"
-        )
+        whole = f"is not a whole number of steps of {dt:g} s: the run is {steps * dt:g} s long"
+        notes.append(f"{horizon:g} s {whole}")
     if motion.control_dt is not None:
         whole_steps("control_dt", motion.control_dt, dt, least=1)
-    control, period, drive, servos = _driven(sim, motion, horizon)
-    if servos:
+    drive, shoved = drive_of(sim, motion, horizon), [Push.of(push) for push in pushes]
+    if drive.servos:
         # The servos obey the controls in place of the motors.
-        state, driven, finer = sim.state(), Change(servos=servos).of(model), sim._finer is not None
+        state, finer = sim.state(), sim._finer is not None
+        driven = Change(servos=drive.servos).of(model)
         sim = Sim(driven, sim.settings, threads=sim._threads, error_bar=finer)
         sim.restore(state)
-    shoved = [Push.of(push) for push in pushes]
-    begin = begin_in_words(model, motion)
-    parts = [drive, *(f"push {push}" for push in shoved), scene_in_words(model)]
-    monitor, pace = Monitor(model), Pace(min(steps, LOOKS))
-    single = SingleRun(
-        sim,
-        control=control,
-        control_dt=period,
-        pushes=shoved,
-        probes=[monitor, pace, *([bars] if bars is not None else [])] if steps else [],
-        record=recordable(record),
-        progress=progress,
-    )
-    error, interrupted, begun = None, False, sim.time
-    held, unused = np.array(sim.ctrl), None if control is None else fresh(control)
+    parts = [drive.words, *(f"push {push}" for push in shoved), scene_in_words(model)]
+    plain = model.with_settings(sim.settings.replace(ledger=False))
+    held, unused, qpos = np.array(sim.ctrl), drive.fresh(), np.array(sim.qpos)
+    single = SingleRun(sim, drive, shoved, RECORDED, recordable(record))
 
-    def again(cured: Model) -> Monitor:
-        """Return the monitor of the same run with another model."""
-        other, watching = Sim(Change(servos=servos).of(cured)), Monitor(cured)
-        other.reset(key=0 if motion.key is None and cured.keys else motion.key)
-        other.ctrl = held
-        function = None if unused is None else fresh(unused)
-        repeated = SingleRun(other, function, period or dt, shoved, [watching])
+    def again(cured: Model) -> Recording:
+        """Return the recording of the same run with another model."""
+        other = unwatched(Sim(Change(servos=drive.servos).of(cured)))
+        other.reset(key=key)
+        other.qpos, other.ctrl = qpos, held
+        repeated = SingleRun(other, unused.fresh(), shoved, RECORDED)
         repeated.run(round(steps * dt / other.settings.dt))
-        return watching
+        if repeated.error is not None:
+            raise repeated.error
+        return _recording(repeated, cured, key)
 
+    begun, interrupted = sim.time, False
     try:
-        single.run(steps)
-        sim.balance()
-    except SimulationError as failure:
-        error, steps = failure, failure.step
+        single.run(steps, progress)
     except KeyboardInterrupt:
         if not interruptible:
             raise
         interrupted, steps = True, round((sim.time - begun) / dt)
-    found = monitor.findings(failed=error is not None) if steps else []
-    plain = model.with_settings(settings.replace(ledger=False))
-    timed = steps and error is None
-    cost = pace.seconds(Sim(model, sim.settings)) if timed else 0.0
+    error, bar = single.error, single.bar
+    steps = steps if error is None else error.step
+    found = shown(_recording(single, plain, key)) if steps else []
+    timed = error is None and not interrupted and steps
     return SimulationRun(
         name=model.scene.name or "scene",
         motion=motion,
-        ran=f"{seconds(steps * dt)} from {begin}; {'; '.join(parts)}",
+        ran=f"{seconds(steps * dt)} from {begin_in_words(model, motion)}; {'; '.join(parts)}",
         settings=settings,
         steps=steps,
         sim=sim,
         findings=verified(found, plain, again, steps),
-        us_per_step=1e6 * cost or None,
-        notes=notes,
+        us_per_step=1e6 * single.seconds / steps if timed else None,
+        notes=[*filter(None, notes), *model.scene.notes],
         trajectory=single.trajectory,
         error=error,
         interrupted=interrupted,
-        judged="" if bars is None or error else bars.words(sim, settings.accuracy),
+        judged="" if bar is None or error else bar.words(sim, settings.accuracy),
     )
 
 
-def _driven(sim: Sim, motion: Motion, horizon: float) -> Driven:
-    """Return what drives a run. Constant controls are written to the Sim."""
-    model, dt, held = sim.model, sim.settings.dt, np.array(sim.ctrl)
-    period, every = motion.control_dt or dt, motion.control_dt
-    if not motion.is_users and (motion.kind is None or not model.nu):
-        return Driven(None, every, held_in_words(model, held))
-    begin, periods = home(model, motion.key)[0], int(np.ceil(horizon / period)) + 1
-    begin = replace(begin, qpos=np.array(sim.qpos))
-    controls = given_controls(motion, model, begin, held, period)
-    if controls is None:
-        how = (motion.kind, begin, held, [begin], motion.seed, period, periods)
-        controls = default_motion(model, *how)
-    said = controls.words or drive_in_words(model, motion, "", f"every {seconds(period)}")
-    if controls.function is not None:
-        return Driven(controls.function, every, said)
-    log = controls.log
-    assert log is not None
-    if len(log.times) == 1:
-        sim.ctrl = log.rows.reshape(-1)
-        return Driven(None, every, said, controls.servos)
-    # Without a period of its own, each row of controls is that of a step.
-    rows = log.steps(0.0, period, periods).reshape(periods, -1)
-    return Driven(_player(rows, period, sim), period, said, controls.servos)
-
-
-def _player(rows: np.ndarray, period: float, sim: Sim) -> Callable[[float, Sim], np.ndarray]:
-    """Return a control function that plays one row per period [s], and then keeps the last row."""
-    begin = sim.time
-
-    def control(time: float, sim: Sim) -> np.ndarray:
-        row: np.ndarray = rows[min(round((time - begin) / period), len(rows) - 1)]
-        return row
-
-    return control
+def _recording(single: SingleRun, model: Model, key: str | int | None) -> Recording:
+    """Return a run as findings see it; model: with its settings, without servos of ours."""
+    data = {name: np.array(values) for name, values in single.readings.items()}
+    failure = None if single.error is None else checks.one_line(single.error)
+    times = data.pop("time")
+    found = whole(single.sim.model, times, data, lambda sim: sim.reset(key=key), failure)
+    return replace(found, model=model)

@@ -9,34 +9,30 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stepcore import checks, files
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.attach import Model
-from stepcore.mjcf.exclusions import Exclusions
-from stepcore.mjcf.include import expand
-from stepcore.mjcf.nodes import MJCFError, Node, inside, parse, sections
+from stepcore.mjcf.nodes import MJCFError, Node, Refusals, expand, inside, parse
 from stepcore.mjcf.reader import Models, finish, read_sections
-from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.validation import seen_values
-from stepcore.mjcf.worldbody import AT_ORIGIN
+from stepcore.mjcf.validation import Exclusions, seen_values
+from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import frames
-from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.urdf.translate import DrawnLink, to_mjcf
 
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
+
 # MuJoCo's default colour of a geom.
 GREY = (0.5, 0.5, 0.5, 1.0)
-WHITE = (1.0, 1.0, 1.0, 1.0)
 # The colour in place of a cube texture, or of an image that cannot be read.
 LIGHT_GREY = (0.8, 0.8, 0.8, 1.0)
-DOWN = (0.0, 0.0, -1.0)
 
 
 class Look(NamedTuple):
@@ -46,7 +42,6 @@ class Look(NamedTuple):
     squares: tuple[Vec, Vec] | None = None
 
     def times(self, rgba: Vec) -> Look:
-        """Return this look, multiplied by a colour."""
         squares = self.squares and (
             _product(self.squares[0], rgba),
             _product(self.squares[1], rgba),
@@ -116,7 +111,7 @@ class _DrawnAssets(Assets):
         super().__init__(*args)
         self.unread: dict[int, str] = {}
 
-    def _fill(self, scene: Contents, node: Node, asset: Any) -> None:
+    def _fill(self, scene: Scene, node: Node, asset: Any) -> None:
         try:
             super()._fill(scene, node, asset)
         except (ValueError, OSError) as error:
@@ -130,7 +125,7 @@ class _DrawnAssets(Assets):
         return self._place(node, node.attrs["file"], "texturedir")
 
 
-def read_looks(scene: Contents) -> Looks | None:
+def read_looks(scene: Scene) -> Looks | None:
     """Return the appearance of a scene according to its source file or text.
 
     Returns None for a scene built in code, and for a scene whose bodies or geoms have changed.
@@ -146,7 +141,7 @@ def read_looks(scene: Contents) -> Looks | None:
     if source.urdf:
         urdf = to_mjcf(root, source.directory, drawn=True)
         root, links, undrawn = urdf.tree, urdf.links, urdf.undrawn
-    drawn, refusals = Contents(), Refusals()
+    drawn, refusals = type(scene)(), Refusals()
     model = Models(drawn, refusals, Exclusions(source.without)).prepared(root, source.directory)
     world = read_sections(drawn, model, refusals, _DrawnAssets)
     refusals.raise_all()
@@ -173,8 +168,7 @@ def read_looks(scene: Contents) -> Looks | None:
     covers = [link for link in links if any(geoms.get(id(n)) in drawn_too for n in link.visuals)]
     covered = {geoms.get(id(node)) for link in covers for node in link.collisions}
     looks.covered = [index for index, geom in enumerate(seen) if id(geom) in covered]
-    bodies = {id(node): at for key, node in world.nodes.items() if (at := layout.index.get(key))}
-    looks.lights = _lights(model, bodies, looks.notes)
+    looks.lights = _lights(world, layout, looks.notes)
     looks.headlight = _headlight(root, looks.notes)
     return looks
 
@@ -200,13 +194,12 @@ class _Surfaces:
             if node.tag == "material":
                 try:
                     values = seen_values(node, model.defaults.of(node))
-                    look = values.get("rgba", WHITE), self._look(node, values)
+                    look = values.get("rgba", (1.0,) * 4), self._look(node, values)
                     self.materials[node.attrs.get("name", "")] = look
                 except MJCFError as error:
                     self.unread.append(str(error))
 
     def of(self, values: dict[str, Any]) -> Look:
-        """Return the look of a geom. The geom's own colour overrides that of its material."""
         colour = values.get("rgba", GREY)
         if values.get("material") not in self.materials:
             return Look(colour)
@@ -223,7 +216,7 @@ class _Surfaces:
         names = [str(values.get("texture", "")), *layers]
         texture = next((self.textures[name] for name in names if name in self.textures), None)
         if texture is None:
-            return Look(WHITE)
+            return Look((1.0,) * 4)
         values = seen_values(texture)
         builtin = values.get("builtin", "none")
         if builtin == "none":
@@ -235,7 +228,6 @@ class _Surfaces:
         return Look(mean, both if builtin == "checker" else None)
 
     def _mean(self, texture: Node) -> Vec:
-        """Return the mean colour of a texture's image; light grey without a readable image."""
         if "file" not in texture.attrs:
             return LIGHT_GREY
         try:
@@ -264,57 +256,36 @@ def _mean_colour(path: str) -> Vec:
     return (*(value / 255 for value in mean), 1.0)
 
 
-class _Place(NamedTuple):
-    """The place of an element: body index, pose of its frame in that body, and childclass."""
-
-    body: int = 0
-    pose: tuple[Vec, Vec] = AT_ORIGIN
-    childclass: str | None = None
-
-
-def _lights(model: Model, bodies: Mapping[int, int], notes: list[str]) -> list[Light]:
-    """Return the lights that are on.
+def _lights(world: WorldReader, layout: Layout, notes: list[str]) -> list[Light]:
+    """Return the lights that are on. notes: receives a line for each light that cannot be read.
 
     A light that tracks a body (`mode`) is fixed in its parent body instead.
-    bodies: the index of each body by the ``id`` of its node.
-    notes: receives a line for each light that cannot be read.
     """
     lights = []
-    pending = [(node, _Place()) for node in sections(model.root, "worldbody")]
-    while pending:
-        node, place = pending.pop()
-        for child in node.children:
-            if child.tag == "light":
-                try:
-                    values = seen_values(child, model.defaults.of(child, place.childclass))
-                    if values.get("type") == "image":
-                        notes.append(child.listed("of type image, which is not drawn"))
-                    elif values.get("active", True):
-                        lights.append(_light(child, values, place))
-                except MJCFError as error:
-                    notes.append(str(error))
-            elif child.tag == "frame" or id(child) in bodies:
-                pose = AT_ORIGIN
-                if child.tag == "frame":
-                    compiler = child.compiler or model.compiler
-                    turn = compiler.orientation(child, child.values)
-                    pos = child.values.get("pos", frames.ORIGIN)
-                    pose = frames.composed(place.pose, pos, turn)
-                childclass = model.defaults.known(child, "childclass") or place.childclass
-                body = bodies.get(id(child), place.body)
-                pending.append((child, _Place(body, pose, childclass)))
+    for node, place in world.lights:
+        body = layout.index.get(id(place.body))
+        if body is None:
+            continue
+        try:
+            values = seen_values(node, world.defaults.of(node, place.childclass))
+            if values.get("type") == "image":
+                notes.append(node.listed("of type image, which is not drawn"))
+            elif values.get("active", True):
+                lights.append(_light(node, values, body, place.pose))
+        except MJCFError as error:
+            notes.append(str(error))
     return lights
 
 
-def _light(node: Node, values: dict[str, Any], place: _Place) -> Light:
+def _light(node: Node, values: dict[str, Any], body: int, pose: tuple[Vec, Vec]) -> Light:
     try:
-        direction = frames.normalised(values.get("dir", DOWN), "dir")
+        direction = frames.normalised(values.get("dir", (0.0, 0.0, -1.0)), "dir")
     except ValueError as error:
         raise node.error(f"<light>: {error}") from None
     return Light(
-        place.body,
-        frames.composed(place.pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0],
-        frames.rotated(place.pose[1], direction),
+        body,
+        frames.composed(pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0],
+        frames.rotated(pose[1], direction),
         values.get("diffuse", (0.7, 0.7, 0.7)),
         values.get("type", "directional" if values.get("directional") else "spot"),
         values.get("cutoff", 45.0),

@@ -1,53 +1,279 @@
-"""`<attach>`: bodies of another model or of the same model, with all elements that refer to them.
+"""`<replicate>` and `<attach>`: copies of bodies, with all elements that refer to them.
 
-MuJoCo documentation, XML reference, body/attach and asset/model; Model editing, Attribute merging.
-As in MuJoCo: an element outside the tree is attached if all its references are attached. All
-assets, default classes and keyframes of the other model are attached. Names get the prefix. The
-attached elements keep the compiler settings and default classes of their own model. The compiler
-attribute "conflict" decides between options of the two models.
+MuJoCo documentation, XML reference, replicate, body/attach and asset/model; Model editing,
+Attribute merging. As in MuJoCo: copies of elements that refer to a replicated element come after
+all other elements of their section. An element outside the tree is attached if all its references
+are attached. All assets, default classes and keyframes of the other model are attached. Names get
+the prefix. The attached elements keep the compiler settings and default classes of their own
+model. The compiler attribute "conflict" decides between options of the two models.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from stepcore.checks import nearest
-from stepcore.mjcf.actuators import sizes
-from stepcore.mjcf.compiler import Compiler
-from stepcore.mjcf.copies import (
-    SECTIONS,
-    Copies,
-    Names,
-    Part,
-    Referring,
-    add_name,
-    copied,
-    kind_of,
-    named_by,
-    names_in,
-    rename,
-    section_of,
-)
-from stepcore.mjcf.defaults import MAIN, Defaults
+from stepcore.mjcf.defaults import MAIN, Compiler, Defaults
 from stepcore.mjcf.nodes import Node, below, inside, sections
-from stepcore.mjcf.schema import FLAGS, ROOT
+from stepcore.mjcf.schema import FLAGS_OFF, ROOT
+from stepcore.mjcf.validation import bad, kind_of, references
+from stepcore.scene import frames
+from stepcore.scene.frames import Vec
 from stepcore.scene.layout import DOFS, QPOS
+
+# Sections whose elements refer to the tree and to each other.
+SECTIONS = ("contact", "tendon", "equality", "actuator", "sensor")
+# The maximum number of copied elements in one load.
+MOST_COPIES = 1_000_000
+
+# `Names`: names by kind of element. `Part`: a section's tag and an element of that section.
+Names = dict[str, set[str]]
+Part = tuple[str, Node]
+
+
+def named_by(node: Node) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of each reference in an element or its descendants.
+
+    References to classes and materials are skipped.
+    """
+    for inner in below(node):
+        for _, kind, name in references(inner):
+            if kind not in ("default", "material"):
+                yield kind, name
+
+
+def add_name(names: Names, node: Node) -> None:
+    if node.attrs.get("name"):
+        names.setdefault(kind_of(node), set()).add(node.attrs["name"])
+
+
+def names_in(nodes: Iterable[Node]) -> Names:
+    names: Names = {}
+    for node in nodes:
+        for inner in below(node):
+            add_name(names, inner)
+    return names
+
+
+def copied(node: Node, made: dict[int, Node] | None = None) -> Node:
+    """Copy an element with its descendants.
+
+    made: receives the copies by the ``id`` of the original.
+    """
+    whole = _alone(node)
+    pending = [(node, whole)]
+    while pending:
+        original, copy = pending.pop()
+        if made is not None:
+            made[id(original)] = copy
+        copy.children = [_alone(child) for child in original.children]
+        pending += zip(original.children, copy.children, strict=True)
+    return whole
+
+
+def _alone(node: Node) -> Node:
+    copy = Node(node.tag, dict(node.attrs), node.file, node.line)
+    copy.values, copy.path, copy.compiler = dict(node.values), node.path, node.compiler
+    copy.parts = node.parts
+    return copy
+
+
+def rename(node: Node, names: Names, prefix: str = "", suffix: str = "") -> None:
+    for inner in below(node):
+        changed = {a: name for a, kind, name in references(inner) if name in names.get(kind, ())}
+        if inner.attrs.get("name"):
+            changed["name"] = inner.attrs["name"]
+        new = {attribute: f"{prefix}{name}{suffix}" for attribute, name in changed.items()}
+        inner.attrs |= new
+        inner.values |= new
+
+
+def section_of(tag: str, nodes: list[Node]) -> Node:
+    section = Node(tag, {}, nodes[0].file, nodes[0].line)
+    section.children = nodes
+    return section
+
+
+class Copies:
+    """The counter of elements copied by all replicates and attachments of one load."""
+
+    def __init__(self) -> None:
+        self.made = 0
+
+    def take(self, node: Node, nodes: Iterable[Node], count: int, more: int = 0) -> None:
+        """Count the copies of these elements and their descendants before copying.
+
+        Raises MJCFError above the limit.
+        node: the element that makes the copies.
+        count: the number of copies.
+        more: the number of additional elements per copy.
+        """
+        size = more + sum(1 for outer in nodes for _ in below(outer))
+        if self.made + count * size > MOST_COPIES:
+            raise node.error(
+                f"<{node.tag}> makes {count * size} elements after {self.made} of other copies: "
+                f"a model has at most {MOST_COPIES} copied elements"
+            )
+        self.made += count * size
+
+
+class Referring:
+    """An index of a model's section elements by the names that they refer to.
+
+    The cost of a search is proportional to its result. With many copied trees, searches through all
+    sections would take quadratic time.
+    """
+
+    def __init__(self, root: Node) -> None:
+        self.root = root
+        self._sections = [section for section in root.children if section.tag in SECTIONS]
+        # All elements in order; None replaces a removed element.
+        self._parts: list[Part | None] = []
+        self._by_name: dict[tuple[str, str], list[int]] = {}
+        # Indices of elements without references.
+        self._free: list[int] = []
+        self.append((section.tag, node) for section in self._sections for node in section.children)
+        self._given = len(self._parts)
+        self._changed = False
+
+    def append(self, parts: Iterable[Part]) -> None:
+        for tag, node in parts:
+            names = set(named_by(node))
+            for name in names:
+                self._by_name.setdefault(name, []).append(len(self._parts))
+            if not names:
+                self._free.append(len(self._parts))
+            self._parts.append((tag, node))
+
+    def to(self, names: Names, free: bool = False) -> list[Part]:
+        """Return the elements that refer to these names, directly or through each other.
+
+        free: whether to include elements without references.
+        """
+        return [part for _, part in self._referring(names, free)]
+
+    def _referring(self, names: Names, free: bool) -> list[tuple[int, Part]]:
+        reached: dict[int, Part] = {}
+        waiting = list(self._free) if free else []
+        pending = [(kind, name) for kind, inside in names.items() for name in inside]
+        while pending or waiting:
+            if not waiting:
+                waiting = list(self._by_name.get(pending.pop(), ()))
+                continue
+            number = waiting.pop()
+            part = self._parts[number]
+            if part is not None and number not in reached:
+                reached[number] = part
+                if part[1].attrs.get("name"):
+                    pending.append((kind_of(part[1]), part[1].attrs["name"]))
+        return sorted(reached.items())
+
+    def take(self, names: Names) -> list[Part]:
+        """Remove the elements that `to` finds, and add their names to `names`."""
+        taken = self._referring(names, False)
+        for number, (_, node) in taken:
+            self._parts[number] = None
+            self._changed = True
+            add_name(names, node)
+        return [part for _, part in taken]
+
+    def put_back(self) -> None:
+        """Write the elements back to the model; added elements go to new sections at the end."""
+        if not self._changed:
+            return
+        kept = {id(part[1]) for part in self._parts[: self._given] if part is not None}
+        for section in self._sections:
+            section.children = [node for node in section.children if id(node) in kept]
+        added: dict[str, list[Node]] = {}
+        for part in self._parts[self._given :]:
+            if part is not None:
+                added.setdefault(part[0], []).append(part[1])
+        self.root.children += [section_of(tag, nodes) for tag, nodes in added.items()]
+
+
+def expand_replicates(root: Node, compiler: Compiler, copies: Copies) -> None:
+    """Replace every <replicate> of a model by frames, the innermost first."""
+    parents = _parents(root)
+    if not parents:
+        return
+    referring = Referring(root)
+    for parent in parents:
+        children: list[Node] = []
+        for node in parent.children:
+            if node.tag == "replicate":
+                children += _replicas(node, node.compiler or compiler, referring, copies)
+            else:
+                children.append(node)
+        parent.children = children
+    referring.put_back()
+
+
+def _parents(root: Node) -> list[Node]:
+    every = [node for tree in sections(root, "worldbody") for node in below(tree)]
+    depth: dict[int, int] = {}
+    for node in every:
+        for child in node.children:
+            depth[id(child)] = depth.get(id(node), 0) + 1
+    holding = [n for n in every if any(child.tag == "replicate" for child in n.children)]
+    return sorted(holding, key=lambda node: -depth.get(id(node), 0))
+
+
+def _replicas(node: Node, compiler: Compiler, referring: Referring, copies: Copies) -> list[Node]:
+    """Return a frame for each copy, and add copies of referring elements to `referring`."""
+    count, sep = node.values["count"], node.values.get("sep", "")
+    if count < 0:
+        raise bad(node, "count", count, ">= 0")
+    for child in node.children:
+        if child.tag in ("joint", "freejoint", "inertial"):
+            raise child.error(f"<{child.tag}> cannot be a direct child of <replicate>")
+    names = names_in(node.children)
+    named = referring.take(names)
+    copies.take(node, [node, *(part for _, part in named)], count)
+    # The originals become the first replica, because keyframes of attached models refer to them.
+    trees = [node.children, *([copied(n) for n in node.children] for _ in range(count - 1))]
+    parts = [named, *([(tag, copied(n)) for tag, n in named] for _ in range(count - 1))]
+    replicas: list[Node] = []
+    for index, (pos, quat) in enumerate(_poses(node, compiler)):
+        suffix = f"{sep}{index:0{len(str(count))}d}"
+        for element in [*trees[index], *(part for _, part in parts[index])]:
+            rename(element, names, suffix=suffix)
+        frame = Node("frame", {}, node.file, node.line)
+        frame.path, frame.compiler, frame.children = "worldbody/frame", node.compiler, trees[index]
+        frame.attrs = {name: node.attrs[name] for name in ("childclass",) if name in node.attrs}
+        frame.values = {**({"pos": pos, "quat": quat} if index else {}), **frame.attrs}
+        referring.append(parts[index])
+        replicas.append(frame)
+    return replicas
+
+
+def _poses(node: Node, compiler: Compiler) -> Iterator[tuple[Vec, Vec]]:
+    """Yield the pose of each copy.
+
+    As in MuJoCo, copy k is rotated by k times the Euler angles. With more than one angle this
+    differs from k successive rotations. The offset of each copy is in the frame of the previous
+    copy.
+    """
+    angles = [compiler.radians(angle) for angle in node.values.get("euler", frames.ORIGIN)]
+    pos = frames.ORIGIN
+    for index in range(node.values["count"]):
+        quat = frames.from_euler([index * angle for angle in angles], compiler.eulerseq)
+        yield pos, quat
+        pos = frames.composed((pos, quat), node.values.get("offset", frames.ORIGIN), quat)[0]
+
 
 # Bodies and frames by tag and name, each with the childclass inherited at its position.
 Places = dict[tuple[str, str], tuple[Node, str]]
-# Merging takes the smaller value of the options in MINIMUM, the larger of those in MAXIMUM.
-MINIMUM = (
-    *("timestep", "tolerance", "ls_tolerance", "noslip_tolerance", "ccd_tolerance"),
-    "sleep_tolerance",
-)
-MAXIMUM = (
-    *("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"),
-    *("sdf_iterations", "sdf_initpoints"),
-)
-UNION = "actuatorgroupdisable"
+# How options of two models merge; all others must be the same.
+MERGED: dict[str, Callable[[Any, Any], Any]] = {
+    **dict.fromkeys(("timestep", "tolerance", "ls_tolerance", "noslip_tolerance"), min),
+    **dict.fromkeys(("ccd_tolerance", "sleep_tolerance"), min),
+    **dict.fromkeys(("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"), max),
+    **dict.fromkeys(("sdf_iterations", "sdf_initpoints"), max),
+    "actuatorgroupdisable": lambda here, there: tuple(dict.fromkeys((*here, *there))),
+}
 
 
 @dataclass
@@ -60,7 +286,6 @@ class Model:
 
     @cached_property
     def places(self) -> Places:
-        """The model's bodies and frames."""
         return _add_places({}, inside(self.root, "worldbody"), MAIN)
 
     @cached_property
@@ -74,12 +299,10 @@ class Model:
 
     @cached_property
     def keys(self) -> list[Node]:
-        """The model's keyframes, with their vectors split by element."""
         return _split_keys(self.root, self.defaults)
 
     @cached_property
     def referring(self) -> Referring:
-        """The references to the model's tree, indexed at the first access."""
         return Referring(self.root)
 
 
@@ -109,7 +332,6 @@ class Attacher:
                 self.assets[name] = node
 
     def run(self) -> None:
-        """Expand every <attach>, in document order."""
         attachments = []
         pending = inside(self.model.root, "worldbody")[::-1]
         while pending:
@@ -163,7 +385,6 @@ class Attacher:
             _add_places(self.places, twins, childclass)
 
     def _other(self, node: Node) -> Model:
-        """Return the model whose elements an <attach> copies."""
         if "body" in node.attrs and "frame" in node.attrs:
             raise node.error("<attach> has both body and frame")
         name = node.attrs.get("model")
@@ -194,7 +415,6 @@ class Attacher:
 
 
 def _add_places(places: Places, nodes: list[Node], childclass: str) -> Places:
-    """Add the bodies and frames among these nodes and their descendants."""
     pending = [(node, childclass) for node in reversed(nodes)]
     while pending:
         node, around = pending.pop()
@@ -291,7 +511,7 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
     """
     mine, my_flags = _written_options(root)
     theirs, their_flags = _written_options(child)
-    both = [(mine, theirs), (my_flags, their_flags)]
+    both = ((mine, theirs), (my_flags, their_flags))
     named = f'"{child.attrs.get("model", "") or node.attrs.get("model", "")}"'
 
     def check(name: str, here: Any, there: Any) -> Any:
@@ -317,27 +537,23 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
     section = Node("option", {}, node.file, node.line)
     for name, there in theirs.items():
         here = mine.get(name, there)
-        if name in MINIMUM:
-            section.values[name] = min(here, there)
-        elif name in MAXIMUM:
-            section.values[name] = max(here, there)
-        elif name == UNION:
-            section.values[name] = tuple(dict.fromkeys((*here, *there)))
-        else:
-            section.values[name] = check(name, here, there)
+        merge = MERGED.get(name)
+        section.values[name] = merge(here, there) if merge else check(name, here, there)
     # A flag differs from its default if either model changes it.
-    turned = {name: word for name, word in their_flags.items() if _turns(name, word)}
+    turned = {
+        name: word
+        for name, word in their_flags.items()
+        if word == ("enable" if name in FLAGS_OFF else "disable")
+    }
     if turned:
-        inner = Node("flag", {}, node.file, node.line)
-        inner.values = dict(turned)
-        section.children = [inner]
+        section.children = [Node("flag", {}, node.file, node.line)]
+        section.children[0].values = dict(turned)
     root.children.append(section)
     changed = [name for name, value in section.values.items() if value != mine.get(name)]
     return note([*changed, *turned], "used")
 
 
 def _written_options(root: Node) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the options and the flags in a model's file."""
     options: dict[str, Any] = {}
     flags: dict[str, Any] = {}
     for section in root.children:
@@ -348,27 +564,18 @@ def _written_options(root: Node) -> tuple[dict[str, Any], dict[str, Any]]:
     return options, flags
 
 
-def _turns(name: str, word: str) -> bool:
-    """Return whether a flag differs from its default.
-
-    The flag "override" and those after it are off by default.
-    """
-    flags = FLAGS.split()
-    return word == ("enable" if name in flags[flags.index("override") :] else "disable")
-
-
 def _split_keys(root: Node, defaults: Defaults) -> list[Node]:
     """Return the keyframes of a model, with each vector split by element in `parts`."""
     keys = inside(root, "keyframe")
     if not keys:
         return []
     joints, mocaps = _joints_and_mocaps(root, defaults)
-    actuators = [(node, *sizes(defaults.gains(node))) for node in inside(root, "actuator")]
+    laws = [(node, defaults.gains(node)) for node in inside(root, "actuator")]
     layout = {
         "qpos": [(node, QPOS[kind]) for kind, node in joints],
         "qvel": [(node, DOFS[kind]) for kind, node in joints],
-        "ctrl": [(node, controls) for node, controls, _ in actuators],
-        "act": [(node, activations) for node, _, activations in actuators],
+        "ctrl": [(node, len(gains.inputs) or 1) for node, gains in laws],
+        "act": [(node, gains.law.states) for node, gains in laws],
         "mpos": [(node, 3) for node in mocaps],
         "mquat": [(node, 4) for node in mocaps],
     }

@@ -1,15 +1,21 @@
-"""Parse an MJCF text into a tree of `Node`; entity declarations are refused."""
+"""Parse MJCF into a tree of `Node`, with its includes, and collect the errors of a file.
+
+Entity declarations are refused. A *kind* is what can be left out of a file: a section ("tendon"),
+an element ("actuator/muscle"), an attribute ("geom/surfacevel"), or a key of `GROUPS`.
+"""
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from pathlib import Path
+from typing import Any, TypeVar, cast
 from xml.parsers import expat
 
-from stepcore.checks import brief
-from stepcore.mjcf.refusal_texts import effect
+from stepcore import files
+from stepcore.checks import brief, cut
 
 # An "&" that does not begin a reference.
 _AMPERSAND = re.compile(rb"&(?!(?:\w+|#\d+|#x[0-9a-fA-F]+);)", re.ASCII)
@@ -17,6 +23,8 @@ _BLANKS = re.compile(rb"(?:\xef\xbb\xbf)?(\s+)(<\?xml[^>]*>)")
 # A start tag with attributes that may lack blanks between them.
 _TAG = re.compile(rb"""(<[^\s<>!?/"'=]+)((?:\s*[^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))*)""")
 _ATTRIBUTE = re.compile(rb"""(\s*)([^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))""")
+# The name of stepcore's own <text>.
+OWN_TEXT = "stepcore"
 # The maximum nesting depth of elements, as in MuJoCo's parser.
 DEPTH = 500
 
@@ -43,10 +51,8 @@ class MJCFError(ValueError):
         self.errors: tuple[MJCFError, ...] = (self,)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (type(self), self.file, self.line, self.text, self.kind, self._more())
-
-    def _more(self) -> tuple[str, tuple[MJCFError, ...]]:
-        return str(self), self.errors[1:]
+        own = (self.file, self.line, self.text, self.kind)
+        return _again, (type(self), own, self.errors[1:], str(self))
 
     def with_others(self, errors: tuple[MJCFError, ...], message: str) -> MJCFError:
         """Return this error with the other errors of the file and a message that lists all."""
@@ -56,16 +62,9 @@ class MJCFError(ValueError):
 
 
 def _again(
-    kind: type[MJCFError],
-    file: str,
-    line: int,
-    text: str,
-    what: str,
-    more: tuple[str, tuple[MJCFError, ...]],
+    kind: type[MJCFError], own: tuple[Any, ...], others: tuple[MJCFError, ...], message: str
 ) -> MJCFError:
-    """Unpickle an error."""
-    message, others = more
-    return kind(file, line, text, what).with_others(others, message)
+    return kind(*own).with_others(others, message)
 
 
 @dataclass(frozen=True)
@@ -131,7 +130,6 @@ class Node:
         self.parts: dict[str, list[tuple[Node, tuple[float, ...]]]] | None = None
 
     def error(self, text: str) -> MJCFError:
-        """Return the error about this element, with its file and line."""
         return MJCFError(self.file, self.line, text)
 
     def missing(self, error: FileNotFoundError) -> FileNotFoundError:
@@ -150,7 +148,6 @@ class Node:
         )
 
     def asset_name(self) -> str:
-        """Return the asset's name, or by default its file name without folder and extension."""
         file = self.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
         return self.attrs.get("name", file.rpartition(".")[0] or file)
 
@@ -161,8 +158,11 @@ class Node:
         return f"{self.file}:{self.line}: {label} ({why})"
 
 
+def is_own_text(node: Node) -> bool:
+    return node.tag == "text" and node.attrs.get("name") == OWN_TEXT
+
+
 def below(node: Node) -> Iterator[Node]:
-    """Yield a node and all its descendants."""
     pending = [node]
     while pending:
         node = pending.pop()
@@ -171,12 +171,10 @@ def below(node: Node) -> Iterator[Node]:
 
 
 def sections(root: Node, tag: str) -> list[Node]:
-    """Return the sections with this tag."""
     return [node for node in root.children if node.tag == tag]
 
 
 def inside(root: Node, tag: str) -> list[Node]:
-    """Return the elements of all sections with this tag."""
     return [node for section in sections(root, tag) for node in section.children]
 
 
@@ -250,7 +248,12 @@ def repaired(data: str | bytes) -> str | bytes:
     raw = _AMPERSAND.sub(b"&amp;", raw)
     if blanks := _BLANKS.match(raw):
         raw = blanks[2] + blanks[1] + raw[blanks.end() :]
-    raw = _TAG.sub(_with_blanks, raw)
+
+    def with_blanks(tag: re.Match[bytes]) -> bytes:
+        spaced = _ATTRIBUTE.sub(lambda found: (found[1] or b" ") + found[2], cast(bytes, tag[2]))
+        return cast(bytes, tag[1]) + spaced
+
+    raw = _TAG.sub(with_blanks, raw)
     if isinstance(data, str):
         return raw.decode("utf-8", "surrogatepass")
     return raw
@@ -266,6 +269,205 @@ def _plain_comments(raw: bytes) -> bytes:
     return b"".join([*parts, raw[at:]])
 
 
-def _with_blanks(tag: re.Match[bytes]) -> bytes:
-    attributes = _ATTRIBUTE.sub(lambda found: (found[1] or b" ") + found[2], cast(bytes, tag[2]))
-    return cast(bytes, tag[1]) + attributes
+T = TypeVar("T")
+# The number of errors after which reading stops, because looking up nearest names takes time.
+MOST_ERRORS = 100
+
+
+class Refusals:
+    """A collection of the errors of a file; `raise_all` raises them as one error."""
+
+    def __init__(self) -> None:
+        self.errors: list[MJCFError] = []
+        # Names of elements that could not be read; references to them are not new errors.
+        self._gone: set[str] = set()
+
+    def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
+        if len(self.errors) >= MOST_ERRORS:
+            return None
+        try:
+            return read(node)
+        except MJCFError as error:
+            self.add(error, node)
+        except ValueError as error:
+            self.add(node.error(str(error)), node)
+        return None
+
+    def add(self, error: MJCFError, node: Node | None = None) -> None:
+        """Record an error. node: the element that is not read because of the error."""
+        if node is not None:
+            follows = (
+                bool(self._gone)
+                and not error.kind
+                and any(
+                    name in self._gone
+                    for inner in below(node)
+                    for attribute, name in inner.attrs.items()
+                    if attribute != "name"
+                )
+            )
+            self._gone.update(n.attrs["name"] for n in below(node) if "name" in n.attrs)
+            if follows:
+                return
+        self.errors += error.errors
+
+    def raise_all(self) -> None:
+        if not self.errors:
+            return
+        files = list(dict.fromkeys(error.file for error in self.errors))
+        self.errors.sort(key=lambda error: (files.index(error.file), error.line))
+        first, *others = self.errors
+        if not others:
+            raise first
+        raise first.with_others(tuple(others), _message(self.errors))
+
+
+def _message(errors: list[MJCFError], most: int = 20, width: int = 600, places: int = 4) -> str:
+    """Return a line for each error; errors with the same text and file share a line."""
+    groups: dict[tuple[str, str], list[MJCFError]] = {}
+    for error in errors:
+        groups.setdefault((error.file, error.text), []).append(error)
+    lines = []
+    for first, *others in groups.values():
+        also = ", ".join(str(error.line) for error in others[:places])
+        also += f" and {len(others) - places} more" if len(others) > places else ""
+        lines.append(cut(f"{first} (also in line {also})" if others else str(first), width))
+    if len(lines) > most:
+        lines[most:] = [f"… and {len(lines) - most} more"]
+    kinds = list(dict.fromkeys(error.kind for error in errors))
+    if all(kinds):
+        words = ", ".join(f'"{kind}"' for kind in kinds)
+        lines.append(cut(f"without=[{words}] leaves these things out", width))
+    return "\n".join(lines)
+
+
+# Kinds that appear in several sections.
+GROUPS = {
+    "flex": ("flexcomp", "deformable/flex", "equality/flex", "equality/flexstrain"),
+    "plugin": ("plugin",),
+}
+# Sections that can be left out as a whole.
+SECTIONS = ("contact", "tendon", "equality", "actuator", "sensor", "keyframe", "deformable")
+# The most specific key takes precedence.
+_EFFECTS = {
+    "flex": "its points move, collide, and pull on what they are pinned to",
+    "plugin": "it computes forces, shapes or sensors outside of the file",
+    "composite": "MuJoCo 4 has it no more; a replicate or flexcomp takes its place",
+    "attach": "it adds bodies of another model",
+    "contact/exclude": "it keeps two bodies from colliding",
+    "contact/pair": "it decides how two geoms collide",
+    "contact": "it decides which geoms collide, and how",
+    "tendon": "its springs, limits and actuators pull along a path",
+    "equality": "it ties bodies, joints or tendons together",
+    "actuator": "it puts a force on bodies that follows a control",
+    "sensor": "it measures; nothing moves otherwise without it",
+    "keyframe": "it is a state to start from",
+    "deformable": "its points move with bodies",
+    "geom/surfacevel": "it drags along what touches the geom",
+    "geom/adhesion": "it pulls touching geoms together",
+    "geom/type": "the shape collides and has mass",
+    "option/density": "the fluid slows bodies down",
+    "option/viscosity": "the fluid slows bodies down",
+    "option/wind": "the fluid moves, and bodies in it",
+    "option/integrator": "each step has another error",
+    "flag/sleep": "what rests would be left out of the step until something touches it",
+    "flag/diagexact": "limits, contacts and equalities would be softer or harder, by their inertia "
+    "at each state instead of that at qpos0",
+    "flag/ipc": "contacts would be barriers that nothing goes through",
+    "flag/speculative": "contacts would act a step before bodies touch, so that none goes through "
+    'another; law="rigid" or a smaller timestep does that here',
+    "body/gravcomp": "a force holds the body up against gravity",
+    "body/mocap": "the body stands where its user puts it",
+    "joint/springdamper": "a spring and a damper of given times act on the joint",
+    "joint/springyield": "the spring of the joint yields",
+    **dict.fromkeys(
+        ("fixed/springyield", "spatial/springyield"), "the spring of the tendon yields"
+    ),
+    "joint/actuatorfrcrange": "it clamps the sum of what actuators put on the joint",
+    "frame/scale": "it changes sizes, masses and forces within the frame",
+    "frame/massscale": "it changes masses within the frame",
+}
+
+
+def effect(kind: str) -> str:
+    """Return the effect of a kind on the motion; "" if there is no text on it."""
+    tag = kind.rpartition("/")[2]
+    group = next((name for name, tags in GROUPS.items() if kind in tags or tag in tags), "")
+    for name in (kind, group, tag, kind.partition("/")[0]):
+        if name in _EFFECTS:
+            return _EFFECTS[name]
+    return ""
+
+
+def read_main(shown: str) -> bytes:
+    try:
+        return files.read(shown, "an MJCF or URDF file")
+    except ValueError as error:
+        raise MJCFError(shown, 1, str(error)) from None
+
+
+def read_named(node: Node, shown: str) -> Node:
+    """Parse the XML file that an element names; read errors name the line of the element."""
+    try:
+        data = files.read(shown, "an MJCF or URDF file")
+    except FileNotFoundError as error:
+        raise node.missing(error) from None
+    except (IsADirectoryError, ValueError) as error:
+        raise node.error(str(error)) from None
+    return parse(data, shown)
+
+
+def expand(root: Node, base: Path | None, main: Path | None) -> list[str]:
+    """Replace every include below `root`, in place.
+
+    As in MuJoCo, a file is searched in the folder of the main file (`base`), then in the folder of
+    the including file. A file can be included once, and may be outside these folders. Only regular
+    files are read. Returns a note on each file outside the folder of the main file.
+    """
+    seen = {os.path.realpath(main)} if main is not None else set()
+    included_by: dict[str, str] = {}
+    pending = [(root, 1)]
+    while pending:
+        node, depth = pending.pop()
+        waiting = node.children[::-1]
+        node.children = []
+        while waiting:
+            child = waiting.pop()
+            if child.tag == "include":
+                waiting.extend(reversed(_included(child, base, seen, included_by)))
+            else:
+                if depth >= DEPTH:
+                    raise child.error(f"elements are nested deeper than {DEPTH}, with includes")
+                node.children.append(child)
+                pending.append((child, depth + 1))
+    return [
+        f"{by}: <include> reads {file}, which is outside the folder of the main file"
+        for file, by in included_by.items()
+        if base is not None
+        and not Path(os.path.realpath(Path(file))).is_relative_to(os.path.realpath(base))
+    ]
+
+
+def _included(
+    node: Node, base: Path | None, seen: set[str], included_by: dict[str, str]
+) -> list[Node]:
+    name = node.attrs.get("file", "")
+    if set(node.attrs) != {"file"} or not name or node.children or "\0" in name:
+        raise node.error('<include> needs exactly one attribute, file="…", and no content')
+    if base is None:
+        raise node.error(f'<include file="{name}"> in a text needs loads(text, base=folder)')
+    places = [base / name, Path(node.file).parent / name]
+    path = next((place for place in places if os.path.isfile(place)), places[0])
+    if os.path.realpath(path) in seen:
+        above: str | None = node.file
+        while above is not None and os.path.realpath(Path(above)) != os.path.realpath(path):
+            above = included_by.get(above)
+        why = "was already included" if above is None else "includes itself"
+        raise node.error(f'<include file="{name}">: the file {why}')
+    seen.add(os.path.realpath(path))
+    shown = str(path)
+    included_by[shown] = node.file
+    root = read_named(node, shown)
+    if not root.children:
+        raise node.error(f'<include file="{name}">: the file has no elements')
+    return root.children

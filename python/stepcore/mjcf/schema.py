@@ -1,13 +1,19 @@
 """The schema of MJCF, after MuJoCo 4: the elements and their attributes.
 
 Attributes that are fields of an element class come from the table of the class
-(`stepcore.scene.element`). All others are defined here, in the notation of `notation`.
+(`stepcore.scene.element`). All others are defined here, in this notation: ``pos:3`` is three reals,
+``size:1-3`` one to three, ``qpos:*`` any number of reals, ``group:int`` an integer,
+``limited:false|true|auto`` a keyword, and a name without ":" any text. ``!`` marks a required
+attribute. `given` and `changed` convert attributes to fields and back.
 """
 
 from __future__ import annotations
 
-from stepcore.mjcf.notation import POSE, Spec, default_of, of, spec, without
-from stepcore.scene.element import table
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from stepcore.scene.element import Element, table
 from stepcore.scene.elements import (
     Actuator,
     Body,
@@ -29,6 +35,73 @@ from stepcore.scene.elements import (
 from stepcore.scene.elements.actuator_laws import LAW_FIELDS
 from stepcore.scene.elements.equality import FIELDS as EQUALITY_FIELDS
 from stepcore.scene.elements.field_types import AUTO, BOOL
+
+ORIENTATION = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+POSE = "pos:3 quat:4 axisangle:4 xyaxes:6 zaxis:3 euler:3"
+
+
+@dataclass
+class Spec:
+    """The schema of an element: its attributes (name → type), required attributes, and children.
+
+    role: "" for an element that is read, else the reason why it is not: "draws", "senses", "data"
+        or "unbuilt".
+    once: children that can appear only once.
+    """
+
+    attrs: dict[str, str] = field(default_factory=dict)
+    required: tuple[str, ...] = ()
+    children: dict[str, Spec] = field(default_factory=dict)
+    role: str = ""
+    once: tuple[str, ...] = ()
+
+
+def spec(
+    attrs: str = "",
+    children: dict[str, Spec] | None = None,
+    role: str = "",
+    once: tuple[str, ...] = (),
+) -> Spec:
+    types: dict[str, str] = {}
+    required = []
+    for word in attrs.split():
+        name, _, kind = word.partition(":")
+        if name.endswith("!"):
+            name = name[:-1]
+            required.append(name)
+        types[name] = kind
+    return Spec(types, tuple(required), children or {}, role, once)
+
+
+def of(kind: type[Element], *names: str, but: str = "") -> str:
+    """Return the fields of an element class that MJCF has, in the notation above.
+
+    names: the fields to include; all if empty.
+    but: the fields to leave out. A field with polynomial coefficients takes up to three numbers.
+    """
+    rows = [table(kind)[name] for name in names] if names else table(kind).values()
+    return " ".join(
+        f"{row.name}:{'1-3' if row.poly else row.type.attribute}".rstrip(":")
+        for row in rows
+        if row.type.attribute is not None and row.name not in but.split()
+    )
+
+
+def without(attrs: str, names: str) -> str:
+    drop = set(names.split())
+    return " ".join(w for w in attrs.split() if w.partition(":")[0].rstrip("!") not in drop)
+
+
+# A default class has no names and no references.
+_OWN = (
+    "name class geom1 geom2 target lengthrange joint jointinparent tendon slidersite cranksite "
+    "site refsite body body1 body2 instance plugin"
+)
+
+
+def default_of(attrs: str) -> Spec:
+    return spec(without(attrs, _OWN).replace("!", ""))
+
 
 ABLE = "disable|enable"
 _TURN = without(POSE, "pos quat")
@@ -56,6 +129,8 @@ FLAGS = (
     "filterparent actuation refsafe sensor midphase eulerdamp autoreset nativeccd island "
     "multiccd override energy fwdinv invdiscrete sleep diagexact ipc speculative"
 )
+# These flags are off by default; all others are on.
+FLAGS_OFF = tuple(FLAGS.split()[FLAGS.split().index("override") :])
 # Features without an MJCF flag.
 OWN_FEATURES = tuple(name for name in table(Features) if name not in FLAGS.split())
 _OVERRIDES = " ".join(f"o_{word}" for word in of(ContactOverride, but="enable").split())
@@ -422,3 +497,31 @@ ROOT = spec(
         "extension": EXTENSION,
     },
 )
+
+
+def given(kind: type[Element], values: Mapping[str, Any], *skip: str) -> dict[str, Any]:
+    """Return the fields of an element class that these attributes give, except those in `skip`."""
+    fields: dict[str, Any] = {}
+    rows = table(kind)
+    for name, value in values.items():
+        row = rows.get(name)
+        if row is None or name in skip or row.type.attribute is None:
+            continue
+        if row.poly:
+            value, *higher = value
+            if any(higher):
+                fields[row.poly] = tuple(higher)
+        elif row.type.read is not None:
+            value = row.type.read(value)
+        fields[name] = value
+    return fields
+
+
+def changed(element: Element, *skip: str) -> dict[str, Any]:
+    """Return the attributes for the fields of an element that differ from their defaults."""
+    attributes, rows = {}, table(type(element))
+    for name, value in element.values().items():
+        row = rows[name]
+        if value is not row.checked and name not in skip and value != row.default:
+            attributes[name] = value if row.type.write is None else row.type.write(value)
+    return attributes

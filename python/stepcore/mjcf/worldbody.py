@@ -8,20 +8,17 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.attributes import given
-from stepcore.mjcf.compiler import Compiler
-from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.nodes import Node, inside, sections
-from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.schema import NOT_IN_WORLD
+from stepcore.mjcf.defaults import Compiler, Defaults
+from stepcore.mjcf.nodes import Node, Refusals, inside, sections
+from stepcore.mjcf.schema import NOT_IN_WORLD, given
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import Body, Element, Geom, Joint, Key, MassRules
-from stepcore.scene.elements.site import SITE_SIZE
+from stepcore.scene.elements.body import SITE_SIZE
 from stepcore.scene.frames import Vec
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 T = TypeVar("T")
 # Fields of a joint and of a geom that are not copied from attributes.
@@ -39,7 +36,6 @@ class EmptyRange(str):
 
     @classmethod
     def of(cls, where: str, field: str, bounds: tuple[float, ...]) -> EmptyRange:
-        """Return the note about a range. where: the range's ``file:line``."""
         note = cls(f"{where}: {field} = {bounds[0]:g} {bounds[1]:g} is empty: no limit")
         note.where, note.field, note.bounds = where, field, bounds
         return note
@@ -83,6 +79,7 @@ class WorldReader:
     shapes: the geoms, with the data that decides whether they are needed.
     written: for each body inside a frame, the pose that the file gives.
     ranges: for each joint or tendon, limited or not, the range that servos can inherit.
+    lights: the lights, each with its place.
     mesh_sites: the names of sites whose volume is a mesh.
     open_keys: keyframes of attached models, with the joints whose positions they give.
     only_drawn: geoms that only draw, if they are kept for drawing (`Assets.drawn`).
@@ -91,7 +88,7 @@ class WorldReader:
 
     def __init__(
         self,
-        scene: Contents,
+        scene: Scene,
         root: Node,
         compiler: Compiler,
         defaults: Defaults,
@@ -112,6 +109,7 @@ class WorldReader:
         self.written: dict[int, tuple[Vec, Vec]] = {}
         self.ranges: dict[int, tuple[float, ...]] = {}
         self.mesh_sites: set[str] = set()
+        self.lights: list[tuple[Node, Place]] = []
         self.open_keys: list[tuple[Key, set[int]]] = []
         self.only_drawn: set[int] = set()
         self.settled = False
@@ -156,6 +154,8 @@ class WorldReader:
             self._site(node, place)
         elif node.tag == "camera":
             self.names["camera"].add(name)
+        elif node.tag == "light":
+            self.lights.append((node, place))
         elif node.tag == "freejoint":
             self.keep(node, self.scene.add_joint(place.body, "free", name=name))
         elif node.tag == "joint":
@@ -163,14 +163,12 @@ class WorldReader:
         return None
 
     def keep(self, node: Node, element: Element) -> None:
-        """Record the node of an element, for error messages and keyframes."""
         self.nodes[id(element)] = node
         self.elements[id(node)] = element
         # setattr would refuse `place`, because it is not a field.
         element.__dict__["place"] = f"{node.file}:{node.line}"
 
     def _pose(self, node: Node, values: dict[str, Any], place: Place) -> tuple[Vec, Vec]:
-        """Return the pose of an element in its body, composed with the frames around it."""
         pos = values.get("pos", frames.ORIGIN)
         return _within(place.pose, pos, self.compiler.orientation(node, values))
 
@@ -276,7 +274,8 @@ class WorldReader:
         values = self.defaults.of(node, place.childclass)
         kind = values.get("type", "sphere")
         name = values.get("name", "")
-        self._refer(node, values, "material")
+        if "material" in values:
+            self.references.append((node, "material", values["material"]))
         if name in self.names["geom"] and name:
             raise node.error(f'geom "{name}": the name is used twice')
         self.names["geom"].add(name)
@@ -328,8 +327,8 @@ class WorldReader:
 
     def _site(self, node: Node, place: Place) -> None:
         values = self.defaults.of(node, place.childclass)
-        self._refer(node, values, "material")
-        self._refer(node, values, "mesh")
+        named = [kind for kind in ("material", "mesh") if kind in values]
+        self.references += [(node, kind, values[kind]) for kind in named]
         kind = values.get("type", "sphere")
         size: Vec = values.get("size", ())
         values = values | {"size": size + SITE_SIZE[len(size) :]}
@@ -341,10 +340,6 @@ class WorldReader:
         else:
             fields |= {"type": kind, "size": size}
         self.keep(node, self.scene.add_site(place.body, **fields))
-
-    def _refer(self, node: Node, values: dict[str, Any], kind: str) -> None:
-        if kind in values:
-            self.references.append((node, kind, values[kind]))
 
 
 def _within(outer: tuple[Vec, Vec], pos: Vec, quat: Vec) -> tuple[Vec, Vec]:

@@ -1,23 +1,33 @@
-"""Write a `Scene` as MJCF, with exact numbers and without defaults."""
+"""Write a `Scene` as MJCF, with exact numbers and without defaults, or in the text of its own file.
+
+If only settings have changed, `<option>`, `<flag>` and `<custom>` are edited in place, or new
+sections at the end override the earlier ones. An edited text is used only if it reads back as the
+scene.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
+import os
+import re
 from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.parsers import expat
 
-from stepcore import checks
-from stepcore.mjcf import custom
-from stepcore.mjcf.attributes import changed
-from stepcore.mjcf.nodes import DEPTH
-from stepcore.mjcf.option import said, to_say
-from stepcore.mjcf.schema import OWN_FEATURES
-from stepcore.mjcf.tags import Names, Tag, printed, text
+from stepcore import checks, files
+from stepcore._core import Settings
+from stepcore.mjcf.nodes import DEPTH, OWN_TEXT
+from stepcore.mjcf.option import NAMED_KINDS, implied, own_data, said, shortest, to_say
+from stepcore.mjcf.reader import read_text
+from stepcore.mjcf.schema import OWN_FEATURES, changed
 from stepcore.scene import frames
-from stepcore.scene.consistency import check
+from stepcore.scene.element import table
 from stepcore.scene.elements import (
     GRAVITY,
+    MAGNETIC,
     Actuator,
     Body,
     Element,
@@ -25,27 +35,124 @@ from stepcore.scene.elements import (
     Geom,
     HField,
     Joint,
-    Key,
     Mesh,
-    Pair,
     Sensor,
     Site,
     Tendon,
 )
 from stepcore.scene.elements.actuator import TARGET_FIELDS
 from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS, FED
+from stepcore.scene.elements.body import SITE_SIZE
 from stepcore.scene.elements.sensor import OF_ACCELERATION, OF_FRAME
-from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import ORIGIN, Vec
-from stepcore.scene.holdings import MAGNETIC
 from stepcore.scene.layout import SIZES, Layout
+from stepcore.scene.records import check
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.mjcf.nodes import Source
+    from stepcore.scene.layout import Layout
+    from stepcore.scene.scene import Scene
 
-# MuJoCo's grey with opacity 0.
-UNSEEN = (0.5, 0.5, 0.5, 0.0)
+# Characters that XML 1.0 does not allow, even escaped.
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+_ESCAPES = {"&": "&amp;", "<": "&lt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
+
+
+class Tag:
+    """An element to write: its attributes in order, and its children."""
+
+    def __init__(self, kind: str, /, **attributes: Any) -> None:
+        self.kind = kind
+        self.attributes: dict[str, str] = {}
+        self.inside: list[Tag] = []
+        self.set(**attributes)
+
+    def set(self, **attributes: Any) -> Tag:
+        self.attributes |= {key: text(value) for key, value in attributes.items()}
+        return self
+
+    def add(self, tag: Tag) -> Tag:
+        self.inside.append(tag)
+        return tag
+
+    def start(self) -> str:
+        words = [self.kind, *(f'{key}="{value}"' for key, value in self.attributes.items())]
+        return f"<{' '.join(words)}{'>' if self.inside else '/>'}"
+
+
+def text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (tuple, list)):
+        return " ".join(shortest(number) for number in value)
+    return escaped(value) if isinstance(value, str) else shortest(value)
+
+
+def escaped(value: str) -> str:
+    """Escape a text for quotes; raise ValueError for characters that XML does not allow."""
+    if _FORBIDDEN.search(value):
+        raise ValueError(f"{value!r}: XML does not allow this character in a name")
+    return "".join(_ESCAPES.get(letter, letter) for letter in value)
+
+
+def printed(root: Tag, comment: str) -> str:
+    """Return the text of a whole file."""
+    lines: list[str] = []
+    # (indentation, tag to write or end tag) in reverse order.
+    pending: list[tuple[int, Tag | str]] = [(0, root)]
+    while pending:
+        indent, item = pending.pop()
+        if isinstance(item, str):
+            lines.append("  " * indent + item)
+            continue
+        lines.append("  " * indent + item.start())
+        if item.inside:
+            pending.append((indent, f"</{item.kind}>"))
+            pending += [(indent + 1, tag) for tag in reversed(item.inside)]
+    return comment + "\n".join(lines) + "\n"
+
+
+class Names:
+    """The names of elements in the written file.
+
+    referred: elements of any kind that others refer to, and that therefore need a name.
+    made: (kind, name) of elements that have a name only for that reason.
+    """
+
+    def __init__(self, layout: Layout, referred: Iterable[Element]) -> None:
+        self.given: dict[int, str] = {}
+        self.made: list[tuple[str, str]] = []
+        scene = layout.scene
+        wanted = {id(element) for element in referred}
+        # In MJCF every asset needs a name.
+        wanted |= {id(asset) for asset in (*scene.meshes, *scene.hfields)}
+        for kind in NAMED_KINDS:
+            # Elements inside bodies are numbered in document order.
+            self._name(kind, layout.elements(kind), wanted)
+
+    def _name(self, kind: str, elements: Iterable[Any], wanted: set[int]) -> None:
+        elements = list(elements)
+        taken = {element.name for element in elements}
+        for index, element in enumerate(elements):
+            name = element.name
+            if not name and id(element) in wanted:
+                name = f"{kind}_{index}"
+                while name in taken:
+                    name += "_"
+                taken.add(name)
+                self.made.append((kind, name))
+            self.given[id(element)] = name
+
+    def of(self, element: Element) -> str:
+        return self.given[id(element)]
+
+    def attribute(self, element: Element) -> dict[str, str]:
+        """Return the attribute ``name``, if the element has a name in the file."""
+        name = self.given.get(id(element), getattr(element, "name", ""))
+        return {"name": name} if name else {}
+
+
 # The group of disabled actuators.
 DISABLED = 30
 # Attributes of `<general>`, and the shortcuts that also have them.
@@ -54,7 +161,7 @@ GENERAL = {"actearly": (), "actrange": ("intvelocity",)}
 TYPED = (*OF_FRAME, *OF_ACCELERATION, "insidesite", "user")
 
 
-def written(scene: Contents) -> str:
+def written(scene: Scene) -> str:
     """Return the scene as an MJCF text; see `Scene.to_mjcf`."""
     layout = Layout(scene)
     check(layout)
@@ -63,45 +170,46 @@ def written(scene: Contents) -> str:
         raise ValueError(f"{world}: the world of an MJCF file is called world and has no mass")
     names = Names(layout, _referred(scene))
     root = Tag("mujoco", **({"model": scene.name} if scene.name else {}))
-    _add_compiler(root, scene)
+    compiler = root.add(Tag("compiler", angle="radian", **changed(scene.mass_rules)))
+    if ranges := changed(scene.lengthrange):
+        compiler.add(Tag("lengthrange", **ranges))
     words = _add_option(root, scene)
     meshes = [_mesh(mesh, names) for mesh in scene.meshes]
     _add_section(root, "asset", meshes + [_hfield(hfield, names) for hfield in scene.hfields])
     _add_tree(root, layout, names)
-    excluded = [_exclude(pair, names) for pair in scene.excludes]
-    _add_section(root, "contact", excluded + [_pair(pair, names) for pair in scene.pairs])
+    bodies = [map(names.of, pair) for pair in scene.excludes]
+    excluded = [Tag("exclude", body1=first, body2=second) for first, second in bodies]
+    _add_section(root, "contact", excluded + [_tag("pair", pair, names) for pair in scene.pairs])
     _add_section(root, "tendon", [_tendon(tendon, names) for tendon in scene.tendons])
     _add_section(root, "equality", [_equality(tie, names) for tie in scene.equalities])
-    _add_section(root, "actuator", _actuators(scene.actuators, names))
-    _add_section(root, "sensor", [_sensor(sensor, names) for sensor in scene.sensors])
-    _add_section(root, "keyframe", [_key(key) for key in scene.keys])
-    data = custom.data(words, names.made)
-    if data:
-        root.add(Tag("custom")).add(Tag("text", name=custom.NAME, data=data))
-    return printed(root, _left_out(scene))
-
-
-def _referred(scene: Contents) -> list[Element]:
-    """Return the elements that others refer to by name."""
-    holders: list[tuple[Element, Iterable[str]]] = [
-        *((pair, ("geom1", "geom2")) for pair in scene.pairs),
-        *((tie, tie.given()) for tie in scene.equalities),
-        *((a, [f for f in TARGET_FIELDS if f != "feeds"]) for a in scene.actuators),
-        *((sensor, ("object", "reference")) for sensor in scene.sensors),
+    actuators = [
+        _actuator(actuator, scene.actuators[at + 1 : at + len(actuator.inputs)], names)
+        for at, actuator in enumerate(scene.actuators)
+        if actuator.type != "input"
     ]
-    ends = [getattr(holder, field) for holder, fields in holders for field in fields]
+    _add_section(root, "actuator", actuators)
+    _add_section(root, "sensor", [_sensor(sensor, names) for sensor in scene.sensors])
+    keys = [_tag("key", key, names) for key in scene.keys]
+    for key in keys:
+        # An empty list cannot be written as an attribute.
+        key.attributes = {name: value for name, value in key.attributes.items() if value}
+    _add_section(root, "keyframe", keys)
+    data = own_data(words, names.made)
+    if data:
+        root.add(Tag("custom")).add(Tag("text", name=OWN_TEXT, data=data))
+    count = len(scene.ignored)
+    what = "1 element" if count == 1 else f"{count} elements"
+    comment = f"<!-- Left out: {what} of the scene's file that cannot change the motion. -->\n"
+    return printed(root, comment if count else "")
+
+
+def _referred(scene: Scene) -> list[Element]:
+    holders = [*scene.pairs, *scene.equalities, *scene.actuators, *scene.sensors]
+    fields = [(e, f) for e in holders for f, row in table(type(e)).items() if row.type.refers]
+    ends = [getattr(element, field) for element, field in fields if field != "feeds"]
     ends += [body for pair in scene.excludes for body in pair]
     ends += [element for tendon in scene.tendons for element in tendon.elements()]
     return [end for end in ends if isinstance(end, Element)]
-
-
-def _actuators(actuators: list[Actuator], names: Names) -> list[Tag]:
-    tags = []
-    for at, actuator in enumerate(actuators):
-        if actuator.type != "input":
-            behind = actuators[at + 1 : at + len(actuator.inputs)]
-            tags.append(_actuator(actuator, behind, names))
-    return tags
 
 
 def _add_section(root: Tag, name: str, tags: list[Tag]) -> None:
@@ -109,23 +217,7 @@ def _add_section(root: Tag, name: str, tags: list[Tag]) -> None:
         root.add(Tag(name)).inside = tags
 
 
-def _left_out(scene: Contents) -> str:
-    """Return the comment about elements of the scene's file that the text leaves out, or ""."""
-    count = len(scene.ignored)
-    if not count:
-        return ""
-    what = "1 element" if count == 1 else f"{count} elements"
-    return f"<!-- Left out: {what} of the scene's file that cannot change the motion. -->\n"
-
-
-def _add_compiler(root: Tag, scene: Contents) -> None:
-    """Add the compiler section."""
-    compiler = root.add(Tag("compiler", angle="radian", **changed(scene.mass_rules)))
-    if ranges := changed(scene.lengthrange):
-        compiler.add(Tag("lengthrange", **ranges))
-
-
-def _add_option(root: Tag, scene: Contents) -> dict[str, Any]:
+def _add_option(root: Tag, scene: Scene) -> dict[str, Any]:
     """Add the option section; return the settings that MJCF lacks."""
     attributes, flags, rest = said(to_say(scene.settings))
     whole = {"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0, "wind": ORIGIN}
@@ -152,23 +244,25 @@ def _add_option(root: Tag, scene: Contents) -> dict[str, Any]:
     return rest
 
 
+def _tag(kind: str, element: Element, names: Names, *skip: str, **first: Any) -> Tag:
+    """Return a tag with the element's name, `first`, and the fields that are no defaults."""
+    given = changed(element, "name", *skip, *first)
+    named = {f: names.of(v) if isinstance(v, Element) else v for f, v in (first | given).items()}
+    return Tag(kind, **names.attribute(element), **named)
+
+
 def _mesh(mesh: Mesh, names: Names) -> Tag:
-    arrays = {"vertex": mesh.vertices.ravel().tolist()}
+    tag = _tag("mesh", mesh, names, "vertices", "faces", "file")
+    tag.set(vertex=mesh.vertices.ravel().tolist())
     if mesh.faces is not None:
-        arrays["face"] = mesh.faces.ravel().tolist()
-    return Tag(
-        "mesh",
-        **names.attribute(mesh),
-        **changed(mesh, "name", "vertices", "faces", "file"),
-        **arrays,
-    )
+        tag.set(face=mesh.faces.ravel().tolist())
+    return tag
 
 
 def _hfield(hfield: HField, names: Names) -> Tag:
-    nrow, ncol = hfield.elevation.shape
-    heights = hfield.elevation.ravel().tolist()
-    own = {"size": hfield.size, "nrow": nrow, "ncol": ncol, "elevation": heights}
-    return Tag("hfield", **names.attribute(hfield), **own)
+    (nrow, ncol), heights = hfield.elevation.shape, hfield.elevation.ravel().tolist()
+    tag = _tag("hfield", hfield, names, "elevation", "file")
+    return tag.set(nrow=nrow, ncol=ncol, elevation=heights)
 
 
 def _add_tree(root: Tag, layout: Layout, names: Names) -> None:
@@ -199,8 +293,7 @@ def _before_bodies(tag: Tag, inner: Tag) -> None:
 
 
 def _body(body: Body, names: Names) -> Tag:
-    placed = changed(body, "name", "parent", "mass", "ipos", "inertia", "iquat")
-    tag = Tag("body", **names.attribute(body), **placed)
+    tag = _tag("body", body, names, "parent", "mass", "ipos", "inertia", "iquat")
     if body.mass is not None:
         tag.add(Tag("inertial", pos=body.ipos, mass=body.mass, **_inertia(body)))
     return tag
@@ -237,21 +330,20 @@ def _moments(quat: Vec, inertia: Vec) -> Vec:
 
 
 def _neighbours(x: float) -> list[float]:
-    """Return a number and its two nearest neighbours on both sides."""
     above, below = math.nextafter(x, math.inf), math.nextafter(x, -math.inf)
     further = math.nextafter(above, math.inf), math.nextafter(below, -math.inf)
     return [x, above, further[0], below, further[1]]
 
 
 def _joint(joint: Joint, names: Names) -> Tag:
-    skip = ["name", "body"]
+    skip = ["body"]
     if joint.type in ("ball", "free"):
         skip += ["axis", "ref", "springref"]
     if joint.type == "free":
         skip.append("pos")
     # Without limited="true", a range of 0 0 means no limit.
     limited = {"limited": "true"} if joint.range == (0.0, 0.0) else {}
-    return Tag("joint", **names.attribute(joint), **limited, **changed(joint, *skip))
+    return _tag("joint", joint, names, *skip, **limited)
 
 
 def _geom(geom: Geom, names: Names) -> Tag:
@@ -260,7 +352,8 @@ def _geom(geom: Geom, names: Names) -> Tag:
         if asset is not None:
             given[field] = names.of(asset)
     if given.pop("hidden", False):
-        given["rgba"] = UNSEEN
+        # MuJoCo's grey with opacity 0.
+        given["rgba"] = (0.5, 0.5, 0.5, 0.0)
     used = SIZES[geom.type]
     # MuJoCo requires a grid spacing > 0 for a plane.
     size = geom.size[:used] if used else (*geom.size[:2], geom.size[2] or 1.0)
@@ -271,26 +364,12 @@ def _geom(geom: Geom, names: Names) -> Tag:
 
 
 def _site(site: Site, names: Names) -> Tag:
-    given = changed(site, "name", "body", "size")
-    size = site.size[: SIZES[site.type]]
-    if size != SITE_SIZE[: len(size)]:
-        given["size"] = size
-    return Tag("site", **names.attribute(site), **given)
-
-
-def _exclude(pair: tuple[Body, Body], names: Names) -> Tag:
-    return Tag("exclude", body1=names.of(pair[0]), body2=names.of(pair[1]))
-
-
-def _pair(pair: Pair, names: Names) -> Tag:
-    ends = {"geom1": names.of(pair.geom1), "geom2": names.of(pair.geom2)}
-    given = changed(pair, "name", "geom1", "geom2")
-    return Tag("pair", **names.attribute(pair), **ends, **given)
+    tag, size = _tag("site", site, names, "body", "size"), site.size[: SIZES[site.type]]
+    return tag if size == SITE_SIZE[: len(size)] else tag.set(size=size)
 
 
 def _tendon(tendon: Tendon, names: Names) -> Tag:
-    kind = "fixed" if tendon.fixed else "spatial"
-    tag = Tag(kind, **names.attribute(tendon), **changed(tendon, "name", "path"))
+    tag = _tag("fixed" if tendon.fixed else "spatial", tendon, names, "path")
     tag.inside = [_stop(stop, names) for stop in tendon.path]
     return tag
 
@@ -307,13 +386,11 @@ def _stop(stop: Stop, names: Names) -> Tag:
 
 
 def _equality(equality: Equality, names: Names) -> Tag:
-    own = equality.given()
+    ends = equality.given()
     if equality.body1 is not None and equality.type == "connect":
         # MuJoCo requires an anchor with body1.
-        own["anchor"] = equality.anchor
-    own = {k: names.of(v) if isinstance(v, Element) else v for k, v in own.items()}
-    given = changed(equality, "name", "type", *own)
-    return Tag(equality.type, **names.attribute(equality), **own, **given)
+        ends["anchor"] = equality.anchor
+    return _tag(equality.type, equality, names, "type", **ends)
 
 
 def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
@@ -379,17 +456,15 @@ def _motor(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _sensor(sensor: Sensor, names: Names) -> Tag:
-    given: dict[str, Any] = dict(names.attribute(sensor))
-    given |= _end(sensor, names, sensor.object, sensor.objtype, "1")
+    given = _end(sensor, names, sensor.object, sensor.objtype, "1")
     given |= _end(sensor, names, sensor.reference, sensor.reftype, "2")
     if sensor.data:
         given["data"] = " ".join(sensor.data)
+    skip = ["type", "object", "reference", "objtype", "reftype", "data"]
     if sensor.type == "user":
         given["dim"] = sensor.num
-    rest = changed(sensor, "name", "type", "object", "reference", "objtype", "reftype", "data")
-    if sensor.type == "user":
-        rest.pop("num", None)
-    return Tag(sensor.type, **given, **rest)
+        skip.append("num")
+    return _tag(sensor.type, sensor, names, *skip, **given)
 
 
 def _end(
@@ -413,7 +488,178 @@ def _end(
     return {kind: name}
 
 
-def _key(key: Key) -> Tag:
-    given = changed(key)
-    # An empty list cannot be written as an attribute.
-    return Tag("key", **{name: value for name, value in given.items() if value != ()})
+# The first byte, the byte after the last, and the replacement.
+_Edit = tuple[int, int, bytes]
+
+
+def save(scene: Scene, path: str | os.PathLike[str]) -> None:
+    target = Path(files.path("path", path))
+    data = kept(scene, os.path.abspath(target.parent))
+    target.write_bytes(written(scene).encode() if data is None else data)
+
+
+def kept(scene: Scene, directory: str) -> bytes | None:
+    """Return the text of the scene's file with the current settings; None if not possible.
+
+    directory: the folder in which the text will be saved.
+    """
+    source = scene._source
+    original = None if source is None else _read(type(scene)(), source.data, source)
+    if source is None or original is None:
+        return None
+    same = original.with_settings(scene.settings)
+    same.name = scene.name
+    if same != scene:
+        return None
+    try:
+        tags = _Starts(source.data)
+    except expat.ExpatError:
+        return None
+    if tags.names_files and directory != source.directory:
+        return None
+    if original == scene:
+        return source.data
+    for in_place in (True, False):
+        data = _edited(source.data, tags, in_place, original, scene)
+        if data is not None and _read(type(scene)(), data, source) == scene:
+            return data
+    return None
+
+
+def _read(scene: Scene, data: bytes, source: Source) -> Scene | None:
+    """Fill an empty scene from a text and return it; None if the text cannot be read."""
+    try:
+        read_text(scene, data, base=source.directory)
+    except (ValueError, OSError):
+        return None
+    return scene
+
+
+@dataclass
+class _Start:
+    """A start tag: its byte range in the text, and whether the tag closes itself."""
+
+    start: int
+    stop: int
+    closed: bool
+
+
+class _Starts:
+    """The start tags with settings: the last of each path. The path of the root is "".
+
+    end: the byte position of the root's end tag.
+    names_files: whether any element has a file.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self.last: dict[str, _Start] = {}
+        self.end = -1
+        self.names_files = False
+        path: list[str] = []
+        parser = expat.ParserCreate()
+
+        def start(tag: str, attrs: dict[str, str]) -> None:
+            path.append(tag)
+            where = "/".join(path[1:])
+            self.names_files |= "file" in attrs
+            if where == "option":
+                self.last.pop("option/flag", None)
+            ours = where == "custom/text" and attrs.get("name") == OWN_TEXT
+            if ours or where in ("", "option", "option/flag"):
+                at = parser.CurrentByteIndex
+                # The tag ends at the first ">" outside quotes.
+                match = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(data, at)
+                stop = match.end() if match else at
+                self.last[where] = _Start(at, stop, data[stop - 2 : stop] == b"/>")
+
+        def end(_tag: str) -> None:
+            path.pop()
+            if not path:
+                self.end = parser.CurrentByteIndex
+
+        parser.StartElementHandler, parser.EndElementHandler = start, end
+        parser.Parse(data, True)
+
+
+def _edited(
+    data: bytes, tags: _Starts, in_place: bool, original: Scene, scene: Scene
+) -> bytes | None:
+    """Return the text with the settings of `scene`, or None if the root has no end tag.
+
+    in_place: whether to edit the last <option>; otherwise a new one is added at the end.
+    """
+    root = tags.last[""]
+    if root.closed:
+        return None
+    before, after = original.settings.as_dict(), scene.settings.as_dict()
+    implications = implied(before).keys() ^ implied(after).keys()
+    changed = {
+        name: value
+        for name, value in after.items()
+        if value != before[name] or name in implications
+    }
+    attributes, flags, _ = said(changed)
+    edits: list[_Edit] = []
+    added: list[Tag] = []
+    if scene.name != original.name:
+        edits.append(_with(data, root, {"model": scene.name}))
+    option, flag = tags.last.get("option"), tags.last.get("option/flag")
+    if not in_place or option is None:
+        if attributes or flags:
+            added.append(Tag("option", **attributes))
+            if flags:
+                added[-1].add(Tag("flag", **flags))
+    else:
+        start, stop, text = _with(data, option, attributes)
+        if flags and flag is not None:
+            edits.append(_with(data, flag, flags))
+        elif flags:
+            inner = Tag("flag", **flags).start().encode()
+            text = (
+                text[:-2].rstrip() + b">" + inner + b"</option>" if option.closed else text + inner
+            )
+        edits.append((start, stop, text))
+    rest = said(to_say(scene.settings))[2]
+    held = tags.last.get("custom/text")
+    if held is not None:
+        edits.append(_custom(data, held, rest))
+    elif rest:
+        added.append(Tag("custom"))
+        added[-1].add(Tag("text", name=OWN_TEXT, data=own_data(rest)))
+    if added:
+        lines = "".join(f"  {_on_one_line(tag)}\n" for tag in added)
+        edits.append((tags.end, tags.end, lines.encode()))
+    for start, stop, new in sorted(edits, reverse=True):
+        data = data[:start] + new + data[stop:]
+    return data
+
+
+def _custom(data: bytes, held: _Start, rest: dict[str, Any]) -> _Edit:
+    tag = data[held.start : held.stop].decode("utf-8", "replace")
+    match = re.search(r"""\bdata\s*=\s*["']([^"']*)["']""", tag)
+    settings = Settings().as_dict()
+    words = (match.group(1) if match else "").split()
+    others = [word for word in words if word.partition("=")[0] not in settings]
+    text = " ".join([*filter(None, [own_data(rest)]), *others])
+    if not text and held.closed:
+        # MuJoCo refuses a text without data.
+        return held.start, held.stop, b""
+    return _with(data, held, {"data": text})
+
+
+def _with(data: bytes, tag: _Start, attributes: dict[str, str]) -> _Edit:
+    text = data[tag.start : tag.stop]
+    for name, value in attributes.items():
+        word = f'{name}="{escaped(value)}"'.encode()
+        match = re.search(rb"""(?<=\s)%s\s*=\s*("[^"]*"|'[^']*')""" % name.encode(), text)
+        if match:
+            text = text[: match.start()] + word + text[match.end() :]
+        else:
+            cut = len(text) - (2 if tag.closed else 1)
+            text = text[:cut].rstrip() + b" " + word + text[cut:]
+    return tag.start, tag.stop, text
+
+
+def _on_one_line(tag: Tag) -> str:
+    inside = "".join(map(_on_one_line, tag.inside))
+    return tag.start() + (f"{inside}</{tag.kind}>" if inside else "")

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
+from functools import partial
 
 from stepcore import checks
 
@@ -55,53 +56,29 @@ def quantity(value: float, units: Units, digits: int = 3) -> str:
     return f"{value / size:.{digits}g} {unit}"
 
 
-def seconds(value: float) -> str:
-    """Format a time [s] with a readable unit.
+# Numbers in a readable unit: a time [s], a speed [m/s], a force [N], an energy [J], an angle [rad],
+# a computing time [µs], a count of floating-point operations.
+seconds = partial(quantity, units=TIMES)
+speed = partial(quantity, units=tuple((f"{unit}/s", size) for unit, size in LENGTHS))
+newtons = partial(quantity, units=FORCES)
+joules = partial(quantity, units=ENERGIES)
+radians = partial(quantity, units=ANGLES)
+computing = partial(quantity, units=COMPUTING)
+operations = partial(quantity, units=OPERATIONS)
+
+
+def metres(value: float) -> str:
+    """Format a length [m] with a readable unit; "< 1 pm" for rounding errors.
 
     >>> seconds(0.002), seconds(62.5e-6), metres(1.3e-4), percent(0.034), hertz(6.2831853e4)
     ('2 ms', '62.5 µs', '130 µm', '3.4 %', '10 kHz')
     """
-    return quantity(value, TIMES)
-
-
-def metres(value: float) -> str:
-    """Format a length [m] with a readable unit; "< 1 pm" for rounding errors."""
     return "< 1 pm" if 0 < value < ROUNDING else quantity(value, LENGTHS)
-
-
-def speed(value: float) -> str:
-    """Format a speed [m/s] with a readable unit."""
-    return quantity(value, [(f"{unit}/s", size) for unit, size in LENGTHS])
-
-
-def newtons(value: float) -> str:
-    """Format a force [N] with a readable unit."""
-    return quantity(value, FORCES)
-
-
-def joules(value: float) -> str:
-    """Format an energy [J] with a readable unit."""
-    return quantity(value, ENERGIES)
-
-
-def radians(value: float) -> str:
-    """Format an angle [rad] with a readable unit."""
-    return quantity(value, ANGLES)
 
 
 def hertz(omega: float) -> str:
     """Format a circular frequency [rad/s] as a frequency with a readable unit."""
     return quantity(omega / (2 * math.pi), FREQUENCIES, 4)
-
-
-def computing(value: float) -> str:
-    """Format a computing time [µs] with a readable unit."""
-    return quantity(value, COMPUTING)
-
-
-def operations(value: float) -> str:
-    """Format a count of floating-point operations with a readable unit."""
-    return quantity(value, OPERATIONS)
 
 
 def percent(share: float) -> str:

@@ -66,7 +66,7 @@ class Places(typing.Protocol):
 
     def place(self, element: Element) -> int | None: ...
 
-    def body(self, owner: Element | str, body: Any) -> int: ...
+    def needed(self, owner: Element | str, element: Element) -> int: ...
 
 
 _TABLES: dict[type, dict[str, Row]] = {}
@@ -198,6 +198,9 @@ class Element:
             end = self.__dict__[name]
             record[name] = None if end is None else place_of(places, end)
         return record
+
+    def check(self, places: Places) -> None:
+        """Raise ElementError if the element contradicts itself or the scene."""
 
     def __str__(self) -> str:
         kind = type(self).__name__.lower()

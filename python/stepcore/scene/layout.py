@@ -14,63 +14,58 @@ from stepcore import checks
 from stepcore.scene.elements import Body, Element, Geom, Joint
 
 if TYPE_CHECKING:
-    from stepcore.scene.holdings import Holdings
+    from stepcore.scene.scene import Scene
 
 QPOS = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 DOFS = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "plane": 0}
 # These take their sizes from their assets.
 SIZES |= {"mesh": 0, "hfield": 0}
+# The scene's list of each kind of element.
+LISTS = {
+    **{"body": "bodies", "joint": "joints", "geom": "geoms", "mesh": "meshes"},
+    **{"hfield": "hfields", "site": "sites", "tendon": "tendons", "actuator": "actuators"},
+    **{"equality": "equalities", "sensor": "sensors", "pair": "pairs", "key": "keys"},
+}
 
 
 class Layout:
     """The elements of a scene in the order of the compiled model."""
 
-    def __init__(self, scene: Holdings) -> None:
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.bodies = _depth_first(scene.bodies)
         self.index = {id(body): i for i, body in enumerate(self.bodies)}
+        # By kind and ``id`` of the element: its index.
+        self._places: dict[str, dict[int, int]] = {"body": self.index}
         self.joints: list[Joint] = self._by_body(scene.joints)
         self.geoms: list[Geom] = self._by_body(scene.geoms)
         self.sites = self._by_body(scene.sites)
         self.joints_of: dict[int, list[Joint]] = {}
         for joint in self.joints:
             self.joints_of.setdefault(id(joint.body), []).append(joint)
-        # By kind and ``id`` of the element: its index.
-        self._places: dict[str, dict[int, int]] = {"body": self.index}
 
     def _by_body(self, elements: Iterable[Any]) -> list[Any]:
-        return sorted(elements, key=lambda e: self.body(e, e.body))
+        return sorted(elements, key=lambda e: self.needed(e, e.body))
 
-    def body(self, owner: Element | str, body: Body) -> int:
-        """Return the index of a body that `owner` refers to; raise if it is not in the scene."""
-        index = self.index.get(id(body))
+    def needed(self, owner: Element | str, element: Element) -> int:
+        """Return the index of an element that `owner` refers to; raise if the scene has it not."""
+        index = self.place(element)
         if index is None:
-            raise checks.ElementError(owner, f"refers to {body}, which is not in this scene")
+            raise checks.ElementError(owner, f"refers to {element}, which is not in this scene")
         return index
 
-    @property
-    def elements(self) -> dict[str, Sequence[Element]]:
-        """The elements of each kind, in the order of the compiled model."""
-        scene = self.scene
-        return {
-            "body": self.bodies,
-            "joint": self.joints,
-            "geom": self.geoms,
-            "site": self.sites,
-            "tendon": scene.tendons,
-            "actuator": scene.actuators,
-            "equality": scene.equalities,
-            "sensor": scene.sensors,
-            "pair": scene.pairs,
-            "key": scene.keys,
-        }
+    def elements(self, kind: str) -> Sequence[Any]:
+        """Return the elements of a kind, in the order of the compiled model."""
+        ordered = self if kind in ("body", "joint", "geom", "site") else self.scene
+        elements: Sequence[Any] = getattr(ordered, LISTS[kind])
+        return elements
 
     def body_called(self, body: Body) -> str:
         """Return the label of a body in errors: "body 'leg'", or "body 3" without a name."""
         if body is self.bodies[0]:
             return "the world"
-        return f"body '{body.name}'" if body.name else f"body {self.body(body, body)}"
+        return f"body '{body.name}'" if body.name else f"body {self.needed(body, body)}"
 
     @property
     def nq(self) -> int:
@@ -89,17 +84,11 @@ class Layout:
         """Return the index of an element among those of its kind; None if not in the scene."""
         kind = type(element).__name__.lower()
         if kind not in self._places:
-            assets: dict[str, Sequence[Element]] = {
-                "mesh": self.scene.meshes,
-                "hfield": self.scene.hfields,
-            }
-            listed = (assets | self.elements)[kind]
-            self._places[kind] = {id(each): at for at, each in enumerate(listed)}
+            self._places[kind] = {id(each): at for at, each in enumerate(self.elements(kind))}
         return self._places[kind].get(id(element))
 
     @cached_property
     def _moving(self) -> set[int]:
-        """The ids of the bodies that can move."""
         moving: set[int] = set()
         # Parents precede their children.
         for body in self.bodies:
@@ -160,7 +149,7 @@ def _depth_first(bodies: list[Body]) -> list[Body]:
     return order
 
 
-def called(scene: Holdings, element: object) -> str:
+def called(scene: Scene, element: object) -> str:
     """Return the engine's label of an element: "joint 3 of body 'leg'" without a name.
 
     The label of an element that is not yet in the scene has the index that it would get.
@@ -168,9 +157,9 @@ def called(scene: Holdings, element: object) -> str:
     kind = type(element).__name__.lower()
     try:
         layout = Layout(scene)
-        if getattr(element, "name", "") or kind not in layout.elements:
+        if getattr(element, "name", "") or kind not in LISTS or kind in ("mesh", "hfield"):
             return str(element)
-        listed = layout.elements[kind]
+        listed = layout.elements(kind)
         index = next((k for k, other in enumerate(listed) if other is element), len(listed))
         body = getattr(element, "body", None)
         whose = f" of {layout.body_called(body)}" if isinstance(body, Body) else ""
@@ -180,7 +169,7 @@ def called(scene: Holdings, element: object) -> str:
         return str(element)
 
 
-def named(scene: Holdings, error: checks.ElementError) -> checks.ElementError:
+def named(scene: Scene, error: checks.ElementError) -> checks.ElementError:
     """Return the error with the element named as the engine names it."""
     again = checks.ElementError(called(scene, error.owner), error.text)
     again.owner = error.owner

@@ -20,9 +20,9 @@ from stepcore import _core, checks
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from stepcore.scene.contents import Contents
     from stepcore.scene.elements import Actuator
     from stepcore.scene.elements.world import LengthRange
+    from stepcore.scene.scene import Scene
 
 # Effects that MuJoCo leaves out of the simulation.
 OFF = ("contact", "spring", "damper", "gravity", "frictionloss", "sensor")
@@ -30,10 +30,9 @@ OFF = ("contact", "spring", "damper", "gravity", "frictionloss", "sensor")
 SHORTEST, LEAST = 0.01, 1e-15
 # A cache of ranges, by a hash of the simulated scene.
 _found: dict[bytes, list[list[float]]] = {}
-MOST_KEPT = 64
 
 
-def fill(scene: Contents, data: dict[str, Any]) -> None:
+def fill(scene: Scene, data: dict[str, Any]) -> None:
     """Write the missing length ranges into the plain data of a scene.
 
     Raises ValueError, naming the actuator, if the simulation does not come to rest.
@@ -50,21 +49,19 @@ def fill(scene: Contents, data: dict[str, Any]) -> None:
         data["actuators"][index]["lengthrange"] = list(limits[index] or ())
 
 
-def asked(scene: Contents) -> list[int]:
+def asked(scene: Scene) -> list[int]:
     """Return the indices of the actuators whose range must be found."""
-    rules = scene.lengthrange
-    return [index for index, each in enumerate(scene.actuators) if _asks(each, rules)]
-
-
-def _asks(actuator: Actuator, rules: LengthRange) -> bool:
-    if not actuator.law.is_muscle:
-        return False
-    if rules.mode != "none":
-        return actuator.lengthrange is None or not rules.useexisting
-    if actuator.lengthrange is None:
-        limit = 'given for a muscle where Scene.lengthrange has mode="none"'
-        raise checks.refuse(actuator, "lengthrange", None, limit)
-    return False
+    rules, left = scene.lengthrange, []
+    for index, actuator in enumerate(scene.actuators):
+        missing = actuator.lengthrange is None
+        if not actuator.law.is_muscle or not (missing or not rules.useexisting):
+            continue
+        if rules.mode != "none":
+            left.append(index)
+        elif missing:
+            limit = 'given for a muscle where Scene.lengthrange has mode="none"'
+            raise checks.refuse(actuator, "lengthrange", None, limit)
+    return left
 
 
 def _limits(actuator: Actuator) -> Sequence[float] | None:
@@ -76,7 +73,7 @@ def _limits(actuator: Actuator) -> Sequence[float] | None:
     return bounds
 
 
-def _simulated(scene: Contents, data: dict[str, Any], asked: list[int]) -> list[list[float]]:
+def _simulated(scene: Scene, data: dict[str, Any], asked: list[int]) -> list[list[float]]:
     rules = scene.lengthrange
     bare = _bare(data)
     timestep = rules.timestep or scene.settings.dt
@@ -87,7 +84,7 @@ def _simulated(scene: Contents, data: dict[str, Any], asked: list[int]) -> list[
             _settled(scene.actuators[index], rules, *each)
             for index, each in zip(asked, lengths, strict=True)
         ]
-        if len(_found) >= MOST_KEPT:
+        if len(_found) >= 64:
             _found.pop(next(iter(_found)))
         _found[key] = ranges
     return _found[key]

@@ -9,14 +9,14 @@ import numpy as np
 from stepcore.scene.elements import Joint, Tendon
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 Ref = tuple[float, ...]
 # The size of a scene in which nothing has a length [m].
 UNKNOWN = 1.0
 
 
-def solrefs(scene: Contents) -> list[Ref]:
+def solrefs(scene: Scene) -> list[Ref]:
     """Return the solref values of all elements of a scene that can make constraint rows."""
     refs = [g.solref for g in scene.geoms if g.contype or g.conaffinity]
     lengths: list[Joint | Tendon] = [*scene.joints, *scene.tendons]
@@ -28,7 +28,7 @@ def solrefs(scene: Contents) -> list[Ref]:
     return refs
 
 
-def clamping(scene: Contents) -> float | None:
+def clamping(scene: Scene) -> float | None:
     """Return the shortest solref time constant [s], or None if no solref is a time constant.
 
     At a dt above half of this time constant, `refsafe` softens rows.
@@ -36,7 +36,7 @@ def clamping(scene: Contents) -> float | None:
     return min((ref[0] for ref in solrefs(scene) if ref[0] > 0), default=None)
 
 
-def extent(scene: Contents) -> float:
+def extent(scene: Scene) -> float:
     """Return the size of a scene at rest [m]; 0 if nothing in it has a length.
 
     The size is the largest distance of a body from its parent plus the largest half size of a geom.

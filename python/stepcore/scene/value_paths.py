@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore.scene.element import table
 from stepcore.scene.elements import Body, Element
-from stepcore.scene.layout import Layout
+from stepcore.scene.layout import LISTS, Layout
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
-
-SomeScene = TypeVar("SomeScene", bound="Contents")
-
-KINDS = (
-    *("body", "joint", "geom", "mesh", "hfield", "site", "tendon"),
-    *("actuator", "equality", "sensor", "pair", "key"),
-)
+    from stepcore.scene.scene import Scene
 
 # Values of the whole scene.
 WHOLE = ("gravity", "density", "viscosity", "wind")
@@ -30,9 +23,7 @@ def is_path(name: str) -> bool:
     return "/" in name or name in WHOLE
 
 
-def changed(
-    scene: SomeScene, values: Mapping[str, Any], body_mass: Mapping[str, float]
-) -> SomeScene:
+def changed(scene: Scene, values: Mapping[str, Any], body_mass: Mapping[str, float]) -> Scene:
     """Return a copy of `scene` with these values.
 
     values: new values by path.
@@ -45,7 +36,7 @@ def changed(
     return scene
 
 
-def assign(scene: Contents, values: Mapping[str, Any], body_mass: Mapping[str, float]) -> None:
+def assign(scene: Scene, values: Mapping[str, Any], body_mass: Mapping[str, float]) -> None:
     """Assign these values to `scene`; see `changed`."""
     for path, value in values.items():
         if path in WHOLE:
@@ -58,7 +49,7 @@ def assign(scene: Contents, values: Mapping[str, Any], body_mass: Mapping[str, f
             _set(element, field, value)
 
 
-def find(scene: Contents, path: object) -> tuple[Element, str]:
+def find(scene: Scene, path: object) -> tuple[Element, str]:
     """Return the element and the field at a path.
 
     "#3" stands for the name of the element with index 3 in the compiled model, unless one has it.
@@ -70,8 +61,8 @@ def find(scene: Contents, path: object) -> tuple[Element, str]:
         raise ValueError(f'{checks.shown(path)}: must be {words} or "kind/name/field"')
     # Names may contain slashes.
     kind, name, field = parts[0], "/".join(parts[1:-1]), parts[-1]
-    if kind not in KINDS:
-        near = checks.nearest(kind, KINDS)
+    if kind not in LISTS:
+        near = checks.nearest(kind, LISTS)
         raise ValueError(f"{shown}: no kind of element is {checks.quoted(kind)}{near}")
     try:
         element: Element = _indexed(scene, kind, name) or getattr(scene, kind)(name)
@@ -85,12 +76,11 @@ def find(scene: Contents, path: object) -> tuple[Element, str]:
     return element, field
 
 
-def _indexed(scene: Contents, kind: str, name: str) -> Element | None:
+def _indexed(scene: Scene, kind: str, name: str) -> Element | None:
     """Return the element "#index"; None where the name is no index, or the name of an element."""
     if not (name.startswith("#") and name[1:].isdecimal()):
         return None
-    lists = Layout(scene).elements | {"mesh": scene.meshes, "hfield": scene.hfields}
-    elements: Sequence[Element] = lists[kind]
+    elements: Sequence[Element] = Layout(scene).elements(kind)
     if any(getattr(element, "name", "") == name for element in elements):
         return None
     index = int(name[1:])
@@ -108,7 +98,7 @@ def _set(element: Element, field: str, value: Any) -> None:
     setattr(element, field, value)
 
 
-def _scale_geoms(scene: Contents, body: Body, old: float, value: Any) -> None:
+def _scale_geoms(scene: Scene, body: Body, old: float, value: Any) -> None:
     """Change a body's mass that comes from its geoms, by scaling their masses or densities.
 
     Other bodies keep their masses: a `settotalmass` grows by what the body gains.

@@ -11,11 +11,10 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal, without
-from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof, greedy
-from stepcore.experiment.engines import run
+from stepcore.experiment.engines import visits
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import FLAGS
@@ -101,7 +100,7 @@ def ablate(
     with time.stage(f"the test on {further} untouched starts", PROVEN):
         if further and choice.removed:
             trial = choice.trial(choice.removed, study.fresh(further))
-            proof = Proof(trial, tolerance, len(trial.misses(tolerance)))
+            proof = Proof.of(trial, tolerance)
     every = [Change(without=[one]) for one in choice.alone]
     smallest = Change(without=choice.removed)
     times = dict[Change, float]()
@@ -294,25 +293,14 @@ def usage_of(study: Study, starts: Sequence[int]) -> MotionUsage:
     own = study.schedule
     parts = [n for n in range(1, own.every + 1) if own.every % n == 0]
     often = next((n for n in parts if own.periods // n <= READINGS), own.every)
-    schedule = dataclasses.replace(own, every=often)
     model = study.engine.model
-    names = ("qpos", "qvel", "act", "ctrl")
-    seen = run(model, schedule, starts, record=names)
-    sim, owner = unwatched(Sim(model)), model.geom_body.tolist()
-    touched, limited = set[tuple[int, int]](), set[int]()
-    for place, start in enumerate(starts):
-        own.starts[start].put(sim)
-        for states in zip(*(seen[name][place] for name in names), strict=True):
-            if not np.isfinite(states[0]).all():
-                break
-            for name, values in zip(names, states, strict=True):
-                getattr(sim, name)[:] = values
-            sim.forward()
-            contacts, rows = sim.contacts, sim.rows
-            pairs = zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True)
-            for bodies in ((owner[a], owner[b]) for a, b in pairs):
-                touched.add((min(bodies), max(bodies)))
-            limited.update(rows["index"][rows["kind"] == "limit"].tolist())
+    owner, touched, limited = model.geom_body.tolist(), set[tuple[int, int]](), set[int]()
+    for _, _, sim in visits(model, own, starts, often):
+        contacts, rows = sim.contacts, sim.rows
+        pairs = zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True)
+        for bodies in ((owner[a], owner[b]) for a, b in pairs):
+            touched.add((min(bodies), max(bodies)))
+        limited.update(rows["index"][rows["kind"] == "limit"].tolist())
     return MotionUsage(frozenset(touched), frozenset(limited))
 
 

@@ -16,6 +16,7 @@ from stepcore._core import Settings
 from stepcore.checks import one_line
 from stepcore.deadline import OutOfTime
 from stepcore.engine.control import control_option
+from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced
 from stepcore.engine.start import Start
@@ -24,15 +25,12 @@ from stepcore.experiment.control_table import control_table
 from stepcore.experiment.horizon import horizon_of
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
-from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, Schedule, home, scheduled
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.check.bodies import about_bodies
 from stepcore.measure.check.ranges import about_ranges
-from stepcore.measure.check.servos import about_servos
 from stepcore.measure.diagnosis import Diagnosis, diagnose
-from stepcore.measure.monitors import Finding, Next, monitored, ordered, proven
-from stepcore.mjcf.worldbody import EmptyRange
+from stepcore.measure.monitors import Finding, Next, monitored, ordered, verified
 from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.settings import label
@@ -48,8 +46,6 @@ AS_SHIPPED = "the run as shipped"
 PERIODS = 100
 # Largest number of steps if no horizon is given: some seconds of computing.
 LONGEST = 200_000
-# The size that a depth in "%" is relative to [m]; such a depth has no meaning here.
-NO_SIZE = 1.0
 # A failure keeps only the sentences on its time and its cause; the diagnosis gives the cure.
 SENTENCES = 2
 # Largest number of commands; and the stability margin below which `diagnose` is named.
@@ -192,9 +188,9 @@ def check(
     """Find what makes a scene misbehave, in seconds; the first thing to run.
 
     `check` reads the scene (implausible masses and inertias, units that look like mm or
-    degrees, starts and keyframes outside of limits, servos that are too weak, too stiff or
-    saturated, limits that an actuator overpowers), monitors one run as shipped (overlaps, creep,
-    gaps, depths, saturation), and diagnoses the time step. Each finding is a sentence with its
+    degrees, starts and keyframes outside of limits, servos that are too stiff or saturated,
+    limits that an actuator overpowers), monitors one run as shipped (overlaps, creep,
+    gaps, depths, sag, saturation), and diagnoses the time step. Each finding is a sentence with its
     cure, most severe first. The diagnosis' answer and the commands to run next follow.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
@@ -219,25 +215,22 @@ def check(
     ['outside a limit']
     """
     setup = set_up(check, model, motion, fields, missing="nothing to check")
-    wanted = None if depth is None else units.length("check", "depth", depth, NO_SIZE)
-    compiled, motion = setup.model, setup.motion
-    dt = compiled.settings.dt
-    start, held = home(compiled, motion.key)
+    wanted = None if depth is None else units.length("check", "depth", depth, 1.0)
+    compiled, motion, workers = setup.model, setup.motion, setup.workers
+    dt, (start, held) = compiled.settings.dt, home(compiled, motion.key)
     # What the scene alone says comes first: it takes no run.
     read = list(_read(compiled, start, held, _key(compiled, motion.key)))
-    setup.workers.deadline.so_far(_first(read))
+    workers.deadline.so_far(_first(read))
     horizon = motion.horizon or max(dt, min(HORIZON, LONGEST * dt))
     far = horizon_of(compiled, _held(compiled, motion), horizon)
     schedule = _schedule(compiled, motion, far.length)
     failure, seen = list[Finding](), list[Finding]()
-    with setup.workers.deadline.stage(AS_SHIPPED, MONITORED):
-        failure, seen = _monitored(compiled, schedule, wanted)
-    with setup.workers.deadline.stage("runs of the cures that the scene alone suggests", MONITORED):
-        read = proven(read, compiled)
+    with workers.deadline.stage(AS_SHIPPED, MONITORED):
+        failure, seen = _monitored(compiled, schedule, wanted, far.ran)
+        workers.deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
+    with workers.deadline.stage("runs of the cures that the scene alone suggests", MONITORED):
+        read = verified(read, compiled)
     driven = motion.is_users or motion.kind is not None
-    if not driven and not compiled.keys:
-        # A default control of 0 may be outside its range; this is not the user's error.
-        seen = [finding for finding in seen if finding.kind != "clamped control"]
     diagnosis, notes = _diagnosis(setup, dataclasses.replace(motion, horizon=horizon))
     return Check(
         name=setup.name,
@@ -250,19 +243,19 @@ def check(
             if driven
             else held_motion_in_words(compiled, motion.key, schedule.horizon, held)
         ),
-        notes=[*notes, *(n for n in compiled.scene.notes if not isinstance(n, EmptyRange))],
+        notes=[*notes, *compiled.scene.notes],
         file=_file(model, compiled),
         options=_options(motion),
     )
 
 
-def _first(read: list[Finding]) -> str:
-    """Return the findings of the scene alone that stand whatever runs of their cures show."""
-    findings = [one for one in ordered(read) if one.remedy is None or not one.remedy.needed]
+def _first(findings: list[Finding], what: str = "the file alone") -> str:
+    """Return the findings that stand whatever runs of their cures show."""
+    findings = [one for one in ordered(findings) if one.remedy is None or not one.remedy.needed]
     if not findings:
-        return "the file alone shows no problem"
+        return f"{what} shows no problem" if "run" not in what else f"{what} show no problem"
     said = (f"\n- {finding.severity}: {finding.problem}" for finding in findings)
-    return f"{counted(len(findings), 'finding')} in the file alone:{''.join(said)}"
+    return f"{counted(len(findings), 'finding')} in {what}:{''.join(said)}"
 
 
 def _held(model: Model, motion: Motion) -> Motion:
@@ -281,11 +274,11 @@ def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
 
 
 def _monitored(
-    model: Model, schedule: Schedule, depth: float | None
+    model: Model, schedule: Schedule, depth: float | None, ran: Followed | None
 ) -> tuple[list[Finding], list[Finding]]:
-    """Return the failure of the run, if any, and the findings of its monitor."""
-    settings = balanced(model.settings)
-    seen, failure = monitored(Runner(model, schedule), settings, depth)
+    """Return the failure of the run, if any, and the findings that the run shows."""
+    shipped = model.with_settings(balanced(model.settings))
+    seen, failure = monitored(shipped, schedule, depth, ran)
     if failure is None:
         return [], seen
     replay = Next("run", "writes a replay of the failure for `stepcore replay`")
@@ -296,8 +289,7 @@ def _monitored(
 def _read(model: Model, start: Start, held: np.ndarray, key: int | None) -> Iterator[Finding]:
     """Yield the findings from the scene alone; key: the keyframe of the start."""
     yield from about_bodies(model, Sizes(model))
-    yield from about_ranges(model, start, key)
-    yield from about_servos(model, start, held)
+    yield from about_ranges(model, start, key, held)
 
 
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
@@ -311,10 +303,8 @@ def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
     beyond = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
     known = set()
     for finding in read:
-        if finding.kind != "limit":
+        if finding.kind != "limit" or not beyond.intersection(finding.elements):
             known.add((finding.kind, finding.elements[:1]))
-            yield finding
-        elif not beyond.intersection(finding.elements):
             yield finding
     yield from (finding for finding in seen if (finding.kind, finding.elements[:1]) not in known)
 

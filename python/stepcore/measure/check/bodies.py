@@ -8,9 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from stepcore.engine.actuator import actuators
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
-from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.finding import Finding, Next, listed, named
 from stepcore.report.units import metres, times
@@ -24,33 +25,27 @@ LARGE, SMALL = 10.0, 5.0
 # Inertia below which units are too large [kg·m²]: ten times MuJoCo's mjMINVAL. A worm of 2e-15
 # fails there with a rank-deficient Hessian, one of 2e-13 trains well (MuJoCo's issue 1086).
 TINY = 1e-14
-# Radians read as degrees [°]: at most one turn of 2π, and seldom less than LEAST.
-TURN, LEAST = 2 * math.pi * 1.001, 0.5
-# Degrees read as radians [rad]: more turns than a limited joint makes.
-TURNS = 20.0
-# Ratio of degrees to radians between a control range and a joint range, and the tolerance.
-DEGREES, NEAR = 180 / math.pi, 0.1
+# Radians read as degrees [°] are at most one turn of 2π, and seldom less than this.
+LEAST = 0.5
+# How far a control range may be from its joint's range in degrees, relative to it.
+NEAR = 0.1
 # Densities of water and steel [kg/m³]; then bounds: above osmium and below air nothing is solid.
 WATER, STEEL = 1000.0, 7850.0
 DENSEST, LIGHTEST = 25_000.0, 1.0
 # Bounds of the radius of gyration, relative to the body's extent.
 TOO_FAR, TOO_NEAR = 3.0, 0.02
-# Mass ratio of touching bodies above which sweeps converge slowly.
-RATIO = 1e4
 LIST = (Next("plan", "every body, geom and row that a step computes", ("--all",)),)
 
 
 def about_bodies(model: Model, sizes: Sizes) -> Iterator[Finding]:
-    """Yield findings on units, and on densities, inertias and mass ratios of moving bodies."""
+    """Yield findings on units, and on densities and inertias of moving bodies."""
     layout, moving = Layout(model.scene), Coordinates(model).moving
     yield from _lengths(model, moving, sizes)
     yield from _tiny(model, moving)
     yield from _angles(model)
     yield from _controls(model)
     yield from _densities(model, layout, moving)
-    yield from _repaired(model, layout, moving)
     yield from _inertias(model, layout, moving, sizes)
-    yield from _ratios(model)
 
 
 # Units.
@@ -120,59 +115,33 @@ def _tiny(model: Model, moving: list[int]) -> Iterator[Finding]:
 
 
 def _angles(model: Model) -> Iterator[Finding]:
-    """Yield hinge ranges that look like radians read as degrees, and ranges of many turns."""
+    """Yield hinge ranges that look like radians read as degrees."""
     joints: list[int] = []
     if model.scene.features.limit:
         finite = np.isfinite(model.jnt_range).all(axis=1)
         joints = [k for k, kind in enumerate(model.jnt_type) if kind == "hinge" and finite[k]]
     most = max((float(np.abs(np.degrees(model.jnt_range[k])).max()) for k in joints), default=0.0)
-    if LEAST <= most <= TURN:
+    if LEAST <= most <= 2 * math.pi * 1.001:
         small, (low, high) = named(model, "joint", joints), np.degrees(model.jnt_range[joints[0]])
         problem = (
             f"the range of {listed(small, 'joints')} is {low:.4g} to {high:.4g} degrees, as if "
             "radians were meant"
         )
         yield _units("warning", problem, 'write <compiler angle="radian"/>', small, most, "deg")
-    wide = [k for k in joints if np.abs(model.jnt_range[k]).max() > TURNS]
-    if wide:
-        large, (low, high) = named(model, "joint", wide), model.jnt_range[wide[0]]
-        furthest = float(max(abs(low), abs(high)))
-        problem = (
-            f"the range of {listed(large, 'joints')} is {low:.4g} to {high:.4g} rad, "
-            f"{furthest / 2 / math.pi:.2g} turns, as if degrees were meant"
-        )
-        cure = 'write <compiler angle="degree"/>, or multiply by π/180'
-        yield _units("warning", problem, cure, large, furthest, "rad")
-    for index, key in enumerate(model.keys):
-        turned = [
-            k
-            for k, kind in enumerate(model.jnt_type)
-            if kind == "hinge" and abs(key.qpos[model.jnt_qposadr[k]]) > TURNS
-        ]
-        if turned:
-            far, value = named(model, "joint", turned), key.qpos[model.jnt_qposadr[turned[0]]]
-            problem = (
-                f"keyframe `{key.name or index}` puts {listed(far, 'joints')} at {value:.4g} rad"
-            )
-            cure = (
-                "keyframes are in radians whatever the compiler's angle; multiply degrees by π/180"
-            )
-            yield _units("warning", problem, cure, far, float(value), "rad")
 
 
 def _controls(model: Model) -> Iterator[Finding]:
     """Yield servos whose control range is the joint's range in degrees; MuJoCo keeps degrees."""
     wrong = []
-    for k, joint in enumerate(model.actuator_joint.tolist()):
-        servo = model.actuator_bias[k, 1] < 0 and joint >= 0
-        if not servo or model.jnt_type[joint] != "hinge":
+    for of in actuators(model):
+        if not of.holds or of.joint is None or model.jnt_type[of.joint] != "hinge":
             continue
-        bounds, limits = model.actuator_ctrlrange[k], model.jnt_range[joint]
+        bounds, limits = model.actuator_ctrlrange[of.index], model.jnt_range[of.joint]
         if not np.isfinite([*bounds, *limits]).all():
             continue
         ratio = float(np.abs(bounds).max() / np.abs(limits).max())
-        if abs(ratio / DEGREES - 1) < NEAR:
-            wrong.append(k)
+        if abs(ratio * math.pi / 180 - 1) < NEAR:
+            wrong.append(of.index)
     if wrong:
         servos, (low, high) = named(model, "actuator", wrong), model.actuator_ctrlrange[wrong[0]]
         problem = (
@@ -262,31 +231,6 @@ def _densities(model: Model, layout: Layout, moving: list[int]) -> Iterator[Find
         yield Finding("density", "remark", problem, cure, bodies, density, "kg/m³", commands=LIST)
 
 
-def _repaired(model: Model, layout: Layout, moving: list[int]) -> Iterator[Finding]:
-    """Yield inertias that only balanceinertia makes valid; without it compiling fails."""
-    if not model.scene.mass_rules.balanceinertia:
-        return
-    wrong = []
-    for index in moving:
-        body = layout.bodies[index]
-        if body.mass is None:
-            continue
-        xx, yy, zz, xy, xz, yz = body.inertia
-        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if moments[0] + moments[1] < moments[2] * (1 - 1e-9):
-            wrong.append((index, moments))
-    if wrong:
-        a, b, c = wrong[0][1]
-        bodies = named(model, "body", [index for index, _ in wrong])
-        problem = (
-            f"{listed(bodies, 'bodies')} has principal moments {a:.3g}, {b:.3g} and {c:.3g} kg·m², "
-            "although no body has one greater than the sum of the others; balanceinertia replaces "
-            "them by their mean"
-        )
-        cure = "write those of the real body"
-        yield Finding("inertia", "error", problem, cure, bodies, float(c), "kg·m²", commands=LIST)
-
-
 def _inertias(model: Model, layout: Layout, moving: list[int], sizes: Sizes) -> Iterator[Finding]:
     """Yield explicit inertias that do not fit the extent of the body."""
     # Without the meshes, the extent of a body is unknown.
@@ -321,37 +265,3 @@ def _inertias(model: Model, layout: Layout, moving: list[int], sizes: Sizes) -> 
     cure = 'correct its <inertial>, or let it come from the geoms (inertiafromgeom="true")'
     severity = "error" if large else "warning"
     yield Finding("inertia", severity, problem, cure, bodies, gyration, "m", LIST)
-
-
-def _ratios(model: Model) -> Iterator[Finding]:
-    """Yield pairs of bodies that can touch and differ much in mass."""
-    if model.settings.solver != "pgs":
-        return
-    worst, pair = 0.0, (0, 0)
-    # In a heap any two bodies can meet, so the extremes are compared.
-    every = _extremes(model) if model.is_heap else model.pair_geoms
-    for a, b in {tuple(sorted(model.geom_body[pair].tolist())) for pair in every}:
-        light, heavy = sorted((a, b), key=lambda body: float(model.body_mass[body]))
-        if a == 0 or float(model.body_mass[light]) <= 0:
-            continue
-        ratio = float(model.body_mass[heavy] / model.body_mass[light])
-        if ratio > worst:
-            worst, pair = ratio, (heavy, light)
-    if worst > RATIO:
-        bodies = named(model, "body", pair)
-        problem = (
-            f"{bodies[0].name} is {times(worst)} as heavy as {bodies[1].name}, which it can touch, "
-            "so sweeps converge slowly there"
-        )
-        cure = "use solver newton, which is not slowed down by mass ratios (law solref only)"
-        yield Finding("mass ratio", "remark", problem, cure, bodies, worst, "1", commands=LIST)
-
-
-def _extremes(model: Model) -> list[list[int]]:
-    """Return a geom of the lightest and a geom of the heaviest moving body with geoms."""
-    owner = model.geom_body
-    movers = [g for g in range(model.ngeom) if owner[g] and model.body_mass[owner[g]] > 0]
-    if not movers:
-        return []
-    by_mass = sorted(movers, key=lambda geom: float(model.body_mass[owner[geom]]))
-    return [[by_mass[0], by_mass[-1]]]

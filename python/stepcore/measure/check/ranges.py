@@ -1,134 +1,122 @@
-"""Checks starts, keyframes, controls and limits against their ranges, and finds unused tendons."""
+"""Checks of starts, keyframes, servos and limits against their ranges, and finds unused tendons."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
 
+from stepcore.engine.actuator import Actuator, actuators
+from stepcore.engine.coordinates import turned
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
-from stepcore.experiment.coordinates import turned
-from stepcore.experiment.single_run import SingleRun
-from stepcore.measure.monitors import Monitor
-from stepcore.measure.monitors.actuators import on_one_dof, strength
-from stepcore.measure.monitors.finding import PLOT, Finding, Remedy, listed, named
+from stepcore.measure.monitors.actuators import strength
+from stepcore.measure.monitors.contacts import LEFT
+from stepcore.measure.monitors.finding import PLOT, Finding, listed, named
 from stepcore.measure.monitors.joints import (
     BEYOND,
-    LEFT,
-    harder_limit,
     is_angular,
     length_of,
+    limit_remedy,
     width_of,
 )
+from stepcore.measure.monitors.recording import Recording, followed
 from stepcore.measure.monitors.soft_rows import yielding
-from stepcore.mjcf.worldbody import EmptyRange
-from stepcore.report.units import metres
+from stepcore.report.units import hertz, metres, rounded, seconds
 from stepcore.scene.layout import Layout
 
 # Least excess over a limit, relative to the range; rest poses are often slightly outside.
 OUTSIDE = 0.02
 # A keyframe is written on purpose: only the rounding of its numbers may be outside.
 KEYED = 1e-3
-# The run in which an actuator pushes against a limit [s], its steps, and the control of an actuator
-# without a ctrlrange.
-PUSHED, STEPS, UNBOUNDED = 1.0, 4000, 1e6
+# A force beyond its range by this factor is more than rounding.
+BEYOND_RANGE = 1.01
+# ω dt above which a servo without armature is too stiff; a damping rate × dt may be 1.
+STIFF = 0.5
+# The run in which an actuator pushes against a limit [s], and its steps.
+PUSHED, STEPS = 1.0, 4000
 
 
-def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Finding]:
-    """Yield findings on the start, the keyframes and the ranges; key: the keyframe of the start."""
-    yield from _inverted(model)
+def about_ranges(
+    model: Model, start: Start, key: int | None, ctrl: np.ndarray
+) -> Iterator[Finding]:
+    """Yield findings on the start with its controls, the keyframes, and the ranges.
+
+    key: the keyframe of the start, or None.
+    """
+    features = model.scene.features
     states = [(start.qpos, "The start", False)] if key is None else []
-    states += [
-        (frame.qpos, f"Keyframe `{frame.name or index}`", True)
-        for index, frame in enumerate(model.keys)
-    ]
-    if model.scene.features.limit:
-        sim = Sim(model)
-        known: set[Element] = set()
+    keys = [(f"Keyframe `{frame.name or k}`", frame) for k, frame in enumerate(model.keys)]
+    states += [(frame.qpos, name, True) for name, frame in keys]
+    if features.limit:
+        sim, known = Sim(model), set[Element]()
         for qpos, where, keyed in states:
             for finding in _outside(model, sim, qpos, where, keyed):
                 # Keyframes of one series are often outside in the same joints.
                 if not known.issuperset(finding.elements):
                     known.update(finding.elements)
                     yield finding
-    for index, frame in enumerate(model.keys):
-        where = f"Keyframe `{frame.name or index}`"
-        yield from _clamped(model, frame.ctrl, where)
-        yield from _asked_beyond(model, frame.ctrl, where)
-    yield from _one_sided(model)
-    yield from _overpowered(model, start)
-    yield from _pressed(model)
+    direct = [of for of in actuators(model) if of.direct] if features.actuation else []
+    for name, frame in keys:
+        yield from _clamped(model, frame.ctrl, name)
+    if features.limit:
+        for name, frame in keys:
+            yield from _asked_beyond(model, direct, frame.ctrl, name)
+        yield from _overpowered(model, direct, start)
+    yield from _saturated(model, direct, start, ctrl)
+    yield from _without_armature(model, direct)
     yield from _unused(model)
-
-
-def _inverted(model: Model) -> Iterator[Finding]:
-    """Yield ranges of the file whose first number is not the smaller: such ranges limit nothing."""
-    for note in model.scene.notes:
-        if isinstance(note, EmptyRange):
-            low, high = (f"{bound:g}" for bound in note.bounds)
-            order = f'write {note.field}="{high} {low}"'
-            problem = (
-                f"{note.where}: {note.field} = {low} {high} limits nothing, because its first "
-                "number must be the smaller one"
-            )
-            cure = order if low != high else "give it two different numbers"
-            yield Finding("inverted range", "error", problem, cure, value=float(low))
 
 
 def _outside(
     model: Model, sim: Sim, qpos: np.ndarray, where: str, keyed: bool
 ) -> Iterator[Finding]:
     """Yield joints and tendons that a state places outside their limits."""
-    lengths = []
-    if model.ntendon:
-        sim.qpos = qpos
-        sim.forward()
-        lengths = [(i, float(length)) for i, length in enumerate(sim.ten_length)]
-    angles = [
-        (k, _coordinate(qpos, int(model.jnt_qposadr[k]), kind))
+    sim.qpos = qpos
+    joints = [
+        (_coordinate(qpos, int(model.jnt_qposadr[k]), kind), *model.jnt_range[k].tolist())
         for k, kind in enumerate(model.jnt_type)
-        if kind != "free"
     ]
-    for kind, values, ranges in (
-        ("joint", angles, model.jnt_range.tolist()),
-        ("tendon", lengths, model.tendon_range.tolist()),
-    ):
-        outside = []
-        for k, value in values:
-            low, high = ranges[k]
-            over = max(low - value, value - high)
-            # Without a limit the range is infinite.
-            if math.isfinite(high - low) and over > (KEYED if keyed else OUTSIDE) * (high - low):
-                outside.append((over / (high - low), k, value))
+    lengths = sim.ten_length.tolist() if model.ntendon else []
+    tendons = [(x, *ends) for x, ends in zip(lengths, model.tendon_range.tolist(), strict=True)]
+    for kind, every in (("joint", joints), ("tendon", tendons)):
+        # Without a limit the range is infinite.
+        outside = sorted(
+            (
+                (over / (high - low), k)
+                for k, (value, low, high) in enumerate(every)
+                if math.isfinite(high - low)
+                and (over := max(low - value, value - high))
+                > (KEYED if keyed else OUTSIDE) * (high - low)
+            ),
+            reverse=True,
+        )
         if not outside:
             continue
-        outside.sort(reverse=True)
-        share, k, value = outside[0]
-        elements, (low, high) = named(model, kind, [entry[1] for entry in outside]), ranges[k]
+        (share, k), (value, low, high) = outside[0], every[outside[0][1]]
+        say: Callable[[float], str]
+        elements, at, cure = named(model, kind, [k for _, k in outside]), "at", "correct the pose"
         if kind == "joint":
-            say, at, unit = (
-                partial(length_of, model, k),
-                "at",
-                "rad" if is_angular(model, k) else "m",
-            )
+            say, unit = partial(length_of, model, k), "rad" if is_angular(model, k) else "m"
             cure = "correct its qpos" if keyed else "give a keyframe, or correct its ref"
             cure += f" (the nearest is {low if value < low else high:.4g})"
         else:
-            say, at, unit = partial(_tendon, model, k), "at a length of", _unit(model, k)
-            cure = "correct the pose"
-        over = max(low - value, value - high)
-        outside_ = "outside of" if share > OUTSIDE else f"{say(over)} beyond"
+            # The length of a fixed tendon, a sum of joints, has no unit.
+            at, unit = "at a length of", "" if model.scene.tendons[k].path.fixed else "m"
+            say = metres if unit else "{:.4g}".format
+        beyond = "outside of"
+        if share <= OUTSIDE:
+            beyond = f"{say(max(low - value, value - high))} beyond"
         problem = (
-            f"{where} has {listed(elements, f'{kind}s')} {at} {say(value)}, {outside_} its range "
+            f"{where} has {listed(elements, f'{kind}s')} {at} {say(value)}, {beyond} its range "
             f"of {say(low)} to {say(high)}, whose limit throws it back"
         )
-        cure += ", or widen the range"
-        severity = "error" if keyed else "warning"
+        cure, severity = f"{cure}, or widen the range", "error" if keyed else "warning"
         severity = severity if share > OUTSIDE else "remark"
         yield Finding("outside a limit", severity, problem, cure, elements, value, unit)
 
@@ -140,15 +128,6 @@ def _coordinate(qpos: np.ndarray, at: int, kind: str) -> float:
     return float(qpos[at])
 
 
-def _unit(model: Model, tendon: int) -> str:
-    """Return the unit of a tendon's length; a fixed tendon's length, a sum of joints, has none."""
-    return "" if model.scene.tendons[tendon].path.fixed else "m"
-
-
-def _tendon(model: Model, tendon: int, length: float) -> str:
-    return metres(length) if _unit(model, tendon) else f"{length:.4g}"
-
-
 def _clamped(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
     """Yield controls of a keyframe that will be clamped."""
     if not model.nu or not model.scene.features.clampctrl:
@@ -158,37 +137,35 @@ def _clamped(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
     outside = np.flatnonzero(over > 1e-9 * np.maximum(1.0, np.abs(ctrl)))
     if len(outside):
         k = int(outside[np.argmax(over[outside])])
-        actuators, (low, high) = named(model, "actuator", (k, *outside)), bounds[k]
+        elements, (low, high) = named(model, "actuator", (k, *outside)), bounds[k]
         problem = (
-            f"{where} has a control of {ctrl[k]:.4g} for {listed(actuators, 'actuators')}, clamped "
+            f"{where} has a control of {ctrl[k]:.4g} for {listed(elements, 'actuators')}, clamped "
             f"to its ctrlrange of {low:.4g} to {high:.4g}"
         )
-        cure = "correct its ctrl, or widen the ctrlrange"
-        kind = "clamped control"
-        yield Finding(kind, "warning", problem, cure, actuators, float(ctrl[k]), "", PLOT)
+        cure, value = "correct its ctrl, or widen the ctrlrange", float(ctrl[k])
+        yield Finding("clamped control", "warning", problem, cure, elements, value, "", PLOT)
 
 
-def _asked_beyond(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
+def _asked_beyond(
+    model: Model, direct: list[Actuator], ctrl: np.ndarray, where: str
+) -> Iterator[Finding]:
     """Yield servos that a keyframe asks for a position beyond the range of their joint."""
-    if not model.nu or not (model.scene.features.limit and model.scene.features.actuation):
-        return
     beyond = []
-    for k in on_one_dof(model):
-        joint, bias = int(model.actuator_joint[k]), model.actuator_bias[k]
-        low, high = (float(bound) for bound in model.jnt_range[joint])
-        gear, control = float(model.actuator_gear[k, 0]), float(ctrl[k])
-        if bias[1] >= 0 or not gear or not math.isfinite(high - low):
-            continue
-        if model.scene.features.clampctrl:
-            control = float(np.clip(control, *model.actuator_ctrlrange[k]))
-        asked = float(model.actuator_gain[k] * control + bias[0]) / -float(bias[1]) / gear
-        over = max(low - asked, asked - high) / (high - low)
-        if over > OUTSIDE:
-            beyond.append((over, k, joint, asked, low, high))
+    for of in direct:
+        assert of.joint is not None
+        low, high = (float(bound) for bound in model.jnt_range[of.joint])
+        if of.holds and math.isfinite(high - low):
+            asked = float(of.target(np.clip(ctrl[of.index], *of.ctrlrange))) / of.gear
+            over = max(low - asked, asked - high) / (high - low)
+            if over > OUTSIDE:
+                beyond.append((over, of.index, of.joint, asked))
     if beyond:
         beyond.sort(reverse=True)
-        _, k, joint, asked, low, high = beyond[0]
-        servos = named(model, "actuator", [entry[1] for entry in beyond])
+        _, _, joint, asked = beyond[0]
+        servos, (low, high) = (
+            named(model, "actuator", [k for _, k, *_ in beyond]),
+            (model.jnt_range[joint]),
+        )
         say = partial(length_of, model, joint)
         problem = (
             f"{where} asks {listed(servos, 'servos')} for {say(asked)}, beyond the range of "
@@ -200,128 +177,133 @@ def _asked_beyond(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Findin
         yield Finding("control beyond a limit", "remark", problem, cure, servos, asked, unit)
 
 
-def _one_sided(model: Model) -> Iterator[Finding]:
-    """Yield servos whose force range excludes 0, or allows only one direction."""
-    low, high = model.actuator_forcerange.T
-    wrong = np.flatnonzero((model.actuator_bias[:, 1] < 0) & ((low >= 0) | (high <= 0)))
-    if len(wrong):
-        low, high = (float(end) for end in model.actuator_forcerange[wrong[0]])
-        servos, most = named(model, "actuator", wrong), max(abs(low), abs(high))
-        problem = (
-            f"the forcerange of {listed(servos, 'servos')}, {low:.4g} to {high:.4g}, lets it push "
-            "in one direction only"
-        )
-        cure = f"{-most:.4g} to {most:.4g} lets it hold a position"
-        yield Finding("force range", "warning", problem, cure, servos, most)
-
-
-def _overpowered(model: Model, start: Start) -> Iterator[Finding]:
+def _overpowered(model: Model, direct: list[Actuator], start: Start) -> Iterator[Finding]:
     """Yield actuators that can push their joint far beyond its limit.
 
     The excess is the closed form of a soft row under the actuator's largest outward force. Gravity
     and other actuators are left out.
     """
-    features, settings = model.scene.features, model.settings
-    if settings.law != "solref" or not features.limit or not features.actuation:
+    settings, joints = model.settings, Layout(model.scene).joints
+    if settings.law != "solref":
         return
-    joints, dt = Layout(model.scene).joints, settings.dt if settings.refsafe else 0.0
-    strong = []
-    for k in on_one_dof(model):
-        index = int(model.actuator_joint[k])
-        low, high = (float(bound) for bound in model.jnt_range[index])
-        if not np.isfinite([low, high]).all():
-            continue
-        force = _largest_force(model, k, low, high)
-        load = force * float(model.dof_invweight0[model.jnt_dofadr[index]])
-        if not math.isfinite(load):
-            continue
-        width = width_of(model, index)
-        beyond = yielding(joints[index].solreflimit, joints[index].solimplimit, load, dt)
-        if beyond > BEYOND * width:
-            strong.append((beyond / width, k, index, force, beyond))
+    dt, strong = settings.dt if settings.refsafe else 0.0, []
+    for of in direct:
+        assert of.joint is not None
+        if np.isfinite(model.jnt_range[of.joint]).all():
+            force, _, _ = _outward(model, of)
+            at, width = joints[of.joint], width_of(model, of.joint)
+            if math.isfinite(force / of.inertia):
+                beyond = yielding(at.solreflimit, at.solimplimit, force / of.inertia, dt)
+                if beyond > BEYOND * width:
+                    strong.append((beyond / width, of.index, force, beyond))
     if not strong:
         return
     strong.sort(reverse=True)
-    ratio, k, index, force, beyond = strong[0]
-    actuators = named(model, "actuator", [entry[1] for entry in strong])
-    name, wanted = actuators[0].name, LEFT * BEYOND * beyond / ratio
-    range_ = "forcerange" if model.actuator_bias[k, 1] < 0 else "ctrlrange"
+    ratio, k, force, beyond = strong[0]
+    of = actuators(model)[k]
+    assert of.joint is not None
+    elements = named(model, "actuator", [entry[1] for entry in strong])
     problem = (
-        f"{listed(actuators, 'actuators')} can push {model.element_name('joint', index)} "
-        f"{length_of(model, index, beyond)} beyond its range with {strength(model, k, force)}"
+        f"{listed(elements, 'actuators')} can push {model.element_name('joint', of.joint)} "
+        f"{length_of(model, of.joint, beyond)} beyond its range with {strength(model, k, force)}"
     )
-    cure = f"a smaller {range_} of {name}"
-    elements = named(model, "limit", [index])
-    unit = "rad" if is_angular(model, index) else "m"
-    remedy = Remedy(
-        (harder_limit(model, index, beyond, wanted),),
-        lambda run: run.joints.excess_of(index),
-        BEYOND * width_of(model, index),
-        partial(length_of, model, index),
+    cure = f"a smaller {'forcerange' if of.holds else 'ctrlrange'} of {elements[0].name}"
+    remedy = dataclasses.replace(
+        limit_remedy(model, of.joint, beyond, LEFT * BEYOND * beyond / ratio),
         again=lambda other: _pushed(other, start, k),
     )
-    yield Finding("limit", "warning", problem, cure, elements, beyond, unit, PLOT, remedy=remedy)
+    limits, unit = named(model, "limit", [of.joint]), "rad" if is_angular(model, of.joint) else "m"
+    yield Finding("limit", "warning", problem, cure, limits, beyond, unit, PLOT, remedy=remedy)
 
 
-def _pushed(model: Model, start: Start, k: int) -> Monitor:
-    """Return the monitor of a run in which an actuator pushes its joint beyond its range."""
-    joint = int(model.actuator_joint[k])
-    low, high = (float(bound) for bound in model.jnt_range[joint])
-    _, end, control = _outward(model, k, low, high)
-    sim, monitor = Sim(model), Monitor(model)
-    start.put(sim)
-    sim.qpos[model.jnt_qposadr[joint]] = end
-    sim.ctrl[k] = np.clip(control, -UNBOUNDED, UNBOUNDED)
-    SingleRun(sim, probes=[monitor]).run(max(1, min(round(PUSHED / model.settings.dt), STEPS)))
-    return monitor
+def _pushed(model: Model, start: Start, k: int) -> Recording:
+    """Run an actuator that pushes its joint beyond its range."""
+    of = actuators(model)[k]
+    _, end, control = _outward(model, of)
+    qpos, ctrl = np.array(start.qpos), np.zeros((1, 1, model.nu))
+    qpos[of.qposadr] = end
+    # A control without a range is asked for more than any force range.
+    ctrl[0, 0, k] = np.clip(control, -1e6, 1e6)
+    steps = max(1, min(round(PUSHED / model.settings.dt), STEPS))
+    return followed(model, dataclasses.replace(start, qpos=qpos), steps, ctrl=ctrl)
 
 
-def _largest_force(model: Model, k: int, low: float, high: float) -> float:
-    """Return an actuator's largest outward force at an end of a joint's range."""
-    return _outward(model, k, low, high)[0]
+def _outward(model: Model, of: Actuator) -> tuple[float, float, float]:
+    """Return an actuator's largest force outwards of its joint's range, the end, and the control.
 
-
-def _outward(model: Model, k: int, low: float, high: float) -> tuple[float, float, float]:
-    """Return an actuator's largest outward force, the end of the range, and the control."""
-    gear, gain = float(model.actuator_gear[k, 0]), model.actuator_gain[k]
-    bias, controls = model.actuator_bias[k], model.actuator_ctrlrange[k]
-    if not model.scene.features.clampctrl or not np.isfinite(controls).all():
-        if bias[1] < 0 or not np.isfinite(model.actuator_forcerange[k]).all():
-            # The control of this servo has no range.
-            return 0.0, low, 0.0
-        controls = np.array([-np.inf, np.inf])
-    most = 0.0, low, 0.0
-    for end, outwards in ((low, -1.0), (high, 1.0)):
+    The force is 0 where nothing bounds it: a servo without a control range is not meant to push.
+    """
+    controls = of.ctrlrange
+    if not np.isfinite(controls).all():
+        if of.holds or not np.isfinite(of.forcerange).all():
+            return 0.0, 0.0, 0.0
+        controls = -np.inf, np.inf
+    most = 0.0, 0.0, 0.0
+    for end, outwards in zip(model.jnt_range[of.joint].tolist(), (-1.0, 1.0), strict=True):
         for control in controls:
-            with np.errstate(invalid="ignore"):
-                force = gain * control + bias[0] + bias[1] * gear * end
-            force = float(np.clip(force, *model.actuator_forcerange[k])) * gear * outwards
-            most = max(most, (force, end, float(control)))
+            force = float(np.clip(of.force(control, of.gear * end), *of.forcerange)) * of.gear
+            most = max(most, (force * outwards, end, control))
     return most
 
 
-def _pressed(model: Model) -> Iterator[Finding]:
-    """Yield springs at rest beyond the tendon's range, which always press on the limit."""
-    if not (model.scene.features.limit and model.scene.features.spring):
-        return
-    rests, ranges = model.tendon_lengthspring.tolist(), model.tendon_range.tolist()
-    wrong = [
-        (i, slack if slack < low else rest)
-        for i, ((rest, slack), (low, high)) in enumerate(zip(rests, ranges, strict=True))
-        if model.scene.tendons[i].sprung and (slack < low or rest > high)
-    ]
-    if wrong:
-        i, rest = wrong[0]
-        tendons = named(model, "tendon", [index for index, _ in wrong])
-        say, (low, high) = partial(_tendon, model, i), ranges[i]
+def _saturated(
+    model: Model, direct: list[Actuator], start: Start, ctrl: np.ndarray
+) -> Iterator[Finding]:
+    """Yield servos whose wanted force exceeds their force range at the start."""
+    full = []
+    for of in direct:
+        if of.holds:
+            length, speed = (of.gear * x for x in (start.qpos[of.qposadr], start.qvel[of.dof]))
+            asked = of.force(float(np.clip(ctrl[of.index], *of.ctrlrange)), length, speed)
+            end = of.forcerange[int(asked > 0)]
+            if abs(asked) > BEYOND_RANGE * abs(end):
+                full.append((abs(asked / end) if end else math.inf, of.index, float(asked), end))
+    if full:
+        full.sort(reverse=True)
+        _, k, force, end = full[0]
+        servos = named(model, "actuator", [entry[1] for entry in full])
         problem = (
-            f"the spring of {listed(tendons, 'tendons')} is at rest at a length of {say(rest)}, "
-            f"outside of the tendon's range of {say(low)} to {say(high)}, so it always presses on "
-            "the limit"
+            f"{listed(servos, 'servos')} asks for {strength(model, k, force)} at the start and has "
+            f"{strength(model, k, end)}, so it is saturated and kv has no effect"
         )
-        cure = "correct its springlength, or widen the range"
-        kind, unit = "spring beyond a limit", _unit(model, i)
-        yield Finding(kind, "warning", problem, cure, tendons, rest, unit)
+        cure = "start with a control that matches the pose (the keyframe's ctrl), or widen its "
+        cure += "forcerange"
+        yield Finding("saturation", "warning", problem, cure, servos, force, commands=PLOT)
+
+
+def _without_armature(model: Model, direct: list[Actuator]) -> Iterator[Finding]:
+    """Yield servos that are stiff relative to the inertia that their joint moves."""
+    joints, dt, stiff = Layout(model.scene).joints, model.settings.dt, []
+    for of in direct:
+        assert of.joint is not None
+        if joints[of.joint].armature > 0 or model.scene.actuators[of.index].armature > 0:
+            continue
+        kp, kv = max(of.stiffness, 0.0), max(of.damping, 0.0)
+        omega = math.sqrt(kp / of.inertia)
+        excess = max(omega * dt / STIFF, kv / of.inertia * dt)
+        if excess > 1:
+            needed = max(kp * dt**2 / STIFF**2, kv * dt) - of.inertia
+            stiff.append((excess, of.index, omega, needed))
+    if not stiff:
+        return
+    stiff.sort(reverse=True)
+    _, k, omega, needed = stiff[0]
+    of = actuators(model)[k]
+    assert of.joint is not None
+    unit = "kg·m²" if model.jnt_type[of.joint] == "hinge" else "kg"
+    servos = named(model, "actuator", [entry[1] for entry in stiff])
+    gain, rate = f"kv {of.damping:.3g}", f"a damping rate of {of.damping / of.inertia:.3g}/s"
+    if omega * dt > STIFF:
+        gain, rate = f"kp {of.stiffness:.3g}", hertz(omega)
+    problem = (
+        f"{listed(servos, 'servos')} has {gain} on a joint without armature that moves "
+        f"{of.inertia:.3g} {unit}, which is {rate} at a dt of {seconds(dt)}"
+    )
+    cure = (
+        f'armature="{rounded(needed, 2, up=True):g}" on {model.element_name("joint", of.joint)} '
+        "makes it slow enough (a geared motor has that much), or lower the gains"
+    )
+    yield Finding("armature", "warning", problem, cure, servos, of.inertia, unit)
 
 
 def _unused(model: Model) -> Iterator[Finding]:

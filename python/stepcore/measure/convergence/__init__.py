@@ -1,58 +1,47 @@
-"""`converge`: tests whether the forces of rows are converged, and what would converge them."""
+"""`converge`: more sweeps, or smaller steps? And which rows are not solved."""
 
 from __future__ import annotations
 
 import dataclasses
-import operator
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
 from stepcore import checks
-from stepcore._core import Settings
-from stepcore.deadline import OutOfTime
-from stepcore.experiment.arguments import MeasurementFields, Source, Workers, measurement, set_up
-from stepcore.experiment.experiment import Experiment
-from stepcore.experiment.horizon import affordable, horizon_of
+from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
+from stepcore.experiment.change import Change
+from stepcore.experiment.horizon import Horizon, affordable, horizon_of
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.run import Run
-from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import divides, scheduled
-from stepcore.measure.convergence.result import Convergence
-from stepcore.measure.convergence.runs import (
-    CandidateRun,
-    Candidates,
-    candidates,
-    ending,
-    row_states,
-    run_of,
-)
+from stepcore.experiment.norm import apart, rms
+from stepcore.experiment.schedule import HORIZON, divides
+from stepcore.experiment.study import EFFORT, SHIPPED, Study
+from stepcore.experiment.trial import Trial
+from stepcore.experiment.truth import Truth
+from stepcore.measure.convergence.result import Convergence, Ending, Split
 from stepcore.measure.convergence.sweeps import (
-    MotionState,
     ResidualHistory,
     RowForce,
-    SweepTheory,
     residual_history,
+    row_states,
 )
 from stepcore.measure.monitors import Finding, monitored
 from stepcore.report.units import metres
 
-__all__ = [
-    "CandidateRun",
-    "Convergence",
-    "ResidualHistory",
-    "RowForce",
-    "SweepTheory",
-    "converge",
-]
+__all__ = ["Convergence", "ResidualHistory", "RowForce", "Split", "converge"]
 
-# Limit on the cost of the reference, in steps × (dofs + 2).
-BUDGET = 4e6
-# Largest number of sweeps measured at the shipped time step, and at the others.
-MOST, FEWER = 4096, 256
+# Sweeps in a period of equal work, and how they are split into steps × sweeps.
+WORK = 64
+SPLITS = ((64, 1), (16, 4), (4, 16), (1, 64))
+# Time steps tried at the shipped sweeps, relative to the shipped one.
+FACTORS = (4, 2, 1, 1 / 2, 1 / 4, 1 / 8)
+# Least number of control periods in a motion.
+PERIODS = 4
+# The number of sweeps assumed for a solver that has none.
+USUAL = 16
 # Default number of starts.
 STARTS = 3
 # The shares of the time (`seconds`) at which the runs and the measurement of sweeps end.
@@ -65,127 +54,176 @@ def converge(
     motion: Motion | str | None = None,
     *,
     states: int = 8,
+    engine: str = "stepcore",
     **fields: Unpack[MeasurementFields],
 ) -> Convergence:
-    """Test whether a scene's contact forces and other rows are converged along its motion.
+    """Test whether contact forces and other rows are solved, and whether sweeps or steps help more.
 
-    At states of the motion, `converge` measures the residual by the number of sweeps, cold and
-    warm; the share of the error that each sweep leaves, with the theoretical value for comparison;
-    and which rows are furthest from their converged force. Over the whole motion, `converge`
-    measures the error at other time steps, with converged forces, and at equal row updates split
-    into many sweeps or many steps. All runs are compared with one converged reference. Errors are
-    RMS distances from the reference in the worst start [m], as in `stepcore.trade`.
+    Over the whole motion, `converge` measures the error as shipped, with converged forces, at other
+    time steps, and at equal row updates split into many sweeps or many steps. Errors are RMS
+    distances from the scene's converged motion in the worst start [m], as in `stepcore.trade`. At
+    states of the motion, it measures the residual by the number of sweeps, cold and warm; the share
+    of the error that each sweep leaves; and which rows are furthest from their converged force.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). The model's own
         settings are judged.
     motion: a `Motion`, or its fields as arguments. By default 3 starts and 1 s, or longer
         if it is not at rest by then; see `stepcore.experiment.horizon`.
     states: the number of states at which sweeps are measured.
+    engine: "stepcore", or "mujoco", which also runs files that stepcore cannot load. MuJoCo shows
+        errors alone, and no rows.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
-    Raises ValueError for an argument outside its limits, or if the reference itself fails.
+    Raises ValueError for an argument outside its limits, or if no converged motion can be run.
 
     >>> from stepcore import lesson
     >>> heavy = lesson.stack(5, "rigid", (1.0, 1000.0), warm_start=False)
     >>> result = converge(heavy, horizon=0.1, starts=1, progress=False)
-    >>> result.verdict
-    'under-solved'
-    >>> print(f"{result.contraction:.4f} {result.theory.closed:.4f}")
-    0.9990 0.9990
+    >>> result.verdict, result.better
+    ('under-solved', 'smaller steps')
+    >>> print(f"{result.contraction:.4f}")
+    0.9990
     """
-    setup = set_up(converge, model, motion, fields, missing="nothing to solve")
-    model, (_, motion, workers) = setup.model, setup
+    setup = set_up(converge, model, motion, fields, missing="nothing to solve", engine=engine)
     states = checks.count("states", states)
-    shipped = model.settings
+    shipped, motion, workers = setup.engine.settings(SHIPPED), setup.motion, setup.workers
     if motion.control_dt is not None and not divides(shipped.dt, motion.control_dt):
         limit = f"must be a whole number of steps of {shipped.dt:g} s"
         raise ValueError(f"control_dt = {motion.control_dt:g}: {limit}")
-    starts = motion.starts or STARTS
-    far = horizon_of(model, motion, cost=affordable(BUDGET, starts))
-    if far.words:
-        motion = dataclasses.replace(motion, horizon=far.length)
-    some = candidates(shipped, motion.period(shipped.dt), far.length)
-    schedule = scheduled(motion, model, some.period, starts)
-    experiment = Experiment(model, schedule, workers)
-    runner = experiment.runner
-    runner.check_repeatable()
-    reference = experiment.reference(min(s.dt for s in some.all), BUDGET)
+    motion = dataclasses.replace(motion, starts=motion.starts or STARTS)
+    far = Horizon(motion.horizon or HORIZON)
+    if setup.engine.known:
+        far = horizon_of(setup.model, motion, cost=affordable(EFFORT, motion.starts or STARTS))
+    motion = dataclasses.replace(motion, horizon=far.length if far.words else motion.horizon)
+    frame, period = periods(shipped, motion.period(shipped.dt), far.length)
+    study = Study(motion=motion, engine=setup.engine, period=period, workers=workers)
+    some = Candidates.of(study, frame)
+    truth = study.truth()
     # The answer needs two of the settings, which come first.
-    made = _runs(runner, some.all[:2], workers)
-    if len(made) < len({shipped, some.solved}):
-        raise OutOfTime("the shipped settings have not been run with converged forces")
-    first = [run_of(experiment, s, made[s], reference).error for s in (shipped, some.solved)]
-    said = f"as shipped the error is {metres(first[0])}, with converged forces {metres(first[1])}"
-    workers.deadline.so_far(f"{said}, ± {metres(reference.high)}; other settings are run now")
-    made |= _runs(runner, some.all[2:], workers, RUN)
-    some = some.only(made)
-    runs = {s: run_of(experiment, s, those, reference) for s, those in made.items()}
-    end = None
-    if not (runs[shipped].failure or runs[some.solved].failure):
-        end = ending(experiment, made[shipped], made[some.solved], reference.scored)
-    histories: list[ResidualHistory] = []
-    with workers.deadline.stage("the residual by sweeps", MEASURED):
-        histories = _histories(runner, some, states, workers)
-    findings: list[Finding] = []
-    with workers.deadline.stage("the findings on the shipped settings"):
-        # The residual is already reported by this measurement.
-        findings = [one for one in monitored(runner, shipped)[0] if one.kind != "residual"]
+    two = study.run([SHIPPED, some.solved], bar="runs")
+    said = f"as shipped the error is {metres(two[0].error)}, with converged forces "
+    said += f"{metres(two[1].error)}, ± {metres(truth.error)}; other settings are run now"
+    workers.deadline.so_far(said)
+
+    def left_out() -> str:
+        return f"{len(some.all) - len(_done(study, some.all))} of {len(some.all)} settings"
+
+    with workers.deadline.stage(left_out, RUN):
+        study.tracks(some.all, study.starts, "runs")
+    with workers.deadline.closing():
+        trials = {trial.change: trial for trial in study.run(_done(study, some.all))}
+    histories, findings = list[ResidualHistory](), list[Finding]()
+    if engine == "stepcore":
+        with workers.deadline.stage("the residual by sweeps", MEASURED):
+            chosen = row_states(setup.model, study.schedule, states, study.starts)
+            job = partial(residual_history, setup.model, shipped)
+            histories = workers.each(job, chosen, "sweeps")
+        with workers.deadline.stage("the findings on the shipped settings"):
+            found = monitored(setup.model, study.schedule)[0]
+            # The residual is already reported by this measurement.
+            findings = [one for one in found if one.kind != "residual"]
     return Convergence(
         name=setup.name,
         settings=shipped,
-        motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=starts),
-        horizon=schedule.horizon,
-        starts=starts,
-        candidates=some,
-        runs=runs,
+        motion=dataclasses.replace(motion, horizon=study.schedule.horizon),
+        horizon=study.schedule.horizon,
+        shipped=trials[SHIPPED],
+        solved=trials[some.solved],
+        dts=[trials[change] for change in some.dts if change in trials],
+        splits=[Split(n, k, trials[c]) for (n, k), c in some.splits.items() if c in trials],
+        more=trials.get(some.more) if some.more is not None else None,
         histories=histories,
-        reference=reference,
-        size=experiment.size,
-        ending=end,
-        notes=[*model.scene.notes, *schedule.notes],
+        has_rows=study.engine.has_rows(study.schedule),
+        reference=truth,
+        size=study.size,
+        ending=_ending(study, trials[SHIPPED], trials[some.solved], truth),
+        notes=[*(setup.model.scene.notes if setup.engine.known else ()), *study.schedule.notes],
         findings=findings,
-        ran=far.after(motion_in_words(model, motion, schedule)),
+        ran=far.after(study.motion_ran),
     )
 
 
-def _runs(
-    runner: Runner, some: Sequence[Settings], workers: Workers, share: float = 1.0
-) -> dict[Settings, list[Run]]:
-    """Run every start under each of the settings, as far as a share of the time allows."""
-    count = len(runner.starts)
-    jobs = [partial(runner.run, settings, start) for settings in some for start in runner.starts]
-    runs: list[Run | None] = []
+def periods(shipped: Any, control: float | None, horizon: float) -> tuple[float, float]:
+    """Return the time over which equal work is split, and the control period [s].
 
-    def made() -> dict[Settings, list[Run]]:
-        each = {s: runs[i * count : (i + 1) * count] for i, s in enumerate(some)}
-        return {s: [run for run in some if run] for s, some in each.items() if all(some)}
+    One of the splits has the shipped time step, with the nearest of 1, 4, 16 and 64 sweeps.
 
-    def left_out() -> str:
-        return f"{len(some) - len(made())} of {len(some)} settings"
-
-    with workers.deadline.stage(left_out, share):
-        workers.each(operator.call, jobs, "runs", runs)
-    return made()
+    control: the control period of the motion [s]; None if it has none.
+    """
+    known = shipped.solver == "pgs" and shipped.sweeps != "auto"
+    sweeps = max(1, int(shipped.sweeps)) if known else USUAL
+    frame = shipped.dt * WORK / min((1, 4, 16, 64), key=lambda n: abs(math.log(n / sweeps)))
+    if control is not None:
+        return control / max(1, round(control / frame)), control
+    period = max(frame, 4 * shipped.dt)
+    while period > horizon / PERIODS * (1 + 1e-9) and period > shipped.dt:
+        period /= 2
+    return min(frame, period), period
 
 
-def _histories(
-    runner: Runner, some: Candidates, states: int, workers: Workers
-) -> list[ResidualHistory]:
-    """Measure sweeps at states of the shipped motion, under each time step."""
-    by_start = workers.each(partial(row_states, runner, some.shipped), runner.starts, None)
-    chosen = _chosen([state for states_of in by_start for state in states_of], states)
-    jobs = [
-        partial(residual_history, runner.model, s, MOST if s == some.shipped else FEWER, state)
-        for s in some.dts
-        for state in chosen
-    ]
-    return workers.each(operator.call, jobs, "sweeps")
+@dataclass(frozen=True)
+class Candidates:
+    """The changes of settings that are run.
+
+    solved: the shipped settings with converged forces. dts: the shipped settings at other steps.
+    splits: equal work, by steps and sweeps. more: four times the sweeps; None where there is no
+    number of sweeps.
+    """
+
+    solved: Change
+    dts: list[Change]
+    splits: dict[tuple[int, int], Change]
+    more: Change | None
+
+    @classmethod
+    def of(cls, study: Study, frame: float) -> Candidates:
+        """Return the changes of a study; frame: the time over which equal work is split [s]."""
+        shipped, period = study.engine.settings(SHIPPED), study.schedule.period
+        # Forces are converged as in the converged motion, and the rest is as shipped.
+        exact = study.engine.ways(study.schedule, 1.0)[0].at(0)
+        own = {name: getattr(shipped, name) for name in ("dt", "integrator", "refsafe", "sleep")}
+        lengths = [(f, shipped.dt * f) for f in FACTORS]
+        plain = Change(solver="pgs", tolerance=0.0, cost_tolerance=0.0)
+        fixed = shipped.solver == "pgs" and shipped.sweeps != "auto" and shipped.sweeps > 0
+        return cls(
+            solved=Change.between(study.engine.settings(exact.also(Change(**own))), shipped),
+            dts=[
+                SHIPPED if f == 1 else Change(dt=dt)
+                for f, dt in lengths
+                if dt <= period * (1 + 1e-9) and divides(dt, period)
+            ],
+            splits={(n, k): plain.also(Change(dt=frame / n, sweeps=k)) for n, k in SPLITS},
+            more=Change(sweeps=4 * shipped.sweeps, cost_tolerance=0.0) if fixed else None,
+        )
+
+    @property
+    def all(self) -> list[Change]:
+        """All changes, without repetition."""
+        some = [SHIPPED, self.solved, *self.dts, *self.splits.values(), self.more]
+        return list(dict.fromkeys(change for change in some if change is not None))
 
 
-def _chosen(some: list[MotionState], count: int) -> list[MotionState]:
-    """Return states spread over all starts, including the one with the worst residual."""
-    if len(some) <= count:
-        return some
-    even = np.linspace(0, len(some) - 1, count - 1).round().astype(int)
-    worst = int(np.argmax([state.residual for state in some]))
-    return [some[i] for i in np.unique([*even, worst])]
+def _done(study: Study, changes: Sequence[Change]) -> list[Change]:
+    return [c for c in changes if all(study.ran(c, start) for start in study.starts)]
+
+
+def _ending(study: Study, shipped: Trial, solved: Trial, truth: Truth) -> Ending | None:
+    """Compare the ends of both motions in the start where converged forces matter most."""
+    if shipped.failure or solved.failure or shipped.tracks is None or solved.tracks is None:
+        return None
+    both = np.stack([shipped.tracks.com, solved.tracks.com])
+    over = rms(apart(shipped.tracks, solved.tracks, study.engine.matter), truth.scored)
+    gap = np.linalg.norm(both[0, :, -1] - both[1, :, -1], axis=-1)
+    start, body = map(int, np.unravel_index(gap.argmax(), gap.shape))
+    times = study.schedule.times
+    last = max(1, len(times) // 10)
+    speeds = np.full(2, np.nan)
+    if len(times) > last:
+        moved = both[:, start, -1, body] - both[:, start, -1 - last, body]
+        speeds = np.linalg.norm(moved, axis=-1) / (times[-1] - times[-1 - last])
+    index = study.engine.matter.moving[body]
+    known = study.engine.known
+    name = study.model.element_name("body", index) if known else f"body {index}"
+    return Ending(
+        start, name, float(gap.max()), float(speeds[0]), float(speeds[1]), float(over.max())
+    )

@@ -3,48 +3,72 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from stepcore._core import Settings
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.reference import Reference
-from stepcore.measure.convergence.numbers import NO_RATE, length, numbers, share
-from stepcore.measure.convergence.runs import CandidateRun, Candidates, Ending
-from stepcore.measure.convergence.sweeps import ResidualHistory, RowForce, SweepTheory
+from stepcore.experiment.trial import Trial
+from stepcore.experiment.truth import Truth
+from stepcore.measure.convergence.sweeps import SWEEPS, ResidualHistory, RowForce
 from stepcore.measure.monitors import Finding
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import counted, metres, seconds, speed
+from stepcore.report.units import compact, counted, metres, seconds, speed
 
-# Position differences below this, relative to the scene's size, do not affect the verdict.
+# Distances below this share of the scene's size do not make a motion under-solved: iterative
+# solvers stop at tolerances that leave as much.
 NOTABLE = 1e-5
-# A residual displaces a body by at most its speed times the duration of the motion, times this
-# factor if small differences grow.
-GROWTH = 100.0
 # Errors that differ by less than this factor count as equal.
 ALIKE = 1.2
 # A body at rest moves less than this share of the distance during the whole motion.
 STILL = 0.1
-# Residuals below this share of the largest are rounding.
-ROUNDING = 1e-13
+# Residuals below this share of the largest, and rates below this, are rounding.
+ROUNDING = 1e-12
 # Number of rows printed; number of rows named in a sentence; and the least missing share of force,
 # relative to the largest, of a named row.
 PRINTED, NAMED, LACKING = 5, 3, 0.1
+
+
+class Split(NamedTuple):
+    """Equal work as steps × sweeps, and its trial."""
+
+    steps: int
+    sweeps: int
+    trial: Trial
+
+
+@dataclass(frozen=True)
+class Ending:
+    """The difference between the ends of the motion as shipped and with converged forces.
+
+    start, body: the start and the body for which the distance is largest.
+    apart: that distance [m].
+    speed, solved_speed: the body's mean speed over the last tenth of both motions [m/s].
+    solver: RMS distance over the whole motion in the worst start [m].
+    """
+
+    start: int
+    body: str
+    apart: float
+    speed: float
+    solved_speed: float
+    solver: float
 
 
 @dataclass(eq=False, repr=False)
 class Convergence(Result):
     """The convergence of a scene's rows, and whether sweeps or smaller steps gain more accuracy.
 
-    candidates: the settings that were run.
-    runs: the result of each setting.
-    histories: the residual by sweeps at states of the motion.
-    reference: the converged motion that all runs are compared with.
-    size: the size of the scene and its motion [m].
+    shipped, solved: the trials of the scene's settings, and of these with converged forces.
+    dts: those of other time steps. splits: those of equal work. more: that of four times the
+        sweeps; None where the settings have no number of sweeps.
+    histories: the residual by sweeps at states of the motion. has_rows: whether any row acts.
+    reference: the converged motion that all trials are compared with.
+    size: the size of the scene [m].
     ending: where the motion ends; None if a run fails.
     findings: problems of the settings in the first start, such as creep; see `Finding`.
 
@@ -53,118 +77,82 @@ class Convergence(Result):
     >>> result = converge(tower, horizon=0.2, starts=1, states=2, progress=False)
     >>> result
     <Convergence of tower: solved>
-    >>> print(f"{result.contraction:.3f}, theory", result.theory.formula)
-    0.500, theory m_top/(m_top + m_bottom) = 1/(1 + 1)
+    >>> print(f"{result.contraction:.3f}")
+    0.500
     """
 
     kind = "convergence"
-    units: ClassVar = {
-        "missing": "m/s",
-        "residual": "m/s",
-        "force": "N or N·m",
-        "solved": "N or N·m",
-        "error": "m",
-        "overlap": "m",
-        "joint": "m",
-        "updates": "1/s",
-    }
+    units: ClassVar = {"missing": "m/s", "force": "N or N·m", "solved": "N or N·m"}
 
-    settings: Settings
+    settings: Any
     motion: Motion
     horizon: float
-    starts: int
-    candidates: Candidates
-    runs: dict[Settings, CandidateRun]
+    shipped: Trial
+    solved: Trial
+    dts: list[Trial]
+    splits: list[Split]
+    more: Trial | None
     histories: list[ResidualHistory]
-    reference: Reference
+    has_rows: bool
+    reference: Truth
     size: float
     ending: Ending | None
     findings: list[Finding] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        self.notes = [*self.notes, *self._cautions()]
-
     # --- the questions ---------------------------------------------------------------------------
-
-    @property
-    def shipped(self) -> CandidateRun:
-        """The run under the scene's settings."""
-        return self.runs[self.settings]
-
-    @property
-    def solved(self) -> CandidateRun:
-        """The run under the scene's settings with converged forces."""
-        return self.runs[self.candidates.solved]
 
     @property
     def verdict(self) -> str:
         """ "diverging", "under-solved", "no rows" or "solved"."""
         if self.ending is None:
             return "diverging"
-        if not self.histories:
+        if not self.has_rows:
             return "no rows"
-        apart, notable = self.ending.solver, NOTABLE * self.size
         # Unconverged forces matter if they move bodies further than the time step does.
-        matters = apart > max(self.solved.error, notable)
-        able = apart < GROWTH * self.shipped.residual * self.horizon
-        return "under-solved" if matters and able else "solved"
+        least = max(self.solved.error, NOTABLE * self.size)
+        return "under-solved" if self.ending.solver > least else "solved"
 
     @property
     def better(self) -> str:
-        """The more accurate at equal row updates: "smaller steps", "more sweeps" or "neither"."""
-        if not self.histories:
-            return "neither"
-        steps, sweeps = (min(errors, default=math.inf) for errors in self.at_equal_work)
-        if steps * ALIKE < sweeps:
-            return "smaller steps"
-        return "more sweeps" if sweeps * ALIKE < steps else "neither"
+        """The more accurate at equal work: "smaller steps", "more sweeps" or "neither".
+
+        Of the equal row updates and of four times the shipped work, those that reach the smaller
+        error decide.
+        """
+        pairs = [self.at_equal_work]
+        if self.more is not None and self.quarter is not None:
+            pairs.append((self.quarter.error, self.more.error))
+        return _better(*min(pairs, key=min)) if self.has_rows else "neither"
 
     @property
-    def at_equal_work(self) -> tuple[list[float], list[float]]:
-        """Errors [m] of the splits with more steps than sweeps, and of those with fewer.
+    def at_equal_work(self) -> tuple[float, float]:
+        """Least errors [m] of the splits with more steps than sweeps, and of those with fewer.
 
-        Splits that fail are left out.
+        They are inf where all fail.
         """
-        splits = [(split, self.runs[split.settings]) for split in self.candidates.splits]
-        done = [(split, run.error) for split, run in splits if not run.failure]
-        steps = [error for split, error in done if split.steps > split.sweeps]
-        return steps, [error for split, error in done if split.steps < split.sweeps]
+        steps = [split.trial.error for split in self.splits if split.steps > split.sweeps]
+        sweeps = [split.trial.error for split in self.splits if split.steps < split.sweeps]
+        return min(steps, default=math.inf), min(sweeps, default=math.inf)
 
     @property
     def slowest(self) -> ResidualHistory | None:
-        """The state at which sweeps converge slowest, at the shipped time step."""
-        return self._slowest(self.settings.dt)
-
-    def _slowest(self, dt: float) -> ResidualHistory | None:
-        known = [h for h in self.at(dt) if h.contraction is not None]
-        return max(known, key=lambda h: h.contraction or 0.0, default=None)
+        """The state at which sweeps converge slowest."""
+        known = [history for history in self.histories if history.contraction is not None]
+        return max(known, key=lambda history: history.contraction or 0.0, default=None)
 
     @property
     def contraction(self) -> float | None:
-        """The asymptotic share of the error that each sweep leaves, measured at `slowest`."""
+        """The share of the error that each sweep leaves in the end, measured at `slowest`."""
         return self.slowest.contraction if self.slowest else None
 
-    @property
-    def theory(self) -> SweepTheory:
-        """The theoretical contraction at `slowest`."""
-        return self.slowest.theory if self.slowest else SweepTheory(why="no two rows act at once")
-
-    def at(self, dt: float) -> list[ResidualHistory]:
-        """Return the residual histories at one time step."""
-        return [history for history in self.histories if history.dt == dt]
-
-    def residual(self, dt: float, sweeps: int, warm: bool = False) -> float:
+    def residual(self, sweeps: int, warm: bool = False) -> float:
         """Return the median residual of the states after a number of sweeps [m/s].
 
-        dt: the time step [s].
         sweeps: one of `ResidualHistory.sweeps`.
         warm: whether the sweeps start from the impulses of the previous step rather than from zero.
         """
-        values = []
-        for history in self.at(dt):
-            if history.cold:
-                residuals = history.warm if warm else history.cold
-                values.append(residuals[history.sweeps.index(sweeps)])
+        place = SWEEPS.index(sweeps)
+        values = [(one.warm if warm else one.cold)[place] for one in self.histories]
         return float(np.median(values)) if values else math.nan
 
     @property
@@ -175,9 +163,8 @@ class Convergence(Result):
         off.
         """
         by_name: dict[str, list[RowForce]] = {}
-        for history in self.at(self.settings.dt):
-            for force in history.forces:
-                by_name.setdefault(force.name, []).append(force)
+        for force in (force for history in self.histories for force in history.forces):
+            by_name.setdefault(force.name, []).append(force)
         rows = [
             replace(max(forces, key=lambda force: force.missing), states=len(forces))
             for forces in by_name.values()
@@ -194,37 +181,30 @@ class Convergence(Result):
     @property
     def setup(self) -> str:
         """The runs that were made."""
-        reference = self.reference.settings
-        return (
-            f"Settings: {label(self.settings)}. The reference is {reference.integrator} at dt "
-            f"{seconds(reference.dt)}; its uncertainty is {metres(self.reference.high)}."
-        )
+        return f"Settings: {label(self.settings)}. {self.reference.words}"
 
     @property
     def table(self) -> Table:
         """The rows; see `RowForce`."""
-        names = ["name", "missing", "residual", "force", "solved", "states"]
-        formats = dict.fromkeys(("missing", "residual"), ".2e")
         return Table(
             [vars(row) for row in self.rows],
-            names,
-            formats,
+            ["name", "missing", "force", "solved", "states"],
+            {"missing": ".2e"},
             heading="Rows after the shipped sweeps, the largest missing impulse first",
             legend=(
-                "missing: missing impulse as a speed [m/s]; residual [m/s]; force reached and "
-                "converged force (solved) [N or N·m]; states: number of states in which it has rows"
+                "missing: missing impulse as a speed [m/s]; force reached and converged force "
+                "(solved) [N or N·m]; states: number of states in which it has rows"
             ),
         )
 
     @property
     def sweeps(self) -> Table:
         """The residual by sweeps, cold and warm: median and worst of the states [m/s]."""
-        histories = [h for h in self.at(self.settings.dt) if h.cold]
         records = []
-        for k, count in enumerate(histories[0].sweeps if histories else ()):
+        for k, count in enumerate(SWEEPS if self.histories else ()):
             record: dict[str, Any] = {"sweeps": count}
             for kind in ("cold", "warm"):
-                values = [getattr(history, kind)[k] for history in histories]
+                values = [getattr(history, kind)[k] for history in self.histories]
                 record[kind], record[f"{kind} worst"] = float(np.median(values)), max(values)
             records.append(record)
         names = ("cold", "cold worst", "warm", "warm worst")
@@ -233,63 +213,33 @@ class Convergence(Result):
 
     @property
     def steps(self) -> Table:
-        """One row for each time step; other settings are as shipped.
+        """One row for each time step; other settings are as shipped; errors in metres.
 
-        residual: the worst along the motion [m/s].
-        contraction: at the slowest state.
-        error: RMS position error [m].
-        updates: row updates per simulated second.
+        work: counted operations per simulated second.
         """
-
-        def record(settings: Settings) -> dict[str, Any]:
-            run, slowest = self.runs[settings], self._slowest(settings.dt)
-            rate = slowest.contraction if slowest and self._sweeps_made else None
-            return {
-                "dt": settings.dt,
-                "residual": run.residual,
-                "contraction": rate,
-                "error": run.error,
-                "updates": run.updates,
-                "failure": run.failure,
-            }
-
-        heading = "By time step, all else as shipped: residual [m/s], RMS position error [m]"
-        return numbers(map(record, self.candidates.dts), heading)
+        rows = [(seconds(trial.dt), trial) for trial in self.dts]
+        return _table("dt", rows, "By time step, all else as shipped: RMS position error [m]")
 
     @property
     def work(self) -> Table:
-        """Equal row updates as steps × sweeps, under pgs, and four times the shipped work.
-
-        error: RMS position error [m].
-        overlap, joint: the deepest overlap and the widest gap [m].
-        """
-        some = self.candidates
-        named = [(f"{s.steps}x{s.sweeps}", s.settings) for s in some.splits]
-        named.append(("shipped", self.settings))
-        named += [("shipped, 4 x sweeps", some.more)] if some.more else []
-        named += [("shipped, 1/4 dt", some.quarter)] if some.quarter else []
-        named.append(("shipped dt, converged", some.solved))
-
-        def record(name: str, settings: Settings) -> dict[str, Any]:
-            run = self.runs[settings]
-            return {
-                "steps x sweeps": name,
-                "dt": settings.dt,
-                "sweeps": settings.sweeps if settings.solver == "pgs" else settings.solver,
-                "error": run.error,
-                "overlap": run.overlap,
-                "joint": run.joint,
-                "updates": run.updates,
-                "failure": run.failure,
-            }
-
+        """Equal row updates as steps × sweeps, under pgs, and four times the shipped work."""
+        named = [(f"{s.steps}x{s.sweeps}", s.trial) for s in self.splits]
+        named.append(("shipped", self.shipped))
+        named += [("shipped, 4 x sweeps", self.more)] if self.more else []
+        named += [("shipped, 1/4 dt", self.quarter)] if self.quarter else []
+        named.append(("shipped dt, converged", self.solved))
         heading = "Equal row updates, steps x sweeps under pgs, and the shipped settings"
-        return numbers((record(*each) for each in named), heading)
+        return _table("steps x sweeps", named, heading)
+
+    @property
+    def quarter(self) -> Trial | None:
+        """The shipped settings at a quarter of their time step; None if not tried."""
+        return next((t for t in self.dts if math.isclose(t.dt, self.shipped.dt / 4)), None)
 
     @property
     def _sweeps_made(self) -> bool:
-        """Whether the shipped solver makes sweeps; Newton makes none."""
-        return self.settings.solver != "newton"
+        """Whether the shipped solver makes sweeps; Newton and conjugate gradients make none."""
+        return self.settings.solver == "pgs"
 
     def tables(self, full: bool) -> list[Table]:
         """Return the tables of rows and time steps.
@@ -299,7 +249,7 @@ class Convergence(Result):
         full: whether to include every row, equal work and residuals by sweeps.
         """
         solved = self.verdict == "solved" and not self._sweeps_made
-        if not self.histories or (solved and not full):
+        if not full and (solved or not self.histories):
             return [self.steps]
         rows, sweeps = self.table, self.sweeps
         if not full and len(rows) > PRINTED:
@@ -309,24 +259,22 @@ class Convergence(Result):
             rows.legend = legend
         if not full:
             return [rows, self.steps]
+        if not self.histories:
+            return [self.steps, self.work]
         # Show residuals until they are rounding.
         worst = [max(r["cold worst"], r["warm worst"]) for r in sweeps]
         done = [k for k, value in enumerate(worst) if value <= ROUNDING * max(worst)]
-        sweeps = sweeps[: done[0] + 1] if done else sweeps
-        return [rows, self.steps, self.work, sweeps]
+        return [rows, self.steps, self.work, sweeps[: done[0] + 1] if done else sweeps]
 
     def details(self) -> dict[str, Any]:
-        """Return the verdict, the contraction with its theory, and the other tables."""
+        """Return the verdict, the contraction and the other tables."""
         return {
             "verdict": self.verdict,
             "better": self.better,
             "contraction": self.contraction,
-            "theory": self.theory.radius,
-            "closed_form": self.theory.formula,
-            "closed_form_value": self.theory.closed,
             "slowest_time": self.slowest.time if self.slowest else None,
-            "reference": self.reference.settings,
-            "reference_error": self.reference.high,
+            "reference": self.reference.settings.as_dict(),
+            "reference_error": self.reference.error,
             "size": self.size,
             "ending": self.ending,
             "findings": [finding.record() for finding in self.findings],
@@ -344,7 +292,7 @@ class Convergence(Result):
     def sentences(self) -> list[str]:
         """The verdict, the cause, the convergence of sweeps, and what would gain more accuracy."""
         said = [self._verdict()]
-        if self.histories:
+        if self.has_rows:
             said += [self._forces(), self._convergence(), self._equal_work(), self._four_times()]
         said += [finding.text for finding in self.findings]
         return [sentence for sentence in said if sentence]
@@ -352,22 +300,19 @@ class Convergence(Result):
     def _verdict(self) -> str:
         if self.ending is None:
             return self._diverging()
-        if self.verdict == "no rows":
+        if not self.has_rows:
             return "No contact, limit or other row was ever active, so sweeps have no effect."
         solver, size = self.ending.solver, self.size
-        error = length(self.solved.error, size)
-        apart = f"{length(solver, size)} (RMS) from the motion with converged forces"
+        starts = len(self.shipped.starts)
+        worst = f" in the worst of {counted(starts, 'start')}" if starts > 1 else ""
+        error = f"{metres(self.solved.error)}{worst}"
+        apart = f"{metres(solver)} (RMS) from the motion with converged forces"
         if self.verdict == "under-solved":
             where = self._where_it_ends(self.ending)
-            step = f"The time step itself causes an error of {error}{self._worst}."
+            step = f"The time step itself causes an error of {error}."
             return f"Under-solved: {where} Over the motion it is {apart}. {step}"
         fine = "the solver is fine." if solver < 1e-9 * size else f"the motion is {apart}."
-        step = f"The time step causes an error of {error}{self._worst}"
-        return f"Solved: {fine} {step}; reduce dt to lower it."
-
-    @property
-    def _worst(self) -> str:
-        return f" in the worst of {counted(self.starts, 'start')}" if self.starts > 1 else ""
+        return f"Solved: {fine} The time step causes an error of {error}; reduce dt to lower it."
 
     def _where_it_ends(self, ending: Ending) -> str:
         """Describe where an under-solved motion ends."""
@@ -393,8 +338,8 @@ class Convergence(Result):
         why = f"Diverging: {self.shipped.failure}."
         if not self.solved.failure:
             return f"{why} With converged forces at the same time step it runs: use more sweeps."
-        steps = [s.dt for s in self.candidates.dts if not self.runs[s].failure]
-        smaller = [dt for dt in steps if dt < self.settings.dt]
+        steps = [trial.dt for trial in self.dts if not trial.failure]
+        smaller = [dt for dt in steps if dt < self.shipped.dt]
         if smaller:
             return (
                 f"{why} Converged forces do not help; a time step of {seconds(max(smaller))} does. "
@@ -409,7 +354,7 @@ class Convergence(Result):
             return ""
         most = max(abs(row.solved - row.force) for row in rows)
         limiting = [
-            f"{row.name} ({row.force:.3g} of {row.solved:.3g}, residual {row.residual:.2g} m/s)"
+            f"{row.name} ({row.force:.3g} of {row.solved:.3g}; {compact(row.missing)} m/s missing)"
             for row in rows
             if row.missing >= LACKING * rows[0].missing
             or abs(row.solved - row.force) >= LACKING * most
@@ -417,74 +362,70 @@ class Convergence(Result):
         return f"Force reached, of the converged force: {', '.join(limiting[:NAMED])}."
 
     def _convergence(self) -> str:
-        """Describe how fast sweeps converge, compared with theory; Newton makes no sweeps."""
+        """Describe how fast sweeps converge; Newton makes no sweeps."""
         rate = self.contraction
-        if not self._sweeps_made:
+        if not self._sweeps_made or not self.histories:
             return ""
         if rate is None:
             return "No two rows act at once, so one sweep solves them."
         if rate >= 1 - 1e-9:
             return f"Sweeps do not converge: each leaves {rate:.6g} of the error."
-        said = f"Each sweep leaves {share(rate)} of the solver's error"
-        if rate > NO_RATE:
-            said += f" ({math.log(10) / -math.log(rate):.3g} sweeps reduce it tenfold)"
-        theory, parts = self.theory, []
-        if theory.radius is not None:
-            parts.append(f"theory for this state gives {share(theory.radius)}")
-        elif theory.why:
-            parts.append(f"no theory applies here, because {theory.why}")
-        if theory.closed is not None:
-            parts.append(f"theory for rigid rows gives {share(theory.closed)}, {theory.formula}")
-        return f"{'; '.join([said, *parts])}."
+        if rate <= ROUNDING:
+            return "Each sweep leaves nothing of the solver's error."
+        # Enough digits to tell a number near 1 from 1.
+        digits = 4 if rate < 0.99 else 2 + math.ceil(-math.log10(1 - rate))
+        tenfold = math.log(10) / -math.log(rate)
+        share = f"{rate:.1e}" if rate < 1e-3 else f"{rate:.{digits}f}"
+        return (
+            f"Each sweep leaves {share} of the solver's error ({tenfold:.3g} sweeps reduce it "
+            "tenfold)."
+        )
 
     def _equal_work(self) -> str:
-        errors = []
-        for split in self.candidates.splits:
-            run = self.runs[split.settings]
-            error = "fails" if run.failure else metres(run.error)
-            step, sweep = counted(split.steps, "step"), counted(split.sweeps, "sweep")
-            errors.append(f"{step} of {sweep} {error}")
-        steps, sweeps = self.at_equal_work
+        if not self.splits:
+            return ""
+        errors = [
+            f"{counted(split.steps, 'step')} of {counted(split.sweeps, 'sweep')} "
+            + ("fails" if split.trial.failure else metres(split.trial.error))
+            for split in self.splits
+        ]
+        steps, sweeps = map(math.isfinite, self.at_equal_work)
+        answer = {
+            "smaller steps": "smaller steps are more accurate than more sweeps",
+            "more sweeps": "more sweeps are more accurate than smaller steps",
+            "neither": "smaller steps and more sweeps are equally accurate",
+        }[_better(*self.at_equal_work)]
+        if not (steps and sweeps):
+            answer = f"only {'smaller steps' if steps else 'more sweeps'} do not fail"
         if not (steps or sweeps):
             answer = "both smaller steps and more sweeps fail"
-        elif not (steps and sweeps):
-            answer = f"only {'smaller steps' if steps else 'more sweeps'} do not fail"
-        else:
-            answer = {
-                "smaller steps": "smaller steps are more accurate than more sweeps",
-                "more sweeps": "more sweeps are more accurate than smaller steps",
-                "neither": "smaller steps and more sweeps are equally accurate",
-            }[self.better]
-        solver = "" if self.settings.solver == "pgs" else "Under pgs, a"
-        return f"{solver or 'A'}t equal work (row updates) {answer}: {', '.join(errors)}."
+        begin = "At" if self._sweeps_made else "Under pgs, at"
+        return f"{begin} equal work (row updates) {answer}: {', '.join(errors)}."
 
     def _four_times(self) -> str:
         """Describe the gain from four times the work."""
-        more, quarter = self.candidates.more, self.candidates.quarter
-        if more is None or quarter is None or self.shipped.failure:
+        more, quarter = self.more, self.quarter
+        if more is None or quarter is None:
             return ""
-        sweeps, steps = self.runs[more], self.runs[quarter]
-        if sweeps.failure or steps.failure:
+        if self.shipped.failure or more.failure or quarter.failure:
             return ""
         return (
             f"The shipped settings have an error of {metres(self.shipped.error)}; four times the "
-            f"sweeps give {metres(sweeps.error)}, a quarter of the time step {metres(steps.error)}."
+            f"sweeps give {metres(more.error)}, a quarter of the time step {metres(quarter.error)}."
         )
 
-    def _cautions(self) -> list[str]:
-        """Return notes on a reference that is too inaccurate."""
-        said = list(self.reference.notes)
-        residual = max(run.residual for run in self.reference.runs)
-        if self.verdict != "no rows" and residual > 1e-3 * max(self.shipped.residual, 1e-9):
-            said.append(
-                f"the reference's own residual is {residual:.2g} m/s: its sweeps do not converge "
-                "within their limit"
-            )
-        errors = (run.error for run in self.runs.values() if math.isfinite(run.error))
-        least = min(errors, default=math.inf)
-        if self.reference.high * 10 > least:
-            said.append(
-                f"errors near {metres(self.reference.high)}, the uncertainty of the reference, are "
-                f"uncertain (the smallest one shown is {metres(least)})"
-            )
-        return said
+
+def _better(steps: float, sweeps: float) -> str:
+    """Return which of two errors is notably smaller, in words."""
+    if steps * ALIKE < sweeps:
+        return "smaller steps"
+    return "more sweeps" if sweeps * ALIKE < steps else "neither"
+
+
+def _table(name: str, rows: Sequence[tuple[str, Trial]], heading: str) -> Table:
+    """Return a table of trials; without failures it has no column for them."""
+    names = ("error", "median", "largest", "work", "failure")
+    records = [{name: said} | trial.record() for said, trial in rows]
+    failed = any(record["failure"] for record in records)
+    columns = [name, *(names if failed else names[:-1])]
+    return Table(records, columns, dict.fromkeys(names[:-1], ".2e"), heading=heading)

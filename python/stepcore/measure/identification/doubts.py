@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from stepcore.engine.model import Model
-from stepcore.experiment.growth import GROWTH
+from stepcore.experiment.predictable import GROWTH
 from stepcore.measure.identification.log import MeasuredLog, Series
 from stepcore.measure.identification.predictions import Arrays, Predictions
 from stepcore.measure.monitors.finding import Finding, named

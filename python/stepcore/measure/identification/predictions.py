@@ -9,9 +9,10 @@ import numpy as np
 
 from stepcore.engine.arrays import STATE
 from stepcore.engine.batch import Batch, unwatched
+from stepcore.engine.coordinates import Coordinates
+from stepcore.engine.gradients import Steps, sensitivities
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import own_value, split_entry
-from stepcore.engine.rollout_steps import Steps, Tangents, sensitivities
 from stepcore.measure.identification.delays import DELAY, is_delay, late_entries
 from stepcore.measure.identification.log import MEASURED, MeasuredLog, entries_of
 from stepcore.measure.identification.sensors import Readings
@@ -85,7 +86,7 @@ class Predictions:
         log, nv, dt = self.logs[nth], model.nv, model.settings.dt
         batch = unwatched(Batch(model, 1, threads=1))
         off = x[len(self.labels) :].reshape(-1, 2, nv)[nth]
-        batch.qpos = Tangents(model).moved(log.start[0], off[0])
+        batch.qpos = Coordinates(model).nudged(log.start[0], off[0])
         batch.qvel = log.start[1] + off[1]
         ctrl = log.ctrl(dt, log.steps(dt), self.delay(x))[None]
         self.steps += ctrl.shape[1]

@@ -9,9 +9,9 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import AROUND, columns
-from stepcore.engine.rollout_steps import Tangents
 from stepcore.measure.identification.worlds import States, Worlds, differences
 
 # Readings that no change of state or of a parameter moves smoothly.
@@ -72,7 +72,7 @@ def _moved(model: Model, way: int) -> Callable[[States, Floats], Changed]:
         change = np.zeros((len(moved), nv if name == "qpos" else around[name].shape[1]))
         change[:, way - min(way // nv, 2) * nv] = moved
         if name == "qpos":
-            return {name: Tangents(model).moved(around[name], change)}
+            return {name: Coordinates(model).nudged(around[name], change)}
         return {name: around[name] + change}
 
     return changed

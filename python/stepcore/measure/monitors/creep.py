@@ -1,129 +1,205 @@
-"""Creep in a run: contacts that should rest and slip, because soft friction is a damper.
+"""Creep in a run: contacts that slip and joints that drift, because soft friction is a damper.
 
 Under a load below the limit of friction, a soft contact slips at a steady speed. The motion of the
 body itself is not creep: surfaces that roll, sway or spin on each other turn faster than they slip.
+
+A row of friction loss has R f = b v at rest, with b = 2/(dmax tc) and R = (1 − d)/d · Â of its
+solreffriction and solimpfriction (MuJoCo's documentation, "Constraint model"): below its limit it
+is a damper, and moves at v = f R/b under a load f.
 """
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from stepcore.measure.monitors.contacts import LEFT, ContactMonitor
-from stepcore.measure.monitors.cures import setting_words
+from stepcore.engine.actuator import actuators
+from stepcore.engine.arrays import Floats
+from stepcore.engine.element import Element
+from stepcore.engine.model import Model
+from stepcore.experiment.change import Change
+from stepcore.measure.monitors.contacts import LEFT
+from stepcore.measure.monitors.cures import assigned
 from stepcore.measure.monitors.finding import Cure, Finding, Remedy, listed, named
-from stepcore.measure.monitors.readings import FEWEST, Look
-from stepcore.report.units import percent, round_number, speed
+from stepcore.measure.monitors.recording import FEWEST, Recording
+from stepcore.measure.monitors.soft_rows import impedance
+from stepcore.report.units import (
+    FORCES,
+    TORQUES,
+    percent,
+    quantity,
+    radians,
+    round_number,
+    speed,
+)
+from stepcore.scene.elements import Joint
+from stepcore.scene.layout import Layout
 
 # Largest relative deviation from the mean velocity; length of the window in time constants; and
 # least load, as a share of the largest friction.
 UNSTEADY, WINDOW, RUBS = 0.5, 10.0, 0.05
-# Least slip, relative to the speed at which the surfaces turn on each other.
-RESTS = 1.0
 # Threshold of the slip in one second, relative to the thickness of the thinner geom.
 CREEP = 0.01
 # Largest impratio that is advised: beyond it, the rows differ too much in scale to be solved.
 IMPRATIO = 1e4
-# Slips below this are rounding [m/s].
-NONE = 1e-9
+# A contact sticks if its friction is below this share of μ × normal force. A pyramidal cone allows
+# all of it along its tangents, and 1/√2 of it between them.
+STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
+# A row of friction loss that gives at least this share of its friction slides.
+SLIDES = 0.98
+# Slowest creep of a joint that is told [rad/s]; for slides, relative to the body's size [1/s].
+# People ask about arms that drift at 1.5 mrad/s (MuJoCo's issue 2082), and a tenth of a degree in
+# a second is seen within a minute.
+CREEPS = 1e-3
+# Impedances that are advised, softest first: the creep falls as (1 − d)/d.
+IMPEDANCES = ((0.99, 0.999), (0.999, 0.9999), (0.9999, 0.9999))
 
 
-@dataclass(frozen=True)
-class Creep:
-    """A contact that slips steadily although friction holds it.
+class Creep(NamedTuple):
+    """A contact that slips, or a joint that drifts, although its friction holds it.
 
-    speed: the mean slip [m/s]. share: friction over μ × normal force.
+    of: the contact's pair, or the joint. speed: the mean [m/s or rad/s]. share: of its friction.
     begin, end: the times between which it was seen [s].
     """
 
-    pair: int
-    part: int
+    of: int
     speed: float
     share: float
     begin: float
     end: float
 
 
-def creeps(contacts: ContactMonitor, times: list[float]) -> Iterator[Creep]:
-    """Yield contacts that should rest and slip steadily for a while although friction holds.
+# Returns the velocities of a pair or a joint in a run: readings, and (m, 3) or (m, 1).
+Series = Callable[[Recording, int], Iterator[tuple[np.ndarray, Floats]]]
 
-    The initial speed of a contact decays within the time constant, and under a load a speed
-    remains. Of all windows of `WINDOW` time constants (and at least a tenth of the run), the
-    fastest steady slip counts.
 
-    times: the times of the readings [s].
+def creep_findings(run: Recording) -> Iterator[Finding]:
+    """Yield a finding on contacts that creep, and one on joints that do."""
+    settings = run.model.settings
+    if settings.law == "solref" and run.spacing:
+        if not settings.stiction:
+            yield from _contacts(run)
+        yield from _joints(run)
+
+
+def _fastest(
+    run: Recording,
+    of: int,
+    constant: float,
+    readings: np.ndarray,
+    velocity: Floats,
+    share: Floats,
+    rolls: Floats,
+) -> Creep | None:
+    """Return the fastest steady slip of one contact or joint in readings in which friction holds.
+
+    It must be steady over a window of `WINDOW` time constants, or a tenth of the run: the initial
+    speed decays within the time constant [s], and under a load a speed remains.
+
+    velocity: (m, k). share: of the friction, (m,). rolls: at which the surfaces turn, (m,) [m/s].
     """
-    spacing = (times[-1] - times[0]) / max(1, len(times) - 1) if len(times) > 1 else 0.0
-    for (pair, part), seen in contacts.seen.items():
-        if contacts.friction.of(pair) <= 0 or not spacing:
-            continue
-        constant = contacts.model.contact_pair(pair).solref[0]
-        least = WINDOW * constant / spacing if constant > 0 else 0.0
-        count = math.ceil(max(FEWEST, least, 0.1 * contacts.looks))
-        steady = [
-            creep
-            for held in _spells(seen)
-            for first in range(0, len(held) - count + 1, max(1, count // 2))
-            if (creep := _steady(pair, part, held[first : first + count], times))
-        ]
-        if steady:
-            yield max(steady, key=lambda creep: creep.speed)
+    best: Creep | None = None
+    count = math.ceil(max(FEWEST, WINDOW * max(constant, 0.0) / run.spacing, 0.1 * len(run)))
+    spells = np.split(np.arange(len(readings)), np.flatnonzero(np.diff(readings) > 1) + 1)
+    for spell in spells:
+        for first in range(0, len(spell) - count + 1, max(1, count // 2)):
+            window = spell[first : first + count]
+            drift, used = velocity[window].mean(axis=0), float(share[window].mean())
+            mean = float(np.linalg.norm(drift))
+            unsteady = np.linalg.norm(velocity[window] - drift, axis=1).max() > UNSTEADY * mean
+            turns = mean < rolls[window].mean()
+            if used >= RUBS and not unsteady and not turns and (not best or mean > best.speed):
+                begin, end = run.times[readings[window[[0, -1]]]].tolist()
+                best = Creep(of, mean, used, begin, end)
+    return best
 
 
-def slip(
-    contacts: ContactMonitor,
-    times: list[float],
-    pairs: Collection[int],
-    begin: float,
-    end: float,
-) -> float | None:
-    """Return the largest mean slip of some pairs within a time [m/s]; None if one does not touch.
+def _left(found: Sequence[Creep], series: Series, run: Recording) -> float | None:
+    """Return the largest mean velocity of what crept, each in its time; None if one is not seen."""
+    worst = 0.0
+    for creep in found:
+        means = []
+        for readings, velocity in series(run, creep.of):
+            times = run.times[readings]
+            within = (times >= creep.begin) & (times <= creep.end)
+            if within.sum() >= FEWEST:
+                means.append(float(np.linalg.norm(velocity[within].mean(axis=0))))
+        if not means:
+            return None
+        worst = max(worst, *means)
+    return worst
 
-    times: the times of the readings [s]. begin, end: [s].
+
+# Contacts.
+
+
+def creeps(run: Recording) -> Iterator[Creep]:
+    """Yield contacts that should rest and slip steadily for a while although friction holds."""
+    seen, held = run.contacts, _held(run)
+    for (pair, _), places in seen.groups.items():
+        if seen.friction(pair) > 0:
+            some, constant = places[held[places]], run.model.contact_pair(pair).solref[0]
+            series = seen.reading[some], seen.past[some], seen.share[some], seen.rolls[some]
+            if creep := _fastest(run, pair, constant, *series):
+                yield creep
+
+
+def _slips(run: Recording, pair: int) -> Iterator[tuple[np.ndarray, Floats]]:
+    for (of, _), places in run.contacts.groups.items():
+        if of == pair:
+            yield run.contacts.reading[places], run.contacts.past[places]
+
+
+def _held(run: Recording) -> np.ndarray:
+    """Return which contacts stick.
+
+    Between its edges, a pyramid yields at less friction than along an edge: there a contact sticks
+    as long as every edge pushes.
     """
-    every: dict[int, list[float]] = {}
-    for (pair, _), seen in contacts.seen.items():
-        past = [at.past for at in seen if begin <= times[at.look] <= end]
-        if pair in pairs and len(past) >= FEWEST:
-            slips = every.setdefault(pair, [])
-            slips.append(float(np.linalg.norm(np.mean(past, axis=0))))
-    return max(map(max, every.values())) if len(every) == len(pairs) else None
+    seen, settings = run.contacts, run.model.settings
+    held: np.ndarray = seen.share < STICKS[settings.cone]
+    if settings.cone == "pyramidal":
+        unsure = np.flatnonzero(~held & (seen.share < 1))
+        for reading in np.unique(seen.reading[unsure]):
+            rows = run.at(int(reading)).rows
+            rows = rows[rows["kind"] == "contact"]
+            for k in unsure[seen.reading[unsure] == reading]:
+                mine = (rows["index"] == seen.pair[k]) & (rows["part"] == seen.part[k])
+                edges = rows["force"][mine]
+                # A force of rounding is none.
+                held[k] = edges.min(initial=np.inf) > 1e-6 * edges.max(initial=0.0)
+    return held
 
 
-def creep_findings(contacts: ContactMonitor, times: list[float]) -> Iterator[Finding]:
-    """Yield a finding on contacts that creep.
+def _contacts(run: Recording) -> Iterator[Finding]:
+    model = run.model
 
-    times: the times of the readings [s].
-    """
-    model, settings = contacts.model, contacts.model.settings
-    if settings.law != "solref" or settings.stiction:
+    def over(creep: Creep) -> float:
+        return creep.speed / (CREEP * run.thick(creep.of))
+
+    found = sorted((creep for creep in creeps(run) if over(creep) > 1), key=over, reverse=True)
+    if not found:
         return
-    notable = [
-        (ratio, creep)
-        for creep in creeps(contacts, times)
-        if (ratio := creep.speed / (CREEP * contacts.thick(creep.pair))) > 1
-    ]
-    if not notable:
-        return
-    notable.sort(key=lambda entry: -entry[0])
-    ratio, worst = notable[0]
-    pairs = {creep.pair for _, creep in notable}
-    elements = named(model, "contact", [creep.pair for _, creep in notable])
-    cures = []
-    for factor in (1, 10):
-        impratio = round_number(settings.impratio * ratio / LEFT, up=True) * factor
-        if impratio <= IMPRATIO:
-            sets = {"cone": "elliptic", "impratio": f"{impratio:g}"}
-            words = setting_words(sets)
-            cures.append(Cure(words, settings={"cone": "elliptic", "impratio": impratio}))
+    worst, elements = found[0], named(model, "contact", [creep.of for creep in found])
+    least = round_number(model.settings.impratio * over(worst) / LEFT, up=True)
+    cures = tuple(
+        Cure(
+            f'cone="elliptic" with impratio="{impratio:g}"',
+            Change(cone="elliptic", impratio=impratio),
+        )
+        for impratio in (least, 10 * least)
+        if impratio <= IMPRATIO
+    )
     remedy = Remedy(
-        (tuple(cures), (Cure("stiction=True", settings={"stiction": True}),)),
-        lambda m: slip(m.contacts, m.times[1:], pairs, worst.begin, worst.end),
-        CREEP * contacts.thick(worst.pair),
-        lambda left: speed(left) if left > NONE else "none",
+        (cures, (Cure("stiction=True", Change(stiction=True)),)),
+        functools.partial(_left, found, _slips),
+        CREEP * run.thick(worst.of),
+        # Below a nanometre in a second it is rounding.
+        lambda left: speed(left) if left > 1e-9 else "none",
         most=2,
         # A slip that harder friction does not end belongs to the motion.
         needed=True,
@@ -136,28 +212,87 @@ def creep_findings(contacts: ContactMonitor, times: list[float]) -> Iterator[Fin
     yield Finding("creep", "warning", problem, "", elements, value, "m/s", remedy=remedy)
 
 
-def _spells(seen: list[Look]) -> Iterator[list[Look]]:
-    """Yield successive readings in which friction held."""
-    spell: list[Look] = []
-    for at in seen:
-        if spell and (not at.held or at.look != spell[-1].look + 1):
-            yield spell
-            spell = []
-        if at.held:
-            spell.append(at)
-    if spell:
-        yield spell
+# Joints with friction loss.
 
 
-def _steady(pair: int, part: int, held: list[Look], times: list[float]) -> Creep | None:
-    """Return the creep in a window.
+def drifts(run: Recording) -> Iterator[Creep]:
+    """Yield joints that move steadily under less than their friction loss, at their fastest.
 
-    None if the slip changes, without enough friction, or if the surfaces turn on each other.
+    A joint whose own controls change is meant to move, and one with a servo ends at its target.
+    Nothing is told where an actuator drives no single joint.
     """
-    past = np.array([at.past for at in held])
-    drift, share = past.mean(axis=0), float(np.mean([at.share for at in held]))
-    mean, rolls = float(np.linalg.norm(drift)), float(np.mean([at.rolls for at in held]))
-    unsteady = np.linalg.norm(past - drift, axis=1).max() > UNSTEADY * mean
-    if share < RUBS or unsteady or mean < RESTS * rolls:
-        return None
-    return Creep(pair, part, mean, share, times[held[0].look], times[held[-1].look])
+    model, features = run.model, run.model.scene.features
+    changing = np.ptp(run["ctrl"], axis=0) > 0
+    moving = [a.index for a in actuators(model) if a.holds or changing[a.index]]
+    moved = set(model.actuator_joint[moving].tolist())
+    losses = _losses(model) if features.constraint and features.frictionloss else {}
+    for joint, of in losses.items():
+        if joint in moved or -1 in moved:
+            continue
+        velocity = run["qvel"][:, [int(model.jnt_dofadr[joint])]]
+        share = np.abs(velocity[:, 0]) * _damping(model, joint, of) / of.frictionloss
+        held = np.flatnonzero(share < SLIDES)
+        series = held, velocity[held], share[held], np.zeros(len(held))
+        if creep := _fastest(run, joint, of.solreffriction[0], *series):
+            yield creep
+
+
+def _velocities(run: Recording, joint: int) -> Iterator[tuple[np.ndarray, Floats]]:
+    yield np.arange(len(run)), run["qvel"][:, [int(run.model.jnt_dofadr[joint])]]
+
+
+def _losses(model: Model) -> dict[int, Joint]:
+    """Return the joints of one dof with friction loss, by index."""
+    joints = enumerate(Layout(model.scene).joints)
+    return {k: of for k, of in joints if of.frictionloss and of.type in ("hinge", "slide")}
+
+
+def _damping(model: Model, joint: int, of: Joint) -> float:
+    """Return b/R of a joint's row of friction loss [N·m·s/rad or N·s/m]."""
+    settings, (constant, ratio) = model.settings, of.solreffriction
+    d, most = (impedance(of.solimpfriction, violation) for violation in (0.0, math.inf))
+    least = 2 * settings.dt if settings.refsafe else 0.0
+    b = 2 / (most * max(constant, least)) if constant > 0 else -ratio / most
+    inverse = float(model.dof_invweight0[model.jnt_dofadr[joint]])
+    return b * d / ((1 - d) * inverse)
+
+
+def _joints(run: Recording) -> Iterator[Finding]:
+    model = run.model
+
+    def over(drift: Creep) -> float:
+        slides = model.jnt_type[drift.of] == "slide"
+        size = run.sizes.bodies[int(model.jnt_body[drift.of])] if slides else 1.0
+        return drift.speed / (CREEPS * size)
+
+    found = sorted((drift for drift in drifts(run) if over(drift) > 1), key=over, reverse=True)
+    if not found:
+        return
+    worst, angular = found[0], model.jnt_type[found[0].of] != "slide"
+    elements = tuple(Element.of(model, "friction loss", drift.of) for drift in found)
+    loss = quantity(_losses(model)[worst.of].frictionloss, TORQUES if angular else FORCES)
+    constant = float(f"{2 * model.settings.dt:.3g}")
+
+    def rate(value: float) -> str:
+        return f"{radians(value)}/s" if angular else speed(value)
+
+    def harder(low: float, high: float) -> Cure:
+        solimp = (low, high, 0.001, 0.5, 2.0)
+        values = {"solreffriction": (constant, 1.0), "solimpfriction": solimp}
+        words = f'solreffriction="{constant:g} 1" with solimpfriction="{low:g} {high:g}"'
+        return Cure(words, Change(assigned(model, elements, values)))
+
+    remedy = Remedy(
+        (tuple(harder(*ends) for ends in IMPEDANCES),),
+        functools.partial(_left, found, _velocities),
+        worst.speed / over(worst),
+        rate,
+        # A motion that harder friction does not end is no creep.
+        needed=True,
+    )
+    problem = (
+        f"{listed(elements, 'friction losses')} lets the joint creep at {rate(worst.speed)} "
+        f"under {percent(worst.share)} of its {loss}"
+    )
+    unit = "rad/s" if angular else "m/s"
+    yield Finding("creep", "warning", problem, "", elements, worst.speed, unit, remedy=remedy)

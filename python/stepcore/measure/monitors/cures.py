@@ -1,6 +1,6 @@
 """Cures of findings: each is made on a copy of the scene, run again, and its effect measured.
 
-A monitor proposes cures, and how to measure what is left of the problem (`Remedy`). `verified`
+A finding proposes cures, and how to measure what is left of the problem (`Remedy`). `verified`
 runs the motion again with each cure until one holds, and writes into the finding what that run
 shows. A cure that was not run, or that did not help, promises nothing.
 """
@@ -14,48 +14,44 @@ from typing import Any
 
 from stepcore import deadline
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.element import Element, SceneField
+from stepcore.engine.element import OVERRIDE, Element
 from stepcore.engine.model import Model
 from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy
 
 # A cure that leaves more than a finding's threshold is still named if it leaves at most this share
 # of the problem.
 HELPS = 0.5
-# The runs of all cures: their number, where a run with half the time step counts as two, and their
-# cost in steps × (dofs + 2). A Go2 takes 0.3 s for 500 steps with the monitor, so 7 s in all.
-RUNS, EFFORT = 24.0, 3e5
-# The largest number of time steps of a cure's run, relative to the run.
-FINER = 16.0
+# The cost of all cures' runs, in steps × (dofs + 2). Go2 takes 0.35 s for 10⁵ of that, its findings
+# included.
+EFFORT = 3e5
 
-
-# Runs the motion of a finding with another model, and returns the monitor; None if the run fails.
+# Runs the motion of a finding with another model, and returns the `Recording`; None if that fails.
 Again = Callable[[Model], Any]
 
 
-def verified(findings: Iterable[Finding], model: Model, again: Again, steps: int) -> list[Finding]:
+def verified(
+    findings: Iterable[Finding], model: Model, again: Again = lambda model: None, steps: int = 0
+) -> list[Finding]:
     """Return findings with the cures that were seen to hold, and with what they leave.
 
-    Cures whose runs would cost more than `RUNS` and `EFFORT` are named without a promise.
+    Cures whose runs would cost more than `EFFORT` are named without a promise.
 
-    model: the model of the run. again: runs the same motion with another model.
-    steps: the number of time steps of the run.
+    model: the model of the run. again: runs the same motion with another model; by default only
+    cures with a motion of their own are run. steps: the number of time steps of the run.
     """
-    trial = _Trial(model, again, steps)
-    cured = (trial.cured(finding) for finding in findings)
+    trials = _Trials(model, again, float(steps * (model.nv + 2)))
+    cured = (trials.cured(finding) for finding in findings)
     return [finding for finding in cured if finding is not None]
 
 
-def proven(findings: Iterable[Finding], model: Model) -> list[Finding]:
-    """Return findings about a scene that was not run; their cures are run in their own motion."""
-    return verified(findings, model, lambda other: None, 0)
+@dataclasses.dataclass
+class _Trials:
+    """The runs of cures. cost: of one run. effort: what is left."""
 
-
-class _Trial:
-    def __init__(self, model: Model, again: Again, steps: int) -> None:
-        self.model, self.again = model, again
-        self.runs, self.effort = RUNS, EFFORT
-        self.cost = float(steps * (model.nv + 2))
-        self.time = deadline.current() or deadline.Deadline()
+    model: Model
+    again: Again
+    cost: float
+    effort: float = EFFORT
 
     def cured(self, finding: Finding) -> Finding | None:
         """Return a finding with the best of its cures, or None if it needed one."""
@@ -63,102 +59,84 @@ class _Trial:
         if remedy is None:
             return finding
         finding = dataclasses.replace(finding, remedy=None)
-        held: list[tuple[float, Cure]] = []
-        helped: list[tuple[float, Cure]] = []
-        untried: list[Cure] = []
-        tried: list[Cure] = []
         before = next((x for x in (remedy.now, finding.value) if x is not None), math.inf)
+        held, helped = list[tuple[float, Cure]](), list[tuple[float, Cure]]()
+        tried, untried = list[Cure](), list[Cure]()
         for way in remedy.ways:
             if len(held) == remedy.most:
                 break
             for cure in way:
-                if not self._affordable(cure):
-                    untried.append(cure)
-                    break
-                left: float | None = None
-                known = False
-                with self.time.stage("runs of all cures"):
-                    left, known = self._left(remedy, cure), True
-                if not known:
-                    untried.append(cure)
-                    break
-                tried.append(cure)
+                ran, left = self._tried(remedy, cure)
+                (tried if ran else untried).append(cure)
                 if left is not None and left <= remedy.enough:
                     held.append((left, cure))
-                    break
-                if left is not None and left <= HELPS * abs(before):
+                elif left is not None and left <= HELPS * abs(before):
                     helped.append((left, cure))
+                if not ran or (held and held[-1][1] is cure):
+                    break
+        also = f", or {finding.cure}" if finding.cure else ""
         named = held or sorted(helped, key=lambda entry: entry[0])[:1]
         if named:
             said = ", or ".join(f"{cure.words} leaves {remedy.say(left)}" for left, cure in named)
-            cure = named[0][1]
-            also = f", or {finding.cure}" if finding.cure else ""
-            commands = (*_commands(cure), *finding.commands)
+            settings = dict(named[0][1].change.settings)
+            commands = (*_commands(named[0][1]), *finding.commands)
             return dataclasses.replace(
-                finding, cure=said + also, settings=cure.settings, commands=commands
+                finding, cure=said + also, settings=settings, commands=commands
             )
         if remedy.needed and (tried or finding.severity == "remark"):
             return None
         if untried:
-            also = f", or {finding.cure}" if finding.cure else ""
             return dataclasses.replace(finding, cure=f"try {untried[0].words}{also}")
         # Of each way the first; the stronger ones have been tried, too.
         first = [way[0].words for way in remedy.ways if way and way[0] in tried]
         failed = f"tried without success, and more of it: {'; '.join(first)}" if first else ""
         return dataclasses.replace(finding, cure=finding.cure or failed)
 
-    def _affordable(self, cure: Cure) -> bool:
-        """Whether the run of a cure is within what is left for runs, which it then takes."""
-        finer = self.model.settings.dt / cure.settings.get("dt", self.model.settings.dt)
-        runs = max(1.0, finer)
-        if finer > FINER or runs > self.runs or runs * self.cost > self.effort:
-            return False
-        self.runs, self.effort = self.runs - runs, self.effort - runs * self.cost
-        return True
+    def _tried(self, remedy: Remedy, cure: Cure) -> tuple[bool, float | None]:
+        """Run a cure: whether there was time for it, and what it leaves.
 
-    def _left(self, remedy: Remedy, cure: Cure) -> float | None:
-        """Return what a cure leaves; None if its run fails, or makes an error of its own."""
-        try:
-            monitor = (remedy.again or self.again)(cure.made(self.model))
-        except (ValueError, SimulationError):
-            return None
-        return None if monitor is None else remedy.left(monitor)
+        What it leaves is None if its run fails, or makes an error of its own.
+        """
+        dt = self.model.settings.dt
+        runs = max(1.0, dt / dict(cure.change.settings).get("dt", dt))
+        if runs * self.cost > self.effort:
+            return False, None
+        self.effort -= runs * self.cost
+        ran, left = False, None
+        with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
+            try:
+                seen = (remedy.again or self.again)(cure.change.of(self.model))
+                left = None if seen is None else remedy.left(seen)
+            except (ValueError, SimulationError):
+                left = None
+            ran = True
+        return ran, left
 
 
 def _commands(cure: Cure) -> tuple[Next, ...]:
     """Return the command that shows a cure; only settings can be given on a command line."""
-    if cure.changes or not cure.settings:
+    if cure.change.size or not cure.change.settings:
         return ()
-    values = {
-        name: f"{value:g}" if isinstance(value, float) else f"{value}"
-        for name, value in cure.settings.items()
-    }
-    sets = [word for name, value in values.items() for word in ("--set", f"{name}={value}")]
-    return (Next("run", "the same with this cure", tuple(sets)),)
+    values = (
+        f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
+        for name, value in cure.change.settings
+    )
+    sets = tuple(word for value in values for word in ("--set", value))
+    return (Next("run", "the same with this cure", sets),)
 
 
 def assigned(
     model: Model, elements: Iterable[Element], values: Mapping[str, Any]
-) -> tuple[tuple[SceneField, Any], ...]:
-    """Return the fields of elements with new values; each field once.
-
-    values: the new values by the name of the field.
-    """
-    changes = {
-        (of.kind, of.index, of.name): (of, values[of.name])
+) -> dict[str, Any]:
+    """Return the fields of elements with new values, by path; values: by the name of the field."""
+    return {
+        of.path or f"{of.kind}/#{of.index}/{of.name}": values[of.name]
         for element in elements
         for of in element.fields(model)
-        if of.name in values
+        if of.name in values and of.kind != OVERRIDE
     }
-    return tuple(changes.values())
 
 
 def finer(settings: Settings, most: float) -> float:
     """Return the largest whole part of the time step that is at most `most` [s]."""
     return settings.dt / max(1, math.ceil(settings.dt / most * (1 - 1e-9)))
-
-
-def setting_words(settings: Mapping[str, Any]) -> str:
-    """Return settings in words: 'cone="elliptic" with impratio="100"'."""
-    first, *rest = (f'{name}="{value}"' for name, value in settings.items())
-    return f"{first} with {' and '.join(rest)}" if rest else first

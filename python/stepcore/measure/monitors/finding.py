@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from stepcore.engine.element import Element, SceneField
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
-from stepcore.scene.layout import Layout
+from stepcore.experiment.change import Change
 
 # Most severe first: certainly wrong, will be noticed, may be intended.
 SEVERITIES = ("error", "warning", "remark")
@@ -31,41 +30,20 @@ class Next(NamedTuple):
 PLOT = (Next("run", "energy over time", ("--plot", "run.png")),)
 
 
-@dataclass(frozen=True)
-class Cure:
-    """A change of a scene that may cure a finding.
-
-    words: the change in words, such as 'solref="0.005 1"'.
-    changes: fields of the scene with their new values.
-    settings: settings with their new values.
-    """
+class Cure(NamedTuple):
+    """A change that may cure a finding, and its words, such as 'solref="0.005 1"'."""
 
     words: str
-    changes: tuple[tuple[SceneField, Any], ...] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict)
-
-    def made(self, model: Model) -> Model:
-        """Return a model with this cure.
-
-        Raises ValueError if the scene does not accept the values.
-        """
-        settings = model.settings.replace(**self.settings)
-        if not self.changes:
-            return model.with_settings(settings)
-        scene = copy.deepcopy(model.scene)
-        layout = Layout(scene)
-        for changed, value in self.changes:
-            changed.assign(layout, value)
-        return Model(scene, settings)
+    change: Change
 
 
 @dataclass(frozen=True)
 class Remedy:
-    """The cures that a monitor proposes for a finding, and how to measure their effect.
+    """The cures that are proposed for a finding, and how to measure their effect.
 
     ways: alternative cures, the preferred first. Each is a sequence of stronger and stronger
         ones, of which the first that holds is named.
-    left: returns what is left of the problem in the `Monitor` of a run; None if it cannot tell.
+    left: returns what is left of the problem in the `Recording` of a run; None if it cannot tell.
     enough: the amount that is no longer a problem.
     say: what is left, in words.
     most: the largest number of alternatives that are named.

@@ -15,9 +15,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from stepcore._core import Settings
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
+from stepcore.experiment.change import Change
 from stepcore.measure.monitors.cures import assigned, finer
 from stepcore.measure.monitors.finding import Cure, named
 from stepcore.report.units import seconds
@@ -77,23 +77,19 @@ def yielding(solref: Sequence[float], solimp: Sequence[float], load: float, dt: 
     return high
 
 
-def stiffer(
-    solref: Sequence[float],
-    solimp: Sequence[float],
-    now: float,
-    wanted: float,
-    settings: Settings,
-    other: Sequence[float] | None = None,
+def _stiffer(
+    solref: Sequence[float], solimp: Vec, now: float, wanted: float, dt: float, other: Vec
 ) -> tuple[float, float]:
     """Return the solref that reduces a row's violation from `now` to `wanted` under the same load.
 
-    other: the new solimp, if the solimp changes too.
+    dt: see `yielding`. other: the new solimp.
     """
-    dt = settings.dt if settings.refsafe else 0.0
-    softer = (wanted / now) * _slope(solimp, now) / _slope(other or solimp, wanted)
+    softer = (wanted / now) * _slope(solimp, now) / _slope(other, wanted)
     if solref[0] > 0:
-        return max(solref[0], 2 * dt) * math.sqrt(softer), solref[1]
-    return solref[0] / softer, solref[1] / math.sqrt(softer)
+        first, second = max(solref[0], 2 * dt) * math.sqrt(softer), solref[1]
+    else:
+        first, second = solref[0] / softer, solref[1] / math.sqrt(softer)
+    return float(f"{first:.3g}"), float(f"{second:.3g}")
 
 
 def _slope(solimp: Sequence[float], violation: float) -> float:
@@ -106,7 +102,7 @@ def stiffened(
     model: Model,
     elements: Sequence[Element],
     solref: Sequence[float],
-    solimp: Sequence[float],
+    solimp: Vec,
     now: float,
     wanted: float,
 ) -> tuple[Cure, ...]:
@@ -117,47 +113,32 @@ def stiffened(
     elements: the rows, all of which get the same values.
     solref, solimp, now: of the worst row, with its violation [m or rad]. wanted: [m or rad].
     """
+    settings = model.settings
+    dt = settings.dt if settings.refsafe else 0.0
     names = {of.name for element in elements for of in element.fields(model)}
     suffix = "limit" if "solreflimit" in names else ""
-    where = " on both geoms" if elements[0].kind == "contact" else ""
-    cures = (
-        _stiffened(model, elements, solref, solimp, now, wanted * share, suffix, where)
-        for share in STIFFER
-    )
-    return tuple({cure.words: cure for cure in cures if cure is not None}.values())
-
-
-def _stiffened(
-    model: Model,
-    elements: Sequence[Element],
-    solref: Sequence[float],
-    solimp: Sequence[float],
-    now: float,
-    wanted: float,
-    suffix: str,
-    where: str,
-) -> Cure | None:
-    settings = model.settings
-    new, hard = stiffer(solref, solimp, now, wanted, settings), False
-    if not _resolved(new, settings):
-        harder = stiffer(solref, solimp, now, wanted, settings, HARD)
-        if harder[0] > SHORTEST or harder[0] < 0:
-            new, hard = harder, True
-    if 0 < new[0] < SHORTEST:
-        return None
-    new = float(f"{new[0]:.3g}"), float(f"{new[1]:.3g}")
-    values: dict[str, tuple[float, ...]] = {f"solref{suffix}": new}
-    words = f'solref{suffix}="{new[0]:g} {new[1]:g}"'
-    if hard:
-        values[f"solimp{suffix}"] = HARD
-        words += f' with solimp{suffix}="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
-    words += where
-    sets = {}
-    if not _resolved(new, settings):
-        # A longer step would soften the row: refsafe raises its time constant to 2 dt.
-        sets = {"dt": finer(settings, new[0] / 2)}
-        words += f" at a dt of {seconds(sets['dt'])}"
-    return Cure(words, assigned(model, elements, values), sets)
+    cures: dict[str, Cure] = {}
+    for share in STIFFER:
+        new, hard = _stiffer(solref, solimp, now, wanted * share, dt, solimp), False
+        if 0 < new[0] < 2 * dt:
+            harder = _stiffer(solref, solimp, now, wanted * share, dt, HARD)
+            if harder[0] > SHORTEST:
+                new, hard = harder, True
+        if 0 < new[0] < SHORTEST:
+            continue
+        values: dict[str, Vec] = {f"solref{suffix}": new}
+        words = f'solref{suffix}="{new[0]:g} {new[1]:g}"'
+        if hard:
+            values[f"solimp{suffix}"] = HARD
+            words += f' with solimp{suffix}="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
+        words += " on both geoms" * (elements[0].kind == "contact")
+        change = Change(assigned(model, elements, values))
+        if 0 < new[0] < 2 * dt:
+            # A longer step would soften the row: refsafe raises its time constant to 2 dt.
+            short = finer(settings, new[0] / 2)
+            change, words = change.also(Change(dt=short)), f"{words} at a dt of {seconds(short)}"
+        cures.setdefault(words, Cure(words, change))
+    return tuple(cures.values())
 
 
 def hardest(model: Model, pairs: Sequence[int], dt: float) -> Cure:
@@ -165,16 +146,11 @@ def hardest(model: Model, pairs: Sequence[int], dt: float) -> Cure:
     contacts = named(model, "contact", pairs)
     constant = float(f"{2 * dt:.3g}")
     words = f'solref="{constant:g} 1" with solimp="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
-    changes = assigned(model, contacts, {"solref": (constant, 1.0), "solimp": HARD})
+    change = Change(assigned(model, contacts, {"solref": (constant, 1.0), "solimp": HARD}))
     words += " on these geoms and what they touch"
     if dt == model.settings.dt:
-        return Cure(words, changes)
-    return Cure(f"{words} at a dt of {seconds(dt)}", changes, {"dt": dt})
-
-
-def _resolved(solref: Sequence[float], settings: Settings) -> bool:
-    """Return whether refsafe leaves a solref unchanged."""
-    return not settings.refsafe or solref[0] <= 0 or solref[0] >= 2 * settings.dt
+        return Cure(words, change)
+    return Cure(f"{words} at a dt of {seconds(dt)}", change.also(Change(dt=dt)))
 
 
 def pair_solimp(model: Model, geom1: int, geom2: int) -> Vec:

@@ -1,32 +1,47 @@
-"""Geoms that pass through others in a run, and geoms so fast that they may.
+"""Geoms that pass through others in a run, and leave on the other side.
 
-`stepcore.experiment.passage` observes the run.
+Contacts keep the centre of a geom outside of every geom that it collides with. A step that moves a
+geom by more than its thickness may carry the centre across a surface, and so may a contact that
+sinks too deep. A ray along the centre's way since the last reading, seen from the other geom, finds
+the crossed surface. If the centre is beyond the middle, seen from that surface, when the contact
+has ended, the geom has passed. A geom below a plane stays in contact with it, and has not.
 """
 
 from __future__ import annotations
 
+import functools
+from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
-from stepcore.experiment.passage import Crossing, Passages
-from stepcore.experiment.passage import Passage as Geoms
-from stepcore.experiment.sizes import Sizes
+from stepcore.engine.arrays import Floats
+from stepcore.experiment.change import Change
 from stepcore.measure.monitors.cures import finer
 from stepcore.measure.monitors.finding import Cure, Finding, Remedy, named, others
+from stepcore.measure.monitors.recording import Recording
 from stepcore.measure.monitors.soft_rows import hardest
 from stepcore.report.units import metres, seconds, speed
 
+# The depth of a contact, and the way of a geom between two readings, over the smallest half size
+# from which a centre may have crossed a surface.
+NEAR = 0.5
+# The box around the middle of a geom in which a way may meet it, over its half sizes: the middle of
+# a mesh is its centre of mass.
+WIDE = 1.5
+# The way in a deep contact after which a surface is looked for, over the smallest half size.
+CREEPS = 0.05
+# The largest number of pairs that are looked at, those of the thinnest geoms.
+MOST = 2000
+# Readings before a passage in which the speed of arrival is looked for: soft contact slows it down.
+ARRIVES = 10
 # A step should be this share of half of both thicknesses at most, or one of these parts of dt.
 SHORT, PARTS = 0.5, (1, 2, 4)
 
 
-@dataclass(frozen=True)
-class Passage:
-    """A geom that passed through another one, or that may.
+class Passage(NamedTuple):
+    """A geom that passed through another one.
 
     mover, wall: the geoms. pair: their index. speed: along the normal of the surface [m/s].
     room: half of both thicknesses [m]. time: [s].
@@ -40,116 +55,168 @@ class Passage:
     time: float
 
 
-class TunnellingMonitor:
-    """The geoms that pass through others in one run."""
+def passages(run: Recording) -> list[Passage]:
+    """Return the geoms that passed through others, in order of time; the smaller of two passed."""
+    model, features = run.model, run.model.scene.features
+    watched = model.npair and features.contact and features.constraint and not model.is_heap
+    found = _Crossings(run).found if watched and len(run) > 1 else {}
+    passed = {}
+    for both in sorted(found, key=lambda both: run.sizes.reach[both[0]], reverse=True):
+        same = (np.sort(model.pair_geoms, axis=1) == np.sort(both)).all(axis=1)
+        pair = int(np.flatnonzero(same)[0])
+        passed[pair] = Passage(*both, pair, *found[both])
+    return sorted(passed.values(), key=lambda entry: entry.time)
 
-    def __init__(self, model: Model, sizes: Sizes) -> None:
-        self.model, self.dt, self.reach = model, model.settings.dt, sizes.reach
-        self.passages: Passages | None = None
 
-    def begin(self, sim: Sim) -> None:
-        self.passages = Passages(sim, ahead=True)
+class _Crossings:
+    """The crossings of surfaces in a run.
 
-    def look(self, sim: Sim) -> None:
-        if self.passages is not None:
-            self.passages.observe(sim)
+    found: how a geom passed another one: the speed, half of both thicknesses, and the time.
+    """
 
-    def passed(self) -> list[Passage]:
-        """Return the geoms that passed through others, in order of time."""
-        return self._passages(self.passages.found) if self.passages else []
+    def __init__(self, run: Recording) -> None:
+        model, self.run = run.model, run
+        self.found: dict[tuple[int, int], tuple[float, float, float]] = {}
+        # The place of entry and the outward normal there, in the other geom's frame.
+        self.inside: dict[int, tuple[Floats, Floats, tuple[float, float, float]]] = {}
+        self.thick = np.array(run.sizes.thick)
+        self.centres, self.axes = run.geoms
+        # The other geom bounds where a centre can enter it. A plane is left by nothing below it.
+        geoms = np.concatenate([model.pair_geoms, model.pair_geoms[:, ::-1]])
+        flat = np.array([kind == "plane" for kind in model.geom_type], bool)
+        able = geoms[np.isfinite(self.thick[geoms[:, 0]]) & ~flat[geoms[:, 1]]]
+        # Geoms of one tree are kept on their sides by its joints.
+        tree = np.array([model.root(int(body)) for body in model.geom_body])[able]
+        able = able[tree[:, 0] != tree[:, 1]]
+        able = able[np.argsort(self.thick[able].sum(axis=1), kind="stable")[:MOST]]
+        self.mover, self.other = able.T
+        if not len(able):
+            return
+        self.index = {(a, b): k for k, (a, b) in enumerate(able.tolist())}
+        touching, deep = self._touching()
+        ways = self._ways(deep)
+        last: dict[int, int] = {}
+        for reading in range(1, len(run)):
+            for k in [k for k in self.inside if (k, reading) not in touching]:
+                self._leave(k, reading)
+            # In a deep contact, after a way of the centre that is worth a ray.
+            last = {k: last.get(k, reading - 1) for k in deep[reading]}
+            for k, since in last.items():
+                way = self._seen(k, reading) - self._seen(k, since)
+                if float(way @ way) > (CREEPS * float(self.thick[self.mover[k]])) ** 2:
+                    last[k] = reading
+                    self._meet(k, since, reading)
+            for k in ways[reading]:
+                self._meet(k, reading - 1, reading)
 
-    def risks(self) -> list[Passage]:
-        """Return the geoms that moved too far in a step just before another one."""
-        arrivals = self.passages.arrivals if self.passages else {}
-        passed = {entry.pair for entry in self.passed()}
-        return [
-            entry
-            for entry in self._passages(arrivals)
-            if entry.speed * self.dt > entry.room and entry.pair not in passed
-        ]
+    def _touching(self) -> tuple[set[tuple[int, int]], dict[int, list[int]]]:
+        """Return the pairs and readings of contacts, and by reading the pairs that are deep."""
+        touching, deepest = set[tuple[int, int]](), defaultdict[int, dict[int, bool]](dict)
+        for pair, reading, depth in self.run.contacts.overlaps:
+            a, b = self.run.model.pair_geoms[pair].tolist()
+            far = depth > NEAR * float(min(self.thick[a], self.thick[b]))
+            for k in (self.index.get((a, b)), self.index.get((b, a))):
+                if k is not None:
+                    touching.add((k, reading))
+                    deepest[reading][k] = deepest[reading].get(k, False) or far
+        deep = {r: [k for k, far in found.items() if far] for r, found in deepest.items()}
+        return touching, defaultdict(list, deep)
 
-    def _passages(self, crossings: dict[Geoms, Crossing]) -> list[Passage]:
-        """Return the crossings in order of time; of two geoms the smaller passes through the
-        larger."""
-        model, found = self.model, {}
-        for geoms in sorted(crossings, key=lambda geoms: self.reach[geoms[0]], reverse=True):
-            both = (np.sort(model.pair_geoms, axis=1) == np.sort(geoms)).all(axis=1)
-            pair, (time, speed, room) = int(np.flatnonzero(both)[0]), crossings[geoms]
-            found[pair] = Passage(*geoms, pair, speed, room, time)
-        return sorted(found.values(), key=lambda entry: entry.time)
+    def _ways(self, deep: dict[int, list[int]]) -> dict[int, list[int]]:
+        """Return by reading the pairs whose centre may have crossed a surface on its way to it."""
+        mover, other, centres, axes = self.mover, self.other, self.centres, self.axes
+        least = NEAR * self.thick[mover]
+        moved = np.linalg.norm(np.diff(centres, axis=0), axis=2)
+        turned = np.linalg.norm(np.diff(axes, axis=0), axis=(2, 3))
+        found = defaultdict[int, list[int]](list)
+        box = WIDE * np.array(self.run.sizes.halves)[other] + self.thick[mover, None]
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            for reading in range(1, len(centres)):
+                # A bound of the ways, by which most pairs are left out.
+                before, now = centres[reading - 1], centres[reading]
+                far = moved[reading - 1][mover] + moved[reading - 1][other]
+                reach = np.linalg.norm(before[mover] - before[other], axis=1)
+                fast = far + turned[reading - 1][other] * reach > least
+                fast[deep[reading]] = False
+                some = np.flatnonzero(fast)
+                if not len(some):
+                    continue
+                a, b = mover[some], other[some]
+                start = np.einsum("nji,nj->ni", axes[reading - 1][b], before[a] - before[b])
+                way = np.einsum("nji,nj->ni", axes[reading][b], now[a] - now[b]) - start
+                ends = (-box[some] - start) / way, (box[some] - start) / way
+                enters, leaves = np.minimum(*ends).max(axis=1), np.maximum(*ends).min(axis=1)
+                meets = (enters <= leaves) & (leaves >= 0) & (enters <= 1)
+                meets &= np.sum(way * way, axis=1) > least[some] ** 2
+                found[reading] = some[meets].tolist()
+        return found
 
-    def furthest(self) -> float:
-        """Return the largest motion in a step just before another geom, in thicknesses."""
-        every = {**(self.passages.arrivals if self.passages else {})}
-        every |= self.passages.found if self.passages else {}
-        return max((e.speed * self.dt / e.room for e in self._passages(every)), default=0.0)
+    def _seen(self, k: int, reading: int) -> Floats:
+        """Return the centre of the moving geom in the other geom's frame."""
+        turn, centres = self.axes[reading, self.other[k]], self.centres[reading]
+        seen: Floats = turn.T @ (centres[self.mover[k]] - centres[self.other[k]])
+        return seen
 
-    # Findings.
+    def _meet(self, k: int, since: int, reading: int) -> None:
+        """Keep where a centre enters the other geom on its way since a reading."""
+        geom, other = int(self.mover[k]), int(self.other[k])
+        sim, turn = self.run.at(reading), self.axes[reading, other]
+        start = self.centres[reading, other] + turn @ self._seen(k, since)
+        way = self.centres[reading, geom] - start
+        body = int(self.run.model.geom_body[geom])
+        hit = sim.ray(start, way, exclude=body)
+        closing = -float(hit.normal @ way)
+        if int(hit.geom) != other or closing <= 0 or hit.distance > 1:
+            return
+        at = start + float(hit.distance) * way
+        # From within the ray hits the other side; a way through a corner is short.
+        beyond = float(sim.ray(at + 1e-9 * way, way, exclude=body).distance)
+        room = float(self.thick[geom] + max(beyond * closing / 2, self.thick[other]))
+        normal, entry = turn.T @ hit.normal, turn.T @ (at - self.centres[reading, other])
+        first = max(0, since - ARRIVES)
+        places = np.array([self._seen(k, r) for r in range(first, reading + 1)])
+        fastest = float((-np.diff(places @ normal)).max()) / self.run.spacing
+        if (geom, other) not in self.found:
+            when = fastest, room, float(self.run.times[reading])
+            self.inside.setdefault(k, (entry, normal, when))
 
-    def findings(self) -> Iterator[Finding]:
-        """Yield what passed, or else what may."""
-        passed, risks = self.passed(), self.risks()
-        if passed:
-            yield self._through(passed)
-        elif risks:
-            yield self._risky(risks)
+    def _leave(self, k: int, reading: int) -> None:
+        """Keep the passage of a centre beyond the other's middle, where the contact has ended."""
+        entry, normal, crossing = self.inside.pop(k)
+        thick = float(self.thick[self.mover[k]])
+        if float(normal @ (entry - self._seen(k, reading))) > crossing[1] - thick:
+            self.found[int(self.mover[k]), int(self.other[k])] = crossing
 
-    def _through(self, passed: list[Passage]) -> Finding:
-        model, first = self.model, passed[0]
-        movers = named(model, "geom", [entry.mover for entry in passed])
-        wall = model.element_name("geom", first.wall)
-        also = others([of.name for of in movers[1:]], "geoms")
-        verb = "pass" if also else "passes"
-        problem = (
-            f"{movers[0].name}{also} {verb} through {wall} at {seconds(first.time)}: "
-            f"it arrives at {speed(first.speed)}, {metres(first.speed * self.dt)} in a step, and "
-            f"half of both thicknesses is {metres(first.room)}"
-        )
-        contacts = named(model, "contact", [entry.pair for entry in passed])
-        fast = max(passed, key=lambda entry: entry.speed / entry.room)
-        steps = self._shorter(fast)
-        # A geom's contacts with all that it can touch, because another wall is next.
-        ids = {entry.mover for entry in passed}
-        touching = np.flatnonzero(np.isin(model.pair_geoms, list(ids)).any(axis=1)).tolist()
-        hard = tuple(hardest(model, touching, dt) for dt in dict.fromkeys((self.dt, *steps)))
-        remedy = Remedy(
-            (self._steps(steps), hard),
-            lambda m: float(len(m.tunnelling.passed())),
-            0.0,
-            lambda count: f"{count:g} that pass" if count else "none that passes",
-            now=float(len(passed)),
-        )
-        elements = (*movers, *contacts)
-        return Finding(
-            "tunnelling", "error", problem, "", elements, first.speed, "m/s", remedy=remedy
-        )
 
-    def _risky(self, risks: list[Passage]) -> Finding:
-        model = self.model
-        worst = max(risks, key=lambda entry: entry.speed / entry.room)
-        geoms = named(model, "geom", [worst.mover, worst.wall])
-        problem = (
-            f"{geoms[0].name} may pass through {geoms[1].name}: at {speed(worst.speed)} it moves "
-            f"{metres(worst.speed * self.dt)} in a step, and half of both thicknesses is "
-            f"{metres(worst.room)}"
-        )
-        remedy = Remedy(
-            (self._steps(self._shorter(worst)),),
-            lambda m: m.tunnelling.furthest(),
-            1.0,
-            lambda ratio: f"{metres(ratio * worst.room)} a step",
-            now=worst.speed * self.dt / worst.room,
-        )
-        # A thicker geom would do, too.
-        cure = f"make {geoms[1].name} thicker"
-        value = worst.speed
-        return Finding("tunnelling", "warning", problem, cure, geoms, value, "m/s", remedy=remedy)
-
-    def _shorter(self, fast: Passage) -> list[float]:
-        """Return the time steps to try [s], the longest first."""
-        settings = self.model.settings
-        most = min(self.dt / 2, SHORT * fast.room / fast.speed)
-        return list(dict.fromkeys(finer(settings, most / part) for part in PARTS))
-
-    def _steps(self, steps: list[float]) -> tuple[Cure, ...]:
-        return tuple(Cure(f"a dt of {seconds(dt)}", settings={"dt": dt}) for dt in steps)
+def tunnelling_findings(run: Recording, passed: list[Passage]) -> Iterator[Finding]:
+    """Yield a finding on what passed; passed: what `passages` returns."""
+    if not passed:
+        return
+    model, first, dt = run.model, passed[0], run.model.settings.dt
+    movers = named(model, "geom", [entry.mover for entry in passed])
+    wall = model.element_name("geom", first.wall)
+    also = others([of.name for of in movers[1:]], "geoms")
+    verb = "pass" if also else "passes"
+    problem = (
+        f"{movers[0].name}{also} {verb} through {wall} at {seconds(first.time)}: "
+        f"it arrives at {speed(first.speed)}, {metres(first.speed * dt)} in a step, and "
+        f"half of both thicknesses is {metres(first.room)}"
+    )
+    contacts = named(model, "contact", [entry.pair for entry in passed])
+    fast = max(passed, key=lambda entry: entry.speed / entry.room)
+    most = min(dt / 2, SHORT * fast.room / fast.speed)
+    steps = list(dict.fromkeys(finer(model.settings, most / part) for part in PARTS))
+    shorter = tuple(Cure(f"a dt of {seconds(step)}", Change(dt=step)) for step in steps)
+    # A geom's contacts with all that it can touch, because another wall is next.
+    ids = {entry.mover for entry in passed}
+    touching = np.flatnonzero(np.isin(model.pair_geoms, list(ids)).any(axis=1)).tolist()
+    hard = tuple(map(functools.partial(hardest, model, touching), dict.fromkeys((dt, *steps))))
+    remedy = Remedy(
+        (shorter, hard),
+        lambda other: float(len(passages(other))),
+        0.0,
+        lambda count: f"{count:g} that pass" if count else "none that passes",
+        now=float(len(passed)),
+    )
+    elements, value = (*movers, *contacts), first.speed
+    yield Finding("tunnelling", "error", problem, "", elements, value, "m/s", remedy=remedy)

@@ -14,7 +14,6 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import Horizon, affordable, horizon_of
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.measure.monitors import monitored
@@ -141,6 +140,7 @@ def trade(
         target=target,
         budget=limit,
         by=by,
+        effort=effort,
         size=study.size,
         notes=[*study.schedule.notes, *(setup.model.scene.notes if runs.known else ())],
     )
@@ -155,6 +155,7 @@ def trade(
         with workers.deadline.stage("the rest of the search", SEARCHED):
             _searched(result, search_, further)
     result.take(search_)
+    result.ended = search_.ended
     if further and not full and result.chosen is not None and target is not None:
         said = search_.so_far(result.chosen)
         workers.deadline.so_far(f"{said}; {counted(further, 'untouched start')} are to prove it")
@@ -167,7 +168,7 @@ def trade(
             result.times = study.times([trial.change for trial in named if not trial.failure])
     if engine == "stepcore":
         with workers.deadline.stage("the findings on the shipped settings"):
-            result.findings = monitored(Runner(setup.model, study.schedule), shipped)[0]
+            result.findings = monitored(setup.model, study.schedule)[0]
     if mujoco:
         with workers.deadline.stage("the same trade in MuJoCo"):
             own: Any = {"threads": fields.get("threads"), "executor": fields.get("executor")}

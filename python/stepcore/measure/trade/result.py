@@ -20,12 +20,13 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof, frontier
 from stepcore.experiment.motion import Motion, picklable
 from stepcore.experiment.norm import Matter, apart, rms
+from stepcore.experiment.price import OPERATION
 from stepcore.experiment.schedule import Schedule
-from stepcore.experiment.study import SHIPPED
+from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import Truth
 from stepcore.measure.monitors import Finding
-from stepcore.measure.trade.search import Search
+from stepcore.measure.trade.search import KNOWING, Search
 from stepcore.report.result import Result
 from stepcore.report.settings import differences, solver_words
 from stepcore.report.table import Table
@@ -37,6 +38,7 @@ from stepcore.report.units import (
     length,
     metres,
     operations,
+    rounded,
     seconds,
 )
 
@@ -81,6 +83,7 @@ class Trade(Result):
     proof: what these did on starts that no choice has seen; None if they did not run there.
     by: "time" or "flops". times: measured computing times [µs per simulated second], by change.
     size: the size of the scene [m].
+    effort: the most operations of the runs. ended: whether they ended the search.
     runs: the number of runs that the trade made.
     findings: problems of the shipped settings in the first start, such as creep; see `Finding`.
     beside: the same trade with MuJoCo, if it was asked for.
@@ -103,6 +106,8 @@ class Trade(Result):
     chosen: Trial | None = None
     proof: Proof | None = None
     times: Mapping[Change, float] = field(default_factory=dict)
+    effort: float = EFFORT
+    ended: bool = False
     runs: int = 0
     moved: float = math.nan
     findings: Sequence[Finding] = ()
@@ -311,7 +316,8 @@ class Trade(Result):
     def setup(self) -> str:
         """The settings tried and the truth, in one line."""
         tried = f"{counted(len(self.rows), 'setting')} in {counted(self.runs, 'run')}"
-        return f"{tried}. {self.reference.words}"
+        ended = "; more were not tried, because --effort was spent" if self.ended else ""
+        return f"{tried}{ended}. {self.reference.words}"
 
     @property
     def sentences(self) -> list[str]:
@@ -338,13 +344,12 @@ class Trade(Result):
         if target is not None and truth.error > target:
             yield (
                 f"{metres(target)} cannot be verified: the converged motion is known to "
-                f"{metres(truth.error)} in the worst start. Try your own motion, or a larger "
-                "`effort` (--effort)."
+                f"{metres(truth.error)} in the worst start. {self._surer()}"
             )
         elif self.verified is not None and target is not None:
             yield (
                 f"{metres(target)} cannot be verified well: the converged motion is known to "
-                f"{metres(truth.error)} in the worst start."
+                f"{metres(truth.error)} in the worst start. {self._surer()}"
             )
         row = self.chosen
         if row is not None:
@@ -371,6 +376,15 @@ class Trade(Result):
                 yield f"The smallest is {self._wrong(least)}: {self.label(least)}."
         elif self.budget is not None:
             yield f"No setting costs at most {self._amount(self.budget)} per simulated second."
+
+    def _surer(self) -> str:
+        """Say what it takes to verify the error that was asked for."""
+        truth = self.reference
+        if not math.isfinite(truth.needs):
+            return "Shorter steps do not make it surer: try your own motion."
+        effort = rounded(self.effort + truth.needs / KNOWING, 1, up=True)
+        spent = seconds(max(1.0, round(1e-6 * OPERATION * effort)))
+        return f"With --effort {effort:.0e} (in Python effort=) it may be: about {spent}."
 
     def _halved(self) -> str:
         better = self.next_better()

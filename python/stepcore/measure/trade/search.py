@@ -34,6 +34,10 @@ FINEST = 256
 ACCURACIES = (10.0, 3.0, 1.0, 0.3, 0.1)
 # How often a grid's truth is refined. Errors below this share of a scene's size are rounding.
 REFINED, ROUNDING = 3, 1e-11
+# The shares of the effort that may be spent when the converged motion is known, when the first
+# choice is made, and when the last one is. Of 72 starts whose converged motion is computed, 8 are
+# those of the search, and 32 those of each test.
+KNOWING, SEARCHING, SETTLING = 0.3, 0.5, 0.75
 # How often starts on which a choice fails may join the search, and how many of them at a time.
 ROUNDS, JOIN = 8, 3
 # The truth of further starts is first known to this multiple of what the search needs. Where that
@@ -48,7 +52,7 @@ class Search:
     study: runs them. truth: the converged motion from the starts of the search.
     steps: the numbers of time steps in a control period that may be recommended.
     trials: by change; those from fewer starts were made before others joined. hard: the start that
-    goes alone first.
+    goes alone first. ended: whether the effort ended it.
     """
 
     study: Study
@@ -56,6 +60,7 @@ class Search:
     steps: Sequence[int]
     trials: dict[Change, Trial] = field(default_factory=dict)
     hard: int = 0
+    ended: bool = False
 
     @classmethod
     def of(cls, study: Study, error: float | None, *, held: bool) -> Search:
@@ -63,7 +68,9 @@ class Search:
 
         error: the error in question [m], or None. held: whether the user gave the control period.
         """
+        study.allowed = KNOWING * study.effort
         search = cls(study, study.truth(error), usable_steps(study, held))
+        study.allowed = SEARCHING * study.effort
         search.hard = search.trial(SHIPPED).worst
         return search
 
@@ -125,6 +132,9 @@ class Search:
         if best is not None:
             self.hard = best.worst
         for family in sorted(self.families, key=self.rate):
+            if not self.study.affords(self.at(family, own), 1):
+                self.ended = True
+                break
             allowed = (limit if best is None else BETTER * best.cost) / self.rate(family)
             found = self._least(family, [n for n in self.steps if n <= allowed], error, own)
             if found is not None and (best is None or found.cost < best.cost):
@@ -159,6 +169,9 @@ class Search:
 
         def wrong(steps: int) -> float:
             change = self.at(family, steps)
+            if not self.study.affords(change, len(truth.starts)):
+                self.ended = True
+                return math.inf
             if len(truth.starts) > 1:
                 # One hard start refuses most of what does not hold.
                 (alone,) = self.study.tracks([change], [self.hard])
@@ -182,7 +195,7 @@ class Search:
         for share in ACCURACIES:
             accuracy = share * error / study.schedule.horizon
             change = Change(accuracy=accuracy, dt=study.schedule.period)
-            if self.study.cost(change) >= most:
+            if self.study.cost(change) >= most or not study.affords(change, len(truth.starts)):
                 break
             (alone,) = study.tracks([change], [self.hard])
             if study.score(change, alone, truth.part([self.hard])).within(error):
@@ -237,6 +250,7 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
     """
     study, chosen, fewest = search.study, None, math.inf
     best = search.cheapest(MARGIN * error)
+    study.allowed = SETTLING * study.effort
     second = study.fresh(further) if further and best is not None else ()
     for _ in range(ROUNDS if second else 0):
         if best is None or best.change == getattr(chosen, "change", None):
@@ -281,8 +295,9 @@ def tested(
 
 def proven(study: Study, change: Change, error: float, further: int) -> Proof | None:
     """Run a choice from starts that no choice has seen; None if the time is over before."""
+    study.allowed = study.effort
     try:
         trial = tested(study, change, study.fresh(further), error)
     except OutOfTime:
         return None
-    return Proof(trial, error, len(trial.misses(error)))
+    return Proof.of(trial, error)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Unpack
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.experiment.arguments import Source
+from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
+from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import scene_in_words, start_in_words
 from stepcore.experiment.schedule import home
-from stepcore.loading import find_model
-from stepcore.measure.tune.contacts import resting_geoms, tuned_contacts
-from stepcore.measure.tune.goal import Goal, Tuned
+from stepcore.measure.tune.contacts import resting_geoms, tuned_contact
+from stepcore.measure.tune.goal import At, Goal, Tuned
 from stepcore.measure.tune.servos import servos_of, tuned_servos
 from stepcore.report import units
 from stepcore.report.result import Result
@@ -23,7 +23,8 @@ from stepcore.report.table import Table
 __all__ = ["Tuning", "tune"]
 
 SERVO, CONTACT = ("bandwidth", "settling", "sag"), ("stiffness", "depth", "settling", "noise")
-GOALS = tuple(dict.fromkeys((*SERVO, *CONTACT)))
+# Of a motion, tune has the keyframe alone.
+OTHERS = tuple(field.name for field in fields(Motion) if field.name != "key")
 
 
 @dataclass(eq=False, repr=False)
@@ -91,6 +92,7 @@ class Tuning(Result):
         return {"mjcf": self.mjcf}
 
 
+@measurement(without=OTHERS)
 def tune(
     model: Source,
     *,
@@ -102,8 +104,8 @@ def tune(
     noise: float | None = None,
     servo: str | Sequence[str] | None = None,
     geom: str | Sequence[str] | None = None,
-    key: str | int | None = None,
     dt: float | str | None = None,
+    **fields: Unpack[MeasurementFields],
 ) -> Tuning:
     """Find gains of position servos, or solref and solimp of contacts, for one wanted value.
 
@@ -121,8 +123,9 @@ def tune(
     noise: of contacts at rest, the RMS deviation of the normal force from its mean [N].
     servo: the name of a servo, or several; by default all position servos on hinges and slides.
     geom: the name of a geom, or several; by default those that rest on something after 2 s.
-    key: the keyframe of the pose and controls; by default the first, or the pose of the scene.
     dt: the time step [s]; by default the model's.
+    key: the keyframe of the pose and controls; by default the first, or the pose of the scene.
+    threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError unless exactly one wanted value is given, and for values outside their limits.
 
@@ -137,35 +140,36 @@ def tune(
     given |= {"stiffness": stiffness, "depth": depth, "noise": noise}
     goals = [Goal(name, _value(name, value)) for name, value in given.items() if value is not None]
     if len(goals) != 1:
-        raise ValueError(f"give one of {', '.join(GOALS)}")
+        raise ValueError(f"give one of {', '.join(given)}")
     (goal,) = goals
     if servo is not None and geom is not None:
         raise ValueError("servo and geom are both given: tune one kind at a time")
     _match("servo", servo, goal, SERVO)
     _match("geom", geom, goal, CONTACT)
-    compiled = find_model(model)
+    setup = set_up(tune, model, None, fields, missing="nothing to tune")
+    compiled, motion, workers = setup.model, setup.motion, setup.workers
     if dt is not None:
         compiled = compiled.with_settings(dt=units.time("dt", dt))
-    start, ctrl = home(compiled, key)
-    servos = (
-        servos_of(compiled, start, _names(servo)) if goal.name in SERVO and geom is None else []
-    )
-    if servos and (goal.name != "settling" or geom is None):
-        found, held = tuned_servos(compiled, start, ctrl, servos, goal), "the servos hold the pose"
+    at, found, ran = At(*home(compiled, motion.key)), list[Tuned](), "nothing was run"
+    is_servo = goal.name in SERVO and geom is None
+    servos = servos_of(compiled, at.start, _names(servo)) if is_servo else []
+    if servos:
+        found, ran = tuned_servos(compiled, at, servos, goal), "the servos hold the pose"
     elif goal.name in CONTACT:
-        if compiled.settings.law != "solref":
-            law = compiled.settings.law
+        law, ran = compiled.settings.law, "2 s to come to rest"
+        if law != "solref":
             raise ValueError(f"{goal.name}: contacts under law {law} have no solref to tune")
-        geoms = resting_geoms(compiled, start, ctrl, _names(geom))
-        found, held = tuned_contacts(compiled, start, ctrl, geoms, goal), "2 s to come to rest"
-    else:
-        found, held = [], "nothing was run"
-    begin = start_in_words(compiled, key)
+        geoms = resting_geoms(compiled, at, _names(geom))
+        made: list[Tuned | None] = []
+        with workers.deadline.stage("the rest of the geoms"):
+            workers.each(lambda one: tuned_contact(compiled, at, one, goal), geoms, "geoms", made)
+        found = [tuned for tuned in made if tuned is not None]
+    begin = start_in_words(compiled, motion.key)
     return Tuning(
         compiled.settings,
         found,
-        name=compiled.scene.name or "scene",
-        ran=f"from {begin}; {held}; {scene_in_words(compiled)}",
+        name=setup.name,
+        ran=f"from {begin}; {ran}; {scene_in_words(compiled)}",
         notes=list(compiled.scene.notes),
     )
 

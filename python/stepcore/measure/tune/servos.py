@@ -2,77 +2,129 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stepcore._core import SimulationError
+from stepcore.engine.actuator import SERVO, Actuator, actuators, loads
+from stepcore.engine.follow import follow
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
-from stepcore.engine.stiffness import MARGIN
-from stepcore.measure.diagnosis.linear import Held
-from stepcore.measure.diagnosis.running import State, with_converged_rows
-from stepcore.measure.monitors.actuators import on_one_dof
-from stepcore.measure.tune.goal import PASSES, RISES, SETTLES, WITHIN, Goal, Tuned
+from stepcore.experiment.change import Change
+from stepcore.experiment.choose import least
+from stepcore.measure.tune.goal import (
+    PASSES,
+    RISES,
+    ROUNDS,
+    SETTLED,
+    SETTLES,
+    SHIPPED,
+    WITHIN,
+    At,
+    Goal,
+    Tuned,
+    pasted,
+    settling,
+)
 from stepcore.report.units import rounded, seconds
 from stepcore.scene.layout import Layout
 
-# The size of a step of the target [rad or m]; the share of its range, and of the force left.
-STEP, RANGE, LEFT = 0.05, 0.05, 0.5
+# The size of a step of the target [rad or m]; of its range, the same share.
+STEP = 0.05
 # The time that holding the pose and a step of the target get, in units of 1/ω, within bounds [s].
 HELD, RESPONSE, LEAST, LONGEST = 30.0, 25.0, 0.2, 10.0
-# A step has settled when it stays within this share of its size.
-SETTLED = 0.02
-# Corrections of the inertia by the run, and bisections of the highest bandwidth.
-ROUNDS, HALVINGS = 5, 7
-# The time in which a linearised step must not grow [s].
-LINEAR = 1.0
+# Gains hold at this multiple of the time step too: the margin without a warning at load.
+MARGIN = 2.0
+# The largest ω dt of a servo with armature.
+SLOW = 0.1
+# A value of the goal is proportional to this power of ω.
+POWERS = {"bandwidth": 1, "settling": -1, "sag": -2}
 
 
-@dataclass(frozen=True)
-class Servo:
-    """A position servo on a hinge or slide.
+class Gains(NamedTuple):
+    """kp, kv, and the armature to add to the joint [kg·m² or kg]."""
 
-    index, dof, gear: of the actuator. inertia: that it moves while the other joints are held.
-    damping: of the joint. load: the force of the servo that the pose needs at rest [N or N·m].
-    """
-
-    index: int
-    name: str
-    unit: str
-    dof: int
-    gear: float
-    inertia: float
-    damping: float
-    load: float
-
-    def gains(self, omega: float, armature: float = 0.0) -> tuple[float, float]:
-        """Return kp and kv of a critically damped servo of frequency ω [rad/s].
-
-        armature: to add [kg·m² or kg].
-        """
-        inertia = self.inertia + armature
-        kv = max(0.0, 2 * inertia * omega - self.damping) / self.gear**2
-        return rounded(inertia * omega**2 / self.gear**2), rounded(kv)
+    kp: float
+    kv: float
+    armature: float = 0.0
 
 
-@dataclass(frozen=True)
-class Response:
+class Response(NamedTuple):
     """What a run shows of a servo. rise, settling: of a step of its target [s]. sag: [rad or m]."""
 
-    rise: float
-    settling: float
-    sag: float
+    rise: float = math.nan
+    settling: float = math.nan
+    sag: float = math.nan
 
     def of(self, goal: Goal) -> float:
         """Return the measured value of a goal; nan if the servo did not settle."""
         if goal.name == "bandwidth":
             return PASSES * RISES / (2 * math.pi * self.rise)
         return self.settling if goal.name == "settling" else self.sag
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A position servo on a hinge or slide.
+
+    drive: the actuator. name: its name. unit: of its joint. inertia: that it moves while the other
+    joints are held. damping, armature: of the joint. load: the force of the servo that the pose
+    needs at rest [N or N·m].
+    """
+
+    drive: Actuator
+    name: str
+    unit: str
+    inertia: float
+    damping: float
+    armature: float
+    load: float
+
+    def gains(self, omega: float, most: float = math.inf) -> Gains:
+        """Return the gains of a critically damped servo of frequency ω [rad/s].
+
+        most: the highest frequency, to which armature lowers that of the servo with these gains.
+        """
+        more, gear = 0.0, self.drive.gear
+        kp = rounded(self.inertia * omega**2 / gear**2)
+        if omega > most:
+            more = rounded(self.inertia * ((self.frequency(kp) / most) ** 2 - 1))
+        kv = 2 * (self.inertia + more) * min(omega, most) - self.damping
+        return Gains(kp, rounded(max(0.0, kv) / gear**2), more)
+
+    def frequency(self, kp: float) -> float:
+        """Return the frequency of the servo alone, the other joints held [rad/s]."""
+        return abs(self.drive.gear) * math.sqrt(kp / self.inertia)
+
+    def first(self, goal: Goal) -> float:
+        """Return the frequency at which the closed form has a goal's value [rad/s]."""
+        if goal.name == "sag":
+            return self.frequency(abs(self.load) / (goal.value * abs(self.drive.gear)))
+        return (
+            2 * math.pi * goal.value / PASSES if goal.name == "bandwidth" else SETTLES / goal.value
+        )
+
+    def value(self, goal: Goal, omega: float) -> float:
+        """Return the goal's value at a frequency by the closed form."""
+        return goal.value * (omega / self.first(goal)) ** POWERS[goal.name]
+
+    def values(self, model: Model, gains: Gains) -> dict[str, Any]:
+        """Return gains as values of the model by path."""
+        path = f"actuator/#{self.drive.index}"
+        actuator, (kp, kv, more) = model.scene.actuators[self.drive.index], gains
+        if actuator.type == "general":
+            bias = self.drive.offset, -kp, -kv
+            values: dict[str, Any] = {f"{path}/gainprm": (kp,), f"{path}/biasprm": bias}
+        else:
+            values = {f"{path}/kp": kp, f"{path}/kv": kv}
+            values |= {} if actuator.dampratio is None else {f"{path}/dampratio": None}
+        if more:
+            values[f"joint/#{self.drive.joint}/armature"] = self.armature + more
+        return values
 
 
 def servos_of(model: Model, start: Start, names: Sequence[str] | None) -> list[Servo]:
@@ -83,20 +135,15 @@ def servos_of(model: Model, start: Start, names: Sequence[str] | None) -> list[S
     sim = Sim(model)
     start.put(sim)
     sim.forward()
-    mass, need = sim.mass_matrix(), np.array(sim.bias) - np.array(sim.passive)
-    layout, called = Layout(model.scene), model.called("actuator")
-    found = []
-    for k in on_one_dof(model):
-        joint, gear = int(model.actuator_joint[k]), float(model.actuator_gear[k, 0])
-        bias, law = model.actuator_bias[k], model.scene.actuators[k].law
-        if law.gaintype != "fixed" or not (bias[1] < 0 < model.actuator_gain[k]) or not gear:
-            continue
-        dof, unit = int(model.jnt_dofadr[joint]), "rad"
-        if model.jnt_type[joint] == "slide":
-            unit = "m"
-        damping = float(np.ravel(layout.joints[joint].damping)[0])
-        own = float(mass[dof, dof])
-        found.append(Servo(k, called[k], unit, dof, gear, own, damping, float(need[dof] / gear)))
+    mass, need, called = sim.mass_matrix(), loads(sim), model.called("actuator")
+    joints, found = Layout(model.scene).joints, []
+    for drive in actuators(model):
+        if drive.kind == SERVO and drive.joint is not None and drive.gain > 0:
+            joint, dof = joints[drive.joint], drive.dof
+            unit = "m" if joint.type == "slide" else "rad"
+            damping = float(np.ravel(joint.damping)[0])
+            own = float(mass[dof, dof]), damping, float(joint.armature)
+            found.append(Servo(drive, called[drive.index], unit, *own, need[dof] / drive.gear))
     known = [servo.name for servo in found]
     for name in names or ():
         if name not in known:
@@ -105,268 +152,139 @@ def servos_of(model: Model, start: Start, names: Sequence[str] | None) -> list[S
     return [servo for servo in found if names is None or servo.name in names]
 
 
-def tuned_servos(
-    model: Model, start: Start, ctrl: np.ndarray, servos: Sequence[Servo], goal: Goal
-) -> list[Tuned]:
-    """Return gains for each servo. All servos are changed together, and verified together."""
-    bench = _Bench(model, start, ctrl)
-    if goal.name == "sag":
-        return _for_sag(bench, servos, goal)
-    first = _frequency(goal, goal.value)
-    omega = {servo.index: first for servo in servos}
-    for _ in range(ROUNDS):
-        responses = bench.responses(servos, _gains(servos, omega), min(omega.values()))
-        values = {k: response.of(goal) / goal.value for k, response in responses.items()}
-        if not all(math.isfinite(value) for value in values.values()):
-            break
-        if all(abs(value - 1) < WITHIN / 4 for value in values.values()):
-            break
-        for k, value in values.items():
-            # A bandwidth is proportional to ω, and a settling time to 1/ω.
-            omega[k] *= min(2.0, max(0.5, 1 / value if goal.name == "bandwidth" else value))
-    tuned = []
-    for servo in servos:
-        kp, kv = servo.gains(omega[servo.index])
-        # The closed form knows the frequency of the servo alone, the other joints held.
-        expected = _value(goal, math.sqrt(kp * servo.gear**2 / servo.inertia))
-        measured = responses[servo.index].of(goal)
-        reached = abs(measured / goal.value - 1) < WITHIN
-        lines = bench.attributes(servo, kp, kv, 0.0)
-        why = f"The run shows {goal.words(measured)} with kp={kp:g} and kv={kv:g}"
-        tuned.append(Tuned("servo", servo.name, goal, "", lines, expected, measured, reached, why))
-    if all(math.isfinite(entry.measured) for entry in tuned):
-        return tuned
-    most = _most(bench, servos, goal, first)
-    return [entry if entry.reached else replace(entry, why=most) for entry in tuned]
+def responses(
+    model: Model, at: At, gains: Mapping[Servo, Gains], longer: float = 1.0
+) -> list[Response]:
+    """Return the response of each servo to a step of its own target, the others holding.
 
-
-def _frequency(goal: Goal, value: float) -> float:
-    """Return the frequency of a critically damped oscillator with a goal's value [rad/s]."""
-    return 2 * math.pi * value / PASSES if goal.name == "bandwidth" else SETTLES / value
-
-
-def _value(goal: Goal, omega: float) -> float:
-    """Return the goal's value for a critically damped oscillator; omega: [rad/s]."""
-    return PASSES * omega / (2 * math.pi) if goal.name == "bandwidth" else SETTLES / omega
-
-
-def _gains(
-    servos: Sequence[Servo], omega: Mapping[int, float]
-) -> dict[int, tuple[float, float, float]]:
-    """Return kp, kv and the armature to add, by actuator."""
-    return {servo.index: (*servo.gains(omega[servo.index]), 0.0) for servo in servos}
-
-
-def _most(bench: _Bench, servos: Sequence[Servo], goal: Goal, omega: float) -> str:
-    """Return in words what the time step allows at most: the highest frequency that holds."""
-
-    def holds(trial: float) -> bool:
-        gains = _gains(servos, dict.fromkeys((servo.index for servo in servos), trial))
-        responses = bench.responses(servos, gains, trial).values()
-        return all(math.isfinite(response.settling) for response in responses)
-
-    low = next((omega / 2**k for k in range(1, HALVINGS + 1) if holds(omega / 2**k)), None)
-    if low is None:
-        return "The pose does not come to rest, so nothing can be verified: try another keyframe"
-    high = 2 * low
-    for _ in range(HALVINGS // 2):
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if holds(middle) else (low, middle)
-    settings = bench.model.settings
-    limit = goal.words(_value(goal, low))
-    said = f"{seconds(settings.dt)} under {settings.integrator} holds about {limit}"
-    if settings.integrator != "implicitfast":
-        bench.model = bench.model.with_settings(integrator="implicitfast")
-        said += "; implicitfast holds it" if holds(omega) else "; implicitfast does not hold it"
-    return said
-
-
-def _for_sag(bench: _Bench, servos: Sequence[Servo], goal: Goal) -> list[Tuned]:
-    """Return the kp that leaves a sag under the load of the pose, with kv of critical damping."""
-    settings, most = bench.model.settings, math.inf
-    whole = max(abs(servo.load) for servo in servos)
-    unloaded = [servo for servo in servos if abs(servo.load) <= NOTHING * whole]
-    servos = [servo for servo in servos if servo not in unloaded]
-    load = {servo.index: abs(servo.load) for servo in servos}
-    tuned = [
-        Tuned("servo", servo.name, goal, servo.unit, {}, 0.0, 0.0, False, NO_LOAD)
-        for servo in unloaded
-    ]
-    if not servos:
-        return tuned
-    for _ in range(ROUNDS):
-        gains = {s.index: _holding(s, load[s.index], goal.value, most) for s in servos}
-        slowest = min(abs(s.gear) * math.sqrt(gains[s.index][0] / s.inertia) for s in servos)
-        responses = bench.responses(servos, gains, slowest)
-        ratios = {k: response.sag / goal.value for k, response in responses.items()}
-        ratios = {k: ratio for k, ratio in ratios.items() if math.isfinite(ratio)}
-        if not ratios:
-            # Armature slows servos that the step cannot resolve.
-            most = SLOW / settings.dt
-        elif all(abs(ratio - 1) < WITHIN / 4 for ratio in ratios.values()):
-            break
-        # Contacts, and the sag of the other joints, change the load.
-        load |= {k: load[k] * min(10.0, max(0.1, ratio)) for k, ratio in ratios.items()}
-    for servo in servos:
-        kp, kv, more = gains[servo.index]
-        measured, bound = responses[servo.index].sag, bench.bound(servo)
-        expected = abs(servo.load) / (kp * abs(servo.gear))
-        reached = abs(measured / goal.value - 1) < WITHIN
-        step = f"{seconds(settings.dt)} under {settings.integrator}"
-        why = f"{step} does not rest in the pose with kp={kp:g} and a stability margin of 2"
-        if math.isfinite(measured):
-            why = f"The run sags by {goal.words(measured, servo.unit)} with kp={kp:g}"
-        if kp * goal.value * abs(servo.gear) > bound:
-            why = f"The pose needs more than its forcerange of {bound:g}"
-        lines = bench.attributes(servo, kp, kv, more)
-        told = (goal, servo.unit, lines, expected, measured, reached, why)
-        tuned.append(Tuned("servo", servo.name, *told))
-    if math.isfinite(most) and settings.integrator != "implicitfast":
-        plain = {s.index: _holding(s, load[s.index], goal.value, math.inf) for s in servos}
-        bench.model = bench.model.with_settings(integrator="implicitfast")
-        rests = bench.responses(servos, plain, slowest).values()
-        if all(abs(response.sag / goal.value - 1) < WITHIN for response in rests):
-            for entry in tuned:
-                entry.also = "; implicitfast needs no armature"
-    return tuned
-
-
-def _holding(servo: Servo, load: float, sag: float, most: float) -> tuple[float, float, float]:
-    """Return kp, kv and the armature to add for a sag under a load of the servo.
-
-    most: the highest frequency of the servo [rad/s], which armature lowers.
+    All servos have their gains. longer: multiplies the time step.
     """
-    kp = rounded(load / (sag * abs(servo.gear)))
-    omega = abs(servo.gear) * math.sqrt(kp / servo.inertia)
-    more = rounded(servo.inertia * ((omega / most) ** 2 - 1)) if omega > most else 0.0
-    return kp, servo.gains(min(omega, most), more)[1], more
+    values = {k: v for servo, own in gains.items() for k, v in servo.values(model, own).items()}
+    omega = min(servo.frequency(own.kp) for servo, own in gains.items())
+    model = Change(values, dt=longer * model.settings.dt).of(model)
+    rest = at.after(model, min(max(LEAST, HELD / omega), LONGEST))
+    if rest is None:
+        return [Response()] * len(gains)
+    dt, ctrl = model.settings.dt, np.tile(at.ctrl, (len(gains), 1, 1))
+    sizes, sags = [], []
+    for row, (servo, (kp, _, _)) in zip(ctrl[:, 0], gains.items(), strict=True):
+        drive = servo.drive
+        gear, k = abs(drive.gear), drive.index
+        sag = abs(row[k] + drive.offset / kp - drive.gear * rest.qpos[drive.qposadr]) / gear
+        # At most a share of the range, and half of the force that is left.
+        size, left = STEP * min(gear, np.ptp(drive.ctrlrange)), drive.bound - kp * sag * gear
+        size = min(size, left / 2 / kp) if left > 0 else size
+        row[k] += size if row[k] + 2 * size <= drive.ctrlrange[1] else -size
+        sizes.append(size)
+        sags.append(sag)
+    steps = math.ceil(min(max(LEAST, RESPONSE / omega), LONGEST) / dt)
+    ran, made = follow(model, [rest] * len(gains), steps, ctrl=ctrl, record=("qpos",)), []
+    for k, (servo, size, sag) in enumerate(zip(gains, sizes, sags, strict=True)):
+        path = servo.drive.gear * ran["qpos"][k, :, servo.drive.qposadr]
+        way = path[-1] - path[0]
+        share = (path - path[0]) / (way or math.nan)
+        settled = np.abs(share[-(steps // 5) :] - 1).max() <= SETTLED
+        if settled and abs(abs(way) / size - 1) <= 0.5:
+            rise = (_crossing(share, 0.9) - _crossing(share, 0.1)) * dt
+            made.append(Response(rise, settling(share[1:], dt), sag))
+        else:
+            made.append(Response())
+    return made
 
 
-# The largest ω dt of a servo with armature; the least load, as a share of the largest.
-SLOW, NOTHING = 0.1, 1e-3
-NO_LOAD = "It carries no load in this pose; its gains are left as they are"
+def tuned_servos(model: Model, at: At, servos: Sequence[Servo], goal: Goal) -> list[Tuned]:
+    """Return gains for each servo. All servos are changed together, and verified together."""
+    # A thousandth of the largest load is none.
+    whole = 1e-3 * max(abs(servo.load) for servo in servos) if goal.name == "sag" else -1.0
+    why = "It carries no load in this pose; its gains are left as they are"
+    idle = [Tuned("servo", s.name, goal, s.unit, why=why) for s in servos if abs(s.load) <= whole]
+    servos = [servo for servo in servos if abs(servo.load) > whole]
+    if not servos:
+        return idle
+    own = {servo: Gains(servo.drive.kp, servo.drive.kv) for servo in servos}
+    # Other elements may leave no margin, which gains do not give back.
+    spare = _settle(responses(model, at, own, MARGIN))
+
+    def tried(model: Model, gains: Mapping[Servo, Gains]) -> dict[Servo, Response]:
+        made = responses(model, at, gains)
+        if spare and _settle(made) and not _settle(responses(model, at, gains, MARGIN)):
+            made = [Response()] * len(made)
+        return dict(zip(gains, made, strict=True))
+
+    most, omega = math.inf, {servo: servo.first(goal) for servo in servos}
+    for _ in range(ROUNDS):
+        gains = {servo: servo.gains(omega[servo], most) for servo in servos}
+        made = tried(model, gains)
+        known = {s: value / goal.value for s in servos if math.isfinite(value := made[s].of(goal))}
+        if not known and goal.name == "sag":
+            # Armature slows servos that the step cannot resolve.
+            most = SLOW / model.settings.dt
+        near = [abs(ratio - 1) < WITHIN / 4 for ratio in known.values()]
+        if sum(near) == len(servos) or (len(known) < len(servos) and goal.name != "sag"):
+            break
+        # Contacts, and the other joints, change what the closed form says.
+        for servo, ratio in known.items():
+            omega[servo] *= min(3.0, max(0.3, ratio ** (-1 / POWERS[goal.name])))
+    found = [_told(model, goal, servo, gains[servo], made[servo]) for servo in servos]
+    for entry in found:
+        entry.change = Change({k: v for s in servos for k, v in s.values(model, gains[s]).items()})
+    quick = model.with_settings(integrator="implicitfast")
+    other = model.settings.integrator != "implicitfast"
+    if goal.name == "sag" and math.isfinite(most) and other:
+        plain = tried(quick, {servo: servo.gains(omega[servo]) for servo in servos})
+        if all(goal.near(response.sag) for response in plain.values()):
+            for entry in found:
+                entry.also = "; implicitfast needs no armature"
+    elif goal.name != "sag" and not _settle(made.values()):
+
+        def holds(model: Model, omega: float) -> bool:
+            return _settle(tried(model, {s: s.gains(omega) for s in servos}).values())
+
+        first = servos[0].first(goal)
+        # Parts of it, for the highest frequency that holds.
+        parts, n = range(100, 12_801), None
+        n = least(
+            parts,
+            lambda n: 0.0 if holds(model, first * 100 / n) else math.inf,
+            0.5,
+            200,
+            ratio=1.05,
+            cliff=True,
+        )
+        said = "The pose does not come to rest, so nothing can be verified: try another keyframe"
+        if n is not None:
+            limit = goal.words(servos[0].value(goal, first * 100 / n))
+            step = f"{seconds(model.settings.dt)} under {model.settings.integrator}"
+            said = f"{step} holds about {limit}"
+            if other:
+                said += f"; implicitfast {'holds' if holds(quick, first) else 'does not hold'} it"
+        for entry in found:
+            entry.why = said
+    return [*idle, *found]
 
 
-class _Bench:
-    """Runs of a model with changed servos, from one start."""
-
-    def __init__(self, model: Model, start: Start, ctrl: np.ndarray) -> None:
-        self.model, self.start, self.ctrl = model, start, np.array(ctrl, float)
-        # Other elements may leave no margin, which gains do not give back.
-        self.has_margin = self._margin(model)
-
-    def _margin(self, model: Model) -> bool:
-        """Return whether the step is stable at the start with a margin of `MARGIN`."""
-        begin = self.start
-        act = np.zeros(0) if begin.act is None else begin.act
-        state = State("the start", 0.0, begin.qpos, begin.qvel, self.ctrl, act)
-        held = Held(with_converged_rows(model), state, LINEAR)
-        return held.stable(model.settings.integrator, MARGIN * model.settings.dt)
-
-    def bound(self, servo: Servo) -> float:
-        """Return the largest force of a servo."""
-        return float(np.abs(self.model.actuator_forcerange[servo.index]).min())
-
-    def responses(
-        self,
-        servos: Sequence[Servo],
-        gains: Mapping[int, tuple[float, float, float]],
-        omega: float,
-    ) -> dict[int, Response]:
-        """Return the response of each servo to a step of its own target, the others holding."""
-        lost = Response(math.nan, math.nan, math.nan)
-        model = self.changed(servos, gains)
-        if self.has_margin and not self._margin(model):
-            return dict.fromkeys((servo.index for servo in servos), lost)
-        dt = model.settings.dt
-        held = math.ceil(min(max(LEAST, HELD / omega), LONGEST) / dt)
-        count = math.ceil(min(max(LEAST, RESPONSE / omega), LONGEST) / dt)
-        sim = self._sim(model)
-        try:
-            sim.step(held)
-        except SimulationError:
-            return dict.fromkeys((servo.index for servo in servos), lost)
-        state = sim.state()
-        found = {}
-        for servo in servos:
-            sim.restore(state)
-            try:
-                found[servo.index] = self._stepped(sim, servo, gains[servo.index][0], count)
-            except SimulationError:
-                found[servo.index] = lost
-        return found
-
-    def _stepped(self, sim: Sim, servo: Servo, kp: float, count: int) -> Response:
-        k, dt = servo.index, sim.settings.dt
-        before = float(sim.actuator_length[k])
-        per = float(sim.model.actuator_gain[k] / -sim.model.actuator_bias[k, 1])
-        sag = abs(float(sim.ctrl[k]) * per - before) / abs(servo.gear)
-        low, high = sim.model.actuator_ctrlrange[k]
-        step = min(STEP * abs(servo.gear), RANGE * float(high - low) * per)
-        left = self.bound(servo) - abs(kp * sag * servo.gear)
-        step = min(step, LEFT * left / kp) if kp > 0 and left > 0 else step
-        up = float(sim.ctrl[k]) + 2 * step / per <= high
-        sim.ctrl[k] += (step if up else -step) / per
-        path = np.empty(count)
-        for n in range(count):
-            sim.step()
-            path[n] = sim.actuator_length[k]
-        share = (path - before) / (path[-1] - before)
-        if not np.isfinite(share).all() or abs(abs(path[-1] - before) / step - 1) > 0.5:
-            return Response(math.nan, math.nan, math.nan)
-        if np.abs(share[-count // 5 :] - 1).max() > SETTLED:
-            return Response(math.nan, math.nan, math.nan)
-        inside = np.flatnonzero(np.abs(share - 1) > SETTLED)
-        settling = (inside[-1] + 1 if len(inside) else 0) * dt
-        share, times = np.concatenate([[0.0], share]), dt * np.arange(count + 1)
-        first, last = (_crossing(times, share, level) for level in (0.1, 0.9))
-        return Response(last - first, settling, sag)
-
-    def changed(
-        self, servos: Sequence[Servo], gains: Mapping[int, tuple[float, float, float]]
-    ) -> Model:
-        """Return the model with other gains and armatures."""
-        scene = copy.deepcopy(self.model.scene)
-        layout = Layout(scene)
-        for servo in servos:
-            kp, kv, armature = gains[servo.index]
-            actuator = scene.actuators[servo.index]
-            if actuator.type == "general":
-                bias = actuator.biasprm or (0.0, 0.0, 0.0)
-                actuator.gainprm, actuator.biasprm = kp, (bias[0], -kp, -kv)
-            else:
-                actuator.kp, actuator.kv, actuator.dampratio = kp, kv, None
-            if armature:
-                joint = layout.joints[int(self.model.actuator_joint[servo.index])]
-                joint.armature += armature
-        return Model(scene, self.model.settings)
-
-    def attributes(self, servo: Servo, kp: float, kv: float, armature: float) -> dict[str, str]:
-        """Return the MJCF attributes of a servo, and of its joint."""
-        actuator = self.model.scene.actuators[servo.index]
-        joint = int(self.model.actuator_joint[servo.index])
-        values = f'kp="{kp:g}" kv="{kv:g}"'
-        if actuator.type == "general":
-            first = (actuator.biasprm or (0.0,))[0]
-            values = f'gainprm="{kp:g}" biasprm="{first:g} {-kp:g} {-kv:g}"'
-        tags = {f'{actuator.type} name="{servo.name}"': values}
-        if armature:
-            whole = float(Layout(self.model.scene).joints[joint].armature) + armature
-            tags[f'joint name="{self.model.called("joint")[joint]}"'] = f'armature="{whole:g}"'
-        return tags
-
-    def _sim(self, model: Model) -> Sim:
-        sim = unwatched(Sim(model))
-        sim.reset()
-        self.start.put(sim)
-        sim.ctrl = self.ctrl
-        return sim
+def _settle(made: Any) -> bool:
+    return all(math.isfinite(response.settling) for response in made)
 
 
-def _crossing(times: np.ndarray, share: np.ndarray, level: float) -> float:
-    """Return when a step response first reaches a level, interpolated between steps."""
+def _told(model: Model, goal: Goal, servo: Servo, gains: Gains, response: Response) -> Tuned:
+    """Return a proposal, and why it is not reached if it is not."""
+    measured, drive, (kp, kv, _) = response.of(goal), servo.drive, gains
+    unit = servo.unit if goal.name == "sag" else ""
+    why = f"The run shows {goal.words(measured, unit)} with kp={kp:g} and kv={kv:g}"
+    if goal.name == "sag" and not math.isfinite(measured):
+        step = f"{seconds(model.settings.dt)} under {model.settings.integrator}"
+        why = f"{step} does not rest in the pose with kp={kp:g} and a stability margin of 2"
+    if goal.name == "sag" and kp * goal.value * abs(drive.gear) > drive.bound:
+        why = f"The pose needs more than its forcerange of {drive.bound:g}"
+    lines = tuple(pasted(model, servo.values(model, gains)))
+    expected = servo.value(goal, servo.frequency(kp))
+    told = Tuned("servo", servo.name, goal, unit, SHIPPED, lines, expected, measured, why=why)
+    told.reached = goal.near(measured)
+    return told
+
+
+def _crossing(share: np.ndarray, level: float) -> float:
+    """Return after how many steps a response first reaches a level, interpolated."""
     k = int(np.argmax(share >= level))
-    if k == 0:
-        return float(times[0])
-    way = (level - share[k - 1]) / (share[k] - share[k - 1])
-    return float(times[k - 1] + way * (times[k] - times[k - 1]))
+    return k - 1 + float((level - share[k - 1]) / (share[k] - share[k - 1])) if k else 0.0

@@ -18,6 +18,7 @@ from stepcore.report.plot.style import (
     line,
     log_ticks,
     name_places,
+    named_bars,
     new_figure,
     patches,
     say,
@@ -26,7 +27,7 @@ from stepcore.report.units import metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.engine.plan import Plan
-    from stepcore.measure.ablation.result import Ablation, FeatureEffect
+    from stepcore.measure.ablation.result import Ablation
     from stepcore.measure.check import Check
     from stepcore.measure.diagnosis.result import Diagnosis
     from stepcore.measure.tune import Tuning
@@ -65,8 +66,7 @@ def diagnosis(result: Diagnosis) -> Any:
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     log_ticks(axes.xaxis, seconds)
-    axes.set_xlabel("largest stable dt")
-    frame(axes, f"{result.name}: what limits the time step")
+    frame(axes, f"{result.name}: what limits the time step", "largest stable dt")
     axes.grid(False, axis="y")
     entries = patches({"runs of the motion": BLUE, "held pose, linearised": GREY})
     entries.append(line(f"dt {seconds(result.wanted)}", color="black", lw=1.3))
@@ -109,48 +109,39 @@ def check(check: Check) -> Any:
 def tuning(result: Tuning) -> Any:
     """Draw the measured value of each proposal as a multiple of the wanted one."""
     names = [f"{tuned.kind} {tuned.name}" for tuned in result.found]
-    figure = new_figure(8.0, 1.6 + 0.3 * max(1, len(names)))
-    axes = figure.add_subplot()
-    places = range(len(names))[::-1]
+    figure, (axes,), places = named_bars(names, ELEMENT_LETTERS)
     for place, tuned in zip(places, result.found, strict=True):
         ratio, colour = tuned.measured / tuned.goal.value, GREEN if tuned.reached else RED
         bar(axes, place, ratio if ratio < MOST_RATIO else 0.0, colour, tuned.result)
     axes.axvline(1.0, color="black", lw=1.3, zorder=4)
-    name_places(axes, names, places, ELEMENT_LETTERS)
     axes.set_xlim(0.0, 1.5)
-    axes.set_xlabel("measured, relative to the wanted value")
-    frame(axes, result.title)
+    frame(axes, result.title, "measured, relative to the wanted value")
     return figure
 
 
+# The number of letters of an entry's or a feature's name.
+LETTERS = 46
 STAGES = {"place": BLUE, "detect": ORANGE, "solve": RED, "commit": GREEN}
-ENTRY_LETTERS = 48
 
 
 def plan(plan: Plan) -> Any:
     """Draw bars of the operations, or of the measured time, of each entry by stage."""
     timed = plan.micros is not None
-    bars = []
-    for entry in plan.used:
-        value = entry.micros if timed else entry.flops
-        if entry.stage in STAGES and value is not None:
-            bars.append((entry, float(value)))
-    figure = new_figure(8.0, 1.6 + 0.3 * max(1, len(bars)))
-    axes = figure.add_subplot()
-    places = range(len(bars))[::-1]
+    costs = [(entry, entry.micros if timed else entry.flops) for entry in plan.used]
+    bars = [(e, float(cost)) for e, cost in costs if e.stage in STAGES and cost is not None]
+    figure, (axes,), places = named_bars([entry.name for entry, _ in bars], LETTERS)
     for place, (entry, value) in zip(places, bars, strict=True):
         bar(axes, place, value, STAGES[entry.stage], f"{value:.2f}" if timed else f"{value:.0f}")
-    name_places(axes, [entry.name for entry, _ in bars], places, ENTRY_LETTERS)
     axes.set_xlim(right=1.12 * max([1e-3, *(value for _, value in bars)]))
-    axes.set_xlabel("time per step [µs]" if timed else "floating-point operations per step")
-    frame(axes, f"{plan.name}: what a step does")
+    words = "time per step [µs]" if timed else "floating-point operations per step"
+    frame(axes, f"{plan.name}: what a step does", words)
     used = {entry.stage for entry, _ in bars}
     legend(figure, patches({name: STAGES[name] for name in STAGES if name in used}), columns=4)
     return figure
 
 
-# The number of features drawn, largest savings first, and the number of letters of a name.
-FEATURES, FEATURE_LETTERS = 24, 46
+# The number of features drawn, largest savings first.
+FEATURES = 24
 # Errors below this fraction of the tolerance have no bar, only a number.
 SMALL = 1e-3
 
@@ -158,48 +149,33 @@ SMALL = 1e-3
 def ablation(result: Ablation) -> Any:
     """Draw the work saved (left) and the error added (right) by removing each feature."""
     rows = [row for row in result.sorted() if not row.trial.failure][:FEATURES]
+    names = [f"all {len(result.removed)} that are not needed"]
+    names += [row.removal.label for row in rows]
     rows = [result.best, *rows]
-    figure = new_figure(9.0, 2.0 + 0.27 * (len(rows) + 1))
-    work, error = figure.subplots(1, 2, sharey=True)
-    places = list(range(len(rows)))[::-1]
+    figure, (work, error), places = named_bars(names, LETTERS, 2, 9.0, 2.2)
+    tolerance = result.tolerance
+    # The axis begins a decade below the smallest error that counts.
     measured = [row.trial.error for row in rows if result.measurable(row)]
-    low = _floor([*measured, result.tolerance], result.tolerance)
+    least = min([added for added in (*measured, tolerance) if added > 0], default=tolerance)
+    low = float(10.0 ** math.floor(math.log10(max(least, SMALL * tolerance)) - 1))
     for place, row in zip(places, rows, strict=True):
-        share, added, colour = 100 * result.saved(row), row.trial.error, _colour(result, row)
+        share, added = 100 * result.saved(row), row.trial.error
+        colour = GREEN if row.removal in result.removed else RED
+        colour = "black" if row is result.best else colour
         bar(work, place, share, colour, f"{share:.1f}" if abs(share) < 10 else f"{share:.0f}")
         text = metres(added) if result.measurable(row) else "none"
         bar(error, place, added, colour, text, left=low)
     error.set_xscale("log")
-    error.set_xlim(low, 40 * max(*(row.trial.error for row in rows), result.tolerance))
+    error.set_xlim(low, 40 * max(*(row.trial.error for row in rows), tolerance))
     log_ticks(error.xaxis)
-    error.axvline(result.tolerance, color=GREY, ls="--", lw=1)
-    names = [f"all {len(result.removed)} that are not needed"]
-    names += [row.removal.label for row in rows[1:]]
-    name_places(work, names, places, FEATURE_LETTERS)
-    work.set_xlim(right=1.25 * max(1.0, *(100 * result.saved(row) for row in rows)))
-    work.set_xlabel("work saved [% of operations]")
-    error.set_xlabel("RMS position error added [m]")
+    error.axvline(tolerance, color=GREY, ls="--", lw=1)
     error.tick_params(axis="y", length=0)
-    frame(work, f"{result.name}: without …")
-    frame(error)
+    work.set_xlim(right=1.25 * max(1.0, *(100 * result.saved(row) for row in rows)))
+    frame(work, f"{result.name}: without …", "work saved [% of operations]")
+    frame(error, "", "RMS position error added [m]")
     figure.get_layout_engine().set(wspace=0.06)
-    colours = {
-        f"not needed within {metres(result.tolerance)}": GREEN,
-        "kept": RED,
-        "the smallest model": "black",
-    }
-    tolerance = line(f"tolerance {metres(result.tolerance)}", color=GREY, ls="--", lw=1)
-    legend(figure, [*patches(colours), tolerance], columns=2)
+    needed = {f"not needed within {metres(tolerance)}": GREEN, "kept": RED}
+    entries = patches(needed | {"the smallest model": "black"})
+    entries.append(line(f"tolerance {metres(tolerance)}", color=GREY, ls="--", lw=1))
+    legend(figure, entries, columns=2)
     return figure
-
-
-def _colour(result: Ablation, row: FeatureEffect) -> str:
-    if row is result.best:
-        return "black"
-    return GREEN if row.removal in result.removed else RED
-
-
-def _floor(errors: Sequence[float], tolerance: float) -> float:
-    """Return the lower end of the error axis: a decade below the smallest significant error."""
-    least = min([error for error in errors if error > 0], default=tolerance)
-    return float(10.0 ** math.floor(math.log10(max(least, SMALL * tolerance)) - 1))

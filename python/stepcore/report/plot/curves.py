@@ -25,7 +25,7 @@ from stepcore.report.plot.style import (
 from stepcore.report.units import joules, metres, seconds
 
 if TYPE_CHECKING:
-    from stepcore.engine.postmortem import PostMortem
+    from stepcore.engine.replay import PostMortem
     from stepcore.engine.trajectory import Trajectory
     from stepcore.measure.convergence.result import Convergence
     from stepcore.measure.predictability import Predictability
@@ -238,8 +238,8 @@ def convergence(result: Convergence) -> Any:
     """Draw the residual by sweeps (left) and the error of runs with equal row updates (right).
 
     Solid lines are the median of the states, for cold starts (zero impulses) and for warm starts
-    (the impulses of the step before). The shading extends to the worst state. The dashed line is
-    theory. The runs of equal row updates divide the work differently between steps and sweeps.
+    (the impulses of the step before). The shading extends to the worst state. The runs of equal row
+    updates divide the work differently between steps and sweeps.
     """
     figure = new_figure(10.0, 4.4)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
@@ -257,82 +257,50 @@ def _sweeps(axes: Any, result: Convergence) -> None:
         say(axes, "no contact, limit or other row")
         return
     sweeps = np.array(table["sweeps"], float)
-    top = max(max(table["cold worst"]), max(table["warm worst"]), 1e-300)
+    worst = [max(row["cold worst"], row["warm worst"]) for row in table]
+    floor = LEAST * max(*worst, 1e-300)
     for kind, colour, width in (("cold", BLUE, 3.0), ("warm", RED, 1.4)):
-        middle, worst = (np.maximum(table[name], LEAST * top) for name in (kind, f"{kind} worst"))
+        middle, most = (np.maximum(table[name], floor) for name in (kind, f"{kind} worst"))
         axes.plot(sweeps, middle, color=colour, lw=width, marker="o", ms=3.5, label=f"{kind} start")
         text = f"{kind}, up to the worst state"
-        axes.fill_between(sweeps, middle, worst, color=colour, alpha=0.18, lw=0, label=text)
-    _theory(axes, result, sweeps, top)
+        axes.fill_between(sweeps, middle, most, color=colour, alpha=0.18, lw=0, label=text)
     own = result.settings
     if own.solver == "pgs" and own.sweeps != "auto" and own.sweeps > 0:
         axes.axvline(own.sweeps, color=GREY, lw=1, ls=":", label=f"as shipped, {own.sweeps}")
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.set_ylim(0.5 * LEAST * top if _reaches(table, top) else None, 3 * top)
-    done = [n for n in table if max(n["cold worst"], n["warm worst"]) <= LEAST * top]
-    axes.set_xlim(0.8, 1.25 * (max(4 * done[0]["sweeps"], 8) if done else sweeps[-1]))
+    done = [count for count, most in zip(sweeps, worst, strict=True) if most <= floor]
+    axes.set_xlim(0.8, 1.25 * (max(4 * done[0], 8) if done else sweeps[-1]))
     # Below the axes, where the legend covers no data.
     axes.legend(
         fontsize=SMALL, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=2
     )
 
 
-def _reaches(table: Any, top: float) -> bool:
-    """Return whether any residual is at the rounding level."""
-    return min(min(table["cold"]), min(table["warm"])) <= LEAST * top
-
-
-def _theory(axes: Any, result: Convergence, sweeps: Any, top: float) -> None:
-    """Draw the theoretical slope through the median residuals of the slowest state."""
-    theory, slowest = result.theory, result.slowest
-    rate = theory.radius
-    if slowest is None or rate is None or not 0 < rate < 1:
-        return
-    # The anchor is the last sweep at which the measured curve is clearly above rounding.
-    cold = np.array(slowest.cold)
-    at = [k for k, value in enumerate(cold) if value > 1e-7 * cold.max()]
-    if not at:
-        return
-    k = at[-1]
-    grid = np.geomspace(sweeps[0], sweeps[-1], 400)
-    line = 1.8 * cold[k] * rate ** (grid - sweeps[k])
-    seen = (line > LEAST * top) & (line < 3 * top)
-    text = f"theory, {_share(rate)} per sweep"
-    axes.plot(grid[seen], line[seen], color="black", lw=1.2, ls="--", label=text)
-
-
-def _share(rate: float) -> str:
-    digits = 3 if rate < 0.99 else 2 + math.ceil(-math.log10(1 - rate))
-    return f"{rate:.{digits}f}"
-
-
 def _work(axes: Any, result: Convergence) -> None:
     frame(axes, "equal row updates, steps × sweeps")
     axes.set_xlabel("RMS position error [m]")
-    splits = result.candidates.splits
-    runs = [result.runs[split.settings] for split in splits]
-    errors = [run.error for run in runs]
-    known = [error for error in errors if math.isfinite(error) and error > 0]
+    trials = [split.trial for split in result.splits]
+    known = [t.error for t in trials if math.isfinite(t.error) and t.error > 0]
     if not known:
         say(axes, "all of these runs fail")
         return
     solved = result.solved.error
     low = 0.3 * min([*known, *([solved] if solved > 0 else [])])
-    high = 12 * max(known)
-    for k, (run, error) in enumerate(zip(runs, errors, strict=True)):
-        if run.failure:
+    for k, trial in enumerate(trials):
+        if trial.failure:
             axes.text(low * 1.3, k, "fails", va="center", color=GREY)
             continue
-        axes.barh(k, max(error, low) - low, left=low, height=0.62, color=GREEN)
+        end = max(trial.error, low)
+        axes.barh(k, end - low, left=low, height=0.62, color=GREEN)
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
-        axes.text(max(error, low) * 1.15, k, metres(error), va="center", fontsize=TEXT, bbox=box)
-    labels = [f"{s.steps} × {s.sweeps}\ndt {seconds(s.settings.dt)}" for s in splits]
-    axes.set_yticks(range(len(splits)), labels, fontsize=TEXT)
-    axes.set_ylim(len(splits) - 0.4, -0.6)
+        axes.text(end * 1.15, k, metres(trial.error), va="center", fontsize=TEXT, bbox=box)
+    labels = [f"{s.steps} × {s.sweeps}\ndt {seconds(s.trial.dt)}" for s in result.splits]
+    axes.set_yticks(range(len(trials)), labels, fontsize=TEXT)
+    axes.set_ylim(len(trials) - 0.4, -0.6)
     axes.set_xscale("log")
-    axes.set_xlim(low, high)
+    axes.set_xlim(low, 12 * max(known))
     log_ticks(axes.xaxis)
     if math.isfinite(solved) and solved > 0:
         text = f"dt {seconds(result.settings.dt)}, converged"

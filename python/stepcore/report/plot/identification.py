@@ -30,14 +30,16 @@ def identification(result: Identification) -> Any:
         axes.plot(curve.time, curve.before, color=GREY, lw=1.0, ls=":")
         axes.plot(curve.time, curve.measured, ls="none", marker=".", ms=3, color=ORANGE)
         axes.plot(curve.time, curve.after, color=BLUE, lw=1.2)
-        axes.set_ylabel(curve.quantity)
-        low, high = _limits(curve)
-        axes.set_ylim(low, high)
-        frame(axes)
+        # A poor first guess does not decide the range of the panel.
+        every = np.concatenate([curve.measured, curve.after])
+        low, high = float(np.nanmin(every)), float(np.nanmax(every))
+        room = 0.25 * (high - low) or 1e-9 + 0.1 * abs(high)
+        axes.set_ylim(low - room, high + room)
+        frame(axes, y=curve.quantity)
     log = f", logs[{worst.log}]" if result.logs > 1 else ""
     more = f", {len(drawn)} of {len(own)} quantities" if len(drawn) < len(own) else ""
     frame(panels[0], f"{result.title}{log}{more}")
-    panels[-1].set_xlabel("time [s]")
+    frame(panels[-1], x="time [s]")
     entries = [
         line("measured", color=ORANGE, ls="none", marker="."),
         line("predicted", color=BLUE),
@@ -53,11 +55,3 @@ def _share(curve: Curve) -> float:
     if not np.isfinite(off).any():
         return 0.0
     return float(np.sqrt(np.nanmean(off**2)) / (np.nanstd(curve.measured) or 1.0))
-
-
-def _limits(curve: Curve) -> tuple[float, float]:
-    """Return the range of the panel, which a poor first guess does not decide."""
-    every = np.concatenate([curve.measured, curve.after])
-    low, high = float(np.nanmin(every)), float(np.nanmax(every))
-    room = 0.25 * (high - low) or 1e-9 + 0.1 * abs(high)
-    return low - room, high + room

@@ -37,14 +37,35 @@ def new_figure(width: float = 8.0, height: float = 4.8) -> Any:
     return NotebookFigure(figsize=(width, height), dpi=150, layout="constrained")
 
 
-def frame(axes: Any, title: str = "") -> None:
-    """Draw a light grid behind the data and the title at the left, without a box."""
+def named_bars(
+    names: Sequence[str], letters: int, panels: int = 1, width: float = 8.0, room: float = 1.6
+) -> tuple[Any, Any, range]:
+    """Return a figure for bars by name from above, its panels, and the places of the bars.
+
+    room: height beside that of the bars [inches].
+    """
+    figure = new_figure(width, room + 0.3 * max(1, len(names)))
+    axes = figure.subplots(1, panels, sharey=True, squeeze=False)[0]
+    places = range(len(names))[::-1]
+    name_places(axes[0], names, places, letters)
+    return figure, axes, places
+
+
+def frame(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
+    """Draw a light grid behind the data and the title at the left, without a box.
+
+    x, y: the words along the axes.
+    """
     axes.grid(True, which="major", color="#E5E5E5", lw=0.8)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     if title:
         axes.set_title(title, loc="left", fontsize=TITLE)
+    if x:
+        axes.set_xlabel(x)
+    if y:
+        axes.set_ylabel(y)
 
 
 def log_ticks(axis: Any, words: Callable[[float], str] | None = None) -> None:

@@ -42,8 +42,9 @@ def trade(trade: Trade) -> Any:
     figure = new_figure(9.0, 5.2)
     axes = figure.add_subplot()
     good, far = _split(trade)
-    theirs = [] if trade.beside is None else _split(trade.beside)[0]
-    for rows, front, style in ((good, trade.front, "-"), (theirs, _front(trade.beside), ":")):
+    beside = trade.beside
+    theirs, fronts = ([], []) if beside is None else (_split(beside)[0], beside.front)
+    for rows, front, style in ((good, trade.front, "-"), (theirs, fronts, ":")):
         for row in rows:
             _point(axes, trade, row, best=row in front, theirs=rows is theirs)
         best = [(_cost(trade, row), row.error) for row in front if row in rows]
@@ -62,20 +63,28 @@ def trade(trade: Trade) -> Any:
     for row in far:
         colour = COLOURS.get(row.settings.integrator, GREY)
         axes.plot(_cost(trade, row), high, "x", ms=8, mew=2, color=colour, clip_on=False, zorder=6)
-    _asked(axes, trade)
+    dashed: dict[str, Any] = {"color": GREY, "ls": "--", "lw": 1.0, "zorder": 1}
+    if trade.target is not None:
+        axes.axhline(trade.asked, **dashed)
+    elif trade.budget is not None:
+        axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **dashed)
     _rings(axes, trade, good)
     if error > low:
         axes.axhspan(low, error, color="#DDDDDD", zorder=0)
         text = f"below what the converged motion is sure of, {metres(error)}"
         place = {"transform": axes.get_yaxis_transform(), "va": "top", "fontsize": SMALL}
         axes.text(0.01, error, text, **place)
-    _label_axes(axes, trade)
+    flops = trade.by == "flops"
+    log_ticks(axes.xaxis, operations if flops else "{:g}".format)
+    log_ticks(axes.yaxis)
+    timed = "computing time per simulated second, by counted work [ms]"
+    counts = "floating-point operations per simulated second"
+    starts = counted(trade.starts, "start")
+    title = f"{trade.name}: error over {seconds(trade.horizon)} against cost, {starts}"
+    error_words = "RMS position error of the worst start [m]"
+    frame(axes, title, counts if flops else timed, error_words)
     _legend(figure, trade, good, bool(far))
     return figure
-
-
-def _front(trade: Trade | None) -> list[Trial]:
-    return [] if trade is None else trade.front
 
 
 def _cost(trade: Trade, row: Trial) -> float:
@@ -117,15 +126,6 @@ def _limits(errors: Sequence[float]) -> tuple[float, float]:
     return 10 ** (low - room), 10 ** (high + 2.5 * room)
 
 
-def _asked(axes: Any, trade: Trade) -> None:
-    """Draw the target error or the budget as a dashed line."""
-    dashed: dict[str, Any] = {"color": GREY, "ls": "--", "lw": 1.0, "zorder": 1}
-    if trade.target is not None:
-        axes.axhline(trade.asked, **dashed)
-    elif trade.budget is not None:
-        axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **dashed)
-
-
 def _rings(axes: Any, trade: Trade, good: Sequence[Trial]) -> None:
     """Draw rings around the shipped and the chosen settings, with their names."""
     from matplotlib.patheffects import withStroke
@@ -151,17 +151,6 @@ def _rings(axes: Any, trade: Trade, good: Sequence[Trial]) -> None:
         style |= {"ha": "right" if left and below else "left", "va": "top" if below else "bottom"}
         place = (-9 if left and below else 9, -9 if below else 9)
         axes.annotate(text, at, place, fontsize=TEXT, zorder=6, **style)
-
-
-def _label_axes(axes: Any, trade: Trade) -> None:
-    log_ticks(axes.xaxis, operations if trade.by == "flops" else "{:g}".format)
-    log_ticks(axes.yaxis)
-    axes.set_xlabel("computing time per simulated second, by counted work [ms]")
-    if trade.by == "flops":
-        axes.set_xlabel("floating-point operations per simulated second")
-    axes.set_ylabel("RMS position error of the worst start [m]")
-    starts = counted(trade.starts, "start")
-    frame(axes, f"{trade.name}: error over {seconds(trade.horizon)} against cost, {starts}")
 
 
 def _legend(figure: Any, trade: Trade, good: Sequence[Trial], failed: bool) -> None:

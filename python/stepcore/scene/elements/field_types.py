@@ -11,6 +11,7 @@ from stepcore.scene.element import FieldType
 from stepcore.scene.frames import ORIGIN, Vec
 
 GRAVITY: Vec = (0.0, 0.0, -9.81)
+MAGNETIC: Vec = (0.0, -0.5, 0.0)
 SOLREF: Vec = (0.02, 1.0)
 SOLIMP: Vec = (0.9, 0.95, 0.001, 0.5, 2.0)
 FRICTION: Vec = (1.0, 0.005, 0.0001)

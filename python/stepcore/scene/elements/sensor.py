@@ -69,7 +69,6 @@ RAY_DATA = ("dist", "dir", "origin", "point", "normal", "depth")
 
 
 def _words(owner: object, field: str, value: object) -> tuple[str, ...]:
-    """Return names of quantities from a list, or from a string separated by blanks."""
     words = value.split() if isinstance(value, str) else checks.listed(value)
     known = dict.fromkeys((*CONTACT_DATA, *RAY_DATA))
     if words is None or not all(isinstance(word, str) and word in known for word in words):
@@ -153,8 +152,8 @@ class Sensor(Element):
         elif kind not in kinds:
             limit = f"{needed} for a sensor of type {self.type}"
             raise checks.ElementError(self, f"{field} = {element}: must be {limit}")
-        elif places.place(element) is None:
-            raise checks.ElementError(self, f"refers to {element}, which is not in this scene")
+        else:
+            places.needed(self, element)
         word = self.objtype if field == "object" else self.reftype
         if word and kind != "body":
             raise checks.ElementError(self, f"{field}: only a body can stand for its {word}")

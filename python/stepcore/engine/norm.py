@@ -1,0 +1,123 @@
+"""How far two motions are apart: the one norm of all measurements and error bars.
+
+At a sample, two poses of a body are √(d² + (r θ)²) apart: d is the distance of its centres of mass,
+θ the angle between its orientations, and r = √(tr I / 2m) its radius of gyration, so that this is
+the RMS displacement of the body's mass. The distance of two motions from one start is the RMS of
+this over samples and moving bodies [m]; beside it stands the largest at any time. Of several starts
+the worst and the median one are told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stepcore.engine.coordinates import Coordinates, rotated
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+
+
+class Matter:
+    """The moving bodies of a model, as far as the norm needs them.
+
+    moving: their indices. ipos: centres of mass in the bodies' frames [m], (bodies, 3).
+    gyration: radii of gyration [m], (bodies,).
+    """
+
+    def __init__(self, moving: Sequence[int], ipos: np.ndarray, gyration: np.ndarray) -> None:
+        self.moving, self.ipos, self.gyration = list(moving), ipos, gyration
+
+    @classmethod
+    def of(cls, model: Model) -> Matter:
+        """Return the moving bodies of a model."""
+        moving = Coordinates(model).moving
+        mass = np.asarray(model.body_mass, float)[moving]
+        inertia = np.trace(np.asarray(model.body_inertia, float)[moving], axis1=1, axis2=2)
+        gyration = np.sqrt(inertia / 2 / np.maximum(mass, 1e-300))
+        return cls(moving, np.asarray(model.body_ipos, float)[moving], gyration)
+
+    def tracks(
+        self, xpos: np.ndarray, xquat: np.ndarray, failures: dict[int, str] | None = None
+    ) -> Tracks:
+        """Return tracks from the frames of all bodies, (starts, n, nbody, 3) and (…, 4)."""
+        quat = xquat[:, :, self.moving]
+        return Tracks(xpos[:, :, self.moving] + rotated(quat, self.ipos), quat, failures or {})
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """The poses of the moving bodies at n samples, from several starts.
+
+    com: centres of mass [m], (starts, n, bodies, 3). quat: orientations, (starts, n, bodies, 4).
+        Both are NaN after a run has ended.
+    failures: why a run ended early, by its place among the starts.
+    evaluations: how often forces were evaluated in steps within an accuracy, (starts,), if counted.
+    """
+
+    com: np.ndarray
+    quat: np.ndarray
+    failures: dict[int, str] = field(default_factory=dict)
+    evaluations: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.com)
+
+    @property
+    def failure(self) -> str:
+        """Why the first run that failed did; "" if none did."""
+        return next((f"start {k}: {why}" for k, why in sorted(self.failures.items())), "")
+
+    def some(self, indices: Sequence[int]) -> Tracks:
+        """Return the tracks of some of the starts, by their places."""
+        places = {k: n for n, k in enumerate(indices)}
+        failures = {places[k]: why for k, why in self.failures.items() if k in places}
+        own = list(indices)
+        made = None if self.evaluations is None else self.evaluations[own]
+        return Tracks(self.com[own], self.quat[own], failures, made)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Tracks]) -> Tracks:
+        """Return the tracks of all starts of some parts, in their order."""
+        failures, first = dict[int, str](), 0
+        for part in parts:
+            failures |= {first + k: why for k, why in part.failures.items()}
+            first += len(part)
+        com, quat = (np.concatenate([getattr(p, name) for p in parts]) for name in ("com", "quat"))
+        made = [part.evaluations for part in parts]
+        known = [own for own in made if own is not None]
+        return cls(com, quat, failures, np.concatenate(known) if len(known) == len(made) else None)
+
+
+def apart(a: Tracks, b: Tracks, matter: Matter) -> np.ndarray:
+    """Return how far bodies are apart at every sample [m], (starts, n, bodies).
+
+    Samples that a run has not reached are infinitely far.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        away = np.linalg.norm(a.com - b.com, axis=-1)
+        half = np.minimum(*(np.linalg.norm(a.quat - sign * b.quat, axis=-1) for sign in (1, -1)))
+        arc = 4 * np.arcsin(np.minimum(half / 2, 1.0))
+        return np.nan_to_num(np.hypot(away, matter.gyration * arc), nan=np.inf)
+
+
+def rms(far: np.ndarray, scored: np.ndarray | None = None) -> np.ndarray:
+    """Return the RMS over samples and bodies, of every start [m], (starts,).
+
+    far: what `apart` returns. scored: the samples that count, (starts, n); by default all.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = np.mean(far**2, axis=2)
+        if scored is None:
+            return np.asarray(np.sqrt(squares.mean(axis=1)))
+        counted = np.where(scored, squares, 0.0).sum(axis=1)
+        return np.asarray(np.sqrt(counted / np.maximum(scored.sum(axis=1), 1)))
+
+
+def largest(far: np.ndarray, scored: np.ndarray | None = None) -> np.ndarray:
+    """Return the largest distance of any body at any sample, of every start [m], (starts,)."""
+    counted = far if scored is None else np.where(scored[..., None], far, 0.0)
+    return np.asarray(counted.max(axis=(1, 2), initial=0.0))

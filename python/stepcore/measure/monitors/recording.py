@@ -1,0 +1,280 @@
+"""`Recording`: one run as findings see it: arrays over time, and the contacts at each reading.
+
+The run is one call of the engine. What only a solve knows, such as contacts and their forces, is
+read afterwards, at a bounded number of recorded states.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stepcore._core import Settings
+from stepcore.checks import one_line
+from stepcore.engine.arrays import Floats
+from stepcore.engine.coordinates import cross, rotated
+from stepcore.engine.follow import Followed, follow
+from stepcore.engine.model import Model
+from stepcore.engine.run_settings import converged_settings
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.start import Start
+from stepcore.executors import checkpoint
+from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.single_run import READINGS
+from stepcore.experiment.sizes import Sizes
+from stepcore.scene.softness import UNKNOWN
+
+# What is recorded of a run.
+RECORDED = ("qpos", "qvel", "act", "ctrl", "xpos", "xquat", "actuator_force")
+# The last share of a run, in which rest is judged; the largest relative variation of a quantity at
+# rest; and the fewest readings from which rest or creep is judged.
+REST, STEADY, FEWEST = 0.25, 0.2, 8
+
+# A pair of geoms, and the index of one of its contacts.
+Key = tuple[int, int]
+
+
+@dataclass(eq=False)
+class Recording:
+    """One run of a model under its settings.
+
+    driven: the model that was run: with servos of ours, if the controls need these.
+    times: of the readings [s], (n,); the first is the start.
+    data: the arrays of `RECORDED`, (n, …); readings after a failure are left out.
+    begin: sets a Sim to the start of the run, with all that is constant in it.
+    failure: why the run ended early, or None.
+    """
+
+    model: Model
+    driven: Model
+    times: Floats
+    data: Mapping[str, Floats]
+    begin: Callable[[Sim], object]
+    failure: str | None = None
+    _read: int | None = field(default=None, init=False)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __getitem__(self, name: str) -> Floats:
+        return self.data[name]
+
+    @property
+    def spacing(self) -> float:
+        """The time between readings [s]."""
+        span = float(self.times[-1] - self.times[0]) if len(self) else 0.0
+        return span / max(1, len(self) - 1)
+
+    @property
+    def late(self) -> int:
+        """The first reading of the end of the run, in which rest is judged; below 0 without one."""
+        return len(self) - max(FEWEST, int(REST * len(self)))
+
+    @functools.cached_property
+    def sizes(self) -> Sizes:
+        return Sizes(self.model)
+
+    def thick(self, pair: int) -> float:
+        """Return the half thickness of the thinner geom of a pair [m]."""
+        return self.sizes.contact(*self.model.contact_pair(pair).geoms)
+
+    @functools.cached_property
+    def contacts(self) -> Contacts:
+        """The contacts that push, at all readings."""
+        return Contacts(self)
+
+    @functools.cached_property
+    def _sim(self) -> Sim:
+        sim = unwatched(Sim(self.driven, _solved(self.model.settings)))
+        self.begin(sim)
+        return sim
+
+    @functools.cached_property
+    def described(self) -> Sim:
+        """A Sim in the pose in which the scene is described."""
+        return unwatched(Sim(self.model))
+
+    def at(self, reading: int) -> Sim:
+        """Return a Sim at a reading, with its contacts and forces. It is the same one each time."""
+        sim = self._sim
+        if self._read != reading:
+            for name in ("qpos", "qvel", "act", "ctrl"):
+                getattr(sim, name)[:] = self.data[name][reading]
+            sim.forward()
+            self._read = reading
+        return sim
+
+    @functools.cached_property
+    def geoms(self) -> tuple[Floats, Floats]:
+        """Centres [m] and axes of all geoms, (n, ngeom, 3) and (n, ngeom, 3, 3)."""
+        first, body = self.at(0), self.model.geom_body
+        xmat = np.array(first.xmat).reshape(-1, 3, 3)[body]
+        place = np.einsum("gji,gj->gi", xmat, np.array(first.geom_xpos) - first.xpos[body])
+        turn = np.swapaxes(xmat, 1, 2) @ np.array(first.geom_xmat).reshape(-1, 3, 3)
+        quat = self["xquat"][:, body]
+        axes = np.stack([rotated(quat, turn[:, :, k]) for k in range(3)], axis=-1)
+        return self["xpos"][:, body] + rotated(quat, place), axes
+
+
+def recorded(model: Model, schedule: Schedule) -> Recording:
+    """Run a schedule under a model's settings from its first start, and record it."""
+    count, driven = schedule.steps(model.settings.dt), schedule.on(model)
+    steps, start = schedule.periods * count, schedule.starts[0]
+    if schedule.control is not None:
+        how: dict[str, Any] = {"control": schedule.control, "hold": count}
+    else:
+        rows, hold = schedule.rows([0], model.settings.dt)
+        how = {"ctrl": rows, "hold": hold}
+    return dataclasses.replace(followed(driven, start, steps, **how), model=model)
+
+
+def cut(model: Model, schedule: Schedule, ran: Followed) -> Recording | None:
+    """Return the recording of a longer run of the same motion; None if it has too few readings."""
+    count = int(np.searchsorted(ran.times, schedule.horizon * (1 + 1e-9)))
+    if ran.failures or count < READINGS / 2 or not set(RECORDED) <= set(ran.data):
+        return None
+    data = {name: ran[name][0, :count] for name in RECORDED}
+    run = whole(schedule.on(model), ran.times[:count], data, schedule.starts[0].put)
+    return dataclasses.replace(run, model=model)
+
+
+def followed(model: Model, start: Start, steps: int, **controls: Any) -> Recording:
+    """Make steps from a start, and record them; controls: ctrl, hold and control of `follow`."""
+    every = max(1, steps // READINGS)
+    ran = follow(model, [start], steps - steps % every, every, record=RECORDED, **controls)
+    error = ran.failures.get(0)
+    data = {name: ran[name][0] for name in RECORDED}
+    return whole(model, ran.times, data, start.put, None if error is None else one_line(error))
+
+
+def whole(
+    model: Model,
+    times: Floats,
+    data: Mapping[str, Floats],
+    begin: Callable[[Sim], object],
+    failure: str | None = None,
+) -> Recording:
+    """Return the recording of the readings that are finite."""
+    finite = np.ones(len(times), bool)
+    for values in data.values():
+        finite &= np.isfinite(values).reshape(len(times), -1).all(axis=1)
+    count = int(np.argmin(finite)) if not finite.all() else len(times)
+    kept = {name: values[:count] for name, values in data.items()}
+    return Recording(model, model, times[:count], kept, begin, failure)
+
+
+def _solved(settings: Settings) -> Settings:
+    """Return the settings of a reading, whose rows are solved without those of the step before."""
+    if settings.law == "solref" and settings.solver == "pgs":
+        return converged_settings(settings, ledger=False)
+    return settings.replace(ledger=False)
+
+
+def settled(series: Floats) -> float | None:
+    """Return the mean of the end of a series; None if the series still varies there."""
+    late = series[-max(FEWEST, int(REST * len(series))) :]
+    mean = float(late.mean())
+    steady = len(late) >= FEWEST and mean > 0 and float(np.ptp(late)) < STEADY * mean
+    return mean if steady else None
+
+
+class Contacts:
+    """The contacts that push in one run, at its readings, ordered by reading.
+
+    overlaps: pair, reading and depth [m] of all that overlap, whether they push or not.
+    reading, pair, part: indices, (m,). depth: the overlap [m]. force: along the normal [N].
+    share: friction over μ × normal force. past: the tangential velocity [m/s], (m, 3).
+    rolls: the speed at which the surfaces turn on each other: angular velocity × lever [m/s].
+    """
+
+    def __init__(self, run: Recording) -> None:
+        self.run, self.model = run, run.model
+        self._frictions: dict[int, float] = {}
+        tables, twists, number = [], [], []
+        bodies = self.model.geom_body
+        roots = np.array([self.model.root(body) for body in range(self.model.nbody)])
+        for k in range(len(run)) if self.model.npair else ():
+            checkpoint()
+            sim = run.at(k)
+            table = sim.contacts
+            if len(table):
+                # Body velocities are those of the point at the tree's centre of mass.
+                moves, centres = sim.cvel, sim.subtree_com
+                both = [bodies[table[name]] for name in ("geom1", "geom2")]
+                about = [np.hstack([moves[body], centres[roots[body]]]) for body in both]
+                twists.append(np.stack(about))
+                tables.append(table)
+                number += [k] * len(table)
+        self.reading = np.array(number, int)
+        every = np.concatenate(tables) if tables else np.zeros(0, _EMPTY)
+        deep = every["dist"] < 0
+        overlaps = every["index"][deep], self.reading[deep], -every["dist"][deep]
+        self.overlaps = list(zip(*(values.tolist() for values in overlaps), strict=True))
+        moved = np.concatenate(twists, axis=1) if twists else np.zeros((2, 0, 9))
+        with np.errstate(over="ignore", invalid="ignore"):
+            self._judge(every, moved)
+
+    def _judge(self, every: np.ndarray, twists: Floats) -> None:
+        """Keep the contacts that push, with their slips."""
+        pushed = np.einsum("ci,ci->c", every["force"], every["normal"])
+        some = np.flatnonzero(pushed > 0)
+        every, twists, pushed = every[some], twists[:, some], pushed[some]
+        self.reading = self.reading[some]
+        self.pair, self.part = every["index"].astype(int), every["part"].astype(int)
+        self.depth, self.force, normal = -every["dist"], pushed, every["normal"]
+        spins, speeds, centres = np.split(twists, 3, axis=2)
+        moved = speeds + cross(spins, every["pos"] - centres)
+        past = moved[1] - moved[0]
+        self.past = past - np.einsum("ci,ci->c", past, normal)[:, None] * normal
+        rubbed = np.linalg.norm(every["force"] - pushed[:, None] * normal, axis=1)
+        kinds, each = np.unique(self.pair, return_inverse=True)
+        frictions = np.array([self.friction(int(pair)) for pair in kinds])
+        most = frictions[each] * pushed if len(kinds) else pushed
+        self.share = np.divide(rubbed, most, out=np.zeros_like(rubbed), where=most > 0)
+        levers = np.array([self._lever(int(pair)) for pair in kinds])
+        turns = np.linalg.norm(spins[1] - spins[0], axis=1)
+        self.rolls = turns * levers[each] if len(kinds) else turns
+
+    def friction(self, pair: int) -> float:
+        """Return the sliding friction of a pair; 0 if it has a normal row alone."""
+        if pair not in self._frictions:
+            of = self.model.contact_pair(pair)
+            self._frictions[pair] = of.friction if of.condim > 1 else 0.0
+        return self._frictions[pair]
+
+    def _lever(self, pair: int) -> float:
+        """Return the radius on which the smaller geom of a pair rolls [m]."""
+        reach = min(self.run.sizes.reach[geom] for geom in self.model.contact_pair(pair).geoms)
+        return reach if math.isfinite(reach) else UNKNOWN
+
+    @functools.cached_property
+    def groups(self) -> dict[Key, np.ndarray]:
+        """The places of each contact in the arrays, in order of time."""
+        keys = np.stack([self.pair, self.part], axis=1)
+        each, which = np.unique(keys, axis=0, return_inverse=True)
+        which = which.reshape(-1)
+        order = np.argsort(which, kind="stable")
+        parts = np.split(order, np.cumsum(np.bincount(which))[:-1]) if len(order) else []
+        return {(int(a), int(b)): part for (a, b), part in zip(each, parts, strict=True)}
+
+    def late(self) -> Iterator[tuple[Key, np.ndarray]]:
+        """Yield contacts with their places at the end of the run, where each lasts to the end."""
+        first = self.run.late
+        for key, places in self.groups.items():
+            end = places[self.reading[places] >= first]
+            if first >= 0 and len(end) == len(self.run) - first:
+                yield key, end
+
+
+_EMPTY = np.dtype(
+    [
+        *(("index", int), ("part", int), ("dist", float)),
+        *((name, float, 3) for name in ("pos", "normal", "force")),
+    ]
+)

@@ -1,0 +1,435 @@
+"""Read the elements of the sections `<contact>`, `<tendon>`, … `<sensor>` and `<keyframe>`."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from stepcore.mjcf.gains import CONTROLLERS, ActuatorGains, saturated
+from stepcore.mjcf.nodes import Node, inside, sections
+from stepcore.mjcf.schema import given
+from stepcore.mjcf.validation import bad
+from stepcore.mjcf.worldbody import WorldReader
+from stepcore.scene.elements import Element, Equality, Pair, Sensor, Tendon
+from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, Actuator
+from stepcore.scene.elements.sensor import ADHERES, MOST_NUMBERS
+from stepcore.scene.elements.sensor import OBJECTS as TYPES
+from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
+from stepcore.scene.layout import DOFS, QPOS, Layout
+
+# Attributes that name the object or the reference of a sensor: (kind of element, object type).
+NAMED = {
+    **{name: (name, "") for name in ("site", "joint", "tendon", "actuator", "body")},
+    "geom1": ("geom", ""),
+    "body1": ("body", "body"),
+    "subtree1": ("body", "subtree"),
+}
+REFERENCES = {"geom2": ("geom", ""), "body2": ("body", "body"), "subtree2": ("body", "subtree")}
+
+
+def contact(world: WorldReader, node: Node) -> None:
+    if node.tag == "pair":
+        world.keep(node, world.scene.add_pair(**given(Pair, world.defaults.of(node))))
+    else:
+        world.scene.exclude(node.values["body1"], node.values["body2"])
+
+
+def tendon(world: WorldReader, node: Node) -> None:
+    """Read a fixed or a spatial tendon."""
+    values = world.defaults.of(node, kind="tendon")
+    if values.get("springyield", 0) > 0:
+        raise node.unbuilt("a spring that yields (springyield)", "springyield")
+    if "material" in values:
+        world.references.append((node, "material", values["material"]))
+    fields = given(Tendon, values, "name", "range", "actuatorfrcrange", "springlength")
+    if "springlength" in values:
+        # A single number gives both ends, even if a default class has a second number.
+        own: Any = node.values.get("springlength", values["springlength"])
+        fields["springlength"] = own[0] if len(own) == 1 else own
+    added = world.scene.add_tendon(
+        values.get("name", ""),
+        path=[_stop(world, child) for child in node.children],
+        range=world.limits(node, values, "limited", "range"),
+        actuatorfrcrange=world.limits(node, values, "actuatorfrclimited", "actuatorfrcrange"),
+        **fields,
+    )
+    world.keep(node, added)
+    if "range" in values:
+        world.ranges[id(added)] = values["range"]
+
+
+def _stop(world: WorldReader, node: Node) -> Stop:
+    values, scene = node.values, world.scene
+    try:
+        if node.tag == "joint":
+            return Share(scene.joint(values["joint"]), values["coef"])
+        if node.tag == "site":
+            return scene.site(values["site"])
+        if node.tag == "geom":
+            side = values.get("sidesite")
+            return Around(scene.geom(values["geom"]), None if side is None else scene.site(side))
+        return Pulley(values["divisor"])
+    except ValueError as error:
+        raise node.error(str(error)) from None
+
+
+def equality(world: WorldReader, node: Node) -> None:
+    values = world.defaults.of(node, kind="equality")
+    if node.tag in ("connect", "weld") and not {"body1", "site1", "site2"} & set(values):
+        raise node.error(f"<{node.tag}> needs body1, or site1 and site2")
+    if node.tag == "connect" and "body1" in values and "anchor" not in values:
+        raise node.error("<connect> needs body1 and anchor")
+    world.keep(node, world.scene.add_equality(node.tag, **given(Equality, values)))
+
+
+def sensor(world: WorldReader, node: Node) -> None:
+    """Read a sensor, or list it in `Scene.ignored` with the reason if it is not computed."""
+    values = node.values
+    if node.tag not in TYPES:
+        # The validation has already listed this sensor as ignored.
+        return
+    why = _not_computed(world, node)
+    if why:
+        world.scene.ignored.append(node.listed(f"only senses; {why}"))
+        return
+    fields = given(Sensor, values)
+    if node.tag == "user":
+        if not 0 < values["dim"] <= MOST_NUMBERS:
+            raise bad(node, "dim", values["dim"], f"1 to {MOST_NUMBERS}")
+        fields["num"] = values["dim"]
+    world.keep(node, world.scene.add_sensor(node.tag, **_ends(world, node), **fields))
+
+
+def _not_computed(world: WorldReader, node: Node) -> str:
+    """Return the reason why a sensor is not computed; "" if it is."""
+    values = node.values
+    site = values.get("site", "")
+    for attribute in ("objtype", "reftype"):
+        if values.get(attribute) == "camera" and node.tag != "user":
+            return f"its {attribute} is a camera"
+    if "camera" in values:
+        return "it needs a camera"
+    if values.get("delay", 0) > 0 or any(values.get("interval", ())):
+        return "readings that are late or rare (delay, interval) are not computed"
+    if node.tag == "actuatorvel" and world.scene.actuator(values["actuator"]).body is not None:
+        return ADHERES
+    read = node.tag in ("actuatorpos", "actuatorvel", "actuatorfrc")
+    if read and world.scene.actuator(values["actuator"]).type == "orientation":
+        return "an orientation has three lengths and forces, each of an actuator"
+    if values.get("enclosed"):
+        return "how far an object juts out of a site (enclosed) is not computed"
+    if node.tag in ("touch", "contact", "insidesite") and site in world.mesh_sites:
+        return "its site is a mesh"
+    return ""
+
+
+def _ends(world: WorldReader, node: Node) -> dict[str, Any]:
+    """Return the object and the reference of a sensor, as fields of `Sensor`.
+
+    A body also has a type, which distinguishes its frame, inertial frame or subtree.
+    """
+    values = node.values
+    ends: dict[str, Any] = {}
+    for attribute, (kind, word) in NAMED.items():
+        if attribute in values and not (node.tag == "insidesite" and attribute == "site"):
+            _put(node, ends, "object", _named(world, node, kind, attribute), word)
+    for attribute, (kind, word) in REFERENCES.items():
+        if attribute in values:
+            _put(node, ends, "reference", _named(world, node, kind, attribute), word)
+    for field, prefix in (("object", "obj"), ("reference", "ref")):
+        kind = values.get(f"{prefix}type", "")
+        if not kind:
+            if f"{prefix}name" in values:
+                raise node.error(f"<{node.tag}> has {prefix}name without {prefix}type")
+            continue
+        if f"{prefix}name" not in values:
+            raise node.error(f"<{node.tag}> has {prefix}type without {prefix}name")
+        body = kind in ("body", "xbody")
+        if node.tag == "user" and not body and kind not in TYPES["user"][0]:
+            why = f"read, but not what it is attached to: the {kind}"
+            world.scene.ignored.append(node.listed(f"{why} {values['objname']}"))
+            continue
+        element = _named(world, node, "body" if body else kind, f"{prefix}name")
+        _put(node, ends, field, element, kind if body else "")
+    if node.tag == "insidesite":
+        ends["reference"] = _named(world, node, "site", "site")
+    return ends
+
+
+def _named(world: WorldReader, node: Node, kind: str, attribute: str) -> Element:
+    element: Element = getattr(world.scene, kind)(node.values[attribute])
+    return element
+
+
+def _put(node: Node, ends: dict[str, Any], field: str, element: Element, word: str) -> None:
+    if field in ends:
+        raise node.error(f"<{node.tag}> names two things as its {field}")
+    ends[field] = element
+    if word:
+        ends["objtype" if field == "object" else "reftype"] = word
+
+
+TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
+# The attribute of the second site, for transmissions between two sites.
+WITH = {"site": "refsite", "slidersite": "cranksite"}
+# Fields of an actuator that are copied from attributes.
+COPIED = ("gear", "damping", "armature", "interp", "delay", "nsample", "lengthrange")
+STATEFUL = ("actlimited", "actrange")
+
+
+def actuator(world: WorldReader, node: Node) -> None:
+    """Read an actuator."""
+    values = world.defaults.of(node, kind="actuator")
+    target = _transmission(world, node, values)
+    gains = world.defaults.gains(node)
+    _refuse(node, values, gains)
+    values = saturated(values, gains, node)
+    ctrlrange, actrange = _ranges(world, node, values, gains, target)
+    fields: dict[str, Any] = {
+        **target,
+        **given(Actuator, {name: values[name] for name in COPIED if name in values}),
+        **gains.fields,
+    }
+    added = world.scene.add_actuator(
+        type=gains.tag,
+        name=values.get("name", ""),
+        ctrlrange=ctrlrange,
+        forcerange=world.limits(node, values, "forcelimited", "forcerange"),
+        actrange=actrange,
+        actearly=values.get("actearly", False) and gains.tag not in CONTROLLERS,
+        enabled=values.get("group", 0) not in world.disabled_groups,
+        **fields,
+    )
+    dim, count = values.get("actdim", -1), added.law.states
+    if dim not in (-1, count):
+        raise bad(node, "actdim", dim, f"-1 or {count}, how many activations it has")
+    world.keep(node, added)
+    for word in added.inputs[1:]:
+        _add_input(world, node, added, word)
+
+
+def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> None:
+    """Add a further input of a controller as an actuator; its control follows the owner's."""
+    values = world.defaults.of(node, kind="actuator")
+    bounds: Bounds = owner.ctrlrange
+    if owner.type == "pid":
+        bounds = values.get(f"{word}range")
+        bounds = bounds if bounds and bounds[0] < bounds[1] else None
+    world.scene.add_actuator(
+        type="input",
+        feeds=owner,
+        input=word,
+        name=f"{owner.name}/{word}" if owner.name else "",
+        ctrlrange=bounds,
+        enabled=owner.enabled,
+        **{name: getattr(owner, name) for name in ("delay", "nsample", "interp")},
+    )
+    what = f"the input {word} of {owner} is an actuator of its own, with a control of its own"
+    world.scene.notes.append(f"{node.file}:{node.line}: {what}")
+
+
+def _transmission(world: WorldReader, node: Node, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the transmission, as fields of `Actuator`."""
+    used = [name for name in TRANSMISSIONS if name in values]
+    if not used:
+        raise node.error(f'<{node.tag}> needs joint="…"')
+    if len(used) > 1:
+        raise node.error(f"<{node.tag}> has two transmissions: {used[0]} and {used[1]}")
+    kind = used[0]
+    scene = world.scene
+    if kind == "body":
+        return {"body": scene.body(values["body"])}
+    if kind in ("joint", "jointinparent"):
+        return {kind: scene.joint(values[kind])}
+    if kind == "tendon":
+        return {"tendon": scene.tendon(values["tendon"])}
+    second = WITH[kind]
+    sites = {name: scene.site(values[name]) for name in (kind, second) if name in values}
+    if kind == "slidersite":
+        if second not in values:
+            raise node.error(f'<{node.tag}> needs cranksite="…" beside slidersite')
+        if values.get("cranklength", 0.0) <= 0:
+            raise bad(node, "cranklength", values.get("cranklength", 0.0), "> 0")
+        sites["cranklength"] = values["cranklength"]
+    return sites
+
+
+def _refuse(node: Node, values: dict[str, Any], gains: ActuatorGains) -> None:
+    if values.get("delay", 0.0) > 0 and values.get("nsample", 0) <= 0:
+        raise bad(node, "nsample", values.get("nsample", 0), "> 0 with a delay")
+    if gains.tag == "orientation" and "joint" not in values:
+        raise node.unbuilt("an <orientation> that turns a site", "site")
+    several = gains.tag in (*CONTROLLERS, "orientation")
+    if not several and node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
+        raise bad(node, "input", node.values["input"], "pos, vel or pressure")
+    own = gains.values
+    for name, built in (("dyntype", DYNAMICS), ("gaintype", GAINS), ("biastype", BIASES)):
+        if gains.tag == "general" and own[name] not in built:
+            raise node.unbuilt(f'<general> {name}="{own[name]}"')
+    if gains.tag in CONTROLLERS and own["input"] in ("none", ""):
+        raise node.unbuilt(f'a <{gains.tag}> of no input (input="{own["input"]}")', "input")
+    voltage = gains.tag == "dcmotor" and own["input"] == "voltage"
+    if voltage and (own["kp"] or own["kv"] or own["ki"] or own["slewmax"]):
+        given = node.values.get("controller", (0.0, 0.0 - own["kp"], 0.0 - own["kv"]))
+        raise bad(node, "controller", given, "0 without one of the inputs pos, vel and ff")
+
+
+Bounds = tuple[float, ...] | None
+
+
+def _ctrlrange(
+    world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains
+) -> Bounds:
+    """Return the range of the actuator's own control; for a <pid> MuJoCo names it by input."""
+    if gains.tag in ("damper", "adhesion"):
+        # MuJoCo limits these regardless of ctrllimited and autolimits.
+        values = values | {"ctrllimited": True}
+    if gains.tag != "pid":
+        return world.limits(node, values, "ctrllimited", "ctrlrange")
+    first = gains.inputs[0]
+    if first == "pos":
+        given = [n for own in (node.values, values) for n in ("posrange", "ctrlrange") if n in own]
+        return world.limits(node, values, "ctrllimited", (*given, "posrange")[0])
+    bounds: Bounds = values.get(f"{first}range")
+    return bounds if bounds and bounds[0] < bounds[1] else None
+
+
+def _ranges(
+    world: WorldReader,
+    node: Node,
+    values: dict[str, Any],
+    gains: ActuatorGains,
+    target: dict[str, Any],
+) -> tuple[Bounds, Bounds]:
+    """Return the ranges of control and activation; one may be inherited from joint or tendon."""
+    if gains.tag == "intvelocity":
+        # MuJoCo limits this actuator regardless of actlimited.
+        values = {name: value for name, value in values.items() if name != "actlimited"}
+    actrange: Bounds = None
+    if gains.activates != "none":
+        actrange = world.limits(node, values, "actlimited", "actrange")
+    elif stateful := [n for n in STATEFUL if values.get(n, False) not in (False, "auto")]:
+        text = f"<{node.tag}> inherits {stateful[0]}, but a {node.tag} has no activation"
+        raise node.error(text)
+    integrates = gains.activates == "integrator"
+    if gains.inheritrange <= 0 or not gains.is_position:
+        return _ctrlrange(world, node, values, gains), actrange
+    handed_down = _inherited(world, node, values, gains, target)
+    switch = "actlimited" if integrates else "ctrllimited"
+    if values.get(switch, "auto") == "auto" and not world.compiler.autolimits:
+        what = f'inheritrange without {switch}="true", and autolimits is "false"'
+        raise node.error(f"<{node.tag}> {what}")
+    if integrates:
+        ctrlrange = world.limits(node, values, "ctrllimited", "ctrlrange")
+        return ctrlrange, None if values.get("actlimited", "auto") is False else handed_down
+    return None if values.get("ctrllimited", "auto") is False else handed_down, actrange
+
+
+def _inherited(
+    world: WorldReader,
+    node: Node,
+    values: dict[str, Any],
+    gains: ActuatorGains,
+    target: dict[str, Any],
+) -> tuple[float, float]:
+    takes_over = node.values.get("inheritrange", 0.0) > 0
+    if gains.tag == "position" and "ctrlrange" in values and not takes_over:
+        raise node.error("<position> inherits both ctrlrange and inheritrange")
+    element = next(iter(target.values()))
+    bounds = world.ranges.get(id(element))
+    if bounds is None or bounds[0] == bounds[1]:
+        raise node.error(f"<{node.tag}> inheritrange: {element} has no range")
+    radians = "tendon" in target or element.range is not None or element.type != "hinge"
+    if not radians and world.compiler.degrees:
+        what = f"the range of {element} is inherited unconverted, as radians, as MuJoCo does"
+        world.scene.notes.append(f"{node.file}:{node.line}: {what}: the joint is not limited")
+    middle, half = (bounds[0] + bounds[1]) / 2, gains.inheritrange * (bounds[1] - bounds[0]) / 2
+    return middle - half, middle + half
+
+
+# The number of values per mocap body.
+MOCAP = {"mpos": 3, "mquat": 4}
+
+
+def keyframes(world: WorldReader) -> None:
+    """Read the keyframes, completed from the default state, and add those of ``<size nkey>``."""
+    layout = Layout(world.scene)
+    mocaps = [body for body in layout.bodies if body.mocap]
+    rest = {
+        "qpos": layout.qpos0(),
+        "qvel": [0.0] * layout.nv,
+        "act": [0.0] * layout.na,
+        "ctrl": [0.0] * len(layout.scene.actuators),
+        "mpos": [x for body in mocaps for x in body.pos],
+        "mquat": [x for body in mocaps for x in body.quat],
+    }
+    for node in inside(world.root, "keyframe"):
+        world.refusals.at(node, partial(_keyframe, world, layout, rest))
+    world.refusals.raise_all()
+    count = 0
+    for node in sections(world.root, "size"):
+        count = node.values.get("nkey", count)
+        if count > 100_000:
+            raise bad(node, "nkey", count, "at most 100000")
+    while len(world.scene.keys) < count:
+        world.scene.add_key()
+
+
+def _keyframe(world: WorldReader, layout: Layout, rest: dict[str, list[float]], node: Node) -> None:
+    values = node.values
+    if values.get("plastic"):
+        raise bad(node, "plastic", values["plastic"], "empty: the model has no plastic")
+    fields: dict[str, Any] = {}
+    said: set[int] = set()
+    for name, default in rest.items():
+        given = list(values.get(name, ()))
+        if node.parts is not None:
+            given = _assembled(world, layout, node, name, default)
+            if name == "qpos":
+                said = {id(world.elements.get(id(part))) for part, _ in node.parts.get(name, ())}
+        if len(given) > len(default):
+            raise bad(node, name, tuple(given), f"at most {len(default)} numbers, not {len(given)}")
+        if given:
+            fields[name] = given + default[len(given) :]
+    if "qpos" in fields:
+        fields["qpos"] = layout.unit_quaternions(fields["qpos"])
+    added = world.scene.add_key(values.get("name", ""), time=values.get("time", 0.0), **fields)
+    world.keep(node, added)
+    if "qpos" in fields and node.parts is not None:
+        world.open_keys.append((added, said))
+
+
+def follow_bodies(world: WorldReader) -> None:
+    """Set free joints that keyframes of attached models omit to the final poses of their bodies."""
+    layout = Layout(world.scene)
+    for key, said in world.open_keys:
+        qpos, at = list(key.qpos or ()), 0
+        for joint in layout.joints:
+            if joint.type == "free" and id(joint) not in said:
+                qpos[at : at + 7] = [*joint.body.pos, *joint.body.quat]
+            at += QPOS[joint.type]
+        key.qpos = tuple(qpos)
+
+
+def _assembled(
+    world: WorldReader, layout: Layout, node: Node, name: str, default: list[float]
+) -> list[float]:
+    """Return a vector of an attached model's keyframe, assembled from the numbers per element."""
+    starts: dict[int, int] = {}
+    at = 0
+    sizes = {"qpos": QPOS, "qvel": DOFS}.get(name)
+    if name in MOCAP:
+        for body in (body for body in layout.bodies if body.mocap):
+            starts[id(body)], at = at, at + MOCAP[name]
+    for element in world.scene.actuators if sizes is None else layout.joints:
+        starts.setdefault(id(element), at)
+        if isinstance(element, Actuator):
+            at += element.law.states if name == "act" else 1
+        elif sizes is not None:
+            at += sizes[element.type]
+    numbers = list(default)
+    for part, own in (node.parts or {}).get(name, ()):
+        start = starts.get(id(world.elements.get(id(part))))
+        if start is not None:
+            numbers[start : start + len(own)] = own
+    return numbers
