@@ -437,7 +437,7 @@ def test_cures_of_a_saturated_servo_hold_in_the_motion():
     assert fastest(scene, 2e-3) > 100
     d = diagnosed(scene, dt=2e-3, horizon=0.5)
     met = {a.what: a for a in d.advice if a.met}
-    assert {"kv", "armature"} <= met.keys()
+    assert "kv" in met
     for advice in met.values():
         for part in (1.0, 0.97 * MARGIN):
             assert fastest(cured(scene, advice), part * 2e-3) < 8, advice.text

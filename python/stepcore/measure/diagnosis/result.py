@@ -360,7 +360,7 @@ class Diagnosis(Result):
                 f"compared with runs at dt {seconds(fine.dt)} under implicitfast, "
                 f"{seconds(fine.reached)} long; linearised at {labels}"
             )
-        if fine.failure:
+        if fine.failure and fine.dt >= limit.shortest:
             yield f"these runs ended early: {fine.failure}"
         elif fine.reached < 0.99 * self.horizon:
             yield "the whole motion at so short a step would take too many operations"

@@ -113,7 +113,9 @@ class UntilTheEnd:
     def __call__(self, time: float, sim: Any) -> Any:
         if time <= self.end * (1 + 1e-9):
             self.last[0] = time
-        asked = np.array(self.inner(self.last[0], sim), float)
+        # In a run that blows up, a user's numbers overflow.
+        with np.errstate(over="ignore", invalid="ignore"):
+            asked = np.array(self.inner(self.last[0], sim), float)
         if self.usual is None:
             return asked
         usual = self.usual[min(int(time / self.period + 1e-9), len(self.usual) - 1)]
