@@ -17,6 +17,7 @@ from stepcore.engine.replay import PostMortem as PostMortem
 from stepcore.engine.replay import Replay as Replay
 from stepcore.engine.replay import replay as replay
 from stepcore.engine.sim import Sim as Sim
+from stepcore.engine.stiffness import StiffnessWarning as StiffnessWarning
 from stepcore.engine.tables import Keyframe as Keyframe
 from stepcore.engine.trajectory import Rollout as Rollout
 from stepcore.engine.trajectory import Trajectory as Trajectory
@@ -31,7 +32,6 @@ from stepcore.measure.convergence import Convergence as Convergence
 from stepcore.measure.convergence import converge as converge
 from stepcore.measure.diagnosis import Diagnosis as Diagnosis
 from stepcore.measure.diagnosis import diagnose as diagnose
-from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning as StiffnessWarning
 from stepcore.measure.identification import Identification as Identification
 from stepcore.measure.identification import identify as identify
 from stepcore.measure.monitors import Finding as Finding

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from stepcore import checks
+from stepcore.engine.stiffness import warn_of_stiffness
 from stepcore.loading import find_scene
-from stepcore.measure.diagnosis.stiffness_warning import warn_of_stiffness
 from stepcore.mjcf.from_mujoco import is_mujoco
 from stepcore.mjcf.reader import read_text
 from stepcore.scene.scene import Scene

@@ -6,21 +6,11 @@ import numpy as np
 import pytest
 import stiff
 from covering import every_value, first
-from tangents import differences
 
 import stepcore as sc
 from stepcore.engine.linear_maps import INTEGRATORS
-from stepcore.experiment.coordinates import Coordinates
-from stepcore.measure.diagnosis.growth import step_growth
-from stepcore.measure.diagnosis.isolated import oscillator_dt
-from stepcore.measure.diagnosis.linear_motion import linear_motion
-from stepcore.measure.diagnosis.linear_step import (
-    State,
-    rates_matrix,
-    step_map,
-    with_converged_rows,
-)
-from stepcore.measure.diagnosis.midpoint_map import midpoint_map
+from stepcore.measure.diagnosis.linear import Held
+from stepcore.measure.diagnosis.running import State, with_converged_rows
 
 # Runs beyond their limits are what these tests make.
 pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
@@ -45,7 +35,8 @@ def test_one_spring_has_the_limit_of_its_closed_form(omega, ratio):
     assert d.limit("semi-implicit") == pytest.approx(explicit, rel=2e-3)
     assert math.isinf(d.limit("midpoint"))
     if 0 < ratio <= 1:
-        assert d.limit("explicit") == pytest.approx(2 * ratio / omega, rel=2e-3)
+        # It grows so slowly at first that a run does not show it.
+        assert d.held("explicit") == pytest.approx(2 * ratio / omega, rel=2e-3)
     if ratio == 0:
         assert d.limit("rk4") == pytest.approx(2 * math.sqrt(2) / omega, rel=0.03)
     assert d.stiffest("semi-implicit") == (
@@ -53,58 +44,7 @@ def test_one_spring_has_the_limit_of_its_closed_form(omega, ratio):
     )
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_an_element_alone_is_the_spectral_radius_of_its_two_by_two_step(integrator):
-    """Law: the closed forms of `alone` are where |μ| leaves 1. To 0.5 %."""
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        omega, implicit, explicit = 10 ** rng.uniform(0, 4), *10 ** rng.uniform(-1, 4, 2)
-        if integrator == "explicit" and explicit + implicit < 0.01 * omega:
-            continue
-        limit = oscillator_dt(omega, explicit, implicit, integrator)
-
-        def radius(dt, omega=omega, explicit=explicit, implicit=implicit):
-            c = explicit + implicit
-            rates = np.array([[0, 1], [-(omega**2), -c]])
-            one = np.eye(2)
-            if integrator == "explicit":
-                step = one + dt * rates
-            elif integrator == "midpoint":
-                step = np.linalg.solve(one - dt / 2 * rates, one + dt / 2 * rates)
-            elif integrator == "rk4":
-                z = dt * rates
-                step = one + z + z @ z / 2 + z @ z @ z / 6 + z @ z @ z @ z / 24
-            else:
-                hidden = 0 if integrator == "semi-implicit" else implicit
-                new = np.array([0, 1]) + dt * rates[1] / (1 + dt * hidden)
-                step = np.array([np.array([1, 0]) + dt * new, new])
-            return abs(np.linalg.eigvals(step)).max()
-
-        if math.isinf(limit):
-            assert radius(1e3 / omega) <= 1 + 1e-9
-        else:
-            assert radius(0.995 * limit) < 1 + 1e-9 < radius(1.005 * limit)
-
-
 # --- the linearised step ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_the_elements_make_up_the_step(integrator):
-    """Law: with M, J and the implicit damping the step is what `linearize` gives, to 1e-6, and
-    what `linearize` gives is what central differences give, to 1e-6 of its size."""
-    model = with_converged_rows(
-        stiff.chain((50.0, 4000.0, 20.0), gravity=(0, 0, -9.81), dt=1e-3).compile()
-    )
-    state = State("there", 0.0, np.array([0.2, -0.4, 0.3]), np.array([0.5, 1, -1]), np.zeros(0))
-    sim = sc.Sim(model, integrator=integrator, dt=1e-4)
-    sim.qpos[:], sim.qvel[:] = state.qpos, state.qvel
-    real = step_map(model, state, integrator, 1e-4)
-    assert np.abs(real - differences(sim, 1e-4)).max() < 1e-6 * np.abs(real).max()
-    made = linear_motion(model, state, None).step(integrator, 1e-4)
-    # Off equilibrium the implicit rules see M + dt·D turn, and the others move within the step.
-    tolerance = {"explicit": 1e-6, "semi-implicit": 1e-6}.get(integrator, 1e-2)
-    assert np.abs(made - real).max() < tolerance * np.abs(real - np.eye(6)).max()
 
 
 def test_rates_are_those_of_the_motion():
@@ -116,32 +56,9 @@ def test_rates_are_those_of_the_motion():
     model = with_converged_rows(scene.compile())
     omega = math.sqrt(2.0 * 9.81 * 0.5 / (2.0 * 0.25 + 0.4 * 2.0 * 0.01))
     for angle, expected in ((0.0, [-omega, omega]), (math.pi, [-1j * omega, 1j * omega])):
-        state = State("there", 0.0, np.array([angle]), np.zeros(1), np.zeros(0))
-        rates = np.linalg.eigvals(rates_matrix(model, state))
-        assert np.allclose(np.sort_complex(rates), expected, atol=1e-5)
-
-
-def test_the_midpoint_step_is_one_linear_system():
-    """Law: without rows A of the midpoint rule, from one linearised acceleration, is what
-    `linearize` iterates to, on free, ball and hinge joints that turn fast; to 1e-8 of its size."""
-    scene = sc.Scene().with_settings(integrator="midpoint", dt=0.02)
-    parent = scene.world
-    for kind in ("free", "ball", "hinge"):
-        parent = scene.add_body(kind, parent=parent, pos=(0.3, 0, 0))
-        given = {} if kind == "free" else {"stiffness": 20.0, "damping": 0.1}
-        scene.add_joint(parent, kind, name=kind, **given)
-        scene.add_geom(parent, "box", (0.1, 0.2, 0.3), pos=(0.1, 0.05, 0), mass=1.0)
-    scene.add_actuator("hinge", type="position", kp=30.0, kv=0.2)
-    scene.features.constraint = False
-    model = with_converged_rows(scene.compile())
-    rng = np.random.default_rng(0)
-    for speed in (0.0, 1.0, 8.0):
-        sim = sc.Sim(model)
-        change = rng.normal(size=model.nv)
-        sim.qpos[:] = Coordinates(model).moved(model.qpos0, change)
-        sim.qvel[:], sim.ctrl[:] = speed * rng.normal(size=model.nv), 0.4
-        real = sim.linearize().A
-        assert np.abs(midpoint_map(sim)[0] - real).max() < 1e-8 * np.abs(real).max()
+        still = np.zeros(1), np.zeros(0), np.zeros(0)
+        held = Held(model, State("there", 0.0, np.array([angle]), *still), 1.0)
+        assert np.allclose(np.sort_complex(held.rates), expected, atol=1e-5)
 
 
 # --- against the real step ----------------------------------------------------------------------
@@ -175,7 +92,9 @@ def test_growth_that_is_physical_is_not_the_integrators():
     scene.add_joint(rod, "hinge", name="foot", axis=(0, 1, 0))
     scene.add_geom(rod, "capsule", 0.02, fromto=(0, 0, 0, 0, 0, 1.0), mass=1.0)
     free = diagnosed(scene)
-    assert all(free.limit(name) > 0.1 for name in INTEGRATORS)
+    # The explicit integrator makes every swing wider.
+    assert all(free.limit(name) > 0.1 for name in INTEGRATORS if name != "explicit")
+    assert all(math.isinf(free.held(name)) for name in INTEGRATORS)
     assert free.physical == pytest.approx(3.8, abs=0.2)
     assert "physical" in free.text()
     tip = scene.add_body("tip", parent=rod, pos=(0, 0, 1.0))
@@ -184,14 +103,6 @@ def test_growth_that_is_physical_is_not_the_integrators():
     d = diagnosed(scene)
     assert d.stiffest() == "spring of joint `whip`"
     assert d.physical > 3
-    # At the limit the fast mode changes sign and grows from step to step; the fall does not.
-    model = with_converged_rows(scene.compile())
-    state = d.states[0]
-    rates = np.linalg.eigvals(rates_matrix(model, state))
-    limit = d.limit()
-    assert step_growth(step_map(model, state, "euler", 0.99 * limit), limit, rates, 0.1).stable
-    beyond = step_growth(step_map(model, state, "euler", 1.02 * limit), limit, rates, 0.1)
-    assert not beyond.stable and beyond.value.real < -1
 
 
 def test_a_spinning_plate():
@@ -201,10 +112,12 @@ def test_a_spinning_plate():
     inertia = scene.compile().body_inertia[1].diagonal()
     omega = 200.0 * (inertia[2] - inertia[0]) / inertia[0]
     for name in ("semi-implicit", "euler", "explicit"):
-        assert d.limit(name) == pytest.approx(2 / omega**2, rel=0.02)
+        assert d.held(name) == pytest.approx(2 / omega**2, rel=0.02)
+        # A run shows growth by more than e.
+        assert d.limit(name) > d.held(name)
         assert d.stiffest(name) == "spin of body `plate`"
-    assert math.isinf(d.limit("implicitfast"))
-    assert "explodes under euler" in d.sentences[0]
+    assert math.isinf(d.held("implicitfast"))
+    assert "explodes" in d.sentences[0] and "spin of body `plate`" in d.sentences[0].lower()
     model = scene.compile()
 
     def less_than_e_fold(dt):
@@ -215,23 +128,7 @@ def test_a_spinning_plate():
         return np.hypot(*sim.qvel[3:5]) < math.e * 1e-6
 
     real = stiff.bisected(less_than_e_fold, 2e-5, 2e-4)
-    assert d.limit("euler") == pytest.approx(real, rel=0.02)
-
-
-@pytest.mark.parametrize("hinges", [21, pytest.param(60, marks=pytest.mark.long)])
-def test_many_hinges_take_few_linearisations(monkeypatch, hinges):
-    """Law: at most 250 linearised steps a state over all integrators (of 60 hinges 300 and more
-    before, the midpoint rule's a hundred times as long); and the midpoint rule, whose iteration
-    ends in the rounding of an ill-conditioned mass matrix, limits nothing below 50 ms."""
-    counted = []
-    real = sc.Sim.linearize
-    monkeypatch.setattr(sc.Sim, "linearize", lambda sim: (counted.append(sim), real(sim))[1])
-    d = diagnosed(
-        stiff.chain((50.0, 100.0, 150.0) * (hinges // 3), damping=0.1, dt=1e-3), horizon=0.01
-    )
-    assert len(counted) < 250 * len(d.states)
-    assert d.limit("midpoint") > 0.05
-    assert not any(sim.settings.integrator == "midpoint" for sim in counted)
+    assert d.held("euler") == pytest.approx(real, rel=0.02)
 
 
 # --- contacts -----------------------------------------------------------------------------------
@@ -275,8 +172,7 @@ def test_a_state_at_a_switch_does_not_decide(joint):
         scene.add_joint(body, joint)
         scene.add_geom(body, "sphere", 0.1, mass=1.0, name=f"ball{i}", solref=(-1e8, -100.0))
     d = diagnosed(scene, ["rk4", "midpoint"], horizon=1.0)
-    assert d.limits["rk4"].state > 0
-    assert d.stiffest("rk4").startswith("contact `floor`/`ball")
+    assert sorted(d.together("rk4")) == ["contact `floor`/`ball0`", "contact `floor`/`ball1`"]
     # solimp's 0.9 at no depth: the row is as stiff as k/0.95², times 0.9 for R.
     omega = 0.9 / 0.95 * 1e4
     assert d.limit("rk4") == pytest.approx(2 * math.sqrt(2) / omega, rel=0.2)
@@ -292,7 +188,9 @@ def test_a_penalty_contact_is_the_spring_that_it_is():
     scene.body("ball").pos = (0, 0, 0.101)
     d = diagnosed(scene, horizon=0.2)
     assert d.stiffest("semi-implicit") == "contact `floor`/`ball`"
-    assert d.limit("semi-implicit") == pytest.approx(2 * (math.sqrt(1.01) - 0.1) / 1e3, rel=0.01)
+    resting = 2 * (math.sqrt(1.01) - 0.1) / 1e3
+    assert d.held("semi-implicit") == pytest.approx(resting, rel=0.01)
+    assert d.limit("semi-implicit") == pytest.approx(resting, rel=0.15)
 
 
 def test_refsafe_is_told_as_it_is():
@@ -347,9 +245,10 @@ def test_other_rows_are_named_and_limit_where_the_real_step_does(kind, integrato
             return False
         return abs(sim.qvel[-1]) < 1e-4
 
-    limit = d.limit(integrator)
-    real = stiff.bisected(stays, 0.5 * limit, 2 * limit)
-    assert limit == pytest.approx(real, rel=0.02)
+    held = d.held(integrator)
+    real = stiff.bisected(stays, 0.5 * held, 2 * held)
+    assert held == pytest.approx(real, rel=0.02)
+    assert d.limit(integrator) == pytest.approx(real, rel=0.05)
 
 
 # --- servos -------------------------------------------------------------------------------------
@@ -373,7 +272,6 @@ def test_one_servo_has_the_limit_of_its_closed_form(omega, ratio):
     figures = d.element("servo `elbow`")
     assert figures.omega == pytest.approx(omega, rel=1e-6)
     assert figures.ratio == pytest.approx(ratio, rel=1e-6)
-    assert figures.limits["implicitfast"] == pytest.approx(d.limit("implicitfast"), rel=2e-3)
 
 
 def test_the_stiff_servo_of_a_six_joint_arm():
@@ -381,23 +279,11 @@ def test_the_stiff_servo_of_a_six_joint_arm():
     kp = (200.0, 200.0, 2e5, 200.0, 200.0, 200.0)
     scene = stiff.arm(kp, kv=0.02, dt=5e-3, integrator="implicitfast")
     d = check(scene, "servo `elbow`", ("implicitfast", "rk4"))
-    assert d.sentences[0].startswith("A step of 5 ms explodes under implicitfast: servo `elbow` (")
+    assert d.sentences[0].startswith(
+        "A step of 5 ms explodes after 55 ms under implicitfast: servo"
+    )
     scene = stiff.arm(kv=5.0, dt=5e-3, integrator="euler")
     check(scene, "servo `tool`", ("euler", "semi-implicit"), steps=2000)
-
-
-def test_a_servo_at_the_end_of_its_force_has_no_stiffness():
-    scene = stiff.slider(0.0, 1.0, dt=1e-3)
-    servo = {"kp": 1e6, "forcerange": (-1.0, 1.0), "ctrlrange": (-5.0, 5.0)}
-    scene.add_actuator("slide", type="position", name="weak", **servo)
-    scene.add_key("far", ctrl=(5.0,))
-    model = with_converged_rows(scene.compile())
-    state = State("far", 0.0, np.zeros(1), np.zeros(1), np.array([5.0]))
-    assert np.abs(np.linalg.eigvals(rates_matrix(model, state))).max() == pytest.approx(1.0)
-    near = State("near", 0.0, np.zeros(1), np.zeros(1), np.zeros(1))
-    assert np.abs(np.linalg.eigvals(rates_matrix(model, near))).max() == pytest.approx(
-        1e3, rel=1e-3
-    )
 
 
 # --- longer proofs ------------------------------------------------------------------------------

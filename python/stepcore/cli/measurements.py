@@ -291,8 +291,8 @@ MEASUREMENTS = {
     "diagnose": Measurement(
         "stepcore.measure.diagnosis",
         "gymnasium:half_cheetah --dt 0.01",
-        {"dt": DT},
-        full="print every element on its own, under every integrator",
+        {"dt": DT, "integrators": {"flags": ("--integrator",), **NAMES}},
+        full="print every element on its own",
         warn=False,
         motion={},
     ),

@@ -149,7 +149,7 @@ class Check(Result):
             yield f"No problems found{' other than the time step' if explodes else so_far}."
         if self.diagnosis is not None:
             said = self.diagnosis.sentences
-            if math.isinf(self.diagnosis.limit()) or self.diagnosis.rate is None:
+            if not self.diagnosis.fails:
                 said = said[:1]
             yield from said
         yield "Next:"

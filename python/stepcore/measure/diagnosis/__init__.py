@@ -3,41 +3,59 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator, Sequence
 from typing import Unpack
 
 import numpy as np
 
+from stepcore import checks
 from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.linear_maps import INTEGRATORS
-from stepcore.executors import checkpoint
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
+from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.schedule import HORIZON
-from stepcore.measure.diagnosis.advice import Advice, ways
-from stepcore.measure.diagnosis.circulation import circulation
-from stepcore.measure.diagnosis.confirmation import Confirmation
-from stepcore.measure.diagnosis.control import KIND
-from stepcore.measure.diagnosis.control_advice import control_ways, longest_period
-from stepcore.measure.diagnosis.elements import softened_from
-from stepcore.measure.diagnosis.examination import Examination, examine
-from stepcore.measure.diagnosis.held_elements import held
+from stepcore.experiment.schedule import HORIZON, scheduled
+from stepcore.measure.diagnosis.cures import Advice, Search, longest_period, other_integrators
 from stepcore.measure.diagnosis.inner_steps import InnerSteps, inner_steps
-from stepcore.measure.diagnosis.isolated import ElementLimits, IsolatedElements
-from stepcore.measure.diagnosis.limits import Limit, StepStability
-from stepcore.measure.diagnosis.linear_step import with_converged_rows
-from stepcore.measure.diagnosis.result import Diagnosis
-from stepcore.measure.diagnosis.shares import limiters
-from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
-from stepcore.measure.diagnosis.visited_states import visit
-from stepcore.measure.diagnosis.words import gentle_chatter, notes
+from stepcore.measure.diagnosis.limits import FAILS, Limit, held_limits, run_limit
+from stepcore.measure.diagnosis.linear import (
+    Held,
+    acting_elements,
+    every_element,
+    shares,
+    visited,
+)
+from stepcore.measure.diagnosis.naming import (
+    Figures,
+    figures,
+    linear_limiters,
+    run_limiters,
+)
+from stepcore.measure.diagnosis.result import AMPLE, Diagnosis
+from stepcore.measure.diagnosis.running import (
+    Judge,
+    Motions,
+    Outcome,
+    Runaway,
+    State,
+    with_converged_rows,
+)
 from stepcore.report import units
+from stepcore.report.units import seconds
 
-# The shares of the time (`seconds`) at which the run of inner steps and the limits of elements end.
-INNER, ELEMENTS = 0.4, 0.85
+__all__ = ["Diagnosis", "diagnose"]
 
-__all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
+# The control period over the horizon, unless one step of the scene is longer.
+PERIOD = 1 / 200
+# The part of the least step that limits the start, at which the motion is first run.
+SAFE = 0.25
+# A state's linearised step has the limit that the run has, if both agree to this factor.
+AGREE = 1.1
+# The shares of the time (`seconds`) at which the runs of the own integrator, and those of the
+# others, end.
+OWN, OTHERS = 0.5, 0.65
 
 
 @measurement(without=("starts",))
@@ -46,23 +64,26 @@ def diagnose(
     motion: Motion | str | None = None,
     *,
     dt: float | str | None = None,
+    integrators: Sequence[str] | None = None,
     **fields: Unpack[MeasurementFields],
 ) -> Diagnosis:
     """Find the element that limits the time step, and changes that make a wanted step stable.
 
-    The step is linearised (`Sim.linearize`) at the start and at some states along the motion. The
-    largest stable dt is the step above which an eigenvalue grows faster than the motion itself. It
-    is found by bisection for each integrator, and the worst state decides.
+    The limit of an integrator is what runs of the motion show: the motion, then its last control
+    held, for at least 1000 steps in all, beside a run from a start that is moved by 1e-6 of the
+    scene's size. At 0.98 of the limit the run holds; at 1.03 of it, it diverges, gains energy, or
+    lets the perturbation grow without end. Both were run. `Diagnosis.held` has what the linearised
+    step (`Sim.linearize`) bears where the motion ends and is held.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
-    motion: the `Motion` along which the states lie; or write its fields as arguments, except
-        `starts`, because there is one start. The horizon is 1 s by default; a motion that neither
-        grows nor decays by itself counts as unstable if a step makes it grow e-fold in this time.
-        If no controls are given, the motion is chosen from the model; see `Motion.kind`.
-    dt: the wanted time step [s]; by default the scene's own. If it is unstable, each suggestion is
-        made on a copy of the model and verified on its linearised step. A model whose steps keep an
-        accuracy has no such step: the result says what its steps are made of, and which bodies
-        make them short (`Diagnosis.inner`), and judges fixed steps of the mean length.
+    motion: the `Motion`; or write its fields as arguments, except `starts`, because there is one
+        start. The horizon is 1 s by default. If no controls are given, the motion is chosen from
+        the model; see `Motion.kind`.
+    dt: the wanted time step [s]; by default the scene's own. If it is too long, changes are
+        searched for, made and run. A model whose steps keep an accuracy has no such step: the
+        result says what its steps are made of, and which bodies make them short
+        (`Diagnosis.inner`), and judges fixed steps of the mean length.
+    integrators: whose limits are found; by default of all. The scene's own is always among them.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, for a scene in which nothing can move, and
@@ -77,142 +98,224 @@ def diagnose(
     >>> print(f"{1e3 * d.limit('semi-implicit'):.2f} ms by the {d.stiffest('semi-implicit')}")
     2.00 ms by the spring of joint `knee`
     """
+    for name in integrators or ():
+        checks.one_of(*INTEGRATORS)("diagnose", "integrators", name)
     setup = set_up(diagnose, model, motion, fields, missing="no step to diagnose")
-    horizon = setup.motion.horizon or HORIZON
-    motion = dataclasses.replace(setup.motion, horizon=horizon)
-    workers, model = setup.workers, setup.model
+    workers, compiled, shipped = setup.workers, setup.model, setup.model.settings
+    motion = dataclasses.replace(setup.motion, horizon=setup.motion.horizon or HORIZON)
+    horizon = motion.horizon or HORIZON
     inner: InnerSteps | None = None
-    if model.settings.accuracy is not None:
-        with workers.deadline.stage("what the steps are made of", INNER):
-            inner = inner_steps(model, motion)
-        model = model.with_settings(accuracy=None)
-    model = with_converged_rows(model)
-    settings, own = model.settings, model.settings.integrator
-    wanted = inner.mean if inner else settings.dt
+    if shipped.accuracy is not None:
+        with workers.deadline.stage("what the steps are made of", OWN):
+            period = motion.period(shipped.dt) or shipped.dt
+            inner = inner_steps(compiled, scheduled(motion, compiled, period, starts=1))
+    converged = with_converged_rows(compiled.with_settings(accuracy=None))
+    wanted = inner.mean if inner else shipped.dt
     if dt is not None:
         wanted = units.time("dt", dt)
-    with workers.bar("states", 1) as bar:
-        visited = visit(model, motion, horizon)
-        bar.advance()
-    # An answer needs the scene's own integrator, which therefore comes first.
-    order, time = sorted(INTEGRATORS, key=lambda name: name != own), workers.deadline
-    found = examine(model, visited, horizon, wanted, order, workers.each, time)
-    here, limits, shares, seen, check = (
-        found.here,
-        found.limits,
-        found.shares,
-        found.seen,
-        found.check,
-    )
-    elements: dict[Element, ElementLimits] = {}
-    with time.stage("the limits of all elements", ELEMENTS):
-        elements = _element_limits(here)
-    with time.closing():
-        limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}
-    advice: list[Advice] = []
-    if limits[own].dt < wanted:
-        with time.stage("all changes that make the step stable"), workers.bar("advice", 1) as bar:
-            advice.extend(_advice(found, elements, limiting[own], motion))
-            bar.advance()
-    advice.sort(key=lambda a: a.rank)
-    with time.closing():
-        rate = _rate(here, limits[own], wanted)
-        longest = _longest_period(here, own, wanted, motion)
-    confirmed = check is not None and check.confirmed
-    gentle = [servo for servo in seen.saturations if not (servo.reached or servo.severe)]
-    often = "" if motion.control_dt else "at every step"
-    return Diagnosis(
+    period = min(horizon, motion.period(shipped.dt) or max(shipped.dt, horizon * PERIOD))
+    schedule = scheduled(motion, converged, period, starts=1)
+    sampled = None if motion.control is None else motion.control_dt
+    case = Case(Motions(converged, schedule, setup.engine.size, sampled), wanted)
+    own = shipped.integrator
+    others = [n for n in INTEGRATORS if n != own and (integrators is None or n in integrators)]
+    limits = {own: case.limit(own)}
+    if limits[own].ran:
+        workers.deadline.so_far(case.so_far(limits[own]))
+    else:
+        workers.deadline.left_out.append("runs of the motion")
+    found: list[Limit | None] = []
+    with workers.deadline.stage(lambda: f"the limits under {_missing(found, others)}", OTHERS):
+        workers.each(case.limit, others, "limits", found)
+    limits |= {limit.integrator: limit for limit in found if limit is not None}
+    with workers.deadline.closing():
+        named = {name: case.limiters(limit) for name, limit in limits.items()}
+        rows = case.figures(named[own], limits[own].state)
+    result = Diagnosis(
         name=setup.name,
-        settings=settings,
+        settings=converged.settings,
         motion=motion,
         wanted=wanted,
-        states=list(here.states),
+        states=case.states,
         limits=limits,
-        element_shares=shares,
-        limiters=limiting,
-        rows=_first_to_limit(elements, own, limiting[own]),
-        advice=advice,
-        notes=[
-            *notes(visited, list(elements.values()), horizon, confirmed),
-            *map(gentle_chatter, gentle),
-            *held(here, list(elements.values()), limits[own]),
-        ],
-        rate=rate,
-        ran=motion_in_words(model, motion, visited.schedule, often),
-        longest_period=longest,
-        physical=max(float(rates.real.max(initial=0.0)) for rates in here.rates),
-        observed=seen.outcome,
-        saturations=seen.saturations,
-        lasting=seen.lasting,
-        runaway=seen.runaway,
-        circulation=circulation(here),
-        gained=seen.gained,
+        limiters=named,
+        rows=rows,
+        physical=max(float(held.rates.real.max(initial=0.0)) for held in case.held),
+        ran=motion_in_words(compiled, motion, schedule, "" if sampled else "at every step"),
+        runaway=case.runaway,
+        confirmed=case.judge is not None and case.judge.confirmed,
+        covered=case.fine,
         inner=inner,
+        notes=schedule.notes,
     )
+    with workers.deadline.stage("the run at the wanted step"):
+        result.observed = case.observed(limits[own])
+        result.saturated = case.saturated(limits[own], named[own])
+    if sampled is not None and case.judge is not None and case.controlled:
+        with workers.deadline.stage("the longest control period"):
+            short = min(wanted, sampled)
+            result.longest_period = longest_period(case.judge, Change(integrator=own), short)
+    if result.fails:
+        with workers.deadline.stage("all changes that make the step stable"):
+            for advice in case.advice(limits, named[own]):
+                result.advice.append(advice)
+    result.advice.sort(key=lambda advice: advice.rank)
+    return result
 
 
-def _advice(
-    found: Examination,
-    elements: dict[Element, ElementLimits],
-    limiting: Sequence[Element],
-    motion: Motion,
-) -> Iterator[Advice]:
-    """Yield the changes that make the wanted step stable, and those that fail."""
-    here, wanted = found.here, found.wanted
-    confirmation = Confirmation(found, motion, here.horizon)
-    yield from confirmation.integrators()
-    limit = found.limits[found.model.settings.integrator]
-    changes = list(ways(here, limit, elements, wanted, limiting))
-    if limiting and limiting[0].kind == KIND:
-        changes += control_ways(here, limiting, list(elements), wanted, motion)
-    yield from confirmation.advice(changes)
+def _missing(found: Sequence[Limit | None], names: Sequence[str]) -> str:
+    known = {limit.integrator for limit in found if limit is not None}
+    return ", ".join(name for name in names if name not in known)
 
 
-def _first_to_limit(
-    elements: dict[Element, ElementLimits], integrator: str, limiting: Sequence[Element]
-) -> list[ElementLimits]:
-    """Return the elements' limits, those that limit dt first, then by the limit of each alone."""
-    return sorted(
-        elements.values(),
-        key=lambda row: (row.element not in limiting, row.limits[integrator], -row.stiffness),
-    )
+class Case:
+    """One motion, its states, and its runs.
 
+    motions: the runs. wanted: the step in question [s].
+    judge: the converged motion; None where it blows up at every step (`runaway`).
+    fine: the converged pair of runs. states: of it, the last one at its end. held: the linearised
+    step at each state.
+    """
 
-def _rate(here: StepStability, limit: Limit, wanted: float) -> float | None:
-    """Return the growth [1/s] that the integrator causes at an unstable wanted step, or None."""
-    if wanted <= limit.dt:
-        return None
-    rate = here.growth(limit.integrator, wanted, limit.state).rate
-    return rate if rate > 0 else None
+    def __init__(self, motions: Motions, wanted: float) -> None:
+        self.motions, self.wanted = motions, wanted
+        self.model, self.horizon = motions.of(Change()), motions.horizon
+        settings = motions.model.settings
+        start = motions.first()
+        near = Held(self.model, start, self.horizon).limit("implicitfast", settings.dt)
+        safe = min(max(SAFE * near, 1e-7), settings.dt)
+        judge = Judge.of(motions, safe)
+        self.controlled = motions.users is not None
+        if isinstance(judge, Runaway) and self.controlled:
+            # If the motion does not blow up by itself, the control makes it.
+            alone = Judge.of(motions.without_control(), safe)
+            self.controlled = isinstance(alone, Judge)
+            judge = Judge(motions, alone.fine, False) if isinstance(alone, Judge) else judge
+        self.runaway = judge if isinstance(judge, Runaway) else None
+        self.judge = None if isinstance(judge, Runaway) else judge
+        self.fine = judge.fine
+        self.states = visited(motions, self.fine, start)
+        self.held = list[Held]()
+        for state in list(self.states):
+            try:
+                self.held.append(Held(self.model, state, self.horizon))
+            except ValueError:
+                self.states.remove(state)
+        if not self.held:
+            raise ValueError("the scene cannot be linearised: its accelerations are not finite")
+        if self.judge is not None:
+            motions.keep_usual(self.fine)
 
+    def limit(self, integrator: str) -> Limit:
+        """Return the limit of an integrator."""
+        last, each = held_limits(self.held, integrator, self.motions.model.settings.dt)
+        if self.judge is None:
+            dt = min(each)
+            return Limit(integrator, dt, last, self._state(dt, each), ran=False)
+        change = Change(integrator=integrator)
+        dt, longest = run_limit(self.judge, change, [last, *each])
+        outcome = self.judge.outcome(change, FAILS * dt) if 0 < dt < math.inf else None
+        if dt >= self.wanted and not self.judge.outcome(change, self.wanted).holds:
+            # A step below the limit fails where failure is not monotonic.
+            dt, _ = run_limit(self.judge, change, [], top=self.wanted)
+            outcome = self.judge.outcome(change, self.wanted)
+        kind = "" if outcome is None else outcome.kind
+        return Limit(integrator, dt, last, self._state(dt, each), kind, longest)
 
-def _longest_period(
-    here: StepStability, integrator: str, dt: float, motion: Motion
-) -> float | None:
-    """Return the longest stable control period [s], or None without feedback or a control_dt."""
-    if motion.control_dt is None or not any(state.feedback for state in here.states):
-        return None
-    return longest_period(here, integrator, min(dt, motion.control_dt), here.horizon)
+    def _state(self, dt: float, each: Sequence[float]) -> int:
+        """Return the state whose linearised step has a limit; -1 if none has."""
+        if not 0 < dt < math.inf:
+            return -1
+        gaps = [abs(math.log(one / dt)) if 0 < one < math.inf else math.inf for one in each]
+        nearest = int(np.argmin(gaps))
+        return nearest if gaps[nearest] <= math.log(AGREE) else -1
 
+    def so_far(self, limit: Limit) -> str:
+        """Return what is known of the own integrator, in words."""
+        name = limit.integrator
+        return f"runs hold under {name} up to dt {seconds(limit.dt)}; others are run now"
 
-def _element_limits(here: StepStability) -> dict[Element, ElementLimits]:
-    """Return each element's limits at the state where it is stiffest, the stiffest first."""
-    elements: dict[Element, ElementLimits] = {}
-    for k, state in enumerate(here.states):
-        motion = here.motion(state)
-        if motion is None:
-            continue
-        try:
-            isolated = IsolatedElements(motion, here.horizon, k)
-        except np.linalg.LinAlgError:
-            # The mass matrix is singular to rounding.
-            continue
-        for element in motion.elements:
-            if element == INERTIAL:
-                continue
-            checkpoint()
-            limits = isolated.limits(element, softened_from(here.model, element))
-            known = elements.get(element)
-            if limits.acts and (known is None or limits.stiffness > known.stiffness):
-                elements[element] = limits
-    return dict(sorted(elements.items(), key=lambda pair: -pair[1].stiffness))
+    def limiters(self, limit: Limit) -> tuple[Element, ...]:
+        """Return the elements that limit an integrator, or the fastest one if nothing does."""
+        name, dt = limit.integrator, limit.dt
+        if dt == math.inf or (dt <= 0 and not self.controlled):
+            at = self.held[-1]
+            own = shares(at, name, min(limit.longest, 1.0) if dt else self.wanted)
+            return tuple(self._theirs(list(own)[:1]))
+        if limit.state >= 0:
+            held = self.held[limit.state]
+            found = linear_limiters(self.model, held, name, dt)
+            if found:
+                return tuple(self._theirs(found))
+        nu = self.motions.model.nu if self.controlled else 0
+        if self.judge is None or dt <= 0:
+            return tuple(Element.of(self.motions.model, "control", k) for k in range(nu))
+        every = list(every_element(self.model, self.states))
+        order = list(shares(self.held[-1], name, FAILS * dt))
+        if order and dt > AMPLE * self.wanted and self.motions.costly:
+            # Nobody asks for such steps, and runs that tell the elements apart take long.
+            return tuple(self._theirs(order[:1]))
+        every.sort(key=lambda e: order.index(e) if e in order else len(order))
+        found = run_limiters(self.judge, every, name, dt, nu)
+        spins = [e for e in every if e.kind == "spin"]
+        return tuple(self._theirs(found or self._lost(limit) or spins[:1] or (INERTIAL,)))
+
+    def _lost(self, limit: Limit) -> tuple[Element, ...]:
+        """Return contacts that end the converged motion, and not a run that gains energy.
+
+        A body has passed through the other one, and falls.
+        """
+        assert self.judge is not None
+        ran = self.motions.pair(Change(integrator=limit.integrator), FAILS * limit.dt).ran
+        if limit.outcome != "gains energy" or ran is None or ran.failures:
+            return ()
+        own = (ran[name][0, -1] for name in ("qpos", "qvel", "ctrl", "act"))
+        sim = State.of("", 0.0, own).sim(self.model)
+        sim.forward()
+        left = {e for e in self.states[-1].rows if e.kind == "contact"} - {*acting_elements(sim)}
+        return tuple(sorted(left))
+
+    def _theirs(self, elements: Sequence[Element]) -> Iterator[Element]:
+        """Yield elements, the servos of the default motion as controls of its motors."""
+        for element in elements:
+            ours = element.kind == "actuator" and element.index in self.motions.ours
+            yield Element.of(self.motions.model, "control", element.index) if ours else element
+
+    def observed(self, limit: Limit) -> Outcome | None:
+        """Return what the motion does at the wanted step; None if it blows up at every step."""
+        if self.judge is None:
+            return None
+        return self.judge.outcome(Change(integrator=limit.integrator), self.wanted)
+
+    def saturated(self, limit: Limit, elements: Sequence[Element]) -> tuple[Element, ...]:
+        """Return the servos among elements whose force is at an end of its range beyond a limit."""
+        servos = [e for e in elements if e.kind == "actuator"]
+        if self.judge is None or not servos or not 0 < limit.dt < math.inf:
+            return ()
+        full = self.motions.saturated(Change(integrator=limit.integrator), FAILS * limit.dt)
+        return tuple(element for element in servos if full[element.index])
+
+    def figures(self, limiting: Sequence[Element], state: int) -> list[Figures]:
+        """Return frequency and damping of every element, those that limit first.
+
+        state: the one that decides, whose figures count; -1 for none.
+        """
+        found: dict[Element, Figures] = {}
+        for k in dict.fromkeys((max(state, 0), len(self.held) - 1, *range(len(self.held)))):
+            found |= figures(self.held[k], k, found)
+        rows = [dataclasses.replace(f, element=next(self._theirs([e]))) for e, f in found.items()]
+        order = {element: k for k, element in enumerate(limiting)}
+        return sorted(rows, key=lambda f: (order.get(f.element, len(order)), -f.omega, -f.rate))
+
+    def advice(self, limits: dict[str, Limit], elements: Sequence[Element]) -> Iterator[Advice]:
+        """Yield the changes that make the wanted step stable, and those that fail."""
+        own = next(iter(limits.values()))
+        if self.judge is None:
+            return
+        at = self.held[own.state] if own.state >= 0 else self.held[-1]
+        every = list(every_element(self.model, self.states))
+        known = [e for e in elements if e != INERTIAL]
+        linear = own.state >= 0 and not self.controlled
+        search = Search(self.judge, own, at, linear, self.wanted, known, every, self.states)
+        yield from other_integrators(search, limits)
+        yield from search.advice()

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
+from stepcore.engine.control import controls
 from stepcore.engine.element import Element, Elements
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import checkpoint
-from stepcore.experiment.motion import Motion
-from stepcore.experiment.run import Probe
-from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import scheduled
-from stepcore.measure.diagnosis.elements import acting_elements
+from stepcore.experiment.schedule import Schedule
+from stepcore.measure.diagnosis.linear import acting_elements
 from stepcore.report.units import counted, metres, percent, seconds
 
 # How many bodies are named, each with a share of the evaluations that is at least this.
@@ -96,64 +95,42 @@ class InnerSteps:
             )
 
 
-def inner_steps(model: Model, motion: Motion) -> InnerSteps:
+def inner_steps(model: Model, schedule: Schedule) -> InnerSteps:
     """Run a motion once from its start, and return what its steps are made of.
 
-    model: its settings have an accuracy. motion: it has a horizon.
+    model: its settings have an accuracy. schedule: its controls are held for whole steps.
     """
-    dt = model.settings.dt
-    runner = Runner(model, scheduled(motion, model, motion.period(dt) or dt, starts=1))
-    sim, probe, failure = runner.sim(model.settings), _Stretches(), ""
-    try:
-        runner.follow(sim, 0, [probe])
-    except SimulationError as error:
-        failure = one_line(error)
-    costs: Counter[str] = Counter()
-    hardest: dict[str, HardStep] = {}
-    for step in probe.steps:
-        costs[step.body] += step.evaluations
-        if step.body not in hardest or step.evaluations > hardest[step.body].evaluations:
-            hardest[step.body] = step
+    dt, failure = model.settings.dt, ""
+    sim = unwatched(Sim(schedule.on(model)))
+    schedule.starts[0].put(sim)
+    control, count = schedule.function(), schedule.steps(dt)
+    rows, held = schedule.rows([0], dt)
+    costs, hardest = Counter[str](), dict[str, HardStep]()
+    least, before, acting = math.inf, 0, frozenset[Element]()
+    for k in range(schedule.periods * count):
+        checkpoint()
+        if control is not None and k % count == 0:
+            sim.ctrl = controls(control, sim)
+        elif rows is not None:
+            sim.ctrl[:] = rows[0, min(k // held, rows.shape[1] - 1)]
+        time = sim.time
+        try:
+            sim.step()
+        except SimulationError as error:
+            failure = one_line(error)
+            break
+        shortest, refused = sim._core.stretches
+        evaluations, before = sim._core.evaluations - before, sim._core.evaluations
+        now = frozenset(acting_elements(sim))
+        least = min(least, shortest)
+        if refused is not None:
+            body = "" if refused[1] is None else model.element_name("body", refused[1])
+            begins, ends = tuple(sorted(now - acting)), tuple(sorted(acting - now))
+            costs[body] += evaluations
+            if body not in hardest or evaluations > hardest[body].evaluations:
+                hardest[body] = HardStep(time, evaluations, shortest, body, begins, ends)
+        acting = now
     asked = model.settings.accuracy
     assert asked is not None
-    return InnerSteps(
-        accuracy=asked,
-        period=dt,
-        time=sim.time,
-        evaluations=probe.evaluations,
-        shortest=probe.shortest,
-        shares={body: cost / probe.evaluations for body, cost in costs.most_common()},
-        hardest=hardest,
-        failure=failure,
-    )
-
-
-class _Stretches(Probe):
-    """A probe that keeps each step that was made of shorter ones."""
-
-    def __init__(self) -> None:
-        self.steps: list[HardStep] = []
-        self.evaluations, self.shortest = 0, float("inf")
-
-    def stride(self, steps: int) -> int | None:
-        return 1
-
-    def begin(self, sim: Sim) -> None:
-        self.acting = frozenset(acting_elements(sim))
-        self.time, self.count = sim.time, sim._core.evaluations
-
-    def step(self, sim: Sim) -> None:
-        checkpoint()
-        shortest, refused = sim._core.stretches
-        evaluations = sim._core.evaluations - self.count
-        acting = frozenset(acting_elements(sim))
-        self.evaluations += evaluations
-        self.shortest = min(self.shortest, shortest)
-        if refused is not None:
-            body = refused[1]
-            name = "" if body is None else sim.model.element_name("body", body)
-            begins, ends = sorted(acting - self.acting), sorted(self.acting - acting)
-            self.steps.append(
-                HardStep(self.time, evaluations, shortest, name, tuple(begins), tuple(ends))
-            )
-        self.acting, self.time, self.count = acting, sim.time, sim._core.evaluations
+    shares = {body: cost / before for body, cost in costs.most_common()}
+    return InnerSteps(asked, dt, sim.time, before, least, shares, hardest, failure)

@@ -4,36 +4,47 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.engine.element import INERTIAL, Element, Elements
+from stepcore.engine.element import (
+    EQUALITIES,
+    FRICTION_LOSSES,
+    INERTIAL,
+    ROWS,
+    Element,
+    Elements,
+    listed,
+)
 from stepcore.experiment.motion import Motion
-from stepcore.measure.diagnosis import words
-from stepcore.measure.diagnosis.advice import MARGIN, Advice
-from stepcore.measure.diagnosis.circulation import Circulation
+from stepcore.measure.diagnosis.cures import MARGIN, Advice
 from stepcore.measure.diagnosis.inner_steps import InnerSteps
-from stepcore.measure.diagnosis.isolated import ElementLimits
-from stepcore.measure.diagnosis.limits import Limit
-from stepcore.measure.diagnosis.linear_step import State
-from stepcore.measure.diagnosis.motion_check import Outcome, Runaway
-from stepcore.measure.diagnosis.saturation import Saturation
+from stepcore.measure.diagnosis.limits import HOLDS, Limit
+from stepcore.measure.diagnosis.linear import VELOCITY_LAWS
+from stepcore.measure.diagnosis.naming import Figures
+from stepcore.measure.diagnosis.running import Outcome, Pair, Runaway, State
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted, percent, round_number, seconds, times
+from stepcore.report.units import counted, hertz, round_number, seconds, times
 
-DT = "largest stable dt [s]"
-# Number of elements printed by default.
+DT, HELD = "largest stable dt [s]", "held pose [s]"
+# The number of elements that are printed.
 PRINTED = 6
 # From this stability margin on, accuracy and not stability limits dt.
 AMPLE = 10.0
-# From this share of its energy on, what the integrator adds to a motion is told.
-GAINED = 0.01
-# Growth by less than e to this power over the horizon is called slow, not an explosion.
-SLOW = 10.0
+# The run and the linearised step differ, if they do by more than this factor.
+DIFFERS = 1.05
+# Growth of the motion itself that deserves a note, and growth that no dt resolves [1/s].
+NOTABLE, UNRESOLVED = 0.1, 1e6
+# Frequencies and rates in this range [1/s] are printed.
+LOW, HIGH = 1e-3, 1e9
+# A damping ratio above the first is printed as a rate instead, and one below the second as 0.
+OVERDAMPED, UNDAMPED = 100.0, 1e-6
+# Rows that can open.
+OPEN = ("contact", "limit", "tendon limit")
 
 
 @dataclass(eq=False, repr=False)
@@ -41,28 +52,19 @@ class Diagnosis(Result):
     """Which element limits the time step of a scene; `stepcore.diagnose` returns it.
 
     settings: the settings of the scene, with constraint rows solved to rounding.
-    motion: the motion along which the states lie; see `diagnose`.
-    wanted: the time step to judge [s].
-    states: the states at which the step was linearised.
+    motion: the motion; see `diagnose`. wanted: the time step in question [s].
+    states: states of the motion at which the step was linearised, the last one at its end.
     limits: the largest stable dt, by integrator.
-    element_shares: by integrator, each element's share in the mode that sets the limit, or in the
-        fastest motion if nothing sets a limit.
-    limiters: by integrator, the elements that limit dt; several where no single element does.
-    rows: the elements, each on its own: those that limit dt, then the others by their own limit.
+    limiters: by integrator, the elements that limit dt; several where no single element does. Where
+        nothing limits dt, the element of the fastest motion.
+    rows: the elements, each on its own: those that limit dt, then the others by frequency.
     advice: changes that make the wanted step stable.
     physical: the fastest growth of the motion itself [1/s].
-    rate: the growth at the wanted step that the integrator causes [1/s]; None if the step is
-        stable.
-    observed: the outcome of the motion at the wanted step; None if that step is too long to judge.
-    saturations: servos that chatter at the ends of their force ranges at the wanted step.
-    lasting: the time [s], after the horizon, at which growth caused by the integrator explodes;
-        None if there is none within ten horizons.
-    runaway: how the motion blows up at every step tried; None if it does not.
-    circulation: servos whose forces derive from no energy and make the motion grow; None if there
-        are none.
-    gained: the energy that the integrator adds at the wanted dt to a motion that nothing drives,
-        over its largest kinetic energy.
-    longest_period: the longest stable control period at the wanted step [s], inf beyond the
+    observed: what the motion does at the wanted step; None where it blows up at every step.
+    saturated: the limiting servos whose force is at an end of its range beyond the limit.
+    runaway: how the motion blows up at every step that was tried; None if it does not.
+    confirmed: whether two short steps agree on the motion itself. covered: its runs.
+    longest_period: the longest control period at which the wanted step holds [s], inf beyond the
         horizon; None without a control function and a control_dt.
     inner: what the steps of a model that keeps an accuracy are made of; None of others.
     """
@@ -73,7 +75,6 @@ class Diagnosis(Result):
         "omega": "rad/s",
         "ratio": "1",
         "rate": "1/s",
-        "share": "1",
         "softened": "s",
     }
 
@@ -82,66 +83,80 @@ class Diagnosis(Result):
     wanted: float
     states: list[State]
     limits: dict[str, Limit]
-    element_shares: dict[str, dict[Element, float]]
     limiters: dict[str, tuple[Element, ...]]
-    rows: list[ElementLimits]
+    rows: list[Figures]
+    covered: Pair = field(repr=False)
     advice: list[Advice] = field(default_factory=list)
     physical: float = 0.0
-    rate: float | None = None
     observed: Outcome | None = None
-    saturations: list[Saturation] = field(default_factory=list)
-    lasting: float | None = None
+    saturated: tuple[Element, ...] = ()
     runaway: Runaway | None = None
+    confirmed: bool = True
     longest_period: float | None = None
-    circulation: Circulation | None = None
-    gained: float = 0.0
     inner: InnerSteps | None = None
+
+    def __post_init__(self) -> None:
+        self.notes = [*self._remarks(), *self.notes]
 
     @property
     def horizon(self) -> float:
-        """Length of the motion [s], over which undamped growth counts."""
+        """Length of the motion [s]."""
         return self.motion.horizon or 0.0
+
+    @property
+    def own(self) -> Limit:
+        """The limit of the scene's integrator."""
+        return self.limits[self.settings.integrator]
+
+    @property
+    def fails(self) -> bool:
+        """Whether the wanted step fails."""
+        if self.observed is not None and not self.observed.holds:
+            return True
+        return self.own.dt < self.wanted
 
     def limit(self, integrator: str | None = None) -> float:
         """Return the largest stable dt [s] under an integrator (default: the scene's).
 
-        The value is inf if nothing limits dt, and 0 if no step is stable. Raises ValueError for an
+        Runs of the motion hold at 0.98 of it and fail at 1.03 of it; both were run. The value is
+        inf if no step that was tried fails, and 0 if none holds. Raises ValueError for an
         integrator that was not diagnosed.
         """
         return self.limits[self._known(integrator)].dt
 
+    def held(self, integrator: str | None = None) -> float:
+        """Return the largest dt [s] that the linearised step bears where the motion ends.
+
+        Values and errors are those of `limit`.
+        """
+        return self.limits[self._known(integrator)].held
+
     def stiffest(self, integrator: str | None = None) -> str:
         """Return the name of the element that limits dt under an integrator (default: the scene's).
 
-        This element has a share in the mode that sets the limit, and softening it raises the limit
-        most. Equal elements that limit dt only as a group are named as a group (`together`). If
-        nothing limits dt, the name is that of the element with the largest share in the fastest
-        motion. It is "" if no element has a share.
+        It is the element whose softening raises the limit most. Equal elements that limit dt only
+        as a group are named as a group (`together`). If nothing limits dt, the name is that of the
+        element of the fastest motion, or "".
         """
-        return words.named(self._stiffest(self._known(integrator)))
+        return Elements(self._limiters(integrator)).together
 
     def together(self, integrator: str | None = None) -> list[str]:
         """Return the names of the elements that limit dt as a group, usually a single one."""
-        return [element.name for element in self._stiffest(self._known(integrator))]
+        return [element.name for element in self._limiters(integrator)]
 
-    def limiting(self, integrator: str | None = None) -> ElementLimits | None:
-        """Return the limits of the element that `stiffest` names, on its own, or None."""
-        elements = self._stiffest(self._known(integrator))
+    def limiting(self, integrator: str | None = None) -> Figures | None:
+        """Return the figures of the element that `stiffest` names, on its own, or None."""
+        elements = self._limiters(integrator)
         return next((row for row in self.rows if row.element in elements), None)
 
-    def _stiffest(self, integrator: str) -> tuple[Element, ...]:
-        unlimited = math.isinf(self.limits[integrator].dt)
-        elements = self.limiters[integrator]
-        if elements and not (unlimited and INERTIAL in elements):
-            return elements
-        if unlimited:
-            shares = dict(self.element_shares[integrator])
-            shares.pop(INERTIAL, None)
-            largest = max(shares, key=lambda element: shares[element], default=None)
-            return (largest,) if largest is not None and shares[largest] else ()
-        # A row that begins to act within the step has no share at its start.
-        alone = [row for row in self.rows if math.isfinite(row.limits[integrator])]
-        return (min(alone, key=lambda row: row.limits[integrator]).element,) if alone else ()
+    def element(self, name: str) -> Figures | None:
+        """Return the figures of the element with this name, or None if it never acts."""
+        return next((row for row in self.rows if row.name == name), None)
+
+    def _limiters(self, integrator: str | None) -> tuple[Element, ...]:
+        name = self._known(integrator)
+        elements = self.limiters[name]
+        return () if math.isinf(self.limits[name].dt) and INERTIAL in elements else elements
 
     def _known(self, integrator: str | None) -> str:
         name = self.settings.integrator if integrator is None else integrator
@@ -149,18 +164,6 @@ class Diagnosis(Result):
             near = checks.nearest(str(name), self.limits)
             raise ValueError(f"integrator = {checks.shown(name)}: was not diagnosed{near}")
         return name
-
-    def element(self, name: str) -> ElementLimits | None:
-        """Return the limits of the element with this name, on its own, or None if it never acts."""
-        return next((row for row in self.rows if row.name == name), None)
-
-    @property
-    def shares(self) -> dict[str, dict[str, float]]:
-        """`element_shares` with the elements' names as keys."""
-        return {
-            integrator: {element.name: share for element, share in shares.items()}
-            for integrator, shares in self.element_shares.items()
-        }
 
     # --- sentences --------------------------------------------------------------------------------
 
@@ -176,118 +179,234 @@ class Diagnosis(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """The sentences of the report: the answer, the advice, and the limiting state."""
+        """The sentences of the report: the answer, where the two witnesses differ, the advice."""
         return list(self._sentences())
 
     def _sentences(self) -> Iterator[str]:
-        limit = self.limits[self.settings.integrator]
         if self.inner is not None:
             yield from self.inner.sentences
             yield f"Steps of a fixed length, {seconds(self.wanted)} as these are on average:"
-        if self.runaway is not None:
-            yield words.blown_up(self.runaway)
-        if self.circulation is not None:
-            yield words.circulatory(self.circulation)
-        answer = self._answer(limit)
-        if self.circulation is not None:
-            answer = f"In the motion that grows so, {answer[0].lower()}{answer[1:]}"
-        yield answer
-        yield from (words.chatter(s) for s in self.saturations if s.reached or s.severe)
-        if self.lasting is not None:
-            yield words.late_growth(self.horizon, self.wanted, self.lasting)
+        if self.runaway is not None and self.own.dt > 0:
+            yield self._blown_up(self.runaway)
+        yield self._answer()
+        yield from self._differs()
         if self.longest_period is not None and self.motion.control_dt is not None:
-            yield words.period_in_words(self.longest_period, self.motion.control_dt, self.wanted)
-        yield from self._advised(limit)
+            yield self._period(self.longest_period, self.motion.control_dt)
+        if self.fails:
+            yield from self._advised()
         if self.ran:
             yield f"The motion: {self.ran}."
-        if limit.state > 0:
-            state = self.states[limit.state]
+        if self.own.state > 0:
+            state = self.states[self.own.state]
             acting = Elements(state.rows).summary
-            verb = "acts" if len(state.rows) == 1 else "act"
-            where = f", where {acting} {verb}" if acting else ""
+            where = (
+                f", where {acting} {'acts' if len(state.rows) == 1 else 'act'}" if acting else ""
+            )
             yield f"The limiting state is {state.label}{where}."
 
-    def _answer(self, limit: Limit) -> str:
-        """Return whether the wanted dt is stable, and which element limits dt."""
-        own, step = limit.integrator, f"A step of {seconds(self.wanted)}"
-        elements, limiting = self._stiffest(own), self.limiting(own)
-        traits = words.traits_of(limiting, len(elements) > 1) if limiting else ""
-        spins = any(element.kind == "spin" for element in elements)
-        if limit.speed is None or spins:
-            traits = words.state_of_limit(limit) or traits
+    def _answer(self) -> str:
+        """Return whether the wanted dt holds, and which element limits dt."""
+        limit, step = self.own, f"A step of {seconds(self.wanted)}"
+        elements, own = self._limiters(None), limit.integrator
+        name = Elements(elements).together or "the motion as a whole"
+        traits = self._traits(elements)
         if math.isinf(limit.dt):
-            judged = (
-                "until then" if self.runaway else f"judged over {seconds(self.horizon)} of motion"
-            )
-            fastest = (
-                f" The fastest element is {words.named(elements)}{traits}." if elements else ""
-            )
-            below = seconds(limit.longest)
+            fastest = f" The fastest element is {name}{traits}." if elements else ""
+            below, judged = seconds(limit.longest), f"judged over {seconds(self.horizon)} of motion"
+            if self.runaway is not None:
+                judged = "by the linearised step"
             return f"No element limits dt below {below} under {own}, {judged}.{fastest}"
         if limit.dt <= 0:
-            cause = words.no_stable_dt(elements, limit.shortest, traits)
-            return f"{step} explodes under {own}: {cause}."
-        cause = words.limits_dt(elements, limit.dt, traits)
-        if self.wanted > limit.dt:
-            return f"{step} {self._failure(limit, limiting)} under {own}: {cause}."
-        until = "until then" if self.runaway else f"over {seconds(self.horizon)}"
+            tried = f"every step tried unstable, down to {seconds(limit.shortest)}"
+            return f"{step} explodes under {own}: {name}{traits} {_verb(elements, 'make')} {tried}."
+        cause = f"{name}{traits} {_verb(elements, 'limit')} dt to {seconds(limit.dt)}"
+        if self.fails:
+            return f"{step} {self._failure(elements)} under {own}: {cause}."
+        over = f"over {seconds(self.horizon)}" if limit.ran else "by the linearised step"
         margin = limit.dt / self.wanted
-        if self.gained >= GAINED:
-            until += f", in which the integrator adds {percent(self.gained)} to its energy"
-        stable = f"{step} is stable under {own} {until}, with a stability margin of {times(margin)}"
+        holds = f"{step} is stable under {own} {over}, with a stability margin of {times(margin)}"
         if margin < AMPLE:
-            return f"{stable}: {cause}."
+            return f"{holds}: {cause}."
         return (
-            f"{stable}, so stability does not limit dt; accuracy does: run stepcore trade. "
+            f"{holds}, so stability does not limit dt; accuracy does: run stepcore trade. "
             f"{cause[0].upper()}{cause[1:]}."
         )
 
-    def _failure(self, limit: Limit, limiting: ElementLimits | None) -> str:
-        """Return the verb phrase for the failure beyond the limit."""
-        if limit.outcome in ("passes", "turns"):
-            return words.BEYOND[limit.outcome]
-        if limit.outcome == "explodes" and self.observed is not None:
-            return f"explodes after {seconds(self.observed.time)}"
-        kind = limiting.element.kind if limiting else ""
-        if limit.outcome == "chatters" or kind in words.FRICTION:
-            # The force of a friction loss is bounded, so the motion cannot explode.
-            return "chatters"
-        if kind in words.OPEN:
-            # A contact or limit that opens may close again at rest.
-            return "explodes or rattles"
-        if self.rate is None or not self.rate * self.horizon < SLOW:
-            return "explodes"
-        return f"slowly gains energy from the integrator (e-fold in {seconds(1 / self.rate)})"
+    def _traits(self, elements: Sequence[Element]) -> str:
+        """Return frequency and damping of the limiting element, in brackets, or that it saturates.
 
-    def _advised(self, limit: Limit) -> Iterator[str]:
+        The frequency of an element on its own has nothing to do with a limit while it saturates.
+        """
+        if self.saturated:
+            return ", while saturated,"
+        row = self.limiting()
+        if row is None:
+            return ""
+        if row.element.kind == "spin":
+            state = self.states[row.state] if row.state < len(self.states) else None
+            speed = 0.0 if state is None else float(abs(state.qvel).max())
+            return f" (at {speed:.3g} rad/s)" if LOW < speed < HIGH else ""
+        traits = ["the stiffest by itself"] if len(elements) > 1 else []
+        damped = not math.isnan(row.ratio)
+        if LOW < row.omega < HIGH and not (damped and row.ratio > OVERDAMPED):
+            traits.append(f"{hertz(row.omega)}, {row.omega:.4g} rad/s")
+            if damped:
+                traits.append(f"damping ratio {row.ratio if row.ratio > UNDAMPED else 0:.2g}")
+        elif LOW < row.rate < HIGH:
+            traits.append(f"damping rate {row.rate:.4g}/s")
+        return f" ({', '.join(traits)})" if len(traits) > (len(elements) > 1) else ""
+
+    def _failure(self, elements: Sequence[Element]) -> str:
+        """Return the verb phrase for the failure of the wanted step."""
+        seen, kinds = self.observed, {element.kind for element in elements}
+        if self.saturated or kinds & {*FRICTION_LOSSES}:
+            # The force is bounded, so the motion stays finite.
+            return "chatters"
+        if seen is not None and seen.kind == "grows" and kinds & {*OPEN, *EQUALITIES}:
+            return "rattles"
+        if seen is not None and seen.kind == "diverges" and math.isfinite(seen.time):
+            return f"explodes after {seconds(seen.time)}"
+        return "explodes"
+
+    def _differs(self) -> Iterator[str]:
+        """Yield what the linearised step bears where the run shows another limit, and why."""
+        limit = self.own
+        run, held = limit.dt, limit.held
+        if not limit.ran or run == held or run <= 0:
+            return
+        if math.isfinite(run) and 0 < held < math.inf and max(run / held, held / run) < DIFFERS:
+            return
+        name, rows = limit.integrator, self.states[-1].rows
+        bears = "bears any step" if math.isinf(held) else f"bears {seconds(held)}"
+        if held <= 0:
+            bears = "bears no step"
+        elements = self._limiters(None)
+        if run < held:
+            why = "the motion passes through other states than its end"
+            if self.saturated:
+                servos = Elements(self.saturated)
+                has = "their force ranges" if len(servos) > 1 else "its force range"
+                why = f"in the motion {servos.name} {_verb(servos, 'reach')} {has}, "
+                why += "where damping has no effect"
+            elif limit.state >= 0:
+                why = f"at {self.states[limit.state].label} the linearised step bears less"
+            elif {element.kind for element in elements} & {*ROWS}:
+                why = "rows open and close in the motion"
+        else:
+            why = "what grows there stays small"
+            if rows:
+                why = f"there {Elements(rows).summary} {_verb(rows, 'act')}, and growth ends where "
+                why += "rows open or slip"
+        limited = "no limit" if math.isinf(run) else seconds(run)
+        yield (
+            f"Runs show {limited}, while the linearised step at the end of the motion, held there, "
+            f"{bears} under {name}: {why}."
+        )
+
+    def _blown_up(self, runaway: Runaway) -> str:
+        """Return the sentence on a motion that blows up at every step."""
+        coarse, fine = (seconds(dt) for dt in runaway.dts)
+        before, after = (seconds(time) for time in runaway.times)
+        if runaway.alike:
+            return (
+                f"The motion itself blows up after {after}, at a step of {fine} as at {coarse}. No "
+                "dt cures that."
+            )
+        how = f": after {before} at {coarse}, after {after} at {fine}. These do not agree"
+        if min(runaway.dts) < self.own.shortest:
+            longest = seconds(max(*runaway.times, self.own.shortest))
+            how = f", within {longest} but at different times"
+        cause = "the cause may be the step or the motion"
+        return f"The motion blows up at every step tried{how}: {cause}."
+
+    def _period(self, longest: float, asked: float) -> str:
+        """Return the control period, and the longest one at which the wanted step holds."""
+        stable = f"a period of up to {seconds(longest)} is stable"
+        if math.isinf(longest):
+            stable = "every period is stable"
+        elif longest <= 0:
+            stable = "no period is stable, however short"
+        held = f"The control function is sampled every {seconds(asked)}"
+        return f"{held}; at steps of {seconds(min(self.wanted, asked))} {stable}."
+
+    def _advised(self) -> Iterator[str]:
         """Yield the changes that were tried, and the step that is stable without any change."""
         met = [advice.text for advice in self.advice if advice.met]
         failed = [advice.text for advice in self.advice if not advice.met]
-        wanted = seconds(self.wanted)
+        wanted, limit = seconds(self.wanted), self.own.dt
         if met:
             yield (
                 f"Any one of these changes makes {wanted} stable with a margin of {times(MARGIN)}:"
             )
             yield from (f"- {text}" for text in met)
             yield (
-                "Each was made, run and diagnosed again with the same motion. The smallest change "
-                "comes first, hardware last."
+                "Each was made, and the same motion run. The smallest change comes first, hardware "
+                "last."
             )
-        elif limit.dt < self.wanted:
+        else:
             yield f"No change that was tried makes {wanted} stable."
         if failed:
             yield f"Tried without success: {', '.join(_shortly(failed))}."
-        if 0 < limit.dt < self.wanted:
-            safe = seconds(round_number(limit.dt / MARGIN, up=False))
-            yield f"Unchanged, the scene needs a step of {safe} for the same margin."
+        if limit > 0:
+            safe = round_number(min(limit, self.wanted) / MARGIN, up=False)
+            yield f"Unchanged, the scene needs a step of {seconds(safe)} for the same margin."
+
+    def _remarks(self) -> Iterator[str]:
+        """Yield notes on the validity of the diagnosis."""
+        fine, limit = self.covered, self.own
+        labels = ", ".join(state.label for state in self.states)
+        if fine.dt >= limit.shortest:
+            yield (
+                f"compared with runs at dt {seconds(fine.dt)} under implicitfast, "
+                f"{seconds(fine.reached)} long; linearised at {labels}"
+            )
+        if fine.failure and fine.dt >= limit.shortest:
+            yield f"these runs ended early: {fine.failure}"
+        elif fine.reached < 0.99 * self.horizon:
+            yield "the whole motion at so short a step would take too many operations"
+        if 0 < limit.dt < math.inf and limit.ran:
+            yield f"runs hold at {seconds(HOLDS * limit.dt)}, and fail just above the limit"
+        if not self.confirmed and self.runaway is None:
+            yield "no two short steps agree on the motion itself"
+        if self.physical > NOTABLE:
+            yield self._growing()
+        soft = [row for row in self.rows if math.isfinite(row.softened)]
+        if soft:
+            least = min(row.softened for row in soft)
+            names = listed([row.name for row in soft if row.softened == least])
+            yield (
+                f"above dt {seconds(max(least, limit.shortest))} the setting refsafe (MuJoCo's) "
+                f"softens {names}; refsafe=False, or a solref of negative numbers, keeps the "
+                "stiffness"
+            )
+        if self.settings.law in VELOCITY_LAWS:
+            yield (
+                f"under the law {self.settings.law} the stiffness of a row is 1/dt², so rows do "
+                "not limit dt"
+            )
+
+    def _growing(self) -> str:
+        """Return the note on growth of the motion itself."""
+        if self.physical > UNRESOLVED:
+            return (
+                "at some state nearby motions diverge e-fold in less than "
+                f"{seconds(1 / UNRESOLVED)}, faster than any step that is tried: check masses and "
+                "gains"
+            )
+        doubling = f"nearby motions diverge, doubling every {seconds(math.log(2) / self.physical)}"
+        if self.confirmed or (self.runaway is not None and self.runaway.alike):
+            return (
+                f"{doubling} at the fastest, as where a body falls, balances or is driven; two "
+                "fine steps agree, so this is physical, and no dt changes it"
+            )
+        return f"{doubling} at some state; no finer step confirms that this is physical"
 
     # --- tables and data --------------------------------------------------------------------------
 
     def text(self, width: int | None = None, full: bool = False) -> str:
         """Return the report, which begins with the answer.
 
-        width: as in `Result.text`.
-        full: whether to list every element on its own.
+        width: as in `Result.text`. full: whether to list every element.
         """
         return dataclasses.replace(self.report(full), title="").text(width, full)
 
@@ -296,104 +415,86 @@ class Diagnosis(Result):
         """The elements on their own, those that limit dt first.
 
         The columns are: frequency [Hz], omega [rad/s], ratio (damping ratio), rate (the element's
-        damping over the mass that it moves [1/s]), share (in the mode that limits the scene's
-        integrator), the largest stable dt [s] in a column for each integrator, softened (the dt [s]
-        above which refsafe softens the element), state (at which the element is stiffest), kind and
-        index (the element as data).
+        damping over the mass that it moves [1/s]), softened (the dt [s] above which refsafe softens
+        the element), state (at which the element is stiffest), kind and index (as data).
         """
-        return Table([self._record(row) for row in self.rows], columns=self._columns())
+        return Table([self._record(row) for row in self.rows], columns=COLUMNS)
 
-    def _columns(self) -> list[str]:
-        own = self.settings.integrator
-        others = [name for name in self.limits if name != own]
-        numbers = ("omega", "rate", "softened", "state", "kind", "index")
-        return ["element", "frequency", "ratio", "share", own, *others, *numbers]
-
-    def _record(self, row: ElementLimits) -> dict[str, Any]:
-        shares = self.element_shares[self.settings.integrator]
-        record: dict[str, Any] = {
+    def _record(self, row: Figures) -> dict[str, Any]:
+        # Beyond these rates the state was blowing up, and its frequencies mean nothing.
+        omega = row.omega if row.omega < HIGH else None
+        return {
             "element": row.name,
-            "kind": row.element.kind,
-            "index": row.element.index,
-            # Beyond these rates the state was blowing up, and its frequencies mean nothing.
-            "frequency": row.omega / (2 * math.pi) if row.omega < words.PRINTED[1] else None,
-            "omega": row.omega if row.omega < words.PRINTED[1] else None,
+            "frequency": None if omega is None else omega / (2 * math.pi),
             "ratio": None if math.isnan(row.ratio) else row.ratio,
-            "rate": row.rate if row.rate < words.PRINTED[1] else None,
-            "share": shares.get(row.element, 0.0),
+            "rate": row.rate if row.rate < HIGH else None,
+            "omega": omega,
             "softened": row.softened if math.isfinite(row.softened) else None,
             "state": self.states[row.state].label,
+            "kind": row.element.kind,
+            "index": row.element.index,
         }
-        return record | {name: row.limits[name] for name in self.limits}
 
     def tables(self, full: bool) -> list[Table]:
-        """Return the limits of all elements combined, and those of each element on its own.
+        """Return the limits by integrator, and the elements on their own.
 
-        full: whether to list every element and integrator, not only the stiffest elements.
+        full: whether to list every element, not only the first ones.
         """
-        own = self.settings.integrator
+        limits = list(self.limits.values())
         together = Table(
-            (self._limit_record(name, limit) for name, limit in self.limits.items()),
-            formats={"share": ".2f", DT: ".3g"},
-            heading=f"All elements together (* the scene's integrator, at dt {self.wanted:g} s)",
-            legend=self._extremes([limit.dt for limit in self.limits.values()]),
+            (self._limit_record(limit) for limit in limits),
+            formats={DT: ".3g", HELD: ".3g"},
+            heading=f"By integrator (* the scene's, at dt {self.wanted:g} s)",
+            legend=self._extremes(),
         )
         if not self.rows:
             return [together]
         rows = self.rows if full or len(self.rows) <= PRINTED + 1 else self.rows[:PRINTED]
         left = len(self.rows) - len(rows)
-        softer = f"{counted(left, 'other element')}, and " if left else ""
-        more = f"Not shown: {softer}the other integrators (--all; in Python text(full=True))."
-        # Names are never truncated: a narrow report drops columns first.
-        formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
-        columns = self._columns() if full else ["element", "frequency", "ratio", "share", own]
-        shown = [row.limits[name] for row in rows for name in columns if name in row.limits]
+        more = f"Not shown: {counted(left, 'other element')} (--all; in Python text(full=True))."
         alone = Table(
             [self._record(row) for row in rows],
-            columns=columns,
-            formats=formats | dict.fromkeys(self.limits, ".3g"),
-            heading=(
-                "Each element on its own: frequency [Hz], damping ratio, share in the mode that "
-                f"limits {own}, largest stable dt [s]{' by integrator' if full else ''}"
-            ),
-            legend=" ".join(filter(None, (self._extremes(shown), "" if full else more))),
+            columns=COLUMNS if full else COLUMNS[:4],
+            # Names are never truncated: a narrow report drops columns first.
+            formats={"element": "", "frequency": ".4g", "ratio": ".2g", "rate": ".4g"},
+            heading="Each element on its own: frequency [Hz], damping ratio, damping rate [1/s]",
+            legend=more if left else "",
         )
         return [together, alone]
 
-    def _extremes(self, limits: Iterable[float]) -> str:
-        """Return the meanings of limits of 0 and inf, if there are any."""
-        limits, meanings = list(limits), []
-        if any(limit <= 0 for limit in limits):
-            shortest = self.limits[self.settings.integrator].shortest
-            meanings.append(f"0: every step tried is unstable, down to {seconds(shortest)}.")
-        if any(math.isinf(limit) for limit in limits):
-            meanings.append("inf: nothing limits dt.")
-        return " ".join(meanings)
-
-    def _limit_record(self, name: str, limit: Limit) -> dict[str, Any]:
-        limited = math.isfinite(limit.dt)
-        # The limit may come from a run of the motion instead of a state.
-        at = self.states[limit.state].label if limit.state >= 0 else ""
+    def _limit_record(self, limit: Limit) -> dict[str, Any]:
+        name = limit.integrator
         return {
             "integrator": name + (" *" if name == self.settings.integrator else ""),
             DT: limit.dt,
-            "by": self.stiffest(name) if limited else "",
-            "share": max(self.element_shares[name].values(), default=None) if limited else None,
-            "at": "the motion" if limit.outcome else at,
+            HELD: limit.held,
+            "by": self.stiffest(name) if math.isfinite(limit.dt) else "",
+            "fails": limit.outcome,
         }
 
+    def _extremes(self) -> str:
+        """Return the meanings of limits of 0 and inf, if there are any."""
+        every = [x for limit in self.limits.values() for x in (limit.dt, limit.held)]
+        meanings = []
+        if any(limit <= 0 for limit in every):
+            meanings.append(f"0: no step holds, down to {seconds(self.own.shortest)}.")
+        if any(math.isinf(limit) for limit in every):
+            longest = max(limit.longest for limit in self.limits.values())
+            meanings.append(f"inf: no step that was tried fails, up to {seconds(longest)}.")
+        return " ".join(meanings)
+
     def details(self) -> dict[str, Any]:
-        """Return the limits with their shares, the states, the advice and the motion's outcome."""
+        """Return data specific to this measurement."""
         limits = {
             name: {
                 "dt": limit.dt,
+                "held": limit.held,
                 "limited": math.isfinite(limit.dt),
                 "stiffest": self.stiffest(name),
                 "together": self.together(name),
                 "state": limit.state,
                 "longest": limit.longest,
                 "outcome": limit.outcome,
-                "shares": self.shares[name],
             }
             for name, limit in self.limits.items()
         }
@@ -402,10 +503,20 @@ class Diagnosis(Result):
             for s in self.states
         ]
         plain = (
-            *("wanted", "advice", "physical", "ran", "rate", "horizon", "observed", "saturations"),
-            *("lasting", "runaway", "longest_period", "circulation", "gained"),
+            *("wanted", "advice", "physical", "ran", "horizon", "observed", "saturated", "runaway"),
+            *("longest_period", "confirmed", "fails"),
         )
         return {"limits": limits, "states": states} | {name: getattr(self, name) for name in plain}
+
+
+COLUMNS = ("element", "frequency", "ratio", "rate", "omega", "softened", "state", "kind", "index")
+
+
+def _verb(elements: Sequence[Element], verb: str) -> str:
+    """Return the verb in the form that follows the elements' names."""
+    if len(elements) > 1 or INERTIAL in elements:
+        return verb
+    return verb + ("es" if verb.endswith("ch") else "s")
 
 
 def _shortly(failed: Sequence[str]) -> list[str]:

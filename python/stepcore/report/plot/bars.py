@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore.report.plot.style import (
     BLUE,
-    COLOURS,
     GREEN,
     GREY,
     ORANGE,
@@ -33,63 +33,51 @@ if TYPE_CHECKING:
     from stepcore.measure.tune import Tuning
 
 
-# The number of elements drawn, stiffest first, and the number of letters of a name.
-ELEMENTS, ELEMENT_LETTERS = 10, 28
+# The number of letters of a name.
+ELEMENT_LETTERS = 28
 # A tuned value at this multiple of the wanted one, or not known, has no bar, only a number.
 MOST_RATIO = 1.4
 # Height of a group of bars relative to the distance between groups.
 GROUP = 0.8
 
-Groups = list[tuple[str, dict[str, float]]]
-
 
 def diagnosis(result: Diagnosis) -> Any:
-    """Draw a group of bars for each element alone, and a last group for all elements together.
-
-    The elements that limit the scene's integrator first are at the top.
+    """Draw the largest stable dt of each integrator, the scene's first: runs, and the held pose.
 
     A bar with an arrow at the right edge has no limit. The vertical line is the wanted dt.
     """
-    names = list(result.limits)
-    own = result.settings.integrator
-    # The elements that limit first; one that never limits has no place above another that does.
-    rows = sorted(result.rows, key=lambda row: (row.limits.get(own, math.inf), _least(row.limits)))
-    groups: Groups = [(row.name, row.limits) for row in rows[:ELEMENTS]]
-    groups.append(("all together", {name: limit.dt for name, limit in result.limits.items()}))
-    figure = new_figure(8.0, 1.9 + 0.62 * len(groups))
+    limits = sorted(result.limits.values(), key=lambda limit: limit is not result.own)
+    figure = new_figure(8.0, 1.9 + 0.5 * len(limits))
     axes = figure.add_subplot()
-    low, high = _range(result.wanted, groups)
-    height = GROUP / len(names)
-    for group, (_, limits) in enumerate(groups):
-        for k, name in enumerate(names):
-            place = group - GROUP / 2 + (k + 0.5) * height
-            _bar(axes, place, limits[name], (low, high), 0.85 * height, COLOURS.get(name, GREY))
+    every = [dt for limit in limits for dt in (limit.dt, limit.held)]
+    low, high = _range([result.wanted, *every])
+    for place, limit in enumerate(limits):
+        colours = (BLUE, GREY)
+        for k, dt in enumerate((limit.dt, limit.held)):
+            at = place + GROUP * (k / 2 - 0.25)
+            _bar(axes, at, dt, (low, high), 0.42 * GROUP, colours[k])
+        name = result.stiffest(limit.integrator) if math.isfinite(limit.dt) else ""
+        say_at = max(limit.dt, low) * 1.05
+        axes.annotate(name, (say_at, place - 0.25 * GROUP), fontsize=7, va="center", clip_on=True)
     axes.axvline(result.wanted, color="black", lw=1.3, zorder=4)
-    name_places(axes, [name for name, _ in groups], range(len(groups)), ELEMENT_LETTERS)
-    axes.set_ylim(len(groups) - 0.4, -0.6)
-    axes.axhline(len(groups) - 1.5, color="#BBBBBB", lw=0.8)
+    names = [limit.integrator for limit in limits]
+    name_places(axes, names, range(len(limits)), ELEMENT_LETTERS)
+    axes.set_ylim(len(limits) - 0.4, -0.6)
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     log_ticks(axes.xaxis, seconds)
-    some = f" (the first {ELEMENTS} of {len(result.rows)} elements)"
-    drawn = some * (len(result.rows) > ELEMENTS)
-    frame(axes, f"{result.name}: what limits the time step{drawn}", "largest stable dt")
+    frame(axes, f"{result.name}: what limits the time step", "largest stable dt")
     axes.grid(False, axis="y")
-    entries = patches({name: COLOURS.get(name, GREY) for name in names})
+    entries = patches({"runs of the motion": BLUE, "held pose, linearised": GREY})
     entries.append(line(f"dt {seconds(result.wanted)}", color="black", lw=1.3))
     entries.append(line("no limit", marker=">", ls="none", ms=5, color=GREY))
     legend(figure, entries, columns=4)
     return figure
 
 
-def _least(limits: dict[str, float]) -> float:
-    return min(limits.values(), default=math.inf)
-
-
-def _range(wanted: float, groups: Groups) -> tuple[float, float]:
-    """Return the range of full decades that contains all finite limits and the wanted dt."""
-    values = [x for _, limits in groups for x in limits.values() if math.isfinite(x) and x > 0]
-    values.append(wanted)
+def _range(values: Sequence[float]) -> tuple[float, float]:
+    """Return the range of full decades that contains all finite positive numbers."""
+    values = [x for x in values if math.isfinite(x) and x > 0]
     low = 10.0 ** math.floor(math.log10(0.7 * min(values)))
     high = 10.0 ** math.ceil(math.log10(1.5 * max(values)))
     return max(low, high / 1e9), high

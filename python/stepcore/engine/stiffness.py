@@ -1,0 +1,175 @@
+"""Estimate from closed forms whether a scene's own step is too long for what acts on a joint.
+
+A joint with everything that acts on it alone, the other joints free, is an oscillator: its
+stiffness k and damping c over the inertia that it moves, of which the engine has the inverse. Its
+largest stable dt has a closed form for each integrator. Nothing is linearised or run, so this is
+cheap enough for `load`; `stepcore.diagnose` runs the motion.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stepcore import escapes
+from stepcore.engine.element import Element, Elements
+from stepcore.engine.linear_maps import STIFFNESS_IMPLICIT, implicit_kinds
+from stepcore.engine.model import Model
+from stepcore.report.units import seconds, times
+from stepcore.scene.layout import Layout
+
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
+
+# The least ratio of the largest stable dt to the scene's own dt without a warning.
+MARGIN = 2.0
+# Shorter steps are not told [s].
+SHORTEST = 1e-6
+# Larger scenes are not compiled at load.
+MOST_BODIES = 1000
+
+
+class StiffnessWarning(UserWarning):
+    """A scene's own time step is unstable, or has a stability margin below 2, by an estimate.
+
+    >>> import warnings
+    >>> text = '''<mujoco><option timestep="0.01" integrator="implicitfast"/><worldbody>
+    ... <body><joint name="knee" type="slide" stiffness="1e6"/><geom size=".1" mass="1"/></body>
+    ... </worldbody></mujoco>'''
+    >>> from stepcore import loads
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     _ = loads(text)
+    >>> print(caught[0].message)  # doctest: +NORMALIZE_WHITESPACE
+    dt 10 ms explodes under implicitfast: spring of joint `knee` limits dt to 2 ms
+    (run stepcore diagnose for advice)
+    """
+
+
+@dataclass(frozen=True)
+class JointGain:
+    """The stiffness and damping that one element gives each dof of its joint.
+
+    kind: "spring", "damper" or "actuator". index: of the joint (spring, damper) or the actuator.
+    joint: the index of the joint. stiffness: [N·m/rad or N/m]. damping: [N·m·s/rad or N·s/m].
+    """
+
+    kind: str
+    index: int
+    joint: int
+    stiffness: float
+    damping: float
+
+
+def joint_gains(model: Model) -> Iterator[JointGain]:
+    """Yield the gains of every spring and damper, then of every actuator, including zeros.
+
+    Polynomial springs and dampers count with their first coefficient, a servo with its feedback.
+    """
+    features = model.scene.features
+    for j, joint in enumerate(Layout(model.scene).joints):
+        record = joint.record()
+        yield JointGain("spring", j, j, features.spring * float(record["stiffness"][0]), 0.0)
+        yield JointGain("damper", j, j, 0.0, features.damper * float(record["damping"][0]))
+    for i in range(model.nu if features.actuation else 0):
+        square = float(model.actuator_gear[i, 0]) ** 2
+        _, length, velocity = model.actuator_bias[i].tolist()
+        joint_index = int(model.actuator_joint[i])
+        if joint_index < 0 or model.jnt_type[joint_index] not in ("hinge", "slide"):
+            continue
+        yield JointGain("actuator", i, joint_index, -square * length, -square * velocity)
+
+
+def oscillator_dt(square: float, implicit: float, explicit: float, integrator: str) -> float:
+    """Return the largest stable dt [s] of an oscillator; inf if every step is stable.
+
+    square: ω² [1/s²]. implicit, explicit: the damping rates that the integrator treats so [1/s].
+    """
+    if integrator == "midpoint":
+        return math.inf
+    omega, rate = math.sqrt(square), implicit + explicit
+    if integrator in ("explicit", "rk4"):
+        fastest = rate / 2 + math.sqrt(max(rate**2 / 4 - square, 0.0))
+        if integrator == "rk4":
+            # Its region of stability reaches to 2.785 on the real axis, 2.828 on the imaginary.
+            return (
+                2.785 / max(fastest, omega)
+                if rate > omega
+                else 2 * math.sqrt(2) / max(omega, 1e-300)
+            )
+        return 2 / fastest if rate > 2 * omega else rate / square if square else math.inf
+    if integrator in STIFFNESS_IMPLICIT:
+        square = 0.0
+    # h² ω² − 2 h (implicit − explicit) < 4.
+    less = implicit - explicit
+    if square == 0:
+        return math.inf if less >= 0 else -2 / less
+    return (less + math.sqrt(less**2 + 4 * square)) / square
+
+
+def stiffest(model: Model) -> tuple[float, Element | None]:
+    """Return the least dt that a joint with what acts on it allows [s], and who is stiffest."""
+    integrator = model.settings.integrator
+    hidden = implicit_kinds(integrator, model.scene.features.eulerdamp)
+    found: dict[int, list[tuple[float, float, float, JointGain]]] = {}
+    for gain in joint_gains(model):
+        weight = float(model.dof_invweight0[model.jnt_dofadr[gain.joint]])
+        rate = weight * gain.damping
+        parts = (rate, 0.0) if gain.kind in hidden else (0.0, rate)
+        # A servo that pushes away from its target grows physically, at any dt.
+        found.setdefault(gain.joint, []).append((max(gain.stiffness, 0.0) * weight, *parts, gain))
+    least, who = math.inf, None
+    for own in found.values():
+        square, implicit, explicit = np.sum([part[:3] for part in own], axis=0).tolist()
+        limit = oscillator_dt(square, implicit, explicit, integrator)
+        if 0 < limit < least:
+            alone = [oscillator_dt(part[0], implicit, part[2], integrator) for part in own]
+            gain = own[int(np.argmin(alone))][3]
+            least, who = limit, Element.of(model, gain.kind, gain.index)
+    return least, who
+
+
+def estimate(scene: Scene) -> str:
+    """Return the text of the warning, "" if there is none."""
+    moves = any(joint.sprung or joint.damped for joint in scene.joints)
+    if len(scene.joints) > MOST_BODIES or len(scene.geoms) > MOST_BODIES:
+        return ""
+    if not moves and all(actuator.type == "motor" for actuator in scene.actuators):
+        return ""
+    model = Model(scene)
+    settings, dt = model.settings, model.settings.dt
+    with np.errstate(all="ignore"):
+        limit, element = stiffest(model)
+    if element is None or limit >= MARGIN * dt:
+        return ""
+    name = Elements([element]).name
+    cause = f"{name} limits dt to {seconds(limit)}"
+    if limit < SHORTEST:
+        cause = f"{name} makes every step tried unstable, down to {seconds(SHORTEST)}"
+    cause += " (run stepcore diagnose for advice)"
+    if dt > limit:
+        return f"dt {seconds(dt)} explodes under {settings.integrator}: {cause}"
+    margin = f"a stability margin of only {times(limit / dt)} under {settings.integrator}"
+    return f"dt {seconds(dt)} has {margin}: {cause}"
+
+
+def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:
+    """Warn in one line if a closed form gives the scene's own dt a stability margin below 2.
+
+    A scene that does not compile, or whose numbers overflow, raises no warning: compiling or
+    running the scene raises the error.
+
+    stacklevel: as of `warnings.warn`, counted from this function.
+    """
+    try:
+        text = estimate(scene)
+    except (ValueError, ArithmeticError, RuntimeError):
+        # A warning never fails a load.
+        return
+    if text:
+        warnings.warn(StiffnessWarning(escapes.printable(text)), stacklevel=stacklevel)

@@ -1,0 +1,315 @@
+"""The linearised step: what a held pose bears, and which elements limit it.
+
+An eigenvalue μ of a linearised step grows at the rate Re log(μ)/dt. It belongs to the rate s of the
+motion itself that is nearest to log(μ)/dt; these are the eigenvalues of J, of which the explicit
+integrator's step is 1 + dt·J exactly. The step is stable if no μ grows faster than its s allows:
+
+- a motion that grows by itself (Re s > 0, such as an inverted pendulum): 1.5 times as fast;
+- a motion that decays (damping ratio above `DAMPED`): not at all, |μ| ≤ 1;
+- a motion that does neither: e-fold in the horizon, and at most `PER_RADIAN` of its frequency.
+  Explicit integrators make every such motion grow a little at every dt.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from stepcore._core import SimulationError
+from stepcore.engine.arrays import Floats
+from stepcore.engine.element import EQUALITIES, FRICTION_LOSSES, ROWS, Element
+from stepcore.engine.linear_maps import STIFFNESS_IMPLICIT
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.executors import checkpoint
+from stepcore.experiment.change import Change
+from stepcore.measure.diagnosis.running import Motions, Pair, State
+from stepcore.scene.frames import Vec
+
+DAMPED, FASTER, PER_RADIAN = 1e-3, 1.5, 0.05
+# Rounding may cause |log μ| of the first size (an error ε moves a double eigenvalue of 1 by √ε),
+# and |μ| − 1 of the second for any other.
+UNRESOLVED, ROUNDING = 1e-4, 1e-9
+# The step from which the motion's own rates are read [s].
+TINY = 1e-7
+# A state whose step turns a body by more than this [rad] has blown up; it takes minutes to
+# linearise, because nothing is left of its angles.
+RESOLVED = 1e6
+# The longest and the shortest step that is tried [s].
+LONGEST, SHORTEST = 1.0, 1e-6
+# The relative resolution of a limit of the linearised step.
+FINE = 5e-4
+# The steps until a row that refsafe softens is at rest again.
+SETTLING = 30
+# The elements that a diagnosis names. All other forces count with the inertial forces.
+NAMED = ("spring", "damper", "actuator", "tendon spring", "tendon damper", "spin", *ROWS)
+# Laws whose rows act on velocities: the rows have the stiffness 1/dt² in every scene.
+VELOCITY_LAWS = ("lesson", "relaxed", "rigid")
+# The most states along a motion, and the most dofs of all together.
+STATES, DOFS = 6, 200
+
+
+def acting_elements(sim: Sim) -> tuple[Element, ...]:
+    """Return the elements whose rows act at the present state.
+
+    Equalities and friction losses always act; limits and contacts act if they push.
+    """
+    names = zip(sim.rows["kind"].tolist(), sim.rows["index"].tolist(), strict=True)
+    elements = (Element.of(sim.model, kind, index) for kind, index in names)
+    pushes = (sim.rows["impulse"] != 0).tolist()
+    always = (*EQUALITIES, *FRICTION_LOSSES)
+    acting = [e for e, push in zip(elements, pushes, strict=True) if push or e.kind in always]
+    if sim.settings.law == "penalty" and sim.overlap > 0:
+        pairs = sim.contacts["index"][sim.contacts["dist"] < 0].tolist()
+        acting += [Element.of(sim.model, "contact", pair) for pair in pairs]
+    return tuple(dict.fromkeys(acting))
+
+
+def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
+    """Return states of the converged motion: the start, its end, and one for each set of rows.
+
+    Each set has its last state. A large model has fewer states: its linearised step takes long.
+    """
+    ran = fine.ran
+    if ran is None:
+        raise ValueError(f"the scene cannot be diagnosed: {fine.failure}")
+    model, seen = motions.of(Change()), list[State]()
+    sim = unwatched(Sim(model))
+    for k in np.flatnonzero(np.isfinite(ran["qvel"][0]).all(axis=-1)).tolist():
+        time = float(ran.times[k])
+        own = (ran[name][0, k] for name in ("qpos", "qvel", "ctrl", "act"))
+        state = State.of(f"t = {time:.3g} s", time, own) if k else start
+        sim.qpos[:], sim.qvel[:], sim.ctrl[:], sim.act[:] = (
+            state.qpos,
+            state.qvel,
+            state.ctrl,
+            state.act,
+        )
+        try:
+            sim.forward()
+        except SimulationError:
+            # A run that blew up kept a state whose accelerations overflow.
+            continue
+        seen.append(dataclasses.replace(state, rows=acting_elements(sim)))
+    if not seen:
+        raise ValueError("the scene cannot be linearised: its accelerations are not finite")
+    most = max(2, min(STATES, DOFS // max(1, model.nv)))
+    sets = {frozenset(state.rows): k for k, state in enumerate(seen)}
+    kept = {0, len(seen) - 1}
+    for k in sorted(sets.values(), key=lambda k: -len(seen[k].rows)):
+        if len(kept) < most:
+            kept.add(k)
+    for spaced in range(most):
+        if len(kept) < most:
+            kept.add(round(spaced / (most - 1) * (len(seen) - 1)))
+    return [seen[k] for k in sorted(kept)]
+
+
+def step_matrix(model: Model, state: State, integrator: str, dt: float) -> Floats | None:
+    """Return A of one step, (2 nv, 2 nv); None if it is not finite. Activations are constant."""
+    checkpoint()
+    n = 2 * model.nv
+    if float(np.abs(state.qvel).max(initial=0.0)) * dt > RESOLVED:
+        return None
+    try:
+        sim = state.sim(model.with_settings(integrator=integrator, dt=dt))
+        matrix = sim.linearize().A[:n, :n]
+    except (SimulationError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+        return None
+    return matrix if np.isfinite(matrix).all() else None
+
+
+def eigenvalues(matrix: Floats | None) -> Floats | None:
+    """Return the eigenvalues of a matrix, (n,), complex; None if they cannot be computed."""
+    if matrix is None:
+        return None
+    try:
+        with np.errstate(all="ignore"):
+            values = np.linalg.eigvals(matrix).astype(complex)
+    except np.linalg.LinAlgError:
+        return None
+    return values if np.isfinite(values).all() else None
+
+
+@functools.lru_cache(maxsize=8)
+def without_rows(model: Model) -> Model:
+    """Return the model without contacts, limits, friction losses and equalities."""
+    return Change(without=["constraint"]).of(model)
+
+
+def allowed_growth(rates: Floats, horizon: float) -> Floats:
+    """Return the growth [1/s] that a step may show of a motion with these rates [1/s]."""
+    size = np.abs(rates)
+    neutral = np.minimum(1 / horizon, PER_RADIAN * np.maximum(size, 1 / horizon))
+    grows = np.maximum(FASTER * np.maximum(rates.real, 0.0), neutral)
+    return np.where(rates.real < -DAMPED * size, 0.0, grows)
+
+
+def solref_of(model: Model, element: Element) -> Vec | None:
+    """Return the solref of an element, or None if its law gives it no row with a solref."""
+    if element.kind not in ROWS or model.settings.law != "solref":
+        return None
+    if element.kind == "contact":
+        return model.contact_pair(element.index).solref
+    fields = (field for field in element.fields(model) if field.name.startswith("solref"))
+    return next((field.value for field in fields), None)
+
+
+def softened_from(model: Model, element: Element) -> float:
+    """Return the dt [s] above which `refsafe` softens an element; inf if none."""
+    solref = solref_of(model, element)
+    safe = solref is not None and model.settings.refsafe and solref[0] > 0
+    return solref[0] / 2 if safe and solref is not None else math.inf
+
+
+class Held:
+    """The linearised step of a model at one state, as if the motion were held there.
+
+    model: the model. state: the state. horizon: in which neutral growth counts [s].
+    rates: the rates of the motion itself [1/s].
+
+    Raises ValueError if the accelerations are not finite.
+    """
+
+    def __init__(self, model: Model, state: State, horizon: float) -> None:
+        # A state without rows is linearised without them, however long the step.
+        bare = not state.rows and model.settings.law != "penalty"
+        self.model = without_rows(model) if bare else model
+        self.state, self.horizon = state, horizon
+        self.softened = min((softened_from(model, e) for e in state.rows), default=math.inf)
+        own = self.model.with_settings(refsafe=False)
+        if model.settings.law in VELOCITY_LAWS:
+            own = without_rows(model)
+        matrix = step_matrix(own, state, "explicit", TINY)
+        values = eigenvalues(matrix)
+        if matrix is None or values is None:
+            raise ValueError("the scene cannot be linearised: its accelerations are not finite")
+        self.flow = (matrix - np.eye(len(matrix))) / TINY
+        self.rates = (values - 1) / TINY
+
+    def at(self, integrator: str, dt: float) -> tuple[State, Floats]:
+        """Return the state and the motion's rates [1/s] for a step.
+
+        Rows that `refsafe` softens with dt come to rest elsewhere, after some steps, and have
+        other rates.
+        """
+        if dt <= self.softened:
+            return self.state, self.rates
+        sim = self.state.sim(self.model.with_settings(integrator=integrator, dt=dt))
+        try:
+            sim.step(SETTLING)
+            sim.forward()
+        except SimulationError:
+            return self.state, self.rates
+        qpos, qvel, act = np.array(sim.qpos), np.array(sim.qvel), np.array(sim.act)
+        state = dataclasses.replace(self.state, qpos=qpos, qvel=qvel, act=act)
+        matrix = step_matrix(self.model, state, "explicit", dt)
+        if matrix is None:
+            return state, self.rates
+        n, flow = self.model.nv, self.flow.copy()
+        # Velocities change by exactly dt times the acceleration; positions rotate, with an error.
+        flow[n:] = (matrix - np.eye(2 * n))[n:] / dt
+        values = eigenvalues(flow)
+        return state, self.rates if values is None else values
+
+    def worst(self, integrator: str, dt: float) -> tuple[float, complex]:
+        """Return the largest growth beyond what is allowed [1/s], and its μ."""
+        state, rates = self.at(integrator, dt)
+        values = eigenvalues(step_matrix(self.model, state, integrator, dt))
+        if values is None:
+            return math.inf, 0j
+        with np.errstate(all="ignore"):
+            log = np.log(np.where(values == 0, 1e-300, values)) / dt
+        nearest = np.abs(log[:, None] - rates[None, :]).argmin(axis=1)
+        allowed = allowed_growth(rates, self.horizon)[nearest]
+        excess = log.real - np.maximum(allowed, ROUNDING / dt)
+        excess[np.abs(log) * dt < UNRESOLVED] = -np.inf
+        k = int(excess.argmax())
+        return float(excess[k]), complex(values[k])
+
+    def stable(self, integrator: str, dt: float) -> bool:
+        """Return whether the step grows no faster than the motion itself may."""
+        return self.worst(integrator, dt)[0] <= 0
+
+    def limit(self, integrator: str, near: float, fine: float = FINE) -> float:
+        """Return the largest stable dt [s]: inf up to `LONGEST`, 0 down to `SHORTEST`.
+
+        near: where the search begins.
+        """
+        if not self.state.rows and integrator in ("midpoint", *STIFFNESS_IMPLICIT[:0]):
+            # The midpoint rule is stable for every linear motion.
+            return math.inf
+        return largest(lambda dt: self.stable(integrator, dt), near, fine)
+
+
+def largest(stable: Callable[[float], bool], near: float, fine: float) -> float:
+    """Return the dt up to which steps are stable: by doubling from `near`, and bisection."""
+    good = min(near, LONGEST / 2)
+    while not stable(good):
+        good /= 2
+        if good < SHORTEST:
+            return 0.0
+    while stable(2 * good):
+        good *= 2
+        if good >= LONGEST:
+            return math.inf
+    return bisected(stable, good, 2 * good, fine)
+
+
+def bisected(holds: Callable[[float], bool], good: float, bad: float, fine: float) -> float:
+    """Return the number nearest to `bad` that holds, to a relative resolution."""
+    while max(good / bad, bad / good) > 1 + fine:
+        middle = math.sqrt(good * bad)
+        good, bad = (middle, bad) if holds(middle) else (good, middle)
+    return good
+
+
+def shares(held: Held, integrator: str, dt: float) -> dict[Element, float]:
+    """Return how much each element moves the worst eigenvalue of a step, the most first.
+
+    To first order the force of an element moves μ by w·M⁻¹(K x + D v) for the vectors w, (x, v) of
+    μ: what the element adds to the acceleration, as far as μ feels it.
+    """
+    matrix = step_matrix(held.model, held.state, integrator, dt)
+    if matrix is None:
+        return {}
+    _, worst = held.worst(integrator, dt)
+    values, vectors = np.linalg.eig(matrix)
+    k, n = int(np.abs(values - worst).argmin()), held.model.nv
+    left_values, lefts = np.linalg.eig(matrix.T)
+    left = lefts[:, int(np.abs(left_values - values[k]).argmin())]
+    x, v = vectors[:n, k], vectors[n:, k]
+    sim = held.state.sim(held.model.with_settings(integrator=integrator, dt=dt))
+    sim.forward()
+    try:
+        felt = np.linalg.solve(np.array(sim.mass_matrix()), left[n:])
+    except np.linalg.LinAlgError:
+        return {}
+    moved = {
+        element: float(abs(felt @ (slopes.stiffness @ x + slopes.damping @ v)))
+        for element, slopes in sim.element_slopes().items()
+        if element.kind in NAMED
+    }
+    total = sum(moved.values())
+    order = sorted(moved, key=lambda element: -moved[element])
+    return {element: moved[element] / total for element in order if moved[element] > 0}
+
+
+def every_element(model: Model, states: Sequence[State]) -> Iterator[Element]:
+    """Yield the named elements that act at some state."""
+    known = set[Element]()
+    for state in states:
+        sim = state.sim(model)
+        try:
+            sim.forward()
+            found = [*sim.element_slopes(), *state.rows]
+        except (SimulationError, ValueError):
+            continue
+        for element in found:
+            if element.kind in NAMED and element not in known:
+                known.add(element)
+                yield element

@@ -1,0 +1,552 @@
+"""Runs of a motion at any time step, each beside a perturbed one: the witness that judges a step.
+
+A run makes the motion, then holds its last control, for at least `LEAST` steps in all. Beside it
+runs the same motion from a start that is moved by 1e-6 of the scene's size. A step fails if
+
+- a run does not stay finite, or has `LARGE` times the kinetic energy of the converged motion;
+- the perturbation grows without end: towards the end of the run it is `GROWN` times as large as it
+  ever was in the converged motion. Growth of the motion itself (chaos, a fall) is there in the
+  converged motion, too, and is no limit.
+
+The converged motion is such a pair of runs at a short step, which a shorter one confirms. Where a
+run lasts longer than that, its energy and its perturbation are continued by a power of time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from stepcore._core import SimulationError
+from stepcore.checks import one_line
+from stepcore.engine.arrays import Floats
+from stepcore.engine.control import Control, ControlError, controls, fresh
+from stepcore.engine.element import Element
+from stepcore.engine.follow import Followed, follow
+from stepcore.engine.model import Model
+from stepcore.engine.run_settings import converged_settings
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.experiment.change import Change
+from stepcore.experiment.controls import ControlLog, Controls
+from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.schedule import SPEED, SPIN, Schedule
+from stepcore.report.units import seconds
+
+# The most iterations of Newton's method: a run that diverges would take the time of all others.
+NEWTON = 50
+# The perturbation of the start, relative to the scene's size or in radians.
+NUDGE = 1e-6
+# The least number of steps of a run, and how many samples it has, and the converged motion, in
+# which a contact may last for a step.
+LEAST, SAMPLES, SEEN = 1000, 100, 1000
+# The growth of the perturbation over that in the converged motion. Below its limit, a step makes
+# the swing of a spring at most 1/√(1 − 0.98²) = 5 times as wide; above it, 1000 steps make it grow
+# by orders of magnitude, until contacts open or servos saturate.
+GROWN = 30.0
+# A run that grew by less than this is made so many times as long, to see whether that has an end.
+CLEAR, LONGER = 1e3, 4
+# The kinetic energy over that of the converged motion. Below its limit, a step makes that of a
+# spring that swings at most 1/(1 − 0.98²) = 25 times as large.
+LARGE = 50.0
+# The integrator of the converged motion.
+FINE = Change(integrator="implicitfast")
+# A factor of that energy for a model with more armature.
+CHANGED = 1e3
+# The converged motion: the parts of a short step to try, and the ratio of two kinetic energies, and
+# of two perturbations, that agree.
+FINER = (1.0, 0.5, 0.125, 0.03, 0.008)
+SAME, ALIKE = 1.5, 10.0
+# The kinetic energy, over that of a slow motion, from which a converged motion has blown up.
+BLOWN = 1e16
+# Growth by a power of time above this is exponential: it has no end within a longer run.
+BALLISTIC = 2.5
+# What a call of a user's function takes, in operations.
+CALL = 50_000
+# A run ends where a body is so many sizes away, or has been pushed so far by 1 m/s² [m/s²]: the
+# steps of a run that blows up take long.
+FAR = 1e4
+# A servo is saturated if its force is at an end of its range in this share of the steps.
+SATURATED = 0.1
+# The most operations of one pair of runs, about half a second of a core. A motion that would take
+# more is cut short.
+WORK = 2e9
+# The most steps of one run, however small the scene.
+MOST = 200_000
+
+
+def with_converged_rows(model: Model) -> Model:
+    """Return the model in double precision, with rows solved to rounding, and without sleep.
+
+    The limit then belongs to the integrator alone, without the effects of an unfinished solve.
+    """
+    s = model.settings
+    count = 200 if s.sweeps == "auto" else max(s.sweeps, 200)
+    converged = converged_settings(s, sweeps=count, tolerance=1e-14)
+    if s.sweeps == "auto":
+        converged = converged.replace(sweeps="auto")
+    elif converged.solver == "newton":
+        # It converges in about ten iterations, or not at all.
+        converged = converged.replace(sweeps=NEWTON)
+    return model.with_settings(converged.replace(sleep=False))
+
+
+@dataclass(frozen=True, eq=False)
+class UntilTheEnd:
+    """A user's control function; after the motion its time stands still at the last call's.
+
+    gain: multiplies what it answers beyond what it answered in the converged motion (`usual`).
+    frozen: the controls that are those of the converged motion.
+    """
+
+    inner: Control
+    end: float
+    gain: float = 1.0
+    frozen: tuple[int, ...] = ()
+    usual: Floats | None = None
+    period: float = 1.0
+    last: list[float] = field(default_factory=lambda: [0.0])
+
+    def __call__(self, time: float, sim: Any) -> Any:
+        if time <= self.end * (1 + 1e-9):
+            self.last[0] = time
+        # In a run that blows up, a user's numbers overflow.
+        with np.errstate(over="ignore", invalid="ignore"):
+            asked = np.array(self.inner(self.last[0], sim), float)
+        if self.usual is None:
+            return asked
+        usual = self.usual[min(int(time / self.period + 1e-9), len(self.usual) - 1)]
+        asked = usual + self.gain * (asked - usual)
+        asked[list(self.frozen)] = usual[list(self.frozen)]
+        return asked
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A change of a user's control function: its gain, its period [s], controls that are frozen."""
+
+    gain: float = 1.0
+    period: float | None = None
+    frozen: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A state of the motion, at which the step is linearised.
+
+    label: its place in the motion. time: [s]. qpos, qvel, ctrl, act: as of a Sim.
+    rows: the elements whose rows act there, and under the law `penalty` the contacts that overlap.
+    """
+
+    label: str
+    time: float
+    qpos: Floats
+    qvel: Floats
+    ctrl: Floats
+    act: Floats
+    rows: tuple[Element, ...] = ()
+
+    @classmethod
+    def of(cls, label: str, time: float, arrays: Iterable[Any]) -> State:
+        """Return a state from copies of qpos, qvel, ctrl and act."""
+        qpos, qvel, ctrl, act = (np.array(array) for array in arrays)
+        return cls(label, time, qpos, qvel, ctrl, act)
+
+    def sim(self, model: Model) -> Sim:
+        """Return a Sim at this state."""
+        sim = unwatched(Sim(model))
+        sim.qpos[:], sim.qvel[:], sim.ctrl[:] = self.qpos, self.qvel, self.ctrl
+        sim.act[:] = self.act
+        return sim
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A motion and its perturbed twin.
+
+    dt: the step [s]. times: of the samples [s]. apart: the root of the kinetic energy of their
+    difference, dof by dof, the largest [√J]. energy: the larger kinetic energy of both [J].
+    failure: why it ended early, "" if it did not. reached: how far it went [s].
+    ran: what was recorded; None if the run was refused.
+    """
+
+    dt: float
+    times: Floats
+    apart: Floats
+    energy: Floats
+    failure: str
+    reached: float
+    ran: Followed | None
+
+    @property
+    def peak(self) -> float:
+        """The largest kinetic energy [J]."""
+        return float(np.nanmax(self.energy, initial=0.0))
+
+
+def continued(times: Floats, values: Floats, until: Floats) -> Floats:
+    """Return the largest value up to each time; beyond the last one, as it grew until there."""
+    largest = np.maximum.accumulate(np.nan_to_num(values, nan=0.0))
+    known = np.interp(until, times, largest)
+    half = float(np.interp(times[-1] / 2, times, largest))
+    power = math.log2(largest[-1] / half) if half > 0 else 0.0
+    beyond = until > times[-1]
+    if power > BALLISTIC:
+        known[beyond] = np.inf
+    elif power > 0:
+        with np.errstate(over="ignore"):
+            known[beyond] *= (until[beyond] / times[-1]) ** power
+    return known
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a motion does at a step.
+
+    kind: "holds", "diverges" (not finite), "gains energy" or "grows" (the perturbation).
+    time: when it failed, or how far the run went [s].
+    energy, growth: the largest kinetic energy, and the perturbation towards the end, over those of
+        the converged motion. early: the energy in the first half.
+    """
+
+    kind: str
+    time: float
+    energy: float = 0.0
+    growth: float = 0.0
+    early: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether the step does not fail."""
+        return self.kind == "holds"
+
+
+@dataclass(frozen=True)
+class Runaway:
+    """A motion that blows up at every step that was tried.
+
+    times: when it does, at the two shortest steps, `dts` [s]. fine: the last pair of runs.
+    """
+
+    times: tuple[float, float]
+    dts: tuple[float, float]
+    fine: Pair = field(repr=False, compare=False)
+
+    @property
+    def alike(self) -> bool:
+        """Whether both times agree: the motion itself then grows, and no dt changes that."""
+        return max(self.times) <= 1.2 * min(self.times)
+
+
+class Motions:
+    """Runs of one motion of a model and of changes of it, at any step.
+
+    model: with converged rows. schedule: the motion. size: of the scene [m].
+    period: the user's control period [s]; None for a control at every step.
+    """
+
+    def __init__(
+        self, model: Model, schedule: Schedule, size: float, period: float | None = None
+    ) -> None:
+        self.model, self.schedule, self.size, self.period = model, schedule, size, period
+        self.horizon = schedule.horizon
+        moved, rng = Coordinates(model), np.random.default_rng(0)
+        start, signs = schedule.starts[0], rng.choice([-1.0, 1.0], (2, model.nv))
+        nudge = NUDGE * moved.scaled(signs[0], size, 1.0)
+        push = NUDGE / self.horizon * moved.scaled(signs[1], size, 1.0)
+        self.starts = (
+            start,
+            replace(start, qpos=moved.moved(start.qpos, nudge), qvel=start.qvel + push),
+        )
+        self.driven, self.users = schedule.on(model), schedule.control
+        # Motors that the default motion makes servos of its own.
+        self.ours = frozenset(
+            model.index("actuator", servo.actuator) for servo in schedule.controls.servos
+        )
+        sim = unwatched(Sim(self.driven))
+        start.put(sim)
+        mass = np.array(sim.mass_matrix())
+        self.weights = np.sqrt(np.diag(mass))
+        # The kinetic energy of a slow motion of every dof: less is no explosion.
+        slow = moved.scaled(np.ones(model.nv), SPEED, SPIN)
+        self.floor = 0.5 * float(slow**2 @ np.diag(mass))
+        self.flops = _counted(sim) + CALL * (self.users is not None)
+        self.usual: tuple[float, Floats] | None = None
+        self._models: dict[Change, Model] = {}
+
+    @property
+    def most(self) -> int:
+        """The most steps of one run."""
+        return max(2 * LEAST, min(int(WORK / 2 / self.flops), MOST))
+
+    @property
+    def costly(self) -> bool:
+        """Whether a pair of runs takes more than a fiftieth of the most operations."""
+        return 2 * LEAST * self.flops > WORK / 50
+
+    def count(self, pair: Pair) -> None:
+        """Count the operations of a step where a run has ended, too: there contacts may act."""
+        if pair.ran is not None and not pair.failure:
+            sim = unwatched(Sim(self.of(Change())))
+            for name in ("qpos", "qvel", "act", "ctrl"):
+                getattr(sim, name)[:] = pair.ran[name][0, -1]
+            self.flops = max(self.flops, _counted(sim))
+
+    def of(self, change: Change) -> Model:
+        """Return the changed model, with the servos that the motion needs."""
+        physics = change.physics
+        if physics not in self._models:
+            self._models[physics] = physics.of(self.driven)
+        return change.with_settings(self._models[physics])
+
+    def first(self) -> State:
+        """Return the start of the motion, under its first controls."""
+        start, sim = self.schedule.starts[0], unwatched(Sim(self.driven))
+        start.put(sim)
+        rows, _ = self.schedule.controls.rows([0], self.model.settings.dt, 1)
+        if self.users is not None:
+            sim.ctrl = controls(fresh(self.users), sim)
+        elif rows is not None:
+            sim.ctrl[:] = rows[0, 0]
+        return State.of("the start", 0.0, (sim.qpos, sim.qvel, sim.ctrl, sim.act))
+
+    def without_control(self) -> Motions:
+        """Return the motion under the controls of its start alone, in place of the function."""
+        log = ControlLog(np.zeros(1), self.first().ctrl[None])
+        schedule = replace(self.schedule, controls=Controls(log))
+        return Motions(self.model, schedule, self.size)
+
+    def keep_usual(self, fine: Pair) -> None:
+        """Keep the controls of the converged motion, which a frozen control gives."""
+        if self.users is not None and fine.ran is not None and len(fine.times) > 1:
+            self.usual = float(fine.times[1]), np.array(fine.ran["ctrl"][0, 1:])
+
+    def saturated(self, change: Change, dt: float) -> np.ndarray:
+        """Return which actuators are at an end of their force range in a tenth of a run, (nu,)."""
+        model = self.of(change).with_settings(dt=dt, **dict(change.settings))
+        count, low, high = self.steps(dt), *model.actuator_forcerange.T
+        how = self._driven(dt, count, None)
+        ran = follow(model, self.starts[:1], count, record=("actuator_force",), **how)
+        force = ran["actuator_force"][0]
+        with np.errstate(invalid="ignore"):
+            full = (force <= low) | (force >= high)
+        often: np.ndarray = full.mean(axis=0) > SATURATED
+        return often
+
+    def changed(self, change: Change) -> Motions:
+        """Return the same motion of the changed model."""
+        model = change.of(self.model)
+        return Motions(model, self.schedule, self.size, self.period)
+
+    def steps(self, dt: float, least: int = LEAST) -> int:
+        """Return the number of steps of a run."""
+        return max(least, math.ceil(self.horizon / dt * (1 - 1e-9)))
+
+    def pair(
+        self,
+        change: Change,
+        dt: float,
+        steps: int | None = None,
+        loop: Loop | None = None,
+        samples: int = SAMPLES,
+    ) -> Pair:
+        """Run the motion under a change, beside its perturbed twin.
+
+        steps: by default the motion and what follows. loop: a change of the user's control.
+        """
+        wanted = min(steps or self.steps(dt), self.most)
+        # Odd, so that no sample misses a force that jumps from step to step.
+        every = max(1, wanted // samples) | 1
+        count = every * math.ceil(wanted / every)
+        names = ("qpos", "qvel", "act", "ctrl", "energy")
+        try:
+            model = self.of(change).with_settings(dt=dt, **dict(change.settings))
+            how = self._driven(dt, count, loop)
+            far = FAR * (self.size + (count * dt) ** 2)
+            ran = follow(model, self.starts, count, every, record=names, bound=far, **how)
+        except ControlError:
+            raise
+        except (SimulationError, ValueError, ArithmeticError) as error:
+            nothing = np.full(1, np.nan)
+            return Pair(dt, np.zeros(1), nothing, nothing, one_line(error), 0.0, None)
+        with np.errstate(all="ignore"):
+            apart = (self.weights * np.abs(ran["qvel"][0] - ran["qvel"][1])).max(axis=-1)
+            energy = np.max(ran["energy"][..., 0], axis=0)
+        ended = min(ran.failures.values(), key=lambda error: error.time, default=None)
+        reached = float(ran.times[-1]) if ended is None else float(ended.time)
+        # The text of the error itself takes an analysis of the last steps.
+        why = "" if ended is None else f"diverged in step {ended.step} at {seconds(reached)}"
+        return Pair(dt, ran.times, apart, energy, why, reached, ran)
+
+    def _driven(self, dt: float, count: int, loop: Loop | None) -> dict[str, Any]:
+        """Return the controls of a run, as `follow` takes them."""
+        if self.users is None:
+            steps = min(count, max(1, math.ceil(self.horizon / dt * (1 - 1e-9))))
+            rows, held = self.schedule.controls.rows([0], dt, steps)
+            # The motion ends with its horizon, though a table may go on.
+            return {"ctrl": rows if rows is None else rows[:, : -(-steps // held)], "hold": held}
+        loop = loop or Loop()
+        period = loop.period or self.period
+        hold = 1 if period is None else max(1, round(period / dt))
+        usual = self.usual or (1.0, None)
+        end = self.horizon - self.model.settings.dt
+        how = UntilTheEnd(self.users, max(end, 0.0), loop.gain, loop.frozen, usual[1], usual[0])
+        how.__dict__["__wrapped__"] = self.users
+        return {"control": how, "hold": hold}
+
+    def falling(self, dt: float) -> float:
+        """Return the kinetic energy that gravity gives all bodies in one step [J].
+
+        A step moves bodies at rest by so much before a contact can hold them.
+        """
+        if not self.model.scene.features.gravity:
+            return 0.0
+        gravity = float(np.square(self.model.scene.gravity).sum())
+        return 0.5 * float(np.sum(self.model.body_mass)) * gravity * dt**2
+
+
+def _counted(sim: Sim) -> int:
+    """Return the operations of a step; 1 where it fails."""
+    try:
+        return sim.count_flops()
+    except (SimulationError, ValueError):
+        return 1
+
+
+@dataclass
+class Judge:
+    """The converged motion of a model, and the outcomes of other runs beside it.
+
+    motions: the runs. fine: the converged pair. confirmed: whether two steps agreed. long: one that
+    was made longer, because other runs fail later.
+    """
+
+    motions: Motions
+    fine: Pair
+    confirmed: bool
+    long: Pair | None = None
+    _known: dict[tuple[Change, float, Loop | None], Outcome] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, motions: Motions, dt: float) -> Judge | Runaway:
+        """Return the judge of a motion, whose converged run has a step of at most `dt` [s].
+
+        Returns a Runaway if the finest runs blow up.
+        """
+        runs = list[Pair]()
+        for part in FINER:
+            if runs and part * dt * motions.most < runs[-1].reached / 2 and not runs[-1].failure:
+                break
+            runs.append(motions.pair(FINE, part * dt, samples=SEEN))
+            motions.count(runs[-1])
+            if len(runs) > 1 and _same(runs[-2], runs[-1], motions.floor):
+                longer = max(runs[-2:], key=lambda run: round(run.reached, 9))
+                return cls(motions, longer, True)
+        last = runs[-2:]
+        if len(last) == 2 and all(_blown(run, motions.floor) for run in last):
+            a, b = (_blows_up(run, motions.floor) for run in last)
+            return Runaway((a, b), (last[0].dt, last[1].dt), last[1])
+        usable = [run for run in runs if not _blown(run, motions.floor)] or runs[-1:]
+        return cls(motions, usable[-1], False)
+
+    def outcome(self, change: Change, dt: float, loop: Loop | None = None) -> Outcome:
+        """Return what the motion does under a change at a step; each is run once."""
+        key = change, dt, loop
+        if key not in self._known:
+            pair = self.motions.pair(change, dt, loop=loop)
+            # Armature has kinetic energy of its own; cures are judged beside their own runs, too.
+            heavier = any(path.endswith("armature") for path, _ in change.values)
+            more = CHANGED if heavier else 1.0
+            found = self._longer(self.judged(pair, more), pair, more)
+            gains = found.holds and found.energy > SAME * max(found.early, SAME)
+            if gains or (found.kind == "grows" and found.growth < self.clear):
+                # Growth without end goes on; what contacts did to a motion dies out.
+                pair = self.motions.pair(change, dt, LONGER * self.motions.steps(dt), loop)
+                self._cover(float(pair.times[-1]))
+                longer = self.judged(pair, more)
+                if gains and longer.holds and longer.energy > SAME * max(found.energy, SAME):
+                    longer = replace(longer, kind="gains energy")
+                found = longer
+            self._known[key] = found
+        return self._known[key]
+
+    def _longer(self, found: Outcome, pair: Pair, more: float) -> Outcome:
+        """Judge a run again that fails later than the converged motion ends, by a longer one."""
+        known = (self.long or self.fine).times[-1]
+        late = found.kind in ("gains energy", "grows") and found.time > known
+        return self.judged(pair, more) if late and self._cover(found.time) else found
+
+    def _cover(self, time: float) -> bool:
+        """Make the converged motion as long as a time [s], as the work allows."""
+        dt, known = self.fine.dt, self.long or self.fine
+        steps = min(math.ceil(1.1 * time / dt), self.motions.most)
+        if steps <= 1.05 * known.times[-1] / dt:
+            return False
+        longer = self.motions.pair(FINE, dt, steps, samples=SEEN)
+        if not longer.failure:
+            self.long = longer
+        return not longer.failure
+
+    def usual(self, name: str, times: Floats) -> Floats:
+        """Return what the converged motion has had up to some times, of `energy` or `apart`."""
+        fine, long = self.fine, self.long
+        known = continued(fine.times, getattr(fine, name), times)
+        if long is not None:
+            # Its samples may be far between: each counts from the one before.
+            later = times > fine.times[-1]
+            ahead = times[later] + long.times[1]
+            known[later] = np.maximum(
+                np.nanmax(getattr(fine, name)), continued(long.times, getattr(long, name), ahead)
+            )
+        return known
+
+    @property
+    def clear(self) -> float:
+        """The growth that needs no longer run: more where the motion itself makes it grow."""
+        apart = self.fine.apart
+        return max(CLEAR, GROWN * float(np.nanmax(apart)) / max(float(apart[0]), 1e-300))
+
+    def judged(self, pair: Pair, more: float = 1.0) -> Outcome:
+        """Return the outcome of a pair of runs; more: a factor of the largest energy."""
+        if pair.failure:
+            return Outcome("diverges", pair.reached, math.inf, math.inf)
+        times, usual = pair.times, self.usual("energy", pair.times)
+        least = max(self.motions.floor, 4 * self.motions.falling(pair.dt))
+        with np.errstate(over="ignore"):
+            energy = pair.energy / np.maximum(usual, least)
+            growth = pair.apart / self.usual("apart", times)
+        late = float(growth[times >= 0.75 * times[-1]].max())
+        most = float(energy.max())
+        over = times[energy > more * LARGE]
+        if len(over):
+            return Outcome("gains energy", float(over[0]), most, late)
+        if late > GROWN:
+            return Outcome("grows", float(times[growth > GROWN][0]), most, late)
+        early = float(energy[times <= 0.5 * times[-1]].max())
+        return Outcome("holds", pair.reached, most, late, early)
+
+
+def _blows_up(run: Pair, floor: float) -> float:
+    """Return when a run has blown up [s]."""
+    over = run.times[run.energy > BLOWN * floor]
+    return float(over[0]) if len(over) else run.reached
+
+
+def _blown(run: Pair, floor: float) -> bool:
+    return bool(run.failure) or run.peak > BLOWN * floor
+
+
+def _same(coarse: Pair, fine: Pair, floor: float) -> bool:
+    """Return whether two runs agree in kinetic energy and in what becomes of the perturbation."""
+    if _blown(coarse, floor) or _blown(fine, floor):
+        return False
+    until = min(coarse.reached, fine.reached) * (1 + 1e-9)
+    pairs = [
+        (run.energy[run.times <= until], run.apart[run.times <= until]) for run in (coarse, fine)
+    ]
+    peaks = [max(float(energy.max()), floor) for energy, _ in pairs]
+    apart = [float(away.max()) for _, away in pairs]
+    return max(peaks) <= SAME * min(peaks) and max(apart) <= ALIKE * min(apart)
