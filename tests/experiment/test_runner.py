@@ -1,6 +1,5 @@
 """One loop over control periods: what probes see of it, and what is timed and counted."""
 
-import math
 import pickle
 
 import numpy as np
@@ -8,16 +7,12 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.experiment import cost
-from stepcore.experiment.batched_runs import batched
-from stepcore.experiment.converged import converged_settings
-from stepcore.experiment.cost import USUAL, Counter, TimedRun, costs, heaviness
+from stepcore.experiment.engines import run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.recorder import Means, Positions
 from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
-from stepcore.report.progress import Progress
 
 # A schedule of 8 periods of 0.04 s: 4 steps of 0.01 s each.
 PERIODS, STEPS = 8, 4
@@ -48,8 +43,9 @@ def test_a_run_starts_with_the_keyframes_mocap_poses():
         <keyframe><key qpos="1 0 0 1 0 0 0" mpos="1 0 0"/></keyframe></mujoco>"""
     ).compile()
     runner = Runner(model, scheduled(Motion(horizon=0.2, starts=1), model, 0.02))
-    for run in (runner.run(model.settings, 0), *batched(runner, model.settings, [0, 0])):
-        assert run.com[:, 0] == pytest.approx(np.tile([1.0, 0.0, 0.0], (len(run.com), 1)))
+    together = run(model, runner.schedule, [0, 0])["xpos"]
+    for ball in (runner.run(model.settings, 0).com[:, 0], *together[:, :, 2]):
+        assert ball == pytest.approx(np.tile([1.0, 0.0, 0.0], (len(ball), 1)))
 
 
 class Log(Probe):
@@ -113,77 +109,6 @@ def test_a_failure_ends_the_runs_and_says_why():
     assert not any(path.failure for path in runner.runs(model.settings))
 
 
-def test_work_is_counted_by_the_engine_at_every_sample():
-    runner = driven()
-    counter = Counter(runner)
-    runner.run(runner.model.settings, 0, [Positions(runner.bodies), counter])
-    sim = runner.sim(runner.model.settings)
-    # A cart does the same in every step.
-    assert counter.work.flops == pytest.approx(sim.count_flops() / 0.01)
-    assert counter.work.nbytes == sim.nbytes
-
-
-def test_only_steps_are_timed_and_only_while_the_thread_computes(monkeypatch):
-    clock = {"wall": 0.0, "own": 0.0}
-
-    def spend(wall, own):
-        clock["wall"] += wall
-        clock["own"] += own
-
-    monkeypatch.setattr(cost, "perf_counter", lambda: clock["wall"])
-    monkeypatch.setattr(cost, "thread_time", lambda: clock["own"])
-    monkeypatch.setattr(cost, "OWN_CLOCK", True)
-    watch = cost.Stopwatch()
-    step = watch.timing(lambda count: spend(1.0 * count, 0.5 * count))
-    step(2)
-    # Another thread has the core for half of the time, and for nearly all of it between the steps.
-    spend(30.0, 1.5)
-    step(3)
-    assert watch.total() == 2.5
-
-
-def test_runs_without_controls_are_timed_in_one_call():
-    asked = []
-
-    class Slow(Runner):
-        def sim(self, settings):
-            sim = super().sim(settings)
-            step = sim.step
-            sim.step = lambda count: (asked.append(count), step(count))[1]
-            return sim
-
-    model = lesson.spring().compile()
-    runner = Slow(model, scheduled(Motion(horizon=0.4, starts=1), model, 0.04))
-    TimedRun(runner, model.settings).once()
-    assert asked == [round(0.4 / model.settings.dt)]
-
-
-def test_a_run_that_fails_costs_nan_and_the_others_their_time():
-    model = stiff_spring()
-    runner = Runner(model, scheduled(Motion(horizon=4.0, starts=1), model, 0.5))
-    settings = (model.settings, model.settings.replace(integrator="explicit"))
-    with Progress("", 3, False) as bar:
-        runs = [
-            *(TimedRun(runner, setting) for setting in settings),
-            TimedRun(runner, None, failed=True),
-        ]
-        ran, diverged, skipped = costs(runs, bar)
-    assert ran > 0 and math.isnan(diverged) and math.isnan(skipped)
-
-
-def test_converged_settings_solve_to_rounding_as_the_law_allows():
-    convex = converged_settings(sc.Settings(law="solref", precision="f32"), refsafe=False, dt=0.1)
-    assert (convex.solver, convex.precision, convex.refsafe, convex.dt) == (
-        "newton",
-        "f64",
-        False,
-        0.1,
-    )
-    other = converged_settings(sc.Settings(law="rigid", solver="pgs"), refsafe=False, sweeps=99)
-    assert (other.solver, other.sweeps, other.acceleration) == ("pgs", 99, "none")
-    assert other.refsafe == sc.Settings().refsafe
-
-
 def test_means_are_recorded_as_in_a_full_record():
     model = sc.load("gymnasium:hopper").compile()
     runner = Runner(model, scheduled(Motion(horizon=0.4, starts=2), model, 0.008))
@@ -191,19 +116,3 @@ def test_means_are_recorded_as_in_a_full_record():
     assert full.touching.any()
     for name in ("height", "kinetic", "touching"):
         np.testing.assert_allclose(getattr(few, name), getattr(full, name), rtol=1e-13)
-
-
-def test_a_step_weighs_what_it_counts_and_at_least_a_usual_one():
-    runner = driven()
-    assert heaviness(runner, runner.model.settings) == 1.0
-    feet = "".join(f'<geom size=".1" pos="{i // 4} {i % 4} 0"/>' for i in range(16))
-    stack = f"""<mujoco><worldbody><geom type="plane" size="5 5 .1"/><body pos="0 0 .0999">
-    <freejoint/>{feet}</body></worldbody></mujoco>"""
-    model = sc.loads(stack).compile()
-    runner = Runner(model, scheduled(Motion(horizon=0.1, starts=1), model, 0.01))
-    counter = Counter(runner)
-    runner.run(model.settings, 0, [counter])
-    weight = heaviness(runner, model.settings)
-    # 16 contacts, each of four edges of the pyramid, on one body.
-    assert weight > 1.5
-    assert weight == counter.work.flops * model.settings.dt / (USUAL * (6 + 2))

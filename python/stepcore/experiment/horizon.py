@@ -24,7 +24,6 @@ from stepcore.engine.control import ControlError
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.control_table import control_table
-from stepcore.experiment.cost import USUAL
 from stepcore.experiment.default_motion import kind_of
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.run import Probe
@@ -99,9 +98,9 @@ def _whole(model: Model, motion: Motion, default: float, cost: float) -> Horizon
 def affordable(effort: float, starts: int) -> float:
     """Return the largest cost of a run for which a converged motion can be computed.
 
-    effort: the limit on the cost of the converged motion, in steps × (dofs + 2).
+    effort: the most operations of a study.
     """
-    return SHARE * USUAL * effort / starts
+    return SHARE * effort / starts
 
 
 def _is_tried(model: Model, motion: Motion) -> bool:

@@ -11,7 +11,6 @@ import numpy as np
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.errors import STICKS
 from stepcore.experiment.friction import Friction
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy, listed, named, others
@@ -21,6 +20,9 @@ from stepcore.measure.monitors.soft_rows import hardest, pair_solimp, stiffened
 from stepcore.report.units import metres, newtons, percent, speed
 from stepcore.scene.softness import UNKNOWN
 
+# A contact counts as sticking if friction is below this share of μ × normal force. A pyramidal cone
+# allows all of μ × normal force along its tangents, and 1/√2 of it between them.
+STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
 # An edge of a friction pyramid pushes if its force exceeds this share of the strongest edge's.
 EDGE = 1e-6
 # Thresholds of findings, relative to the thickness of the thinner geom: a depth at rest, an overlap
