@@ -101,7 +101,7 @@ for sweeps in (1, 2, 5, 10, 20):
     print(f"{sweeps:2} sweeps: {-1e6 * sim.qpos[0]:.3g} µm deep")
 scene = lesson.stack(5, "lesson", softness=0.0)
 result = sc.converge(scene, horizon=0.2, starts=1, states=2, progress=False)
-print(f"a sweep leaves {result.theory.radius:.0%}")
+print(f"a sweep leaves {result.contraction:.0%}")
 
 # %% [markdown]
 # ## All of it

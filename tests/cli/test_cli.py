@@ -272,8 +272,8 @@ def test_times_and_lengths_take_units(capsys, ball):
     assert json.loads(run)["steps"] == 200
     status, out, err = call(capsys, "run", ball, "--horizon", "8ms", "--set", "dt=4 ms", "--json")
     assert status == 0 and json.loads(out)["steps"] == 2, err
-    plain = ["--dts", "0.001:0.01:3", "--size", "0.2", "--horizon", "0.1"]
-    units = ["--dts", "1ms:10ms:3", "--size", "20cm", "--horizon", "100ms"]
+    plain = ["--dts", "0.001:0.01:3", "--deviation", "0.2", "--horizon", "0.1"]
+    units = ["--dts", "1ms:10ms:3", "--deviation", "20cm", "--horizon", "100ms"]
     spring = ("lesson:spring", "joint/spring/stiffness", "--values", "10,20", "--threads", 1)
     first, second = (
         call(capsys, "stability-map", *spring, *way, "--json") for way in (plain, units)

@@ -23,7 +23,7 @@ LAYERS = (
     ("engine",),
     # The class Scene reads, writes and compiles itself, so it stands on all three.
     ("scene.scene",),
-    ("lesson.scenes", "loading"),
+    ("lesson.scenes", "lesson.maps", "loading"),
     ("experiment",),
     ("measure",),
     ("lesson", "reading"),

@@ -7,8 +7,8 @@ import pytest
 from covering import every_pair
 
 import stepcore as sc
-from stepcore.experiment.batched_runs import batched
 from stepcore.experiment.controls import ControlLog, Controls
+from stepcore.experiment.engines import run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
 
@@ -74,12 +74,13 @@ def test_means_over_two_rows():
 def test_a_batch_plays_a_log_as_single_runs_do():
     model = sc.loads(SERVO).compile()
     motion = sc.Motion(horizon=0.4, starts=6, ctrl=log(0.025))
-    runner = Runner(model, scheduled(motion, model, 0.008))
+    schedule = scheduled(motion, model, 0.008)
     for dt in (0.001, 0.004, 0.008):
-        settings = model.settings.replace(dt=dt)
-        single = [runner.screen(settings, start) for start in runner.starts]
-        for one, other in zip(single, batched(runner, settings, list(runner.starts)), strict=True):
-            np.testing.assert_array_equal(one.com, other.com)
+        changed = model.with_settings(dt=dt)
+        together = run(changed, schedule, schedule.indices)["xpos"]
+        for start in schedule.indices:
+            alone = run(changed, schedule, [start])["xpos"]
+            np.testing.assert_array_equal(alone[0], together[start])
 
 
 @pytest.mark.parametrize("linear", [False, True])

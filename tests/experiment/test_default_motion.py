@@ -9,8 +9,8 @@ import pytest
 import stepcore as sc
 from stepcore.engine.actuator import actuators
 from stepcore.engine.start import Start
-from stepcore.experiment.batched_runs import batched
 from stepcore.experiment.default_motion import KINDS, kind_of
+from stepcore.experiment.engines import run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.moves import MOVE, profile
@@ -320,16 +320,14 @@ def test_the_motion_follows_from_model_seed_and_period(model):
 @pytest.mark.parametrize("model", [arm(), torque_arm()])
 def test_runs_have_the_same_bits_in_another_process_and_in_batches(model):
     schedule, _ = planned(model, horizon=0.2)
-    runner = Runner(model, schedule)
-    alone = [runner.screen(model.settings, k) for k in range(8)]
-    other = pickle.loads(pickle.dumps(runner))
-    for k, run in enumerate(batched(runner, model.settings, range(8))):
-        np.testing.assert_array_equal(run.com, alone[k].com)
-        np.testing.assert_array_equal(other.screen(model.settings, k).com, alone[k].com)
+    alone = [run(model, schedule, [k])["xpos"][0] for k in range(8)]
+    other = pickle.loads(pickle.dumps(schedule))
+    together = run(model, schedule, range(8))["xpos"]
+    for k in range(8):
+        np.testing.assert_array_equal(together[k], alone[k])
+        np.testing.assert_array_equal(run(model, other, [k])["xpos"][0], alone[k])
     for part, k in ((schedule.part(3), 3), (schedule.part(0, 2).joined(schedule.part(5)), 0)):
-        np.testing.assert_array_equal(
-            Runner(model, part).screen(model.settings, 0).com, alone[k].com
-        )
+        np.testing.assert_array_equal(run(model, part, [0])["xpos"][0], alone[k])
 
 
 # --- kinds of one's own ---------------------------------------------------------------------------

@@ -238,3 +238,12 @@ def test_a_file_that_stepcore_refuses_has_sweeps_and_steps():
     assert result.verdict == "solved" and result.better == "smaller steps"
     errors = [trial.error for trial in result.dts]
     assert errors == sorted(errors, reverse=True) and len(result.table) == 0
+
+
+def test_a_map_of_a_file_that_stepcore_refuses():
+    grid = {"path": "joint/lift/damping", "values": [1.0, 4.0], "dts": [5e-4, 1e-3]}
+    result = sc.stability_map(JELLY, **grid, engine="mujoco", horizon=0.2, progress=False)
+    assert [cell.state for cell in result.panels[0].cells] == ["accurate"] * 4
+    assert result.panels[0].boundary is None
+    with pytest.raises(ValueError, match="must be given"):
+        sc.stability_map(JELLY, path=grid["path"], engine="mujoco", progress=False)

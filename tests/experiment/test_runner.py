@@ -7,7 +7,7 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.engine.run_settings import converged_settings
+from stepcore.experiment.engines import run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.recorder import Means, Positions
 from stepcore.experiment.run import Probe
@@ -44,8 +44,9 @@ def test_a_run_starts_with_the_keyframes_mocap_poses():
         <keyframe><key qpos="1 0 0 1 0 0 0" mpos="1 0 0"/></keyframe></mujoco>"""
     ).compile()
     runner = Runner(model, scheduled(Motion(horizon=0.2, starts=1), model, 0.02))
-    for run in [runner.run(model.settings, 0)]:
-        assert run.com[:, 0] == pytest.approx(np.tile([1.0, 0.0, 0.0], (len(run.com), 1)))
+    together = run(model, runner.schedule, [0, 0])["xpos"]
+    for ball in (runner.run(model.settings, 0).com[:, 0], *together[:, :, 2]):
+        assert ball == pytest.approx(np.tile([1.0, 0.0, 0.0], (len(ball), 1)))
 
 
 class Log(Probe):
@@ -107,19 +108,6 @@ def test_a_failure_ends_the_runs_and_says_why():
     paths = runner.runs(model.settings.replace(integrator="explicit"))
     assert len(paths) == 1 and "diverged" in paths[0].failure
     assert not any(path.failure for path in runner.runs(model.settings))
-
-
-def test_converged_settings_solve_to_rounding_as_the_law_allows():
-    convex = converged_settings(sc.Settings(law="solref", precision="f32"), refsafe=False, dt=0.1)
-    assert (convex.solver, convex.precision, convex.refsafe, convex.dt) == (
-        "newton",
-        "f64",
-        False,
-        0.1,
-    )
-    other = converged_settings(sc.Settings(law="rigid", solver="pgs"), refsafe=False, sweeps=99)
-    assert (other.solver, other.sweeps, other.acceleration) == ("pgs", 99, "none")
-    assert other.refsafe == sc.Settings().refsafe
 
 
 def test_means_are_recorded_as_in_a_full_record():

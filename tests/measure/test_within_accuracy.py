@@ -69,11 +69,11 @@ def test_a_map_shows_delivered_over_asked():
             off = []
             for _ in range(50):
                 sim.step()
-                off.append(abs(sim.qpos[0] - 0.2 * np.cos(np.sqrt(value) * sim.time)))
+                off.append(sim.qpos[0] - 0.2 * np.cos(np.sqrt(value) * sim.time))
             cell = next(cells)
             assert (cell.value, cell.asked, cell.state) == (value, accuracy, "accurate")
-            # The map reads 32 of the 50 steps, and its truth is known to a hundredth of the finest.
-            assert 0.5 * max(off) - 1e-7 <= cell.over * accuracy <= max(off) + 1e-7
+            # The truth is known to a tenth of the finest accuracy, and no error is below that.
+            assert cell.error == pytest.approx(np.sqrt(np.mean(np.square(off))), abs=2e-6)
     assert result.accuracies == asked and "delivered over asked" in str(result)
     assert max(result.table["delivered over asked"]) <= 1
     figure = result.plot()

@@ -306,7 +306,7 @@ MEASUREMENTS = {
             "accuracies": {"metavar": "LIST"},
             "integrators": {"flags": ("--integrator",), **NAMES},
             "deviation": {"flags": ("--deviation", "--error"), "metavar": "E"},
-            "size": {"type": length, "metavar": "M"},
+            "engine": ENGINE,
         },
         model={
             "nargs": "?",

@@ -141,8 +141,6 @@ class Runner:
         start: the index of the start. probes: observe the run.
         clock: times the steps. A model without controls then makes all steps in one call.
         steps: the number of steps; see `Schedule.blocks`.
-
-        `stepcore.experiment.batched_runs.BatchRun.follow` is the same loop for a batch.
         """
         schedule = self.schedule
         blocks: Iterable[tuple[int, int]] = schedule.blocks(sim.settings.dt, steps)

@@ -1,27 +1,31 @@
-"""`stability_map`: maps stability and accuracy over dt × a parameter of the scene."""
+"""`stability_map`: where in dt × a parameter of the scene is it stable, and accurate?"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from itertools import product
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
 from stepcore import checks
-from stepcore._core import Settings
 from stepcore.deadline import OutOfTime
+from stepcore.engine.linear_maps import implicit_kinds
 from stepcore.engine.model import Model
-from stepcore.experiment.arguments import MeasurementFields, Source, Workers, measurement, set_up
-from stepcore.experiment.failure import FAR
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
+from stepcore.experiment.change import Change
+from stepcore.experiment.engines import FAR, Engine, Stepcore, run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
-from stepcore.experiment.schedule import home
-from stepcore.experiment.sizes import scene_size
-from stepcore.measure.stability import lesson_maps
-from stepcore.measure.stability.lesson_maps import GROWS, MapCase, MapSetting, limit_of_springs
+from stepcore.experiment.mujoco_engine import engine_of
+from stepcore.experiment.norm import apart, largest, rms
+from stepcore.experiment.schedule import divides, home
+from stepcore.experiment.study import SHIPPED, Study
+from stepcore.experiment.truth import Truth
+from stepcore.lesson import maps
+from stepcore.lesson.maps import GROWS, MapCase, MapSetting, divisors, largest_stable_dt
 from stepcore.measure.stability.result import (
     ACCURATE,
     EXPLODED,
@@ -31,16 +35,6 @@ from stepcore.measure.stability.result import (
     MapCell,
     MapPanel,
     StabilityMap,
-    Tolerance,
-)
-from stepcore.measure.stability.runs import (
-    FINER,
-    MapMotion,
-    Step,
-    TrueMotion,
-    closed_form,
-    converged,
-    within,
 )
 from stepcore.report import units
 from stepcore.report.units import seconds
@@ -50,14 +44,18 @@ __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
 
 # Least horizon in steps of the largest dt, so that instabilities have time to grow.
 STEPS = 25
+# The default steps divide so many shipped steps: runs can be compared that often.
+WHOLE = 20
 # The share of the time (`seconds`) at which the runs of the true motions end.
 TRUE = 0.6
-# The points of a cell's run, and the reason if it stopped.
-Cell = tuple[np.ndarray, str | None]
 # Largest number of steps of all cells: more than half an hour of the smallest scene.
 MOST_STEPS = 1e10
 # Motion fields that a map does not accept: every cell starts at the keyframe with its controls.
 WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt", "interpolation", "kind", "follow")
+# The fewest times at which a cell is compared with the true motion, where steps allow.
+LOOKS = 4
+# Kinds of elements in the linear system of a scene.
+LINEAR = ("spring", "damper", "actuator")
 
 
 @measurement(without=WITHOUT)
@@ -71,7 +69,7 @@ def stability_map(
     accuracies: Sequence[float | str] | None = None,
     integrators: str | Sequence[str] | None = None,
     deviation: float | str = "10%",
-    size: float | None = None,
+    engine: str = "stepcore",
     **fields: Unpack[MeasurementFields],
 ) -> StabilityMap:
     """Map stability and accuracy over dt × a parameter of the scene, with one run for each pair.
@@ -87,30 +85,23 @@ def stability_map(
         "body/arm/mass", "actuator/grip/kp".
     values: the parameter's values, sorted ascending in the map; by default 13 from a hundredth to a
         hundred times the present value.
-    dts: the time steps [s]; by default 13 from a tenth to ten times the scene's dt.
+    dts: the time steps [s]; by default 12 from a tenth to ten times the scene's dt.
     accuracies: the errors asked for over the horizon: metres, "1mm", or "0.1%" of the scene's size.
         Steps of the scene's dt then keep them, and the map shows the error delivered over the one
         asked for. By default, if the model's steps keep an accuracy, seven around it.
     integrators: one or several, one panel each; by default the scene's own.
-    deviation: the deviation (the largest distance from the true motion) above which a run is
-        inaccurate: metres, "1mm", or "10%" of `size`.
-    size: the length that deviations are relative to [m]; by default the size of the scene and its
-        true motion, as in other measurements.
+    deviation: the error above which a run is inaccurate: metres, "1mm", or "10%" of the scene's
+        size. It is the RMS position error of `stepcore.experiment.norm`, as in every measurement.
+    engine: "stepcore", or "mujoco", which also runs files that stepcore cannot load.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
-    The true motion is a closed form for the two maps of the lesson that have one. Otherwise the
-    true motion is the scene's own run at the same value, with converged rows (and rk4 if nothing in
-    the scene makes rows). There dt is halved until two runs agree to a tenth of `deviation`.
+    The true motion of a value is the converged motion of the scene with that value, known to a
+    tenth of `deviation`, or of the finest accuracy asked for.
 
-    Distances are those of the moving bodies' centres, of three points a radius of gyration away,
-    and of hinge angles times that radius. They are read up to 32 times in a run.
-
-    In a map over accuracies the true motion is the scene's own run within a hundredth of the finest
-    one, and its error the distance from the run within a tenth.
-
-    A cell is *exploded* if the deviation is larger than 100 sizes or the run failed, *inaccurate*
-    if the deviation is larger than `deviation`, and *accurate* otherwise. A cell is *finite* if the
-    accuracy is unknown, because the true motion at that value does not converge.
+    A cell is *exploded* if the run failed, a body is further than 100 sizes of the scene from where
+    it began or belongs, or a hinge turns 100 times as fast as in the true motion. It is
+    *inaccurate* if the error is larger than `deviation`, and *accurate* otherwise; *finite* if that
+    is not known, because the true motion is less sure.
 
     The theoretical boundary is that of the linear system of joint springs, dampers and servos at
     the start: the dt beyond which the system's step matrix has a spectral radius above 1.
@@ -130,24 +121,23 @@ def stability_map(
     >>> round(result.panels[0].boundary[0], 6)  # 2 / ω
     0.2
     """
-    tolerance = Tolerance(deviation)
-    size = None if size is None else _positive("size", size)
-    model = "lesson:spring" if model is None else model
-    lesson: MapCase | None = None
-    if path is None and model == "lesson:spring":
-        lesson = lesson_maps.spring(size)
-    elif path is None and model == "lesson:stack":
-        lesson = lesson_maps.stack(tolerance, size)
+    units.length("stability_map", "deviation", deviation, 1.0)
+    lesson = _lesson(model, path, deviation) if engine == "stepcore" else None
+    source: Source = "lesson:spring" if model is None else model
     setup = set_up(
-        stability_map, lesson.model if lesson else model, motion, fields, missing="no motion to map"
+        stability_map,
+        source if lesson is None or lesson.model is None else lesson.model,
+        motion,
+        fields,
+        missing="no motion to map",
+        engine=engine,
     )
-    names = None if integrators is None else _integrators(integrators)
-    kept = _accuracies(setup.model, accuracies, dts)
+    names = None if integrators is None else _integrators(setup.engine, integrators)
+    kept = _accuracies(setup.engine, accuracies, dts)
     if kept and lesson is not None:
         raise ValueError("accuracies: the lesson's maps are over dt; name a value to map it")
     if lesson is None:
-        plain = setup.model.with_settings(accuracy=None)
-        case = _case(plain, path, values, names, setup.motion.key, size)
+        case = _case(setup, path, values, names)
     else:
         case = _narrowed(lesson, names, setup.motion.key)
     if values is not None:
@@ -157,52 +147,218 @@ def stability_map(
         steps = [units.time(f"dts[{k}]", dt) for k, dt in given]
         case.dts, case.horizon = _ascending("dts", steps), None
     if kept:
-        case.dts, case.accuracies = [setup.model.settings.dt], kept
+        case.dts = [setup.engine.dt]
         for setting in case.settings:
             setting.boundary = None
     horizon = setup.motion.horizon or case.horizon or max(1.0, STEPS * max(case.dts))
     _check_steps(case, horizon)
-    panels = _Panels(case, MapMotion(horizon, case.key), tolerance, setup.workers)
-    made = [panels.panel(setting) for setting in case.settings]
-    if all(cell.state == UNTRIED for panel in made for cell in panel.cells):
+    runs = _Runs(setup, case, horizon, kept, deviation)
+    runs.make()
+    panels = [runs.panel(setting) for setting in case.settings]
+    if all(cell.state == UNTRIED for panel in panels for cell in panel.cells):
         raise OutOfTime("no cell has been run")
     return StabilityMap(
         name=setup.name,
-        settings=case.model.settings,
+        settings=setup.engine.settings(SHIPPED),
         motion=dataclasses.replace(setup.motion, horizon=horizon, key=case.key),
         path=case.path,
         axis=case.axis,
         values=case.values,
         dts=case.dts,
         horizon=horizon,
-        tolerance=tolerance,
-        far=FAR,
-        ran=_ran(case, horizon),
-        panels=made,
-        accuracies=case.accuracies,
+        deviation=runs.deviation,
+        panels=panels,
+        ran=_ran(setup.engine, case, horizon),
+        accuracies=kept,
     )
 
 
+def _lesson(model: Any, path: str | None, deviation: float | str) -> MapCase | None:
+    """Return the lesson's map that is asked for, or None."""
+    if path is not None or model not in (None, "lesson:spring", "lesson:stack"):
+        return None
+    if model == "lesson:stack":
+        return maps.stack(units.length("stability_map", "deviation", deviation, maps.SMALL))
+    return maps.spring()
+
+
+class _Runs:
+    """The runs of a map: a Study for each scene that panels make, and for each time grid.
+
+    accuracies: asked for over the horizon [m], in place of time steps; or none.
+    deviation: the error above which a cell is inaccurate [m].
+    truths: the true motions, by study and value; None where there is none.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        case: MapCase,
+        horizon: float,
+        accuracies: Sequence[float],
+        deviation: float | str,
+    ) -> None:
+        self.engine, self.workers, self.case = setup.engine, setup.workers, case
+        self.horizon, self.accuracies = horizon, accuracies
+        self.size = case.size or setup.engine.size
+        self.deviation = units.length("stability_map", "deviation", deviation, self.size)
+        self.studies: dict[tuple[str, float], Study] = {}
+        self.truths: dict[tuple[Study, float], Truth | None] = {}
+        self.spins: dict[tuple[Study, Change], float] = {}
+        held: dict[str, Any] = {"kind": "hold"}
+        if setup.engine.known:
+            ctrl = home(setup.model, case.key)[1]
+            held = {"ctrl": ctrl[None]} if len(ctrl) else {}
+        self.motion = Motion(horizon=horizon, key=case.key, starts=1, **held)
+        self.cells = {
+            setting.label: [
+                (value, step, self.study(setting.settings, step), self.change(setting, value, step))
+                for value in case.values
+                for step in (accuracies or case.dts)
+            ]
+            for setting in case.settings
+        }
+
+    def study(self, settings: Mapping[str, Any], step: float) -> Study:
+        """Return the Study of a panel's scene for a step.
+
+        Time steps share a Study if they divide its period; any other has one of its own, whose true
+        motion is sampled at its times.
+        """
+        own = self.engine.dt
+        dt = own if self.accuracies else step
+        period = own if self.accuracies else self.case.period or WHOLE * own
+        while period > self.horizon / LOOKS and period > own:
+            period /= 2
+        if not divides(dt, period):
+            period = dt * max(1, round(own / dt))
+        law = {name: value for name, value in settings.items() if name != "integrator"}
+        key = str(sorted(law.items())), period
+        if key not in self.studies:
+            engine = self.engine
+            if law:
+                engine = engine_of(engine.model.with_settings(**law), "stepcore")
+            self.studies[key] = Study(
+                motion=self.motion, engine=engine, period=period, workers=self.workers
+            )
+        return self.studies[key]
+
+    def change(self, setting: MapSetting, value: float, step: float) -> Change:
+        """Return the change that a cell runs."""
+        fields: dict[str, Any] = {"dt": step}
+        if self.accuracies:
+            fields = {"dt": self.engine.dt, "accuracy": step / self.horizon}
+        elif self.engine.settings(SHIPPED).accuracy is not None:
+            fields["accuracy"] = None
+        if "integrator" in setting.settings:
+            fields["integrator"] = setting.settings["integrator"]
+        return Change({self.case.path: value}, **fields)
+
+    def true(self, study: Study, step: float) -> Study:
+        """Return the Study whose converged motion is the true one of a cell."""
+        return study if self.case.truth is None else self.study(self.case.truth, step)
+
+    def make(self) -> None:
+        """Make the true motions, and then all cells, as far as the time allows."""
+        every = [cell for cells in self.cells.values() for cell in cells]
+        wanted = dict.fromkeys((self.true(study, step), v) for v, step, study, _ in every)
+        deadline = self.workers.deadline
+        finest = min(self.accuracies, default=self.deviation)
+        with (
+            deadline.stage("all true motions", TRUE),
+            self.workers.bar("true motion", len(wanted)) as bar,
+        ):
+            for study, value in wanted:
+                try:
+                    truth = study.truth(finest, physics=Change({self.case.path: value}))
+                except ValueError:
+                    truth = None
+                self.truths[study, value] = truth
+                bar.advance()
+        for label, cells in self.cells.items():
+
+            def left_out(label: str = label, cells: Sequence[Any] = cells) -> str:
+                left = sum(not study.ran(change, 0) for *_, study, change in cells)
+                return f"{left} of {len(cells)} cells of {label}"
+
+            with deadline.stage(left_out):
+                for study in dict.fromkeys(study for *_, study, _ in cells):
+                    own = [change for *_, other, change in cells if other is study]
+                    study.tracks(own, study.starts, label)
+
+    def panel(self, setting: MapSetting) -> MapPanel:
+        """Judge the cells of one setting."""
+        cells = [self.judged(*cell) for cell in self.cells[setting.label]]
+        boundary = setting.boundary(self.case.values) if setting.boundary else None
+        if boundary is not None and all(np.isnan(limit) for limit in boundary):
+            boundary = None
+        return MapPanel(setting.label, cells, boundary, setting.beyond if boundary else "")
+
+    def judged(self, value: float, step: float, study: Study, change: Change) -> MapCell:
+        """Return one cell with its state; see `stability_map`."""
+        key, asked = (self.true(study, step), value), step if self.accuracies else None
+        cell = MapCell(value, study.engine.dt if self.accuracies else step, UNTRIED, asked=asked)
+        if key not in self.truths or not study.ran(change, 0):
+            return cell
+        (tracks,), truth = study.tracks([change], study.starts), self.truths[key]
+        if tracks.failure:
+            reason = tracks.failure.removeprefix("start 0: ")
+            return dataclasses.replace(cell, state=EXPLODED, reason=reason)
+        if truth is None:
+            return dataclasses.replace(cell, state=FINITE)
+        far = apart(tracks, truth.tracks, study.engine.matter)
+        error, most = (float(norm(far, truth.scored)[0]) for norm in (rms, largest))
+        bound = asked or self.deviation
+        true = self.true(study, step)
+        if most > FAR * self.size or (
+            error > bound and self.spin(study, change) > FAR * self.spin(true, truth.change)
+        ):
+            return dataclasses.replace(cell, state=EXPLODED, error=error)
+        # Within what the true motion is unsure of, a cell cannot be judged.
+        sure = abs(error - bound) >= truth.error
+        state = FINITE if not sure else ACCURATE if error <= bound else INACCURATE
+        return dataclasses.replace(cell, state=state, error=max(error, truth.error))
+
+    def spin(self, study: Study, change: Change) -> float:
+        """Return the largest speed of a hinge in a run [rad/s], but at least a turn a horizon.
+
+        A hinge that spins ever faster brings no body further away.
+        """
+        least, engine = 2 * np.pi / self.horizon, study.engine
+        if not isinstance(engine, Stepcore):
+            return least
+        if (study, change) not in self.spins:
+            model = engine.model
+            hinges = [j for j, kind in enumerate(model.jnt_type) if kind == "hinge"]
+            speeds = run(engine.of(change), study.schedule, [0], record=("qvel",))["qvel"]
+            fastest = np.abs(speeds[0][:, model.jnt_dofadr[hinges]]).max(initial=0.0)
+            self.spins[study, change] = max(least, float(fastest))
+        return self.spins[study, change]
+
+
 def _accuracies(
-    model: Model, given: Sequence[float | str] | None, dts: Sequence[float | str] | None
+    engine: Engine, given: Sequence[float | str] | None, dts: Sequence[float | str] | None
 ) -> list[float]:
     """Return the accuracies of a map over them [m], ascending; empty of a map over dt."""
-    own = model.settings.accuracy
+    own = engine.settings(SHIPPED).accuracy
     if given is None:
         return [] if own is None or dts is not None else (own * np.geomspace(0.1, 100, 7)).tolist()
     if dts is not None:
         raise ValueError("accuracies and dts: give one of them, because steps choose their length")
-    size = scene_size(model.scene)
+    if engine.name != "stepcore":
+        raise ValueError("accuracies: must be None, because MuJoCo's steps have a fixed length")
     lengths = [
-        units.length("stability_map", f"accuracies[{k}]", value, size)
+        units.length("stability_map", f"accuracies[{k}]", value, engine.size)
         for k, value in enumerate(checks.several("accuracies", given))
     ]
     return _ascending("accuracies", lengths)
 
 
-def _ran(case: MapCase, horizon: float) -> str:
+def _ran(engine: Engine, case: MapCase, horizon: float) -> str:
     """Return the motion in words, and the contact law if all panels have the same."""
-    model = case.model
+    if not engine.known:
+        return f"{seconds(horizon)} from the start; the keyframe's controls; in MuJoCo alone"
+    model = engine.model
     laws = {str(s.settings.get("law", model.settings.law)) for s in case.settings}
     law = f"; law {laws.pop()}" if len(laws) == 1 else ""
     drive = held_in_words(model, home(model, case.key)[1])
@@ -219,7 +375,7 @@ def _narrowed(case: MapCase, names: list[str] | None, key: str | int | None) -> 
         )
     if names is None:
         return case
-    if case.model.scene.name == "stack":
+    if case.truth is not None:
         raise ValueError(
             f"integrators = {checks.shown(names)}: must be None, because the map of the stack is "
             "by law and sweeps; name a value to map it by integrator"
@@ -229,42 +385,62 @@ def _narrowed(case: MapCase, names: list[str] | None, key: str | int | None) -> 
 
 
 def _case(
-    model: Model,
-    path: str | None,
-    values: Sequence[float] | None,
-    names: list[str] | None,
-    key: str | int | None,
-    size: float | None,
+    setup: Setup, path: str | None, values: Sequence[float] | None, names: list[str] | None
 ) -> MapCase:
     """Return the map of a scene over a parameter, with one panel for each integrator."""
+    engine, key, model = setup.engine, setup.motion.key, None
     if path is None:
         raise ValueError('path = None: must name the value to vary, as "joint/knee/stiffness"')
-    element, field = find(model.scene, path)
-    if key is None:
-        key = 0 if model.keys else None
-    else:
-        model.index("key", key)
-    present = checks.number(getattr(element, field))
-    if values is None and (present is None or present <= 0):
-        shown = checks.shown(getattr(element, field))
+    names = names or [str(engine.settings(SHIPPED).integrator)]
+    present: object = None
+    if engine.known:
+        model = setup.model
+        element, field = find(model.scene, path)
+        present = getattr(element, field)
+        if key is None:
+            key = 0 if model.keys else None
+        else:
+            model.index("key", key)
+    number = checks.number(present)
+    if values is None and (number is None or number <= 0):
+        shown = checks.shown(present) if engine.known else "not known to stepcore"
         raise ValueError(f"values = None: must be given, because {path} is {shown}")
-    around = np.geomspace(0.01, 100.0, 13) * (present or 1.0)
-    settings = [
-        MapSetting(
-            name, {"integrator": name}, None, partial(_linear, model, path, key, name), GROWS
-        )
-        for name in names or [model.settings.integrator]
-    ]
-    dts = np.geomspace(model.settings.dt / 10, 10 * model.settings.dt, 13).tolist()
-    return MapCase(model, path, path, around.tolist(), dts, settings, key, size=size)
+    boundaries = {} if model is None else {n: partial(_linear, model, path, key, n) for n in names}
+    return MapCase(
+        model,
+        path=path,
+        axis=path,
+        values=(np.geomspace(0.01, 100.0, 13) * (number or 1.0)).tolist(),
+        dts=divisors(WHOLE * engine.dt, engine.dt * np.geomspace(0.1, 10.0, 13)),
+        settings=[MapSetting(n, {"integrator": n}, boundaries.get(n), GROWS) for n in names],
+        key=key,
+    )
 
 
 def _linear(
     model: Model, path: str, key: str | int | None, integrator: str, values: Sequence[float]
 ) -> list[float]:
-    """Return the stability limit of dt for each value; nan at values without a linear system."""
-    limits = (limit_of_springs(model.with_values({path: v}), key, integrator) for v in values)
-    return [np.nan if limit is None else limit for limit in limits]
+    """Return the stability limit of dt for each value; NaN at values without a linear system."""
+    return [limit_of_springs(model.with_values({path: v}), key, integrator) for v in values]
+
+
+def limit_of_springs(model: Model, key: str | int | None, integrator: str) -> float:
+    """Return the largest stable dt of a scene's joint springs, dampers and servos at its start [s].
+
+    NaN if the scene has none of these elements, or the integrator has no such theory. Contacts,
+    limits, gravity and Coriolis terms are left out.
+    """
+    sim = unwatched(Sim(model))
+    sim.reset(key=key)
+    slopes = {e: s for e, s in sim.element_slopes().items() if e.kind in LINEAR}
+    implicit = implicit_kinds(integrator, model.scene.features.eulerdamp)
+    none = np.zeros((model.nv, model.nv))
+    stiffness = sum((s.stiffness for s in slopes.values()), none)
+    damping = sum((s.damping for s in slopes.values()), none)
+    late = sum((s.damping for e, s in slopes.items() if e.kind in implicit), none)
+    if not (stiffness.any() or damping.any()):
+        return float("nan")
+    return largest_stable_dt(integrator, sim.mass_matrix(), stiffness, damping, late)
 
 
 def _check_steps(case: MapCase, horizon: float) -> None:
@@ -277,114 +453,25 @@ def _check_steps(case: MapCase, horizon: float) -> None:
     checks.steps(horizon, finest, runs, words, MOST_STEPS)
 
 
-class _Panels:
-    """Runs and judges the cells of a map.
-
-    truths: the true motions by law; integrators share a true motion.
-    """
-
-    def __init__(
-        self, case: MapCase, motion: MapMotion, tolerance: Tolerance, workers: Workers
-    ) -> None:
-        self.case, self.motion, self.tolerance, self.workers = case, motion, tolerance, workers
-        self.truths: dict[str, list[TrueMotion | None]] = {}
-
-    def panel(self, setting: MapSetting) -> MapPanel:
-        """Run and judge all cells of one setting."""
-        case = self.case
-        model = case.model.with_settings(**setting.settings)
-        if setting.form is not None:
-            times = self.motion.all_times(case.dts)
-            truth: list[TrueMotion | None]
-            truth = [closed_form(setting.form, model, v, times, case.size) for v in case.values]
-        else:
-            law = str({k: v for k, v in setting.settings.items() if k != "integrator"})
-            if law not in self.truths:
-                job: Callable[[float], TrueMotion]
-                if case.accuracies:
-                    job = partial(within, model, case.path, case.steps, case.size, self.motion)
-                else:
-                    job = partial(
-                        converged,
-                        model,
-                        case.path,
-                        case.dts,
-                        case.size,
-                        self.motion,
-                        self.tolerance,
-                    )
-                self.truths[law] = []
-                with self.workers.deadline.stage("all true motions", TRUE):
-                    self.workers.each(job, case.values, "true motion", self.truths[law])
-            truth = self.truths[law]
-        grid = list(product(case.values, case.steps))
-        runs: list[Cell | None] = []
-        with self.workers.deadline.stage(lambda: _not_run(setting.label, runs)):
-            self.workers.each(
-                partial(self.motion.cell, model, case.path), grid, setting.label, runs
-            )
-        cells = [
-            self._judged(value, step, run, truth[k // len(case.steps)])
-            for k, ((value, step), run) in enumerate(zip(grid, runs, strict=True))
-        ]
-        boundary = setting.boundary(case.values) if setting.boundary else None
-        if boundary is not None and all(np.isnan(limit) for limit in boundary):
-            boundary = None
-        reference = "closed form" if setting.form is not None else "converged run"
-        if case.accuracies:
-            reference = "run within a hundredth of the finest accuracy"
-        beyond = setting.beyond if boundary else ""
-        return MapPanel(setting.label, cells, reference, boundary, beyond)
-
-    def _judged(
-        self, value: float, step: Step, run: Cell | None, true: TrueMotion | None
-    ) -> MapCell:
-        """Return one cell with its state; see `stability_map`."""
-        dt, asked = step
-        if run is None or true is None:
-            return MapCell(value, dt, UNTRIED, np.nan, False, asked=asked)
-        points, stopped = run
-        share = self.tolerance.share(true.size) if asked is None else asked / true.size
-        known = true.points is not None and true.error <= share / FINER
-        with np.errstate(over="ignore", invalid="ignore"):
-            times = self.motion.times(dt)[: len(points)]
-            goal = true.at(times) if true.points is not None else points[:1]
-            apart = np.linalg.norm(points - goal, axis=-1) / max(true.size, 1e-300)
-            deviation = float(apart.max()) if np.all(np.isfinite(apart)) else np.inf
-        if stopped or not deviation <= FAR:
-            return MapCell(value, dt, EXPLODED, deviation, known, stopped, asked)
-        if not known:
-            return MapCell(value, dt, FINITE, np.nan, False, asked=asked)
-        state = ACCURATE if deviation <= share else INACCURATE
-        over = np.nan if asked is None else deviation / share
-        return MapCell(value, dt, state, deviation, asked=asked, over=over)
-
-
-def _not_run(label: str, runs: Sequence[Cell | None]) -> str:
-    left = sum(run is None for run in runs)
-    return f"{left} of {len(runs)} cells of {label}"
-
-
-def _integrators(asked: str | Sequence[str]) -> list[str]:
-    """Return the integrator names after checking them against `Settings`."""
+def _integrators(engine: Engine, asked: str | Sequence[str]) -> list[str]:
+    """Return the integrator names after checking them."""
     names = [asked] if isinstance(asked, str) else list(asked)
     if not names:
         raise ValueError("integrators = []: must name at least one")
     for name in names:
-        Settings().replace(integrator=name)
+        engine.settings(Change(integrator=name))
     return names
-
-
-def _positive(name: str, value: object) -> float:
-    number = checks.number(value)
-    if number is None or number <= 0:
-        raise ValueError(f"{name} = {checks.shown(value)}: must be a finite number > 0")
-    return number
 
 
 def _ascending(name: str, values: Sequence[float]) -> list[float]:
     """Return positive numbers in ascending order, without repetition."""
-    some = [_positive(f"{name}[{k}]", v) for k, v in enumerate(checks.several(name, values))]
+    some = list[float]()
+    for k, value in enumerate(checks.several(name, values)):
+        number = checks.number(value)
+        if number is None or number <= 0:
+            shown = checks.shown(value)
+            raise ValueError(f"{name}[{k}] = {shown}: must be a finite number > 0")
+        some.append(number)
     if len(set(some)) < len(some):
         raise ValueError(f"{name}: contains the same number twice")
     return sorted(some)

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from stepcore._core import Settings
+from stepcore.experiment.engines import FAR
 from stepcore.experiment.motion import Motion
-from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, metres, seconds
@@ -22,65 +21,33 @@ SYMBOLS = {ACCURATE: "·", INACCURATE: "o", EXPLODED: "X", FINITE: "?", UNTRIED:
 
 
 @dataclass(frozen=True)
-class Tolerance:
-    """The deviation above which a run is inaccurate: metres, "1mm", or "10%" of the scene's size.
-
-    Raises ValueError for anything else.
-    """
-
-    value: float | str
-
-    def __post_init__(self) -> None:
-        _ = self.number
-
-    @property
-    def relative(self) -> bool:
-        """Whether the tolerance is a share of the scene's size."""
-        return isinstance(self.value, str) and "%" in self.value
-
-    @property
-    def number(self) -> float:
-        """The tolerance as a share if relative, else as a length [m]."""
-        return units.length("stability_map", "deviation", self.value, 1.0)
-
-    def share(self, size: float) -> float:
-        """Return the tolerance as a share of a scene of this size [m]."""
-        return self.number if self.relative else self.number / max(size, 1e-300)
-
-    def __str__(self) -> str:
-        if self.relative:
-            return f"{units.percent(self.number)} of the scene's size"
-        return units.metres(self.number)
-
-
-@dataclass(frozen=True)
 class MapCell:
     """One run of a stability map.
 
     state: "accurate", "inaccurate" or "exploded"; "finite" if the accuracy is unknown.
-    deviation: the largest distance from the true motion, relative to the scene's size; nan if
+    error: RMS position error against the true motion [m], never below what that is sure of; NaN if
         unknown.
-    judged: whether a true motion exists for comparison.
-    reason: the reason why the run failed.
+    reason: why the run failed.
     asked: the accuracy asked for [m], in a map over accuracies.
-    over: the error delivered over that; nan if unknown.
     """
 
     value: float
     dt: float
     state: str
-    deviation: float
-    judged: bool = True
+    error: float = math.nan
     reason: str | None = None
     asked: float | None = None
-    over: float = math.nan
+
+    @property
+    def over(self) -> float:
+        """The error delivered over the one asked for; NaN if unknown, or nothing was asked for."""
+        return self.error / self.asked if self.asked else math.nan
 
 
 @dataclass(frozen=True)
 class MapPanel:
     """The cells of one setting, values outermost, and the theory.
 
-    reference: the true motion with which the cells are compared.
     boundary: the theoretical limit of dt for each value [s]: 0 if no step is stable, inf if all
         are; None without a theory.
     beyond: the behaviour beyond the boundary.
@@ -88,7 +55,6 @@ class MapPanel:
 
     label: str
     cells: list[MapCell]
-    reference: str
     boundary: list[float] | None = None
     beyond: str = ""
 
@@ -107,8 +73,7 @@ class StabilityMap(Result):
     axis: the label of the parameter's axis, with the unit.
     values, dts [s]: the grid.
     accuracies: of the grid in place of dts [m], which then is the control period; or empty.
-    tolerance: the deviation above which a run is inaccurate.
-    far: the deviation, in sizes of the scene, above which a run has exploded.
+    deviation: the error above which a run is inaccurate [m].
     panels: one panel for each setting.
 
     >>> from stepcore import stability_map
@@ -119,21 +84,20 @@ class StabilityMap(Result):
     kind = "stability"
     units: ClassVar = {
         "dt": "s",
-        "deviation": "1",
+        "error": "m",
         "theory": "s",
         "asked": "m",
         "delivered over asked": "1",
     }
 
-    settings: Settings
+    settings: Any
     motion: Motion
     path: str
     axis: str
     values: Sequence[float]
     dts: Sequence[float]
     horizon: float
-    tolerance: Tolerance
-    far: float
+    deviation: float
     panels: list[MapPanel]
     accuracies: Sequence[float] = ()
 
@@ -142,7 +106,7 @@ class StabilityMap(Result):
         if unjudged:
             self.notes.append(
                 f"{counted(unjudged, 'finite run')}, marked {SYMBOLS[FINITE]}, cannot be judged "
-                "for accuracy, because the true motion did not converge"
+                "for accuracy, because the true motion is not known well enough"
             )
 
     @property
@@ -163,9 +127,9 @@ class StabilityMap(Result):
                 f"{exploded}: the run failed."
             )
         return (
-            f"{accurate}: the deviation from the true motion is at most {self.tolerance}; "
-            f"{inaccurate}: it is larger; {exploded}: it is larger than {self.far:g} times the "
-            "scene's size, or the run failed."
+            f"{accurate}: the RMS position error is at most {metres(self.deviation)}; "
+            f"{inaccurate}: it is larger; {exploded}: the run failed, a body went further than "
+            f"{FAR:g} times the scene's size, or a hinge turned {FAR:g} times too fast."
         )
 
     @property
@@ -198,8 +162,7 @@ class StabilityMap(Result):
                 "value": cell.value,
                 "dt": cell.dt,
                 "state": cell.state,
-                "deviation": cell.deviation,
-                "judged": cell.judged,
+                "error": cell.error,
                 "theory": dict(zip(self.values, panel.boundary or [], strict=False)).get(
                     cell.value
                 ),
@@ -250,9 +213,8 @@ class StabilityMap(Result):
             if panel.boundary is not None:
                 row[panel.beyond] = _dt(panel.boundary[k])
             rows.append(row)
-        heading = f"{panel.label} (compared with the {panel.reference})"
         # A column with a format is not truncated.
-        return Table(rows, formats={"value": ".3g", across: ""}, heading=heading)
+        return Table(rows, formats={"value": ".3g", across: ""}, heading=panel.label)
 
     def details(self) -> dict[str, Any]:
         """Return the grid and the panels' theory as plain data."""
@@ -261,13 +223,10 @@ class StabilityMap(Result):
             "values": list(self.values),
             "dts": list(self.dts),
             "accuracies": list(self.accuracies),
-            "deviation": str(self.tolerance),
-            "tolerance": self.tolerance.number,
-            "far": self.far,
+            "deviation": self.deviation,
             "panels": [
                 {
                     "setting": panel.label,
-                    "reference": panel.reference,
                     "theory": panel.beyond or None,
                     "boundary": panel.boundary,
                 }

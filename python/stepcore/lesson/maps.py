@@ -1,7 +1,7 @@
-"""Stability theory for the maps: the largest stable dt of a linear system, and the lesson's two
-maps.
+"""The lesson's maps of stability: a spring by integrator, and a heavy ball on a light one by law.
 
-The lesson maps a spring by integrator, and a heavy ball on a light ball by contact law.
+`stepcore.stability_map` draws them. Beside them stands theory: the largest stable step of a linear
+system, and what too few sweeps do to a stack.
 """
 
 from __future__ import annotations
@@ -13,49 +13,45 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.engine.linear_maps import INTEGRATORS, implicit_kinds, step_matrix
+from stepcore.engine.linear_maps import INTEGRATORS, step_matrix
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim, unwatched
 from stepcore.lesson import scenes
 from stepcore.lesson.scenes import RADIUS, G
-from stepcore.measure.stability.result import Tolerance
-from stepcore.measure.stability.runs import Form, Step
 
 # Spectral radius above which motion grows: rounding moves a double eigenvalue by the square root of
 # rounding.
 GROWING = 1.0 + 1e-6
-# Kinds of elements in the linear system of a scene.
-LINEAR = ("spring", "damper", "actuator")
 # A function from the values of the grid to the limits of dt [s].
 Boundary = Callable[[Sequence[float]], list[float]]
+GROWS = "motion grows beyond"
 
 
 @dataclass
 class MapSetting:
-    """The settings of one panel, with their theory.
+    """The settings of one panel of a map, with their theory.
 
-    form: the closed form of the motion; None for a converged run.
-    boundary: the theoretical limit of dt [s] for each value.
-    beyond: the behaviour beyond the boundary.
+    settings: an integrator, and other settings that make a scene of its own.
+    boundary: the theoretical limit of dt [s] for each value. beyond: what happens beyond it.
     """
 
     label: str
     settings: dict[str, Any] = field(default_factory=dict)
-    form: Form | None = None
     boundary: Boundary | None = None
     beyond: str = ""
 
 
 @dataclass
 class MapCase:
-    """A scene, the parameter that is varied, and the grid.
+    """A map to make: a scene, the parameter that is varied, and the grid.
 
-    axis: the label of the parameter's axis.
-    size: the length that errors are relative to [m].
-    accuracies: those asked for over a run [m]; then dts is the control period alone.
+    model: None for a scene that MuJoCo alone can load. axis: the label of the parameter's axis.
+    horizon: the simulated time [s], by default that of any map. size: the length that errors are
+    relative to [m], by default the scene's. period: which the steps divide [s].
+    truth: settings of the scene whose motion is the true one for all panels; None for each panel's
+    own.
     """
 
-    model: Model
+    model: Model | None
     path: str
     axis: str
     values: list[float]
@@ -64,14 +60,8 @@ class MapCase:
     key: str | int | None
     horizon: float | None = None
     size: float | None = None
-    accuracies: list[float] = field(default_factory=list)
-
-    @property
-    def steps(self) -> list[Step]:
-        """The steps of each value's cells."""
-        if self.accuracies:
-            return [Step(self.dts[0], asked) for asked in self.accuracies]
-        return [Step(dt) for dt in self.dts]
+    period: float | None = None
+    truth: dict[str, Any] | None = None
 
 
 def largest_stable_dt(
@@ -105,73 +95,63 @@ def largest_stable_dt(
     return float(low)
 
 
-def limit_of_springs(model: Model, key: str | int | None, integrator: str) -> float | None:
-    """Return the largest stable dt of a scene's joint springs, dampers and servos at its start [s].
-
-    None if the scene has none of these elements. Contacts, limits, gravity and Coriolis terms are
-    left out.
-    """
-    sim = unwatched(Sim(model))
-    sim.reset(key=key)
-    slopes = {e: s for e, s in sim.element_slopes().items() if e.kind in LINEAR}
-    implicit = implicit_kinds(integrator, model.scene.features.eulerdamp)
-    none = np.zeros((model.nv, model.nv))
-    stiffness = sum((s.stiffness for s in slopes.values()), none)
-    damping = sum((s.damping for s in slopes.values()), none)
-    late = sum((s.damping for e, s in slopes.items() if e.kind in implicit), none)
-    if not (stiffness.any() or damping.any()):
-        return None
-    return largest_stable_dt(integrator, sim.mass_matrix(), stiffness, damping, late)
-
-
-GROWS = "motion grows beyond"
 # ω·dt at the stability limit of an undamped motion.
-PHASE = {"semi-implicit": "2", "euler": "2", "implicitfast": "2", "implicit": "2"}
-PHASE["rk4"] = "2√2"
+PHASE = dict.fromkeys(("semi-implicit", "euler", "implicitfast", "implicit"), "2") | {"rk4": "2√2"}
 
 
-def spring(size: float | None) -> MapCase:
+def divisors(period: float, dts: np.ndarray) -> list[float]:
+    """Return the steps nearest to some that divide a period [s], ascending: runs can be compared.
+
+    >>> divisors(0.2, np.array([0.04, 0.07, 0.1]))
+    [0.04, 0.06666666666666667, 0.1]
+    """
+    counts = {round(period / dt) for dt in dts.tolist()}
+    return [period / count for count in sorted(counts, reverse=True)]
+
+
+def spring() -> MapCase:
     """Return the lesson's map of a mass on a spring: stiffness against dt, by integrator."""
-    model = scenes.spring().compile()
-    # Radius of gyration: the inertia is 1 kg·m² about every axis.
-    radius = np.sqrt(1.5)
-
-    def motion(stiffness: float, times: np.ndarray) -> np.ndarray:
-        points = np.zeros((len(times), 1, 4, 3))
-        points[..., 0] = np.cos(np.sqrt(stiffness) * times)[:, None, None]
-        points[:, 0, 1:] += radius * np.eye(3)
-        return points
 
     def boundary(integrator: str, values: Sequence[float]) -> list[float]:
         one, none = np.eye(1), np.zeros((1, 1))
         return [largest_stable_dt(integrator, one, value * one, none, none) for value in values]
 
-    settings = []
-    for name in INTEGRATORS:
-        beyond = f"{GROWS} ω dt = {PHASE[name]}" if name in PHASE else GROWS
-        chosen = {"integrator": name}
-        settings.append(MapSetting(name, chosen, motion, partial(boundary, name), beyond))
-    values = np.geomspace(1.0, 1e6, 19).tolist()
-    dts = np.geomspace(1e-4, 1e-1, 25).tolist()
-    path, axis = "joint/spring/stiffness", "stiffness [N/m]"
-    return MapCase(model, path, axis, values, dts, settings, "start", 2.5, size)
+    def beyond(integrator: str) -> str:
+        return f"{GROWS} ω dt = {PHASE[integrator]}" if integrator in PHASE else GROWS
+
+    settings = [
+        MapSetting(name, {"integrator": name}, partial(boundary, name), beyond(name))
+        for name in INTEGRATORS
+    ]
+    return MapCase(
+        model=scenes.spring().compile(),
+        path="joint/spring/stiffness",
+        axis="stiffness [N/m]",
+        values=np.geomspace(1.0, 1e6, 19).tolist(),
+        dts=divisors(0.2, np.geomspace(1e-4, 1e-1, 25)),
+        settings=settings,
+        key="start",
+        horizon=2.5,
+        period=0.2,
+        # It swings from 1 m to -1 m.
+        size=2.0,
+    )
 
 
 PENALTY = 1e6  # [N/m]
 RATIO = 0.1
+# Errors of the stack are relative to a tenth of its balls' radius [m].
+SMALL = RADIUS / 10
 BETA = 0.2
 SINKS = "sinks too deep at rest beyond"
 BOUNCES = "warm-started impulses grow beyond"
 
 
-def stack(tolerance: Tolerance, size: float | None) -> MapCase:
+def stack(depth: float) -> MapCase:
     """Return the map of a ball at rest on a ball of 1 kg: upper mass against dt, by contact law.
 
-    tolerance: the tolerance of the map.
-    size: the length that errors are relative to [m]; by default a tenth of the balls' radius.
+    All laws are compared with rigid balls. depth: the error above which a run is inaccurate [m].
     """
-    size = RADIUS / 10 if size is None else size
-    depth = tolerance.share(size) * size
     scene = scenes.tower([1.0, 1.0])
     # The balls overlap slightly, because a row exists only if the guess overlaps: balls that only
     # touch and fall together would separate in the first step.
@@ -186,12 +166,11 @@ def stack(tolerance: Tolerance, size: float | None) -> MapCase:
         "penalty_damping_ratio": RATIO,
     }
     settings = [
-        MapSetting(f"penalty, {PENALTY:.0e} N/m", penalty, None, penalised, GROWS),
+        MapSetting(f"penalty, {PENALTY:.0e} N/m", penalty, penalised, GROWS),
         *(
             MapSetting(
                 f"rows, {sweeps} sweeps, cold",
                 rest | {"sweeps": sweeps, "warm_start": False},
-                at_rest,
                 partial(_each, partial(sinking, sweeps=sweeps, depth=depth)),
                 SINKS,
             )
@@ -200,24 +179,24 @@ def stack(tolerance: Tolerance, size: float | None) -> MapCase:
         MapSetting(
             "rows, 4 sweeps, warm",
             rest | {"sweeps": 4, "warm_start": True},
-            at_rest,
             partial(_each, partial(warm_starting, sweeps=4)),
             BOUNCES,
         ),
     ]
-    values = np.geomspace(1.0, 1e3, 16).tolist()
-    dts = np.geomspace(1e-4, 3e-2, 21).tolist()
-    path, axis = "geom/shape1/mass", "mass ratio, heavy on light"
-    # An under-solved stack that launches itself needs 3 s to move far.
-    return MapCase(model, path, axis, values, dts, settings, "start", 3.0, size)
-
-
-def at_rest(ratio: float, times: np.ndarray) -> np.ndarray:
-    """Return the constant points of two rigid balls that touch at rest."""
-    around = RADIUS * np.sqrt(0.6) * np.vstack([np.zeros(3), np.eye(3)])
-    points = np.zeros((2, 4, 3)) + around
-    points[:, :, 2] += RADIUS * np.array([[1.0], [3.0]])
-    return np.broadcast_to(points, (len(times), 2, 4, 3)).copy()
+    return MapCase(
+        model,
+        path="geom/shape1/mass",
+        axis="mass ratio, heavy on light",
+        values=np.geomspace(1.0, 1e3, 16).tolist(),
+        dts=divisors(0.06, np.geomspace(1e-4, 3e-2, 21)),
+        settings=settings,
+        key="start",
+        # An under-solved stack that launches itself needs 3 s to move far.
+        horizon=3.0,
+        size=SMALL,
+        period=0.06,
+        truth=rest,
+    )
 
 
 def penalised(values: Sequence[float]) -> list[float]:
