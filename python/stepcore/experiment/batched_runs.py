@@ -20,7 +20,7 @@ from stepcore.executors import checkpoint
 from stepcore.experiment.arguments import Bar, BatchSpeedup, Timed, Workers
 from stepcore.experiment.recorder import Positions
 from stepcore.experiment.run import Run
-from stepcore.experiment.runner import Clock, Runner
+from stepcore.experiment.runner import Clock, Runner, stretches
 from stepcore.report.progress import Progress
 
 T = TypeVar("T")
@@ -124,8 +124,8 @@ class BatchRun:
             done = 0
             if schedule.ctrl is not None:
                 batch.ctrl[:] = schedule.ctrl[list(self.starts), period]
-            for end, row in schedule.stretches(
-                list(self.starts), period * count, batch.settings.dt, count
+            for end, row in stretches(
+                schedule, list(self.starts), period * count, batch.settings.dt, count
             ):
                 if row is not None:
                     batch.ctrl[:] = row

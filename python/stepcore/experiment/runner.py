@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -140,12 +141,12 @@ class Runner:
 
         start: the index of the start. probes: observe the run.
         clock: times the steps. A model without controls then makes all steps in one call.
-        steps: the number of steps; see `Schedule.blocks`.
+        steps: the number of steps; see `blocks_of`.
 
         `stepcore.experiment.batched_runs.BatchRun.follow` is the same loop for a batch.
         """
         schedule = self.schedule
-        blocks: Iterable[tuple[int, int]] = schedule.blocks(sim.settings.dt, steps)
+        blocks: Iterable[tuple[int, int]] = blocks_of(schedule, sim.settings.dt, steps)
         function = schedule.function()
         self.place(sim, start)
         for probe in probes:
@@ -164,7 +165,7 @@ class Runner:
             for probe in probes:
                 probe.period(sim, period)
             done = 0
-            for end, row in schedule.stretches(start, made, sim.settings.dt, count):
+            for end, row in stretches(schedule, start, made, sim.settings.dt, count):
                 if row is not None:
                     sim.ctrl[:] = row
                 while done < end:
@@ -198,6 +199,57 @@ class Runner:
             sim.ctrl = controls(function, sim)
         elif schedule.ctrl is not None:
             sim.ctrl[:] = schedule.ctrl[start][period]
+
+
+def blocks_of(schedule: Schedule, dt: float, count: int | None = None) -> Iterator[tuple[int, int]]:
+    """Yield the index of each control period and the number of time steps that begin in it.
+
+    dt: time step [s].
+    count: the total number of time steps, if dt does not divide the period; the last controls
+        then stay constant to the end.
+    """
+    if count is None:
+        yield from ((period, schedule.steps(dt)) for period in range(schedule.periods))
+        return
+    if schedule.control is None and not schedule.controls.nu:
+        yield 0, count
+        return
+    steps, period, done = schedule.period / dt, 0, 0
+    while done < count:
+        end = min(math.ceil((period + 1) * steps - 1e-9), count)
+        if end > done:
+            yield min(period, schedule.periods - 1), end - done
+        done, period = end, period + 1
+
+
+def stretches(
+    schedule: Schedule, starts: int | Sequence[int], made: int, dt: float, count: int
+) -> Iterator[tuple[int, np.ndarray | None]]:
+    """Yield the end of each stretch of equal controls in some time steps, and these controls.
+
+    The controls are None if nothing changes them within a period.
+
+    starts: the index of a start, or of several, whose controls have the shape (starts, nu).
+    made: the number of time steps before these. dt: time step [s]. count: the number of steps.
+    """
+    log = schedule.log
+    if log is None:
+        yield count, None
+        return
+    rows = log.steps(made * dt, dt, count)
+    rows = rows if rows.ndim == 2 else np.moveaxis(rows[starts], -2, 0)
+    first = changes(rows)
+    yield from ((end, rows[end - 1]) for end in (*first[1:], count))
+
+
+def changes(rows: np.ndarray) -> list[int]:
+    """Return the indices of the steps at which the controls change, the first step included.
+
+    >>> changes(np.array([[1.0], [1.0], [2.0]]))
+    [0, 2]
+    """
+    rows = rows.reshape(len(rows), -1)
+    return [0, *(1 + np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1))).tolist()]
 
 
 # A function that makes the probes of a run.
