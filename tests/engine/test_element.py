@@ -5,8 +5,8 @@ import pytest
 from zoo import HEAPS, ZOO
 
 import stepcore as sc
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.element import INERTIAL, Element, Elements
-from stepcore.experiment.coordinates import Coordinates
 
 # Of the differences.
 STEP = 1e-5

@@ -5,8 +5,8 @@ import pytest
 
 import stepcore as sc
 from stepcore.engine.control import ControlError, control_name
+from stepcore.experiment.engines import run
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
 
 QUIET = {"by": "flops", "threads": 1, "progress": False, "starts": 1}
@@ -34,8 +34,8 @@ def sampled(period, dt):
         return pd(time, sim)
 
     model, motion = leg().compile(), Motion(horizon=0.04, control=counted, control_dt=period)
-    runner = Runner(model, scheduled(motion, model, motion.period(0.002), starts=1))
-    runner.follow(runner.sim(model.settings.replace(dt=dt)), 0)
+    schedule = scheduled(motion, model, motion.period(0.002), starts=1)
+    run(model.with_settings(dt=dt), schedule, [0])
     return np.array(times)
 
 
@@ -152,11 +152,9 @@ def test_an_object_remembers_in_every_run_for_itself():
     by_hand = sim.run(0.1, control=Late()).qpos[:, 0]
     model = leg().compile()
     motion = Motion(horizon=0.1, control=late)
-    runner = Runner(model, scheduled(motion, model, 0.002, 1))
+    schedule = scheduled(motion, model, 0.002, 1)
     for _ in range(2):
-        again = runner.sim(model.settings)
-        runner.follow(again, 0)
-        assert again.qpos[0] == by_hand[-1]
+        assert run(model, schedule, [0], record=("qpos",))["qpos"][0, -1, 0] == by_hand[-1]
     assert result.error(result.shipped) < 1e-2
 
 

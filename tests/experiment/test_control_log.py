@@ -9,7 +9,6 @@ from covering import every_pair
 import stepcore as sc
 from stepcore.experiment.controls import ControlLog, Controls
 from stepcore.experiment.engines import run
-from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
 
 CART = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body name="cart">
@@ -47,10 +46,8 @@ def test_a_motor_gets_the_impulse_of_the_log_at_every_step(gap, seed, dt, linear
     motion = sc.Motion(horizon=0.4, starts=1, ctrl=table, interpolation=way)
     model = sc.loads(CART).compile()
     assert motion.period(0.002) is None
-    runner = Runner(model, scheduled(motion, model, 0.04))
-    sim = runner.sim(model.settings.replace(dt=dt))
-    runner.follow(sim, 0)
-    assert sim.qvel[0] == pytest.approx(impulse(table, 0.4, linear) / 2, abs=2e-6)
+    ran = run(model.with_settings(dt=dt), scheduled(motion, model, 0.04), [0], record=("qvel",))
+    assert ran["qvel"][0, -1, 0] == pytest.approx(impulse(table, 0.4, linear) / 2, abs=2e-6)
 
 
 def test_a_step_within_one_row_gets_exactly_this_row():
@@ -97,9 +94,8 @@ def test_the_error_of_sampling_a_log_falls_as_the_square_of_the_step(linear):
             rows = [own.log.steps(k * dt, 1e-6, 1) for k in range(round(0.4 / dt))]
             log = ControlLog(dt * np.arange(len(rows)), np.concatenate(rows))
             schedule = replace(own, controls=Controls(log))
-        runner = Runner(model, schedule)
-        run = runner.screen(model.settings.replace(dt=dt, integrator="rk4"), 0)
-        return run.com[:, 0, 2]
+        ran = run(model.with_settings(dt=dt, integrator="rk4"), schedule, [0])
+        return ran["xpos"][0, :, 1, 2]
 
     def error(dt, at_beginning=False):
         return np.abs(ended(dt, at_beginning) - ended(0.008 / 512)).max()
@@ -145,9 +141,8 @@ def test_a_run_plays_a_log_as_measurements_do():
     model = sc.loads(CART).compile()
     for dt in (0.002, 0.005, 0.01):
         scene = sc.loads(CART.replace("0.002", str(dt)))
-        run = sc.run(scene, horizon=0.4, ctrl=log(0.025))
+        shown = sc.run(scene, horizon=0.4, ctrl=log(0.025))
         motion = sc.Motion(horizon=0.4, starts=1, ctrl=log(0.025))
-        runner = Runner(model, scheduled(motion, model, 0.02))
-        sim = runner.sim(model.settings.replace(dt=dt))
-        runner.follow(sim, 0)
-        np.testing.assert_allclose(run.sim.qpos, sim.qpos, atol=1e-15)
+        schedule = scheduled(motion, model, 0.02)
+        qpos = run(model.with_settings(dt=dt), schedule, [0], record=("qpos",))["qpos"][0, -1]
+        np.testing.assert_allclose(shown.sim.qpos, qpos, atol=1e-15)

@@ -8,14 +8,13 @@ import pytest
 
 import stepcore as sc
 from stepcore.engine.actuator import actuators
+from stepcore.engine.follow import follow
 from stepcore.engine.start import Start
 from stepcore.experiment.default_motion import KINDS, kind_of
 from stepcore.experiment.engines import run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.moves import MOVE, profile
-from stepcore.experiment.run import Probe
-from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
 
 LINK = '<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/>'
@@ -66,25 +65,17 @@ def ways(schedule):
     return rows[:, -1] - rows[:, 0]
 
 
-class Watch(Probe):
-    """Records positions, forces, contacts and limits at every step."""
-
-    def __init__(self):
-        self.qpos, self.force, self.overlap = [], [], []
-
-    def stride(self, steps):
-        return 1
-
-    def step(self, sim):
-        self.qpos.append(np.array(sim.qpos))
-        self.force.append(np.array(sim.actuator_force))
-        self.overlap.append(sim.overlap)
-
-
 def watched(model, schedule, start=0):
-    runner, watch = Runner(model, schedule), Watch()
-    runner.follow(runner.sim(model.settings), start, [watch])
-    return np.array(watch.qpos), np.array(watch.force), max(watch.overlap)
+    """Positions and forces at every step, and the deepest overlap."""
+    dt = model.settings.dt
+    rows, hold = schedule.rows([start], dt)
+    ran = follow(
+        *(schedule.on(model), [schedule.starts[start]], schedule.periods * schedule.steps(dt)),
+        ctrl=rows,
+        hold=hold,
+        record=("qpos", "actuator_force", "overlap"),
+    )
+    return ran["qpos"][0, 1:], ran["actuator_force"][0, 1:], ran["overlap"].max()
 
 
 # --- the rules ------------------------------------------------------------------------------------
@@ -203,12 +194,11 @@ def test_controls_do_not_jump_within_a_period():
     """A stiff servo answers a jump of 8 ms with its force; steps longer than 1 ms get the means."""
     model = arm('kp="2000" kv="50"')
     schedule, _ = planned(model)
-    rows = dict(schedule.stretches(0, 200, 0.002, 4))
-    assert len(rows) == 4
-    steps = [float(row[0]) for row in rows.values()]
+    steps = schedule.rows([0], 0.002)[0][0, 200:204, 0]
+    assert len(set(steps.tolist())) == 4
     assert schedule.ctrl[0, 50, 0] == pytest.approx(np.mean(steps), abs=1e-12)
     whole, _ = planned(model, control_dt=0.008)
-    assert whole.log is None and dict(whole.stretches(0, 200, 0.002, 4)) == {4: None}
+    assert whole.log is None and whole.rows([0], 0.002)[1] == 4
 
 
 def test_velocity_servos_get_the_velocity_of_the_profile():
@@ -296,9 +286,9 @@ def test_a_legged_robot_stands_and_shifts(actuator):
     schedule, words = planned(model)
     assert "up to" in words and "falls" not in words and "only hold" not in words
     for k in range(4):
-        runner = Runner(model, schedule)
-        sim = runner.sim(model.settings)
-        runner.follow(sim, k)
+        sim = sc.Sim(model)
+        sim.qpos = watched(model, schedule, k)[0][-1]
+        sim.forward()
         assert sim.qpos[2] > 0.25 and abs(sim.qpos[3]) > 0.98 and len(sim.contacts) >= 4
 
 
@@ -320,12 +310,12 @@ def test_the_motion_follows_from_model_seed_and_period(model):
 @pytest.mark.parametrize("model", [arm(), torque_arm()])
 def test_runs_have_the_same_bits_in_another_process_and_in_batches(model):
     schedule, _ = planned(model, horizon=0.2)
-    alone = [run(model, schedule, [k])["xpos"][0] for k in range(8)]
-    other = pickle.loads(pickle.dumps(schedule))
     together = run(model, schedule, range(8))["xpos"]
+    alone = [run(model, schedule, [k])["xpos"][0] for k in range(8)]
+    other = run(*pickle.loads(pickle.dumps((model, schedule))), range(8))["xpos"]
     for k in range(8):
         np.testing.assert_array_equal(together[k], alone[k])
-        np.testing.assert_array_equal(run(model, other, [k])["xpos"][0], alone[k])
+        np.testing.assert_array_equal(other[k], alone[k])
     for part, k in ((schedule.part(3), 3), (schedule.part(0, 2).joined(schedule.part(5)), 0)):
         np.testing.assert_array_equal(run(model, part, [0])["xpos"][0], alone[k])
 
@@ -355,10 +345,10 @@ def test_a_wrong_kind_and_two_drives_are_refused():
 
 def test_a_run_follows_a_kind():
     model = torque_arm()
-    run = sc.run(model, "move", horizon=1.0)
+    ran = sc.run(model, "move", horizon=1.0)
     target = [0.5, -1.0] + ways(planned(model, starts=1)[0])[0]
-    assert run.sim.qpos == pytest.approx(target, abs=0.1)
-    assert "a PD controller drives the joints" in run.ran
+    assert ran.sim.qpos == pytest.approx(target, abs=0.1)
+    assert "a PD controller drives the joints" in ran.ran
     assert "motors are held at zero" in sc.run(model, "fall", horizon=0.1).ran
 
 
@@ -391,5 +381,5 @@ def test_a_state_is_put_without_its_time():
     """Trials begin at time 0, whatever the time of the keyframe."""
     model = arm(key='<key time="59" qpos=".1" ctrl=".1"/>', gravity="0 0 0")
     assert isinstance(scheduled(Motion(), model, 0.008).starts[0], Start)
-    run = sc.run(model, "move", horizon=1.0)
-    assert abs(float(run.sim.qpos[0]) - 0.1) > 0.1
+    ran = sc.run(model, "move", horizon=1.0)
+    assert abs(float(ran.sim.qpos[0]) - 0.1) > 0.1

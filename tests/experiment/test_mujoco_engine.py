@@ -9,10 +9,10 @@ from menagerie import PANDA, needed
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.engine.norm import apart, rms
 from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.mujoco_engine import MuJoCo
-from stepcore.experiment.norm import apart, rms
 from stepcore.experiment.price import computing_time
 from stepcore.experiment.study import Study
 from stepcore.loading import find_asset

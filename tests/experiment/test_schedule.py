@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.experiment.coordinates import Coordinates
+from stepcore.engine.coordinates import Coordinates
 from stepcore.experiment.engines import run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import scheduled, time_steps

@@ -10,7 +10,6 @@ from covering import every_pair
 from stiff import diagnosed
 
 import stepcore as sc
-from stepcore.experiment.passage import Passages
 
 # Steps beyond a limit are run on purpose.
 pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
@@ -142,37 +141,3 @@ def test_a_ball_that_falls_through_a_plate_has_failed():
     assert run(scene, 0.9 * limit.dt).xpos[1, 2] > 0
     beyond = [run(scene, part * limit.dt).xpos[1, 2] for part in np.geomspace(1.01, 2, 20)]
     assert min(beyond) < -0.1
-
-
-@pytest.mark.parametrize(("dt", "through"), [(0.001, False), (0.04, True)])
-def test_a_passage_is_seen_where_the_centre_leaves_on_the_other_side(dt, through):
-    sim = sc.Sim(plate(0.5).compile(), dt=dt)
-    passages = Passages(sim)
-    for _ in range(round(0.8 / dt)):
-        sim.step()
-        passages.observe(sim)
-    assert (float(sim.xpos[1, 2]) < 0) == through == bool(passages.found)
-
-
-def test_a_ball_deep_in_the_floor_has_not_passed():
-    """A floor has nothing behind it: whatever sinks into it is in contact, and comes back."""
-    sim = sc.Sim(
-        sc.loads("""<mujoco><worldbody><geom type="plane" size="1 1 .1"/>
-    <body pos="0 0 .01"><freejoint/><geom size=".1" mass="1"/></body></worldbody>
-    <keyframe><key qpos="0 0 .01 1 0 0 0" qvel="0 0 -5 0 0 0"/></keyframe></mujoco>""").compile()
-    )
-    sim.reset(key=0)
-    passages = Passages(sim)
-    for _ in range(200):
-        sim.step()
-        passages.observe(sim)
-    assert not passages.found
-
-
-# --- spinning bodies ------------------------------------------------------------------------------
-
-
-# --- servos without an energy ---------------------------------------------------------------------
-
-
-# --- who is named ---------------------------------------------------------------------------------

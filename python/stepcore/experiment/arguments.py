@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 from stepcore import checks, deadline
@@ -18,7 +17,6 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.mujoco_engine import engine_of
-from stepcore.experiment.run import Run
 from stepcore.report.progress import Choice, Progress
 from stepcore.scene.scene import Scene
 from stepcore.signatures import F, annotation, keyword
@@ -29,74 +27,8 @@ R = TypeVar("R")
 Bar = Progress | str | None
 # The models that a measurement accepts; files are loaded, and scenes compiled.
 Source = Model | Scene | str | os.PathLike[str]
-# The smallest speed-up at which further runs are batched.
-WORTH = 1.05
-
-
-class Timed(NamedTuple):
-    """Runs, and their computing time [s]."""
-
-    runs: list[Run]
-    spent: float
-
-
 # The measurements that run a model whose steps keep an accuracy.
 WITHIN_ACCURACY = ("trade", "check", "predict", "diagnose", "stability_map")
-
-
-@dataclass
-class BatchSpeedup:
-    """The speed-up of batched runs over single runs.
-
-    runs, batches: the numbers of batched runs and of batches.
-    alone: the computing time of the same runs made singly [s], estimated from one single run of
-        each setting.
-    spent: the computing time of the batches [s].
-    """
-
-    runs: int = 0
-    batches: int = 0
-    alone: float = 0.0
-    spent: float = 0.0
-    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
-
-    @property
-    def worth(self) -> bool:
-        """Whether further runs should be batched."""
-        return not self.batches or self.alone > WORTH * self.spent
-
-    def compare(self, alone: Timed, batches: Sequence[Timed]) -> None:
-        """Add batches to the comparison with a single run under the same settings.
-
-        Nothing is added if any run failed, because failed runs end early. This method is
-        thread-safe.
-
-        alone: the single run. batches: the batched runs.
-        """
-        runs = [run for batch in batches for run in batch.runs]
-        if any(run.failure for run in (*alone.runs, *runs)):
-            return
-        with self._lock:
-            self.runs, self.batches = self.runs + len(runs), self.batches + len(batches)
-            self.alone += alone.spent * len(runs)
-            self.spent += sum(batch.spent for batch in batches)
-
-    @property
-    def sentences(self) -> list[str]:
-        """The speed-up in words; empty without batches, or if batches saved no time."""
-        if not self.batches or self.alone <= self.spent:
-            return []
-        batches = "one batch" if self.batches == 1 else f"{self.batches} batches"
-        return [
-            f"{self.runs} runs were made as {batches}, {self.alone / self.spent:.2g} times quicker "
-            "than singly (computing time of a core)"
-        ]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_lock"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state, _lock=threading.Lock())
 
 
 @dataclass(frozen=True)
@@ -109,23 +41,16 @@ class Workers:
     progress: False for no bar, or a function of (label, done, total).
     seconds: (of the measurement) the longest time [s]; by default there is none. When the time is
         over, the result has what is known, and `unfinished` says what was not done.
-    speedup: the speed-up of the batched runs that these workers made.
     """
 
     threads: int = 1
     executor: Executor | None = None
     progress: Choice = False
-    speedup: BatchSpeedup = field(default_factory=BatchSpeedup, compare=False)
 
     @property
     def deadline(self) -> Deadline:
         """The deadline of the measurement; one that never ends if the measurement has none."""
         return deadline.current() or Deadline()
-
-    @property
-    def inside(self) -> Workers:
-        """Workers with one thread, for a job that runs in parallel with others."""
-        return Workers(speedup=self.speedup)
 
     @classmethod
     def checked(
@@ -163,28 +88,6 @@ class Workers:
         how: dict[str, Any] = {"threads": self.threads, "executor": self.executor}
         with self.bar(bar, len(points)) as drawn:
             return each(job, points, bar=drawn, done=done, took=took, **how)
-
-    def until(
-        self,
-        ends: Callable[[R], object],
-        job: Callable[[T], R],
-        points: Sequence[T],
-        bar: Bar,
-    ) -> list[R]:
-        """Call a job at the points, and return the results up to the first that satisfies `ends`.
-
-        That result is included. Later jobs are not started, or their results are dropped, so the
-        number of threads does not affect the list that is returned.
-        """
-        together = len(points) if self.executor is not None else self.threads
-        done: list[R] = []
-        with self.bar(bar, len(points)) as drawn:
-            for first in range(0, len(points), max(1, together)):
-                for result in self.each(job, points[first : first + together], drawn):
-                    done.append(result)
-                    if ends(result):
-                        return done
-        return done
 
 
 class Setup(NamedTuple):

@@ -162,13 +162,3 @@ class Controls:
             return self
         rows = np.concatenate([self.log.rows, other.log.rows])
         return dataclasses.replace(self, log=dataclasses.replace(self.log, rows=rows))
-
-
-def changes(rows: np.ndarray) -> list[int]:
-    """Return the indices of the steps at which the controls change, the first step included.
-
-    >>> changes(np.array([[1.0], [1.0], [2.0]]))
-    [0, 2]
-    """
-    rows = rows.reshape(len(rows), -1)
-    return [0, *(1 + np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1))).tolist()]

@@ -17,15 +17,15 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.control import ControlError
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.follow import Followed, follow
 from stepcore.engine.linear_maps import STAGED
 from stepcore.engine.model import Model
+from stepcore.engine.norm import Matter, Tracks
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
-from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.norm import Matter, Tracks
 from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
 
 # A run has failed if a body is so many sizes of the scene away from where it began. A distance of a

@@ -115,7 +115,7 @@ class Motion:
     follow: recorded positions of joints, followed in place of `ctrl`: a table in which each column
         has the name of a hinge or slide, from the same sources, or a recorded run with qpos. The
         motion starts at the first row. Each position servo gets as its control what makes its
-        force zero in the recorded position; motors are driven by a PD controller toward it.
+        force zero in the recorded position; motors get position servos in their place.
         Between rows positions are interpolated.
 
     Raises ValueError for a value outside its limits.

@@ -16,7 +16,7 @@ dofs without a motor.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,13 +24,13 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.actuator import MOTOR, SERVO, VELOCITY_SERVO, Actuator, actuators, loads
+from stepcore.engine.coordinates import Coordinates, rotated
 from stepcore.engine.follow import Followed, follow
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change, Servo
 from stepcore.experiment.controls import ControlLog, Controls
-from stepcore.experiment.coordinates import Coordinates, rotated
 
 # The duration of a move, and of the rest after it [s].
 MOVE, REST = 0.8, 0.2
@@ -322,7 +322,8 @@ class Moves:
                 low, high = model.jnt_range[joint]
                 if kind in ("hinge", "slide") and ((qpos[:, q] < low) | (qpos[:, q] > high)).any():
                     seen.met.add(joint)
-        upright = Upright(_put(sim, start), self.roots if self.about else ())
+        _put(sim, start)
+        stood = {body: _stance(sim, body) for body in (self.roots if self.about else ())}
         stride = max(1, round(LOOK / times[1])) if len(times) > 1 else 1
         looks = dict.fromkeys([*range(stride, len(times), stride), len(times) - 1])
         for place in () if seen.failure else looks:
@@ -331,8 +332,10 @@ class Moves:
             seen.points = touching(sim) if sim.overlap > 0 else []
             seen.ends_on = {self._touch(*point[:2]) for point in seen.points}
             seen.met |= seen.ends_on
-            if seen.fell is None and upright.lost(sim) is not None:
-                seen.fell = float(times[place])
+            for body, (axis, height) in stood.items():
+                now, above = _stance(sim, body)
+                if now @ axis < np.cos(TILT) or above < (1 - SINKS) * height:
+                    seen.fell = min(seen.fell or math.inf, float(times[place]))
         if not seen.failure:
             seen.end = Start(qpos[-1], qvel[-1], act[-1], start.mocap)
         return seen
@@ -444,37 +447,15 @@ def touching(sim: Sim) -> list[tuple[int, int, np.ndarray]]:
     return [(int(body[c["geom1"]]), int(body[c["geom2"]]), np.array(c["pos"])) for c in table]
 
 
-class Upright:
-    """Tells when a robot falls over. bodies: the roots of robots that nothing fixes."""
-
-    def __init__(self, sim: Sim, bodies: Collection[int]) -> None:
-        self.bodies = sorted(bodies)
-        own = [sim.model.root(body) for body in sim.model.geom_body.tolist()]
-        self.geoms = [[k for k, root in enumerate(own) if root == body] for body in self.bodies]
-        self.axes = [self._axis(sim, body) for body in self.bodies]
-        self.heights = [self._height(sim, k) for k in range(len(self.bodies))]
-
-    def lost(self, sim: Sim) -> int | None:
-        """Return the base of a robot that has fallen, or None."""
-        for k, body in enumerate(self.bodies):
-            tilted = self._axis(sim, body) @ self.axes[k] < np.cos(TILT)
-            if tilted or self._height(sim, k) < (1 - SINKS) * self.heights[k]:
-                return body
-        return None
-
-    @staticmethod
-    def _axis(sim: Sim, body: int) -> np.ndarray:
-        """Return the vertical of the world in the body's frame."""
-        back = np.array(sim.xquat[body]) * (1.0, -1.0, -1.0, -1.0)
-        return rotated(back, np.array([0.0, 0.0, 1.0]))
-
-    def _height(self, sim: Sim, k: int) -> float:
-        """Return the height of the centre of mass above the lowest geom of a robot."""
-        geoms = self.geoms[k]
-        if not geoms:
-            return math.inf
-        lowest = sim.geom_xpos[geoms, 2] - sim.model.geom_size[geoms].max(axis=1)
-        return float(sim.subtree_com[self.bodies[k], 2] - lowest.min())
+def _stance(sim: Sim, body: int) -> tuple[np.ndarray, float]:
+    """Return the vertical of the world in the frame of a robot's root, and the height of its centre
+    of mass above the lowest of its geoms.
+    """
+    back = np.array(sim.xquat[body]) * (1.0, -1.0, -1.0, -1.0)
+    geoms = [k for k, own in enumerate(sim.model.geom_body.tolist()) if sim.model.root(own) == body]
+    lowest = sim.geom_xpos[geoms, 2] - sim.model.geom_size[geoms].max(axis=1)
+    height = float(sim.subtree_com[body, 2] - lowest.min(initial=np.inf))
+    return rotated(back, np.array([0.0, 0.0, 1.0])), height
 
 
 def _put(sim: Sim, start: Start) -> Sim:

@@ -23,16 +23,16 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.control import ControlError, controls
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
+from stepcore.engine.norm import Matter, Tracks
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
-from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.engines import FAR, LOOKS, Engine, Stepcore, Way
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.mujoco_schedule import mujoco, scheduled_by_mujoco
-from stepcore.experiment.norm import Matter, Tracks
 from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
 from stepcore.loading import find_asset, find_model, find_scene
 from stepcore.mjcf.reader import read_text

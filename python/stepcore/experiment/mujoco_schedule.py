@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from stepcore import checks
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.start import Start
 from stepcore.experiment.control_table import PositionTable
 from stepcore.experiment.controls import Controls
-from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.default_motion import by_rule
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON, Schedule, laid_out, played

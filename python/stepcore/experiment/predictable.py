@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stepcore.engine.norm import apart
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
-from stepcore.experiment.norm import apart
 from stepcore.experiment.schedule import Schedule
 
 # The nudge and the common shift, relative to the scene's size or in radians.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -18,13 +18,13 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.control import Control, control_name, fresh
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import Actuated, PositionTable, control_table
-from stepcore.experiment.controls import ControlLog, Controls, changes
-from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.controls import ControlLog, Controls
 from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.motion import Motion
 from stepcore.report import units
@@ -152,8 +152,6 @@ class Schedule:
             self, starts=starts, controls=self.controls.joined(other.controls)
         )
 
-    # --- for loops over control periods -----------------------------------------------------------
-
     @property
     def log(self) -> ControlLog | None:
         """Controls that change within periods; None if they are constant in each period."""
@@ -167,45 +165,6 @@ class Schedule:
             return None
         rows = self.controls.log.steps(0.0, self.period, self.periods)
         return np.broadcast_to(rows, (len(self.starts), *rows.shape[-2:]))
-
-    def blocks(self, dt: float, count: int | None = None) -> Iterator[tuple[int, int]]:
-        """Yield the index of each control period and the number of time steps that begin in it.
-
-        dt: time step [s].
-        count: the total number of time steps, if dt does not divide the period; the last controls
-            then stay constant to the end.
-        """
-        if count is None:
-            yield from ((period, self.steps(dt)) for period in range(self.periods))
-            return
-        if self.control is None and not self.controls.nu:
-            yield 0, count
-            return
-        steps, period, done = self.period / dt, 0, 0
-        while done < count:
-            end = min(math.ceil((period + 1) * steps - 1e-9), count)
-            if end > done:
-                yield min(period, self.periods - 1), end - done
-            done, period = end, period + 1
-
-    def stretches(
-        self, starts: int | Sequence[int], made: int, dt: float, count: int
-    ) -> Iterator[tuple[int, np.ndarray | None]]:
-        """Yield the end of each stretch of equal controls in some time steps, and these controls.
-
-        The controls are None if nothing changes them within a period.
-
-        starts: the index of a start, or of several, whose controls have the shape (starts, nu).
-        made: the number of time steps before these. dt: time step [s]. count: the number of steps.
-        """
-        log = self.log
-        if log is None:
-            yield count, None
-            return
-        rows = log.steps(made * dt, dt, count)
-        rows = rows if rows.ndim == 2 else np.moveaxis(rows[starts], -2, 0)
-        first = changes(rows)
-        yield from ((end, rows[end - 1]) for end in (*first[1:], count))
 
 
 def scheduled(

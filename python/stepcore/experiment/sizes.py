@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from stepcore.engine.model import Model
-from stepcore.experiment.run import Run
 from stepcore.scene.scene import Scene
 from stepcore.scene.softness import UNKNOWN, extent
 
 
-def scene_size(scene: Scene, runs: Sequence[Run] = ()) -> float:
-    """Return the size of a scene and of its motion [m]; 1 if nothing in the scene has a length.
+def scene_size(scene: Scene) -> float:
+    """Return the size of a scene [m]; 1 if nothing in it has a length.
 
-    The size is the sum of the extent of the bodies' motion in the runs, the largest distance of a
-    body from its parent, and the largest half size of a geom.
+    That is the largest distance of a body from its parent and the largest half size of a geom.
     """
-    gone = 0.0
-    if runs:
-        centres = np.concatenate([run.com.reshape(-1, 3) for run in runs])
-        gone = float(np.linalg.norm(np.ptp(centres, axis=0)))
-    return gone + extent(scene) or UNKNOWN
+    return extent(scene) or UNKNOWN
 
 
 class Sizes:

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from stepcore.engine.model import Model
+from stepcore.engine.norm import Tracks, apart, largest, rms
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, check_repeatable
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import engine_of
-from stepcore.experiment.norm import Tracks, apart, largest, rms
 from stepcore.experiment.price import OPERATION, OVERHEAD, computing_time
 from stepcore.experiment.schedule import STARTS, Schedule, time_steps
 from stepcore.experiment.trial import Trial

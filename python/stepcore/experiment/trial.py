@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.engine.norm import Tracks
 from stepcore.experiment.change import Change
-from stepcore.experiment.norm import Tracks
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class Trial:
     change: what was run. settings: all settings under which it was run.
     starts: the starts of the motion it was run from, by index.
     errors: the RMS position error of every start [m], (starts,): the distance from the truth by the
-        norm of `stepcore.experiment.norm`, over the samples that can be predicted, and never below
+        norm of `stepcore.engine.norm`, over the samples that can be predicted, and never below
         what the truth is sure of; inf where the run failed, NaN without a truth.
     unsure: how far the truth of every start may be off [m], (starts,).
     largest: the largest error of a body at any time, of every start [m], (starts,).

@@ -18,9 +18,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from stepcore.engine.norm import Tracks, apart, rms
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, Way
-from stepcore.experiment.norm import Tracks, apart, rms
 from stepcore.experiment.predictable import Growth, settled
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.settings import label

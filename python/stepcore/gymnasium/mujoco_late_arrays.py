@@ -11,9 +11,9 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
+from stepcore.engine.coordinates import cross
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.coordinates import cross
 from stepcore.scene.layout import DOFS, QPOS
 
 # Where the second, third and fourth stage stand within a step.

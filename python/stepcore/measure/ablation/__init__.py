@@ -11,6 +11,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal, without
+from stepcore.engine.norm import apart, largest, rms
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof, greedy
@@ -18,7 +19,6 @@ from stepcore.experiment.engines import visits
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import FLAGS
-from stepcore.experiment.norm import apart, largest, rms
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import Truth

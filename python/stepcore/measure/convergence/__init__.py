@@ -12,11 +12,11 @@ from typing import Any, Unpack
 import numpy as np
 
 from stepcore import checks
+from stepcore.engine.norm import apart, rms
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import Horizon, affordable, horizon_of
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.norm import apart, rms
 from stepcore.experiment.schedule import HORIZON, divides
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.experiment.trial import Trial

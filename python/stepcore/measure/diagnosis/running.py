@@ -25,6 +25,7 @@ from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.arrays import Floats
 from stepcore.engine.control import Control, ControlError, controls, fresh
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.element import Element
 from stepcore.engine.follow import Followed, follow
 from stepcore.engine.model import Model
@@ -32,7 +33,6 @@ from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
 from stepcore.experiment.controls import ControlLog, Controls
-from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.schedule import SPEED, SPIN, Schedule
 from stepcore.report.units import seconds
 

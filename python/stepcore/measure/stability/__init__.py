@@ -13,6 +13,7 @@ from stepcore import checks
 from stepcore.deadline import OutOfTime
 from stepcore.engine.linear_maps import implicit_kinds
 from stepcore.engine.model import Model
+from stepcore.engine.norm import apart, largest, rms
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.change import Change
@@ -20,7 +21,6 @@ from stepcore.experiment.engines import FAR, Engine, Stepcore, run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
 from stepcore.experiment.mujoco_engine import engine_of
-from stepcore.experiment.norm import apart, largest, rms
 from stepcore.experiment.schedule import divides, home
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import Truth
@@ -91,7 +91,7 @@ def stability_map(
         asked for. By default, if the model's steps keep an accuracy, seven around it.
     integrators: one or several, one panel each; by default the scene's own.
     deviation: the error above which a run is inaccurate: metres, "1mm", or "10%" of the scene's
-        size. It is the RMS position error of `stepcore.experiment.norm`, as in every measurement.
+        size. It is the RMS position error of `stepcore.engine.norm`, as in every measurement.
     engine: "stepcore", or "mujoco", which also runs files that stepcore cannot load.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 

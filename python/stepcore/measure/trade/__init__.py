@@ -59,7 +59,7 @@ def trade(
     """Measure accuracy against cost over many settings of a scene, and recommend settings.
 
     Every setting runs the same motion and is compared with the scene's own converged motion, whose
-    error is reported; `stepcore.experiment.norm` says how far two motions are apart, and
+    error is reported; `stepcore.engine.norm` says how far two motions are apart, and
     `stepcore.measure.trade.search` describes the search. Settings are ranked by counted work, so
     that the answer is the same on every machine; the times beside it are measured.
 

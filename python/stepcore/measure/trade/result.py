@@ -14,12 +14,12 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.model import Model
+from stepcore.engine.norm import Matter, apart, rms
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof, frontier
 from stepcore.experiment.motion import Motion, picklable
-from stepcore.experiment.norm import Matter, apart, rms
 from stepcore.experiment.price import OPERATION
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import EFFORT, SHIPPED

@@ -16,9 +16,9 @@ from functools import cached_property
 import numpy as np
 
 from stepcore.deadline import OutOfTime
+from stepcore.engine.norm import Tracks, apart, rms
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof, least
-from stepcore.experiment.norm import Tracks, apart, rms
 from stepcore.experiment.study import SHIPPED, TOGETHER, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Truth
