@@ -61,7 +61,7 @@ WAYS: dict[str, tuple[str, ...]] = {
     "spring": ("stiffness", *HARDWARE),
     "damper": ("damping", ARMATURE, CHAIN),
     "actuator": ("kp", "kv", GAINS, *HARDWARE),
-    "control": (LOOP_GAIN, PERIOD, *HARDWARE),
+    "control": (LOOP_GAIN, PERIOD, ARMATURE, CHAIN),
     "tendon spring": ("stiffness",),
     "tendon damper": ("damping",),
     **dict.fromkeys(

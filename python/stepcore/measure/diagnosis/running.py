@@ -515,9 +515,11 @@ class Judge:
             return Outcome("diverges", pair.reached, math.inf, math.inf)
         times, usual = pair.times, self.usual("energy", pair.times)
         least = max(self.motions.floor, 4 * self.motions.falling(pair.dt))
-        with np.errstate(over="ignore"):
+        with np.errstate(all="ignore"):
             energy = pair.energy / np.maximum(usual, least)
             growth = pair.apart / self.usual("apart", times)
+        # Two runs that never part, and a motion whose own growth has no bound.
+        growth[np.isnan(growth)] = 0.0
         late = float(growth[times >= 0.75 * times[-1]].max())
         most = float(energy.max())
         over = times[energy > more * LARGE]
