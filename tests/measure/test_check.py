@@ -244,7 +244,8 @@ def test_a_run_that_fails_and_its_diagnosis():
     result = checked(text, horizon=4.0)
     assert result.findings[0].kind == "failure" and result.findings[0].severity == "error"
     assert "spring of joint `knee`" in result.findings[0].text
-    assert "explodes under euler" in str(result) and "Any one of these changes" in str(result)
+    said = str(result)
+    assert "explodes after 1.52 s under euler" in said and "Any one of these changes" in said
     assert result.commands[0][0] == "stepcore diagnose FILE --horizon 4.0"
     assert re.fullmatch(r"stepcore run FILE --dt \S+ --horizon 4.0", result.commands[1][0])
 

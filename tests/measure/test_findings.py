@@ -384,6 +384,7 @@ WELD = """<mujoco><option><flag contact="disable"/></option><compiler angle="rad
 <actuator><position name="hold" joint="pivot" kp="20000" kv="500"/></actuator></mujoco>"""
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
 def test_the_gap_that_a_weld_s_cure_leaves_is_that_of_a_run():
     """Rotation leaks in over 0.5 m, which the closed form does not know (60 µm)."""
     text = the(watched(sc.loads(WELD.format("")), time=4.0)[1], "gap").text

@@ -65,6 +65,7 @@ def test_what_falls_or_rests_does_not_creep(fields):
     assert watched(scene)[1] == []
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
 def test_a_joint_that_a_servo_moves_does_not_creep():
     servo = '<actuator><position name="servo" joint="j" kp="100" kv="10"/></actuator></mujoco>'
     scene = sc.loads(ARM.format("").replace("</mujoco>", servo))

@@ -46,8 +46,8 @@ class StiffnessWarning(UserWarning):
     ...     warnings.simplefilter("always")
     ...     _ = loads(text)
     >>> print(caught[0].message)  # doctest: +NORMALIZE_WHITESPACE
-    dt 10 ms explodes under implicitfast: spring of joint `knee` limits dt to 2 ms
-    (run stepcore diagnose for advice)
+    dt 10 ms may be unstable under implicitfast: spring of joint `knee` alone limits dt to 2 ms
+    (run stepcore diagnose, which runs the motion)
     """
 
 
@@ -148,14 +148,14 @@ def estimate(scene: Scene) -> str:
     if element is None or limit >= MARGIN * dt:
         return ""
     name = Elements([element]).name
-    cause = f"{name} limits dt to {seconds(limit)}"
+    cause = f"{name} alone limits dt to {seconds(limit)}"
     if limit < SHORTEST:
-        cause = f"{name} makes every step tried unstable, down to {seconds(SHORTEST)}"
-    cause += " (run stepcore diagnose for advice)"
+        cause = f"{name} alone makes every step unstable, down to {seconds(SHORTEST)}"
+    cause += " (run stepcore diagnose, which runs the motion)"
     if dt > limit:
-        return f"dt {seconds(dt)} explodes under {settings.integrator}: {cause}"
+        return f"dt {seconds(dt)} may be unstable under {settings.integrator}: {cause}"
     margin = f"a stability margin of only {times(limit / dt)} under {settings.integrator}"
-    return f"dt {seconds(dt)} has {margin}: {cause}"
+    return f"dt {seconds(dt)} may have {margin}: {cause}"
 
 
 def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:

@@ -323,6 +323,7 @@ def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str
         diagnosis = diagnose(
             setup.model,
             dataclasses.replace(motion, starts=None),
+            integrators=[setup.model.settings.integrator],
             threads=workers.threads,
             executor=workers.executor,
             progress=workers.progress,
