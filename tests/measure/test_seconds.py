@@ -44,9 +44,7 @@ def measurements(hinge):
         ),
         "predict": lambda seconds: sc.predict(spring, **short, starts=3, seconds=seconds),
         "ablate": lambda seconds: sc.ablate(hinge, **short, starts=2, seconds=seconds),
-        "converge": lambda seconds: sc.converge(
-            lesson.stack(3, "rigid", (1.0, 10.0)), **short, starts=1, states=99, seconds=seconds
-        ),
+        "converge": lambda seconds: sc.converge(spring, **short, starts=1, seconds=seconds),
         "stability_map": lambda seconds: sc.stability_map(
             path="joint/spring/stiffness",
             values=[10, 100],
