@@ -69,7 +69,7 @@ def check(scene, name, integrators, steps=4000, near=2.0, within=0.02):
     d = diagnosed(scene, integrators)
     model = scene.compile()
     for integrator in integrators:
-        # Under `explicit` growth has no end to its slowness: the linearised step is asked.
+        # What the explicit rule makes grow takes more than a thousand steps to show.
         limit = d.held(integrator) if integrator == "explicit" else d.limit(integrator)
         assert d.stiffest(integrator) == name, integrator
         real = stiff.bisected(
