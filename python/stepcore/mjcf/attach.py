@@ -18,8 +18,7 @@ from typing import Any
 from stepcore.checks import nearest
 from stepcore.mjcf.defaults import MAIN, Compiler, Defaults
 from stepcore.mjcf.nodes import Node, below, inside, sections
-from stepcore.mjcf.schema import FLAGS, ROOT
-from stepcore.mjcf.sections import sizes
+from stepcore.mjcf.schema import FLAGS_OFF, ROOT
 from stepcore.mjcf.validation import bad, kind_of, references
 from stepcore.scene import frames
 from stepcore.scene.frames import Vec
@@ -562,7 +561,11 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
         else:
             section.values[name] = check(name, here, there)
     # A flag differs from its default if either model changes it.
-    turned = {name: word for name, word in their_flags.items() if _turns(name, word)}
+    turned = {
+        name: word
+        for name, word in their_flags.items()
+        if word == ("enable" if name in FLAGS_OFF else "disable")
+    }
     if turned:
         inner = Node("flag", {}, node.file, node.line)
         inner.values = dict(turned)
@@ -584,27 +587,18 @@ def _written_options(root: Node) -> tuple[dict[str, Any], dict[str, Any]]:
     return options, flags
 
 
-def _turns(name: str, word: str) -> bool:
-    """Return whether a flag differs from its default.
-
-    The flag "override" and those after it are off by default.
-    """
-    flags = FLAGS.split()
-    return word == ("enable" if name in flags[flags.index("override") :] else "disable")
-
-
 def _split_keys(root: Node, defaults: Defaults) -> list[Node]:
     """Return the keyframes of a model, with each vector split by element in `parts`."""
     keys = inside(root, "keyframe")
     if not keys:
         return []
     joints, mocaps = _joints_and_mocaps(root, defaults)
-    actuators = [(node, *sizes(defaults.gains(node))) for node in inside(root, "actuator")]
+    laws = [(node, defaults.gains(node)) for node in inside(root, "actuator")]
     layout = {
         "qpos": [(node, QPOS[kind]) for kind, node in joints],
         "qvel": [(node, DOFS[kind]) for kind, node in joints],
-        "ctrl": [(node, controls) for node, controls, _ in actuators],
-        "act": [(node, activations) for node, _, activations in actuators],
+        "ctrl": [(node, len(gains.inputs) or 1) for node, gains in laws],
+        "act": [(node, gains.law.states) for node, gains in laws],
         "mpos": [(node, 3) for node in mocaps],
         "mquat": [(node, 4) for node in mocaps],
     }

@@ -90,25 +90,23 @@ class ActuatorGains:
             values["inductance"] = values.pop("timeconst") * values["resistance"]
             if values["input"] == "voltage":
                 del values["kp"], values["kv"]
-        return _general_fields(values) if self.tag == "general" else values
+        if self.tag != "general":
+            return values
+        affine = values["biastype"] == "affine"
+        fields: Values = {
+            "gainprm": values["gainprm"][0],
+            "biasprm": values["biasprm"][:3] if affine else None,
+        }
+        if values["gaintype"] != "fixed":
+            fields |= {"gaintype": values["gaintype"], "gainprm": values["gainprm"][:10]}
+        if values["biastype"] == "muscle":
+            fields |= {"biastype": "muscle", "biasprm": values["biasprm"][:10]}
+        if values["dyntype"] != "none":
+            fields |= {"dyntype": values["dyntype"], "dynprm": values["dynprm"][:3]}
+        return fields
 
 
 Chain = tuple[ActuatorGains, ...]
-
-
-def _general_fields(values: Values) -> Values:
-    affine = values["biastype"] == "affine"
-    fields: Values = {
-        "gainprm": values["gainprm"][0],
-        "biasprm": values["biasprm"][:3] if affine else None,
-    }
-    if values["gaintype"] != "fixed":
-        fields |= {"gaintype": values["gaintype"], "gainprm": values["gainprm"][:10]}
-    if values["biastype"] == "muscle":
-        fields |= {"biastype": "muscle", "biasprm": values["biasprm"][:10]}
-    if values["dyntype"] != "none":
-        fields |= {"dyntype": values["dyntype"], "dynprm": values["dynprm"][:3]}
-    return fields
 
 
 def inherited(chain: Chain, node: Node) -> ActuatorGains:
@@ -136,10 +134,6 @@ def inherited(chain: Chain, node: Node) -> ActuatorGains:
     return replace(made, inheritrange=scale, damping=drag)
 
 
-def _velocity(base: ActuatorGains, node: Node) -> ActuatorGains:
-    return ActuatorGains("velocity", base.values | _given(node, "kv"))
-
-
 def _given(node: Node, *names: str) -> Values:
     return {name: node.values[name] for name in names if name in node.values}
 
@@ -150,25 +144,16 @@ def _not_negative(node: Node, values: Values, *names: str) -> None:
             raise bad(node, name, values[name], ">= 0")
 
 
-def _damper(base: ActuatorGains, node: Node) -> ActuatorGains:
-    values = base.values | _given(node, "kv")
-    _not_negative(node, values, "kv")
-    return ActuatorGains("damper", values)
-
-
-def _cylinder(base: ActuatorGains, node: Node) -> ActuatorGains:
-    values = base.values | _given(node, "area", "bias", "timeconst")
+def _plain(base: ActuatorGains, node: Node) -> ActuatorGains:
+    """Return the law of a velocity servo, damper, cylinder or adhesion: its own attributes."""
+    values = base.values | _given(node, *LAWS[node.tag].fields)
+    if node.tag in ("damper", "adhesion"):
+        _not_negative(node, values, "kv", "gain")
     diameter = node.values.get("diameter", -1.0)
-    if diameter >= 0:
+    if node.tag == "cylinder" and diameter >= 0:
         # Unlike a power, a product overflows to inf, which the element's own check reports.
         values["area"] = math.pi / 4 * diameter * diameter
-    return ActuatorGains("cylinder", values)
-
-
-def _adhesion(base: ActuatorGains, node: Node) -> ActuatorGains:
-    values = base.values | _given(node, "gain")
-    _not_negative(node, values, "gain")
-    return ActuatorGains("adhesion", values)
+    return ActuatorGains(node.tag, values)
 
 
 def _muscle(base: ActuatorGains, node: Node) -> ActuatorGains:
@@ -176,28 +161,24 @@ def _muscle(base: ActuatorGains, node: Node) -> ActuatorGains:
 
     As in MuJoCo, the default values of `<general>` count as not given.
     """
-    values, old = node.values, base.values
-    low, high = old.get("range", MUSCLE["range"])
+    values, had = node.values, base.values
+    low, high = had.get("range", MUSCLE["range"])
     bounds = (
         MUSCLE["range"][0] if low == 1.0 else low,
         MUSCLE["range"][1] if high == 0.0 else high,
     )
-    rise, fall = old.get("timeconst", LAWS["muscle"].fields["timeconst"])
+    rise, fall = had.get("timeconst", LAWS["muscle"].fields["timeconst"])
     times = (0.01 if rise == 1 else rise, 0.04 if fall == 0 else fall)
     made: Values = {
-        "range": _unless_negative(values.get("range", bounds), bounds),
-        "timeconst": _unless_negative(values.get("timeconst", times), times),
-        "tausmooth": values.get("tausmooth", old.get("tausmooth", 0.0)),
+        name: tuple(b if a < 0 else a for a, b in zip(values.get(name, old), old, strict=True))
+        for name, old in (("range", bounds), ("timeconst", times))
     }
+    made["tausmooth"] = values.get("tausmooth", had.get("tausmooth", 0.0))
     for name, default in list(MUSCLE.items())[1:]:
-        kept = old.get(name, default) or default
+        kept = had.get(name, default) or default
         made[name] = values[name] if values.get(name, -1.0) >= 0 else kept
     _not_negative(node, made, "tausmooth")
     return ActuatorGains("muscle", made)
-
-
-def _unless_negative(new: Vec, old: Vec) -> Vec:
-    return tuple(b if a < 0 else a for a, b in zip(new, old, strict=True))
 
 
 def _servo(base: ActuatorGains, node: Node) -> ActuatorGains:
@@ -287,7 +268,13 @@ def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
         raise bad(node, "controller", values["controller"], "ki >= 0")
     rate = _filled(values.get("saturation", ()), (0.0, 0.0, old["current_rate"]))[2]
     made |= {name: max(made[name], 0.0) for name in ("slewmax", "imax", "vmax")}
-    made |= {"current_rate": max(rate, 0.0), "timeconst": _electrical(node, old, resistance)}
+    made |= {"current_rate": max(rate, 0.0), "timeconst": old["timeconst"]}
+    if "inductance" in values:
+        # A given inductance takes precedence over the electrical time constant [s].
+        inductance, seconds = _filled(values["inductance"], (0.0, old["timeconst"]))
+        if min(inductance, seconds) < 0:
+            raise bad(node, "inductance", values["inductance"], ">= 0")
+        made["timeconst"] = inductance / resistance if inductance > 0 else seconds
     made |= {name: _filled(values.get(name, ()), old[name]) for name in ("cogging", "lugre")}
     made["thermal"] = _thermal(node, old["thermal"])
     torque = base.torque
@@ -320,18 +307,6 @@ def _filled(given: Vec, kept: Vec) -> Vec:
     return (*given, *kept[len(given) :])
 
 
-def _electrical(node: Node, old: Values, resistance: float) -> float:
-    """Return the electrical time constant [s], or 0; a given inductance takes precedence."""
-    if "inductance" not in node.values:
-        kept: float = old["timeconst"]
-        return kept
-    given = node.values["inductance"]
-    inductance, seconds = _filled(given, (0.0, old["timeconst"]))
-    if min(inductance, seconds) < 0:
-        raise bad(node, "inductance", given, ">= 0")
-    return inductance / resistance if inductance > 0 else seconds
-
-
 def _thermal(node: Node, had: Vec | None) -> Vec | None:
     """Return the thermal parameters; two of resistance, capacity and time constant suffice."""
     if "thermal" not in node.values:
@@ -353,10 +328,7 @@ def _thermal(node: Node, had: Vec | None) -> Vec | None:
 _SHORTCUTS: dict[str, Callable[[ActuatorGains, Node], ActuatorGains]] = {
     "position": _servo,
     "intvelocity": _servo,
-    "velocity": _velocity,
-    "damper": _damper,
-    "cylinder": _cylinder,
-    "adhesion": _adhesion,
+    **dict.fromkeys(("velocity", "damper", "cylinder", "adhesion"), _plain),
     "muscle": _muscle,
     "pid": _pid,
     "dcmotor": _dcmotor,

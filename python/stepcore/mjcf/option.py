@@ -9,36 +9,48 @@ the text.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from stepcore._core import Settings
 from stepcore.checks import nearest
 from stepcore.mjcf.nodes import OWN_TEXT, Node, is_own_text
-from stepcore.mjcf.schema import OWN_FEATURES
+from stepcore.mjcf.schema import FLAGS_OFF, OWN_FEATURES
 from stepcore.mjcf.validation import bad
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
 
-# MJCF's names of integrators, and stepcore's.
-INTEGRATORS = {
-    "Euler": "euler",
-    "RK4": "rk4",
-    "implicitfast": "implicitfast",
-    "implicit": "implicit",
-    "discrete": "discrete",
+# The MJCF attribute of each setting; for a word, the setting for each of MJCF's words.
+_SETTINGS: dict[str, tuple[str, dict[str, str] | None]] = {
+    "dt": ("timestep", None),
+    "integrator": (
+        "integrator",
+        {word: word.lower() for word in ("Euler", "RK4", "implicitfast", "implicit", "discrete")},
+    ),
+    "solver": ("solver", {"PGS": "pgs", "Newton": "newton", "CG": "newton"}),
+    "sweeps": ("iterations", None),
+    "cone": ("cone", {"pyramidal": "pyramidal", "elliptic": "elliptic"}),
+    **{name: (name, None) for name in ("impratio", "noslip_iterations", "sleep_tolerance")},
+    "cost_tolerance": ("tolerance", None),
+    "noslip_tolerance": ("noslip_tolerance", None),
 }
-SOLVERS = {"PGS": "pgs", "Newton": "newton", "CG": "newton"}
-
+_FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe", "sleep": "sleep"}
+# By attribute: the test of a value, and the limit in words.
+_POSITIVE, _NOT_NEGATIVE = (lambda value: value > 0), (lambda value: value >= 0)
+_LIMITS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "timestep": (_POSITIVE, "> 0 s"),
+    **dict.fromkeys(("density", "viscosity", "iterations"), (_NOT_NEGATIVE, ">= 0")),
+    "impratio": (_POSITIVE, "> 0"),
+    "sleep_tolerance": (_NOT_NEGATIVE, ">= 0 m/s"),
+    **dict.fromkeys(("tolerance", "noslip_tolerance"), (_NOT_NEGATIVE, ">= 0")),
+}
 # Ignored attributes, which do not change the converged motion; PGS honours its tolerance.
 IGNORED = {
     "tolerance": "MJCF's tolerance is not a residual in m/s, as that of Settings is",
     "ls_tolerance": "the line search is exact",
     "ls_iterations": "the line search is exact",
 }
-# The settings of MuJoCo's tolerances, and their MJCF names.
-TOLERANCES = {"cost_tolerance": "tolerance", "noslip_tolerance": "noslip_tolerance"}
 # Flags without effect in stepcore, with the reason.
 FLAG_NOTES = {
     "midphase": "it decides how pairs are found, not which",
@@ -56,9 +68,6 @@ SLEEP_NOTE = (
 )
 # The attributes "o_margin", "o_solref", …, which the flag "override" turns on.
 OVERRIDES = ("margin", "solref", "solimp", "friction")
-FLAG_DEFAULT_OFF = frozenset(
-    ("override", "energy", "fwdinv", "invdiscrete", "sleep", "diagexact", "ipc", "speculative")
-)
 FLAGS_UNBUILT = ("diagexact", "ipc", "speculative")
 # The number of slow steps after which MuJoCo lets a tree sleep (mjMINAWAKE).
 SLOW_STEPS = 10
@@ -67,49 +76,33 @@ SLOW_STEPS = 10
 def read(scene: Scene, node: Node) -> None:
     """Read an option section into `scene`; a later section overrides an earlier one."""
     values, options = node.values, scene.options
-    if "timestep" in values:
-        if values["timestep"] <= 0:
-            raise bad(node, "timestep", values["timestep"], "> 0 s")
-        options["dt"] = values["timestep"]
-    for name in ("density", "viscosity"):
-        if values.get(name, 0) < 0:
-            raise bad(node, name, values[name], ">= 0")
+    for name, (fits, limit) in _LIMITS.items():
+        if name in values and not fits(values[name]):
+            raise bad(node, name, values[name], limit)
     for name in ("gravity", "density", "viscosity", "wind", "magnetic"):
         if name in values:
             setattr(scene, name, values[name])
-    if "integrator" in values:
-        options["integrator"] = INTEGRATORS[values["integrator"]]
-    if "solver" in values:
-        options["solver"] = SOLVERS[values["solver"]]
-        if values["solver"] == "CG":
-            _note(scene, node, "solver CG -> newton (the same minimum)")
-    if "iterations" in values:
-        if values["iterations"] < 0:
-            raise bad(node, "iterations", values["iterations"], ">= 0")
-        options["sweeps"] = values["iterations"]
-    if "cone" in values:
-        options["cone"] = values["cone"]
-    if "impratio" in values:
-        if values["impratio"] <= 0:
-            raise bad(node, "impratio", values["impratio"], "> 0")
-        options["impratio"] = values["impratio"]
+    for setting, (name, words) in _SETTINGS.items():
+        if name in values:
+            options[setting] = words[values[name]] if words else values[name]
+    if values.get("solver") == "CG":
+        _note(scene, node, "solver CG -> newton (the same minimum)")
     if "noslip_iterations" in values:
         # In MuJoCo a negative number means 0.
         options["noslip_iterations"] = max(values["noslip_iterations"], 0)
-    if "sleep_tolerance" in values:
-        if values["sleep_tolerance"] < 0:
-            raise bad(node, "sleep_tolerance", values["sleep_tolerance"], ">= 0 m/s")
-        options["sleep_tolerance"] = values["sleep_tolerance"]
-    _override(scene, values)
-    for setting, name in TOLERANCES.items():
-        if name in values:
-            if values[name] < 0:
-                raise bad(node, name, values[name], ">= 0")
-            options[setting] = values[name]
+    for name in OVERRIDES:
+        # The parameters that replace those of every contact if the flag "override" is on.
+        if f"o_{name}" in values:
+            given, old = values[f"o_{name}"], getattr(scene.contact_override, name)
+            # A shorter list replaces only the first entries.
+            given = (*given, *old[len(given) :]) if isinstance(given, tuple) else given
+            setattr(scene.contact_override, name, given)
     for name, why in IGNORED.items():
         if name in values and (name, options.get("solver")) != ("tolerance", "pgs"):
             _note(scene, node, f"{name} is ignored: {why}")
-    _refuse(node)
+    for group in values.get("actuatorgroupdisable", ()):
+        if not 0 <= group <= 30:
+            raise bad(node, "actuatorgroupdisable", group, "groups from 0 to 30")
     for child in node.children:
         _flags(scene, child)
 
@@ -129,7 +122,7 @@ def settle(scene: Scene, nodes: list[Node]) -> None:
         scene.options["sleep"] = False
         _note(scene, flags[-1], 'flag sleep="enable" is ignored under RK4: nothing sleeps')
         return
-    scene.options["sleep_time"] = sleep_time(scene.options.get("dt", Settings().dt))
+    scene.options["sleep_time"] = SLOW_STEPS * scene.options.get("dt", Settings().dt)
     _note(scene, flags[-1], SLEEP_NOTE)
 
 
@@ -143,44 +136,19 @@ def implied(options: Mapping[str, Any]) -> dict[str, Any]:
     return values
 
 
-def sleep_time(dt: float) -> float:
-    """Return the time for which a tree must be slow before it sleeps in MuJoCo at `dt` [s]."""
-    return SLOW_STEPS * dt
-
-
-def _override(scene: Scene, values: Mapping[str, Any]) -> None:
-    """Read the parameters that replace those of every contact if the flag "override" is on."""
-    for name in OVERRIDES:
-        if f"o_{name}" in values:
-            given, old = values[f"o_{name}"], getattr(scene.contact_override, name)
-            # A shorter list replaces only the first entries.
-            given = (*given, *old[len(given) :]) if isinstance(given, tuple) else given
-            setattr(scene.contact_override, name, given)
-
-
-def _refuse(node: Node) -> None:
-    values = node.values
-    for group in values.get("actuatorgroupdisable", ()):
-        if not 0 <= group <= 30:
-            raise bad(node, "actuatorgroupdisable", group, "groups from 0 to 30")
-
-
 def _flags(scene: Scene, node: Node) -> None:
+    settings = {flag: setting for setting, flag in _FLAGS.items()}
     for name, word in node.values.items():
         on = word == "enable"
-        if name == "warmstart":
-            scene.options["warm_start"] = on
-        elif name == "refsafe":
-            scene.options["refsafe"] = on
-        elif name == "sleep":
-            scene.options["sleep"] = on
+        if name in settings:
+            scene.options[settings[name]] = on
         elif name == "override":
             scene.contact_override.enable = on
         elif name in FLAGS_UNBUILT:
             if on:
                 raise node.unbuilt(f'the flag "{name}"', name)
         elif name in FLAG_NOTES:
-            if on == (name in FLAG_DEFAULT_OFF):
+            if on == (name in FLAGS_OFF):
                 _note(scene, node, f'flag {name}="{word}" has no effect: {FLAG_NOTES[name]}')
         else:
             setattr(scene.features, name, on)
@@ -190,27 +158,12 @@ def _note(scene: Scene, node: Node, text: str) -> None:
     scene.notes.append(f"{node.file}:{node.line}: {text}")
 
 
-# The MJCF attribute of each setting, and the attribute's value for each value of the setting.
-_WRITTEN: dict[str, tuple[str, dict[str, str]]] = {
-    "integrator": ("integrator", {ours: word for word, ours in INTEGRATORS.items()}),
-    # MuJoCo has cg as a solver of its own.
-    "solver": ("solver", {"pgs": "PGS", "newton": "Newton", "cg": "CG"}),
-    "cone": ("cone", {"pyramidal": "pyramidal", "elliptic": "elliptic"}),
-}
-_NUMBERS = {
-    **{name: name for name in ("impratio", "noslip_iterations", "sleep_tolerance")},
-    **{"dt": "timestep", "sweeps": "iterations"},
-    **TOLERANCES,
-}
-_FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe", "sleep": "sleep"}
-
-
 def to_say(settings: Settings) -> dict[str, Any]:
     """Return the settings that differ from those of a file without settings."""
     values = settings.as_dict()
     unsaid = {**Settings().as_dict(), **implied(values)}
     if settings.sleep:
-        unsaid["sleep_time"] = sleep_time(settings.dt)
+        unsaid["sleep_time"] = SLOW_STEPS * settings.dt
     return {name: value for name, value in values.items() if value != unsaid[name]}
 
 
@@ -218,12 +171,17 @@ def said(settings: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str], d
     """Split settings into attributes of ``<option>``, flags, and settings that MJCF lacks."""
     attributes, flags, rest = {}, {}, {}
     for name, value in settings.items():
+        attribute, words = _SETTINGS.get(name, ("", None))
+        word = next((word for word, setting in (words or {}).items() if setting == value), "")
         if name in _FLAGS:
             flags[_FLAGS[name]] = "enable" if value else "disable"
-        elif name in _NUMBERS and not isinstance(value, str) and value < 2**31:
-            attributes[_NUMBERS[name]] = shortest(value)
-        elif name in _WRITTEN and value in _WRITTEN[name][1]:
-            attributes[_WRITTEN[name][0]] = _WRITTEN[name][1][value]
+        elif word:
+            attributes[attribute] = word
+        elif attribute and not words and not isinstance(value, str) and value < 2**31:
+            attributes[attribute] = shortest(value)
+        elif (name, value) == ("solver", "cg"):
+            # MuJoCo has cg as a solver of its own.
+            attributes[name] = "CG"
         else:
             rest[name] = value
     return attributes, flags, rest
@@ -276,8 +234,6 @@ def own_texts(nodes: Iterable[Node]) -> list[Node]:
 
 def read_own_text(scene: Scene, node: Node) -> None:
     """Read stepcore's own text into a scene that is otherwise complete."""
-    from stepcore._core import Settings
-
     settings: dict[str, Any] = {}
     known = Settings().as_dict()
     seen = set()
@@ -289,7 +245,12 @@ def read_own_text(scene: Scene, node: Node) -> None:
             raise node.error(f'<text name="{OWN_TEXT}"> has {name} twice')
         seen.add(name)
         if name == "unnamed":
-            _unname(scene, node, text)
+            for part in text.split(","):
+                kind, _, name = part.partition("/")
+                if kind not in NAMED_KINDS:
+                    kinds = ", ".join(f'"{kind}/name"' for kind in NAMED_KINDS)
+                    raise node.error(f"unnamed={part}: must be one of {kinds}")
+                getattr(scene, kind)(name).name = ""
         elif name in OWN_FEATURES:
             setattr(scene.features, name, _value(text))
         elif name in known:
@@ -299,13 +260,3 @@ def read_own_text(scene: Scene, node: Node) -> None:
             raise node.error(f'<text name="{OWN_TEXT}"> has an unknown name "{name}"{near}')
     whole = Settings(**(scene.options | settings)).as_dict()
     scene.options.update({name: whole[name] for name in settings})
-
-
-def _unname(scene: Scene, node: Node, text: str) -> None:
-    for word in text.split(","):
-        kind, _, name = word.partition("/")
-        if kind not in NAMED_KINDS:
-            kinds = ", ".join(f'"{kind}/name"' for kind in NAMED_KINDS)
-            raise node.error(f"unnamed={word}: must be one of {kinds}")
-        element = getattr(scene, kind)(name)
-        element.name = ""

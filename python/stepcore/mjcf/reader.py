@@ -46,7 +46,7 @@ from stepcore.mjcf.validation import REFERENCES, Exclusions, validate
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import gc_pause
 from stepcore.scene.consistency import check
-from stepcore.scene.layout import Layout, named
+from stepcore.scene.layout import LISTS, Layout, named
 from stepcore.urdf import translate
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
     "actuator": of_section.actuator,
     "sensor": of_section.sensor,
 }
+NAMED_ANYWHERE = ("joint", "site", "actuator", "tendon")
 # The maximum nesting depth of attached models.
 MOST_NESTED = 50
 
@@ -190,6 +191,11 @@ def _fill(scene: Scene, root: Node, source: Source, without: Iterable[str]) -> N
     scene.without = exclusions.counts()
 
 
+def _place(line: str) -> tuple[str, int]:
+    file, number, _ = line.rsplit(" <", 1)[0].rsplit(":", 2)
+    return file, int(number)
+
+
 def read_sections(
     scene: Scene, model: Model, refusals: Refusals, kind: type[Assets] = Assets
 ) -> WorldReader:
@@ -211,24 +217,41 @@ def read_sections(
 
 
 def finish(world: WorldReader, chosen: bool | None) -> None:
-    """Complete the scene with `PASSES`, after all elements of the file are in it.
+    """Complete the scene, after all elements of the file are in it; each step says why it is there.
 
     chosen: whether to fuse bodies that cannot move relative to their parent; None: as in the file.
     """
+    scene, main = world.scene, world.main.values
     if chosen is not None:
-        world.main.values["fusestatic"] = chosen
-    for complete in PASSES:
-        complete(world)
-        world.refusals.raise_all()
-
-
-def _read_keyframes(world: WorldReader) -> None:
-    layout = Layout(world.scene)
-    rest = of_section.default_state(layout)
-    for node in inside(world.root, "keyframe"):
-        world.refusals.at(node, partial(of_section.keyframe, world, layout, rest))
+        main["fusestatic"] = chosen
+    # A keyframe has numbers for all joints and actuators of the file, in the order of its tree.
+    of_section.keyframes(world)
+    # Sensors and materials may name bodies and geoms that later passes remove.
+    _check_references(world)
+    # A file that only the removed geoms use is then not opened.
+    leave_out_visual_geoms(world)
+    # Every pass below computes masses, which need the meshes.
+    world.assets.read_used(scene)
+    # A massless body needs the pose of its inertia before a rule (boundmass) gives it mass.
+    place_weightless(world)
+    # The passes below use one set of mass rules.
+    settle_masses(world)
+    # A body keeps the mass of a removed geom, and passes it on when the body is fused.
+    if main.get("discardvisual"):
+        discard_visual(world)
+    # The mass of a fused body is the sum of the masses computed above.
+    if main.get("fusestatic"):
+        fuse(world)
+    # A free body is aligned with its inertia after fusing.
+    align(world)
+    # Free joints that a keyframe of an attached model omits take the final poses of bodies.
+    of_section.follow_bodies(world)
+    # This pass removes names by which the passes above find elements.
+    for node in option.own_texts(inside(world.root, "custom")):
+        world.refusals.at(node, partial(option.read_own_text, scene))
     world.refusals.raise_all()
-    of_section.add_empty_keys(world.scene, sections(world.root, "size"))
+    # The check comes last, because nothing may change after it.
+    check(Layout(scene))
 
 
 def _check_references(world: WorldReader) -> None:
@@ -236,10 +259,7 @@ def _check_references(world: WorldReader) -> None:
     scene = world.scene
     known = {
         **world.names,
-        "joint": {element.name for element in scene.joints},
-        "site": {element.name for element in scene.sites},
-        "actuator": {element.name for element in scene.actuators},
-        "tendon": {element.name for element in scene.tendons},
+        **{kind: {e.name for e in getattr(scene, LISTS[kind])} for kind in NAMED_ANYWHERE},
         "mesh": set(world.assets.nodes["mesh"]),
         "material": set(world.assets.clear),
     }
@@ -254,60 +274,3 @@ def _check_references(world: WorldReader) -> None:
         if name not in known[kind] or not name:
             near = nearest(name, sorted(known[kind]))
             raise node.error(f'<{node.tag}> {attribute}="{name}": no such {attribute}{near}')
-
-
-def _read_assets(world: WorldReader) -> None:
-    world.assets.read_used(world.scene)
-
-
-def _discard_visual(world: WorldReader) -> None:
-    if world.main.values.get("discardvisual"):
-        discard_visual(world)
-
-
-def _fuse(world: WorldReader) -> None:
-    if world.main.values.get("fusestatic"):
-        fuse(world)
-
-
-def _read_own_text(world: WorldReader) -> None:
-    for node in option.own_texts(inside(world.root, "custom")):
-        world.refusals.at(node, partial(option.read_own_text, world.scene))
-
-
-def _check(world: WorldReader) -> None:
-    check(Layout(world.scene))
-
-
-# The passes that complete a scene, each with the reason for its position in the order.
-PASSES: tuple[Callable[[WorldReader], None], ...] = (
-    # A keyframe has numbers for all joints and actuators of the file, in the order of its tree.
-    _read_keyframes,
-    # Sensors and materials may name bodies and geoms that later passes remove.
-    _check_references,
-    # A file that only the removed geoms use is then not opened.
-    leave_out_visual_geoms,
-    # Every pass below computes masses, which need the meshes.
-    _read_assets,
-    # A massless body needs the pose of its inertia before a rule (boundmass) gives it mass.
-    place_weightless,
-    # The passes below use one set of mass rules.
-    settle_masses,
-    # A body keeps the mass of a removed geom, and passes it on when the body is fused.
-    _discard_visual,
-    # The mass of a fused body is the sum of the masses computed above.
-    _fuse,
-    # A free body is aligned with its inertia after fusing.
-    align,
-    # Free joints that a keyframe of an attached model omits take the final poses of their bodies.
-    of_section.follow_bodies,
-    # This pass removes names by which the passes above find elements.
-    _read_own_text,
-    # The check comes last, because nothing may change after it.
-    _check,
-)
-
-
-def _place(line: str) -> tuple[str, int]:
-    file, number, _ = line.rsplit(" <", 1)[0].rsplit(":", 2)
-    return file, int(number)

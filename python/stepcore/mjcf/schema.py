@@ -132,6 +132,8 @@ FLAGS = (
     "filterparent actuation refsafe sensor midphase eulerdamp autoreset nativeccd island "
     "multiccd override energy fwdinv invdiscrete sleep diagexact ipc speculative"
 )
+# These flags are off by default; all others are on.
+FLAGS_OFF = tuple(FLAGS.split()[FLAGS.split().index("override") :])
 # Features without an MJCF flag.
 OWN_FEATURES = tuple(name for name in table(Features) if name not in FLAGS.split())
 _OVERRIDES = " ".join(f"o_{word}" for word in of(ContactOverride, but="enable").split())

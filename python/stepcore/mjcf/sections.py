@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 from stepcore.mjcf.gains import CONTROLLERS, ActuatorGains, saturated
-from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.nodes import Node, inside, sections
 from stepcore.mjcf.schema import given
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
@@ -16,9 +16,6 @@ from stepcore.scene.elements.sensor import ADHERES, MOST_NUMBERS
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.layout import DOFS, QPOS, Layout
-
-if TYPE_CHECKING:
-    from stepcore.scene.scene import Scene
 
 # Attributes that name the object or the reference of a sensor: (kind of element, object type).
 NAMED = {
@@ -188,9 +185,8 @@ def actuator(world: WorldReader, node: Node) -> None:
     values = world.defaults.of(node, kind="actuator")
     target = _transmission(world, node, values)
     gains = world.defaults.gains(node)
-    _refuse_values(node, values, gains)
+    _refuse(node, values, gains)
     values = saturated(values, gains, node)
-    _refuse_gains(node, gains)
     ctrlrange, actrange = _ranges(world, node, values, gains, target)
     fields: dict[str, Any] = {
         **target,
@@ -213,11 +209,6 @@ def actuator(world: WorldReader, node: Node) -> None:
     world.keep(node, added)
     for word in added.inputs[1:]:
         _add_input(world, node, added, word)
-
-
-def sizes(gains: ActuatorGains) -> tuple[int, int]:
-    """Return the numbers of controls and activations of an actuator with these gains."""
-    return len(gains.inputs) or 1, gains.law.states
 
 
 def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> None:
@@ -266,7 +257,7 @@ def _transmission(world: WorldReader, node: Node, values: dict[str, Any]) -> dic
     return sites
 
 
-def _refuse_values(node: Node, values: dict[str, Any], gains: ActuatorGains) -> None:
+def _refuse(node: Node, values: dict[str, Any], gains: ActuatorGains) -> None:
     if values.get("delay", 0.0) > 0 and values.get("nsample", 0) <= 0:
         raise bad(node, "nsample", values.get("nsample", 0), "> 0 with a delay")
     if gains.tag == "orientation" and "joint" not in values:
@@ -274,9 +265,6 @@ def _refuse_values(node: Node, values: dict[str, Any], gains: ActuatorGains) -> 
     several = gains.tag in (*CONTROLLERS, "orientation")
     if not several and node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
         raise bad(node, "input", node.values["input"], "pos, vel or pressure")
-
-
-def _refuse_gains(node: Node, gains: ActuatorGains) -> None:
     own = gains.values
     for name, built in (("dyntype", DYNAMICS), ("gaintype", GAINS), ("biastype", BIASES)):
         if gains.tag == "general" and own[name] not in built:
@@ -303,16 +291,8 @@ def _ctrlrange(
         return world.limits(node, values, "ctrllimited", "ctrlrange")
     first = gains.inputs[0]
     if first == "pos":
-        name = next(
-            (
-                name
-                for where in (node.values, values)
-                for name in ("posrange", "ctrlrange")
-                if name in where
-            ),
-            "posrange",
-        )
-        return world.limits(node, values, "ctrllimited", name)
+        given = [n for own in (node.values, values) for n in ("posrange", "ctrlrange") if n in own]
+        return world.limits(node, values, "ctrllimited", (*given, "posrange")[0])
     bounds: Bounds = values.get(f"{first}range")
     return bounds if bounds and bounds[0] < bounds[1] else None
 
@@ -328,7 +308,12 @@ def _ranges(
     if gains.tag == "intvelocity":
         # MuJoCo limits this actuator regardless of actlimited.
         values = {name: value for name, value in values.items() if name != "actlimited"}
-    actrange = _actrange(world, node, values, gains)
+    actrange: Bounds = None
+    if gains.activates != "none":
+        actrange = world.limits(node, values, "actlimited", "actrange")
+    elif stateful := [n for n in STATEFUL if values.get(n, False) not in (False, "auto")]:
+        text = f"<{node.tag}> inherits {stateful[0]}, but a {node.tag} has no activation"
+        raise node.error(text)
     integrates = gains.activates == "integrator"
     if gains.inheritrange <= 0 or not gains.is_position:
         return _ctrlrange(world, node, values, gains), actrange
@@ -338,23 +323,9 @@ def _ranges(
         what = f'inheritrange without {switch}="true", and autolimits is "false"'
         raise node.error(f"<{node.tag}> {what}")
     if integrates:
-        limited = values.get("actlimited", "auto") is not False
-        return world.limits(
-            node, values, "ctrllimited", "ctrlrange"
-        ), handed_down if limited else None
+        ctrlrange = world.limits(node, values, "ctrllimited", "ctrlrange")
+        return ctrlrange, None if values.get("actlimited", "auto") is False else handed_down
     return None if values.get("ctrllimited", "auto") is False else handed_down, actrange
-
-
-def _actrange(
-    world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains
-) -> Bounds:
-    stateless = gains.activates == "none"
-    if stateless:
-        for name in STATEFUL:
-            if values.get(name, False) not in (False, "auto"):
-                text = f"<{node.tag}> inherits {name}, but a {node.tag} has no activation"
-                raise node.error(text)
-    return None if stateless else world.limits(node, values, "actlimited", "actrange")
 
 
 def _inherited(
@@ -384,10 +355,11 @@ MOCAP = {"mpos": 3, "mquat": 4}
 MAX_KEYS = 100_000
 
 
-def default_state(layout: Layout) -> dict[str, list[float]]:
-    """Return the default state, which completes a keyframe."""
+def keyframes(world: WorldReader) -> None:
+    """Read the keyframes, completed from the default state, and add those of ``<size nkey>``."""
+    layout = Layout(world.scene)
     mocaps = [body for body in layout.bodies if body.mocap]
-    return {
+    rest = {
         "qpos": layout.qpos0(),
         "qvel": [0.0] * layout.nv,
         "act": [0.0] * layout.na,
@@ -395,10 +367,19 @@ def default_state(layout: Layout) -> dict[str, list[float]]:
         "mpos": [x for body in mocaps for x in body.pos],
         "mquat": [x for body in mocaps for x in body.quat],
     }
+    for node in inside(world.root, "keyframe"):
+        world.refusals.at(node, partial(_keyframe, world, layout, rest))
+    world.refusals.raise_all()
+    count = 0
+    for node in sections(world.root, "size"):
+        count = node.values.get("nkey", count)
+        if count > MAX_KEYS:
+            raise bad(node, "nkey", count, f"at most {MAX_KEYS}")
+    while len(world.scene.keys) < count:
+        world.scene.add_key()
 
 
-def keyframe(world: WorldReader, layout: Layout, rest: dict[str, list[float]], node: Node) -> None:
-    """Read a keyframe. rest: the default state, which completes the keyframe."""
+def _keyframe(world: WorldReader, layout: Layout, rest: dict[str, list[float]], node: Node) -> None:
     values = node.values
     if values.get("plastic"):
         raise bad(node, "plastic", values["plastic"], "empty: the model has no plastic")
@@ -408,7 +389,8 @@ def keyframe(world: WorldReader, layout: Layout, rest: dict[str, list[float]], n
         given = list(values.get(name, ()))
         if node.parts is not None:
             given = _assembled(world, layout, node, name, default)
-            said |= _joints_of(world, node) if name == "qpos" else set()
+            if name == "qpos":
+                said = {id(world.elements.get(id(part))) for part, _ in node.parts.get(name, ())}
         if len(given) > len(default):
             raise bad(node, name, tuple(given), f"at most {len(default)} numbers, not {len(given)}")
         if given:
@@ -419,12 +401,6 @@ def keyframe(world: WorldReader, layout: Layout, rest: dict[str, list[float]], n
     world.keep(node, added)
     if "qpos" in fields and node.parts is not None:
         world.open_keys.append((added, said))
-
-
-def _joints_of(world: WorldReader, node: Node) -> set[int]:
-    """Return the ids of joints whose positions a keyframe of an attached model gives."""
-    parts = (node.parts or {}).get("qpos", ())
-    return {id(world.elements.get(id(part))) for part, _ in parts}
 
 
 def follow_bodies(world: WorldReader) -> None:
@@ -461,14 +437,3 @@ def _assembled(
         if start is not None:
             numbers[start : start + len(own)] = own
     return numbers
-
-
-def add_empty_keys(scene: Scene, sizes: Iterable[Node]) -> None:
-    """Add default states until there are ``<size nkey>`` keyframes."""
-    count = 0
-    for node in sizes:
-        count = node.values.get("nkey", count)
-        if count > MAX_KEYS:
-            raise bad(node, "nkey", count, f"at most {MAX_KEYS}")
-    while len(scene.keys) < count:
-        scene.add_key()
