@@ -32,10 +32,8 @@ if TYPE_CHECKING:
 
 # MuJoCo's default colour of a geom.
 GREY = (0.5, 0.5, 0.5, 1.0)
-WHITE = (1.0, 1.0, 1.0, 1.0)
 # The colour in place of a cube texture, or of an image that cannot be read.
 LIGHT_GREY = (0.8, 0.8, 0.8, 1.0)
-DOWN = (0.0, 0.0, -1.0)
 
 
 class Look(NamedTuple):
@@ -45,7 +43,6 @@ class Look(NamedTuple):
     squares: tuple[Vec, Vec] | None = None
 
     def times(self, rgba: Vec) -> Look:
-        """Return this look, multiplied by a colour."""
         squares = self.squares and (
             _product(self.squares[0], rgba),
             _product(self.squares[1], rgba),
@@ -199,13 +196,12 @@ class _Surfaces:
             if node.tag == "material":
                 try:
                     values = seen_values(node, model.defaults.of(node))
-                    look = values.get("rgba", WHITE), self._look(node, values)
+                    look = values.get("rgba", (1.0,) * 4), self._look(node, values)
                     self.materials[node.attrs.get("name", "")] = look
                 except MJCFError as error:
                     self.unread.append(str(error))
 
     def of(self, values: dict[str, Any]) -> Look:
-        """Return the look of a geom. The geom's own colour overrides that of its material."""
         colour = values.get("rgba", GREY)
         if values.get("material") not in self.materials:
             return Look(colour)
@@ -222,7 +218,7 @@ class _Surfaces:
         names = [str(values.get("texture", "")), *layers]
         texture = next((self.textures[name] for name in names if name in self.textures), None)
         if texture is None:
-            return Look(WHITE)
+            return Look((1.0,) * 4)
         values = seen_values(texture)
         builtin = values.get("builtin", "none")
         if builtin == "none":
@@ -234,7 +230,6 @@ class _Surfaces:
         return Look(mean, both if builtin == "checker" else None)
 
     def _mean(self, texture: Node) -> Vec:
-        """Return the mean colour of a texture's image; light grey without a readable image."""
         if "file" not in texture.attrs:
             return LIGHT_GREY
         try:
@@ -307,7 +302,7 @@ def _lights(model: Model, bodies: Mapping[int, int], notes: list[str]) -> list[L
 
 def _light(node: Node, values: dict[str, Any], place: _Place) -> Light:
     try:
-        direction = frames.normalised(values.get("dir", DOWN), "dir")
+        direction = frames.normalised(values.get("dir", (0.0, 0.0, -1.0)), "dir")
     except ValueError as error:
         raise node.error(f"<light>: {error}") from None
     return Light(

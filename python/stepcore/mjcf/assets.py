@@ -411,7 +411,6 @@ def _power(values: Array, exponent: float) -> Array:
 
 
 def _quads(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Return the triangles a b c and b d c of each quadrangle."""
     first, second = np.stack([a, b, c], axis=-1), np.stack([b, d, c], axis=-1)
     return np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
 

@@ -46,13 +46,11 @@ def named_by(node: Node) -> Iterator[tuple[str, str]]:
 
 
 def add_name(names: Names, node: Node) -> None:
-    """Add the name of an element, if it has one."""
     if node.attrs.get("name"):
         names.setdefault(kind_of(node), set()).add(node.attrs["name"])
 
 
 def names_in(nodes: Iterable[Node]) -> Names:
-    """Return the names of elements and their descendants."""
     names: Names = {}
     for node in nodes:
         for inner in below(node):
@@ -77,7 +75,6 @@ def copied(node: Node, made: dict[int, Node] | None = None) -> Node:
 
 
 def _alone(node: Node) -> Node:
-    """Copy an element without its children."""
     copy = Node(node.tag, dict(node.attrs), node.file, node.line)
     copy.values, copy.path, copy.compiler = dict(node.values), node.path, node.compiler
     copy.parts = node.parts
@@ -85,7 +82,6 @@ def _alone(node: Node) -> Node:
 
 
 def rename(node: Node, names: Names, prefix: str = "", suffix: str = "") -> None:
-    """Rename an element and its descendants, and update their references to `names`."""
     for inner in below(node):
         changed = {a: name for a, kind, name in references(inner) if name in names.get(kind, ())}
         if inner.attrs.get("name"):
@@ -96,7 +92,6 @@ def rename(node: Node, names: Names, prefix: str = "", suffix: str = "") -> None
 
 
 def section_of(tag: str, nodes: list[Node]) -> Node:
-    """Return a new section with these elements."""
     section = Node(tag, {}, nodes[0].file, nodes[0].line)
     section.children = nodes
     return section
@@ -145,7 +140,6 @@ class Referring:
         self._changed = False
 
     def append(self, parts: Iterable[Part]) -> None:
-        """Add elements at the end of their sections."""
         for tag, node in parts:
             names = set(named_by(node))
             for name in names:
@@ -218,7 +212,6 @@ def expand_replicates(root: Node, compiler: Compiler, copies: Copies) -> None:
 
 
 def _parents(root: Node) -> list[Node]:
-    """Return the parents of <replicate> elements, the innermost first."""
     every = [node for tree in sections(root, "worldbody") for node in below(tree)]
     depth: dict[int, int] = {}
     for node in every:
@@ -295,7 +288,6 @@ class Model:
 
     @cached_property
     def places(self) -> Places:
-        """The model's bodies and frames."""
         return _add_places({}, inside(self.root, "worldbody"), MAIN)
 
     @cached_property
@@ -309,12 +301,10 @@ class Model:
 
     @cached_property
     def keys(self) -> list[Node]:
-        """The model's keyframes, with their vectors split by element."""
         return _split_keys(self.root, self.defaults)
 
     @cached_property
     def referring(self) -> Referring:
-        """The references to the model's tree, indexed at the first access."""
         return Referring(self.root)
 
 
@@ -344,7 +334,6 @@ class Attacher:
                 self.assets[name] = node
 
     def run(self) -> None:
-        """Expand every <attach>, in document order."""
         attachments = []
         pending = inside(self.model.root, "worldbody")[::-1]
         while pending:
@@ -398,7 +387,6 @@ class Attacher:
             _add_places(self.places, twins, childclass)
 
     def _other(self, node: Node) -> Model:
-        """Return the model whose elements an <attach> copies."""
         if "body" in node.attrs and "frame" in node.attrs:
             raise node.error("<attach> has both body and frame")
         name = node.attrs.get("model")
@@ -429,7 +417,6 @@ class Attacher:
 
 
 def _add_places(places: Places, nodes: list[Node], childclass: str) -> Places:
-    """Add the bodies and frames among these nodes and their descendants."""
     pending = [(node, childclass) for node in reversed(nodes)]
     while pending:
         node, around = pending.pop()
@@ -576,7 +563,6 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
 
 
 def _written_options(root: Node) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the options and the flags in a model's file."""
     options: dict[str, Any] = {}
     flags: dict[str, Any] = {}
     for section in root.children:

@@ -74,7 +74,6 @@ class Weight:
         return tuple(float(self.inertia[place]) for place in places)
 
     def equals(self, other: Weight | None) -> bool:
-        """Return whether mass, centre of mass and inertia are bit-identical."""
         return other is not None and (
             self.mass == other.mass
             and bool((self.ipos == other.ipos).all())
@@ -82,7 +81,6 @@ class Weight:
         )
 
     def give(self, body: Body) -> None:
-        """Assign these properties to a body."""
         body.mass, body.inertia, body.iquat = self.mass, self.six, self.iquat
         body.ipos = tuple(map(float, self.ipos))
 
@@ -144,7 +142,6 @@ def place_weightless(world: WorldReader) -> None:
 
 
 def _senses_mass(scene: Scene) -> bool:
-    """Return whether a sensor depends on masses or centres of mass of bodies that cannot move."""
     kinds = {(sensor.type, sensor.objtype, sensor.reftype) for sensor in scene.sensors}
     centred = any(kind != "contact" and "body" in ends for kind, *ends in kinds)
     return centred or any(kind in OF_MASS for kind, *_ in kinds)
@@ -253,7 +250,6 @@ def discard_visual(world: WorldReader) -> None:
 
 
 def _remove(world: WorldReader, gone: set[int]) -> None:
-    """Remove geoms by ``id``, unless they are kept for drawing."""
     if world.assets.drawn:
         world.only_drawn |= gone
     else:
@@ -336,7 +332,6 @@ def fuse(world: WorldReader) -> None:
 def _may_fuse(
     world: WorldReader, body: Body, carrier: Body, known: dict[int, Weight], fluid: bool
 ) -> bool:
-    """Return whether the body's attributes and the fluid allow fusing it with the carrier."""
     values = world.nodes[id(body)].values
     if values.get("mocap") or values.get("fuse") is False or "sleep" in values:
         return False
@@ -403,7 +398,6 @@ def align(world: WorldReader) -> None:
 
 
 def _is_aligned(world: WorldReader, joint: Joint) -> bool:
-    """Return whether the joint's `align` or its model's `alignfree` requests alignment."""
     node = world.nodes[id(joint)]
     asked = node.values.get("align", "auto")
     alignfree = (node.compiler or world.main).values.get("alignfree")

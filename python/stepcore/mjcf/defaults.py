@@ -63,15 +63,12 @@ class Compiler:
         return next((place for place in places if os.path.isfile(place)), places[0])
 
     def mass_rules(self) -> MassRules:
-        """Return the mass rules."""
         return MassRules(**given(MassRules, self.values))
 
     def lengthrange(self) -> LengthRange:
-        """Return the settings for computing the length ranges of muscles."""
         return LengthRange(**self.ranges)
 
     def radians(self, angle: float) -> float:
-        """Return an angle of the file in radians."""
         return angle * (math.pi / 180) if self.degrees else angle
 
     def orientation(self, node: Node, values: dict[str, Any]) -> Vec:
@@ -200,5 +197,4 @@ class Defaults:
         return overlay(self.classes[name].get(kind or node.tag, {}), given)
 
     def gains(self, node: Node) -> gains.ActuatorGains:
-        """Return an actuator's gains, completed from its class."""
         return gains.inherited(self.chains[self.known(node, "class") or MAIN], node)

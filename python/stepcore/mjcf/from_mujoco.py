@@ -16,8 +16,6 @@ from stepcore.mjcf.reader import read_text
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
 
-# The number of digits that represents a double exactly; MuJoCo writes six by default.
-EXACT = 17
 NAMES = ("MjModel", "MjSpec")
 # Name prefixes of the MjModel arrays that affect the simulation.
 PHYSICS = (
@@ -26,8 +24,6 @@ PHYSICS = (
 )
 # Name suffixes of arrays used only for drawing or for MuJoCo's broad phase.
 ASIDE = ("_rgba", "_matid", "_bvhadr", "_bvhnum", "_user")
-# The tolerances between two compilations of the same text.
-RELATIVE, ABSOLUTE = 1e-6, 1e-9
 
 
 def is_mujoco(source: object) -> bool:
@@ -115,7 +111,8 @@ def _difference(model: Any, other: Any) -> str:
         mine, theirs = getattr(model, name), getattr(other, name)
         if isinstance(mine, np.ndarray) and mine.dtype.kind in "fiu":
             same = mine.shape == theirs.shape
-            if not same or not np.allclose(mine, theirs, RELATIVE, ABSOLUTE, equal_nan=True):
+            # Two compilations of the same text may differ by this.
+            if not same or not np.allclose(mine, theirs, 1e-6, 1e-9, equal_nan=True):
                 return name
     return ""
 
@@ -129,7 +126,8 @@ def _exact_numbers() -> Iterator[None]:
         return
     read, write = own
     before = read()
-    write(EXACT)
+    # So many digits represent a double exactly; MuJoCo writes six by default.
+    write(17)
     try:
         yield
     finally:

@@ -74,7 +74,6 @@ class ActuatorGains:
 
     @property
     def inputs(self) -> list[str]:
-        """The inputs of the controls, the actuator's own control first."""
         return inputs(self.tag, self.values.get("input"))
 
     @property

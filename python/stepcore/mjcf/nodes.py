@@ -51,10 +51,8 @@ class MJCFError(ValueError):
         self.errors: tuple[MJCFError, ...] = (self,)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (type(self), self.file, self.line, self.text, self.kind, self._more())
-
-    def _more(self) -> tuple[str, tuple[MJCFError, ...]]:
-        return str(self), self.errors[1:]
+        own = (self.file, self.line, self.text, self.kind)
+        return _again, (type(self), own, self.errors[1:], str(self))
 
     def with_others(self, errors: tuple[MJCFError, ...], message: str) -> MJCFError:
         """Return this error with the other errors of the file and a message that lists all."""
@@ -64,16 +62,9 @@ class MJCFError(ValueError):
 
 
 def _again(
-    kind: type[MJCFError],
-    file: str,
-    line: int,
-    text: str,
-    what: str,
-    more: tuple[str, tuple[MJCFError, ...]],
+    kind: type[MJCFError], own: tuple[Any, ...], others: tuple[MJCFError, ...], message: str
 ) -> MJCFError:
-    """Unpickle an error."""
-    message, others = more
-    return kind(file, line, text, what).with_others(others, message)
+    return kind(*own).with_others(others, message)
 
 
 @dataclass(frozen=True)
@@ -139,7 +130,6 @@ class Node:
         self.parts: dict[str, list[tuple[Node, tuple[float, ...]]]] | None = None
 
     def error(self, text: str) -> MJCFError:
-        """Return the error about this element, with its file and line."""
         return MJCFError(self.file, self.line, text)
 
     def missing(self, error: FileNotFoundError) -> FileNotFoundError:
@@ -158,7 +148,6 @@ class Node:
         )
 
     def asset_name(self) -> str:
-        """Return the asset's name, or by default its file name without folder and extension."""
         file = self.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
         return self.attrs.get("name", file.rpartition(".")[0] or file)
 
@@ -170,12 +159,10 @@ class Node:
 
 
 def is_own_text(node: Node) -> bool:
-    """Return whether a node is stepcore's own text."""
     return node.tag == "text" and node.attrs.get("name") == OWN_TEXT
 
 
 def below(node: Node) -> Iterator[Node]:
-    """Yield a node and all its descendants."""
     pending = [node]
     while pending:
         node = pending.pop()
@@ -184,12 +171,10 @@ def below(node: Node) -> Iterator[Node]:
 
 
 def sections(root: Node, tag: str) -> list[Node]:
-    """Return the sections with this tag."""
     return [node for node in root.children if node.tag == tag]
 
 
 def inside(root: Node, tag: str) -> list[Node]:
-    """Return the elements of all sections with this tag."""
     return [node for section in sections(root, tag) for node in section.children]
 
 
@@ -263,7 +248,12 @@ def repaired(data: str | bytes) -> str | bytes:
     raw = _AMPERSAND.sub(b"&amp;", raw)
     if blanks := _BLANKS.match(raw):
         raw = blanks[2] + blanks[1] + raw[blanks.end() :]
-    raw = _TAG.sub(_with_blanks, raw)
+
+    def with_blanks(tag: re.Match[bytes]) -> bytes:
+        spaced = _ATTRIBUTE.sub(lambda found: (found[1] or b" ") + found[2], cast(bytes, tag[2]))
+        return cast(bytes, tag[1]) + spaced
+
+    raw = _TAG.sub(with_blanks, raw)
     if isinstance(data, str):
         return raw.decode("utf-8", "surrogatepass")
     return raw
@@ -279,16 +269,7 @@ def _plain_comments(raw: bytes) -> bytes:
     return b"".join([*parts, raw[at:]])
 
 
-def _with_blanks(tag: re.Match[bytes]) -> bytes:
-    attributes = _ATTRIBUTE.sub(lambda found: (found[1] or b" ") + found[2], cast(bytes, tag[2]))
-    return cast(bytes, tag[1]) + attributes
-
-
 T = TypeVar("T")
-# Limits of a message: lines, characters per line, and line numbers listed per error.
-LINES = 20
-LINE = 600
-PLACES = 4
 # The number of errors after which reading stops, because looking up nearest names takes time.
 MOST_ERRORS = 100
 
@@ -302,7 +283,6 @@ class Refusals:
         self._gone: set[str] = set()
 
     def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
-        """Return the result of `read` for a node, or record its error and return None."""
         if len(self.errors) >= MOST_ERRORS:
             return None
         try:
@@ -316,22 +296,22 @@ class Refusals:
     def add(self, error: MJCFError, node: Node | None = None) -> None:
         """Record an error. node: the element that is not read because of the error."""
         if node is not None:
-            follows = bool(self._gone) and not error.kind and self._refers_to_gone(node)
+            follows = (
+                bool(self._gone)
+                and not error.kind
+                and any(
+                    name in self._gone
+                    for inner in below(node)
+                    for attribute, name in inner.attrs.items()
+                    if attribute != "name"
+                )
+            )
             self._gone.update(n.attrs["name"] for n in below(node) if "name" in n.attrs)
             if follows:
                 return
         self.errors += error.errors
 
-    def _refers_to_gone(self, node: Node) -> bool:
-        return any(
-            name in self._gone
-            for inner in below(node)
-            for attribute, name in inner.attrs.items()
-            if attribute != "name"
-        )
-
     def raise_all(self) -> None:
-        """Raise the errors as one MJCFError, if there are any."""
         if not self.errors:
             return
         files = list(dict.fromkeys(error.file for error in self.errors))
@@ -342,28 +322,23 @@ class Refusals:
         raise first.with_others(tuple(others), _message(self.errors))
 
 
-def _message(errors: list[MJCFError]) -> str:
+def _message(errors: list[MJCFError], most: int = 20, width: int = 600, places: int = 4) -> str:
     """Return a line for each error; errors with the same text and file share a line."""
     groups: dict[tuple[str, str], list[MJCFError]] = {}
     for error in errors:
         groups.setdefault((error.file, error.text), []).append(error)
-    lines = [cut(_line(group), LINE) for group in groups.values()]
-    if len(lines) > LINES:
-        lines[LINES:] = [f"… and {len(lines) - LINES} more"]
+    lines = []
+    for first, *others in groups.values():
+        also = ", ".join(str(error.line) for error in others[:places])
+        also += f" and {len(others) - places} more" if len(others) > places else ""
+        lines.append(cut(f"{first} (also in line {also})" if others else str(first), width))
+    if len(lines) > most:
+        lines[most:] = [f"… and {len(lines) - most} more"]
     kinds = list(dict.fromkeys(error.kind for error in errors))
     if all(kinds):
         words = ", ".join(f'"{kind}"' for kind in kinds)
-        lines.append(cut(f"without=[{words}] leaves these things out", 600))
+        lines.append(cut(f"without=[{words}] leaves these things out", width))
     return "\n".join(lines)
-
-
-def _line(group: list[MJCFError]) -> str:
-    text = str(group[0])
-    rest = [str(error.line) for error in group[1 : 1 + PLACES]]
-    if not rest:
-        return text
-    more = f" and {len(group) - 1 - PLACES} more" if len(group) > 1 + PLACES else ""
-    return f"{text} (also in line {', '.join(rest)}{more})"
 
 
 # Kinds that appear in several sections.
@@ -425,7 +400,6 @@ def effect(kind: str) -> str:
 
 
 def read_main(shown: str) -> bytes:
-    """Return the bytes of a model's main file."""
     try:
         return files.read(shown, "an MJCF or URDF file")
     except ValueError as error:
@@ -450,7 +424,7 @@ def expand(root: Node, base: Path | None, main: Path | None) -> list[str]:
     the including file. A file can be included once, and may be outside these folders. Only regular
     files are read. Returns a note on each file outside the folder of the main file.
     """
-    seen = {_identity(main)} if main is not None else set()
+    seen = {os.path.realpath(main)} if main is not None else set()
     included_by: dict[str, str] = {}
     pending = [(root, 1)]
     while pending:
@@ -469,12 +443,9 @@ def expand(root: Node, base: Path | None, main: Path | None) -> list[str]:
     return [
         f"{by}: <include> reads {file}, which is outside the folder of the main file"
         for file, by in included_by.items()
-        if base is not None and not Path(_identity(Path(file))).is_relative_to(_identity(base))
+        if base is not None
+        and not Path(os.path.realpath(Path(file))).is_relative_to(os.path.realpath(base))
     ]
-
-
-def _identity(path: Path) -> str:
-    return os.path.realpath(path)
 
 
 def _included(
@@ -487,13 +458,13 @@ def _included(
         raise node.error(f'<include file="{name}"> in a text needs loads(text, base=folder)')
     places = [base / name, Path(node.file).parent / name]
     path = next((place for place in places if os.path.isfile(place)), places[0])
-    if _identity(path) in seen:
+    if os.path.realpath(path) in seen:
         above: str | None = node.file
-        while above is not None and _identity(Path(above)) != _identity(path):
+        while above is not None and os.path.realpath(Path(above)) != os.path.realpath(path):
             above = included_by.get(above)
         why = "was already included" if above is None else "includes itself"
         raise node.error(f'<include file="{name}">: the file {why}')
-    seen.add(_identity(path))
+    seen.add(os.path.realpath(path))
     shown = str(path)
     included_by[shown] = node.file
     root = read_named(node, shown)

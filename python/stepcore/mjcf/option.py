@@ -8,7 +8,6 @@ the text.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from stepcore._core import Settings
 from stepcore.checks import nearest
 from stepcore.mjcf.nodes import OWN_TEXT, Node, is_own_text
 from stepcore.mjcf.schema import FLAGS_OFF, OWN_FEATURES
-from stepcore.mjcf.validation import bad
+from stepcore.mjcf.validation import INT, REAL, bad
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
@@ -159,7 +158,6 @@ def _note(scene: Scene, node: Node, text: str) -> None:
 
 
 def to_say(settings: Settings) -> dict[str, Any]:
-    """Return the settings that differ from those of a file without settings."""
     values = settings.as_dict()
     unsaid = {**Settings().as_dict(), **implied(values)}
     if settings.sleep:
@@ -195,8 +193,6 @@ def shortest(number: float) -> str:
 
 # Kinds of elements that references can name.
 NAMED_KINDS = ("geom", "site", "body", "joint", "tendon", "actuator", "mesh", "hfield")
-_WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
-_REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def own_data(words: Mapping[str, Any], unnamed: Iterable[tuple[str, str]] = ()) -> str:
@@ -219,9 +215,9 @@ def _word(value: Any) -> str:
 def _value(text: str) -> Any:
     if text in ("true", "false"):
         return text == "true"
-    if _WHOLE.fullmatch(text) and len(text) < 20:
+    if INT.fullmatch(text) and len(text) < 20:
         return int(text)
-    return float(text) if _REAL.fullmatch(text) else text
+    return float(text) if REAL.fullmatch(text) else text
 
 
 def own_texts(nodes: Iterable[Node]) -> list[Node]:

@@ -62,7 +62,6 @@ def spec(
     role: str = "",
     once: tuple[str, ...] = (),
 ) -> Spec:
-    """Return a `Spec` from the notation above."""
     types: dict[str, str] = {}
     required = []
     for word in attrs.split():
@@ -89,7 +88,6 @@ def of(kind: type[Element], *names: str, but: str = "") -> str:
 
 
 def without(attrs: str, names: str) -> str:
-    """Return `attrs` without the attributes in `names`."""
     drop = set(names.split())
     return " ".join(w for w in attrs.split() if w.partition(":")[0].rstrip("!") not in drop)
 
@@ -102,7 +100,6 @@ _OWN = (
 
 
 def default_of(attrs: str) -> Spec:
-    """Return the schema of a default-class element for an element with these attributes."""
     return spec(without(attrs, _OWN).replace("!", ""))
 
 

@@ -28,7 +28,6 @@ REFERENCES = {"geom2": ("geom", ""), "body2": ("body", "body"), "subtree2": ("bo
 
 
 def contact(world: WorldReader, node: Node) -> None:
-    """Read an excluded pair of bodies, or an explicit pair of geoms."""
     if node.tag == "pair":
         world.keep(node, world.scene.add_pair(**given(Pair, world.defaults.of(node))))
     else:
@@ -75,7 +74,6 @@ def _stop(world: WorldReader, node: Node) -> Stop:
 
 
 def equality(world: WorldReader, node: Node) -> None:
-    """Read an equality; the check of the whole scene checks its fields."""
     values = world.defaults.of(node, kind="equality")
     if node.tag in ("connect", "weld") and not {"body1", "site1", "site2"} & set(values):
         raise node.error(f"<{node.tag}> needs body1, or site1 and site2")
@@ -159,7 +157,6 @@ def _ends(world: WorldReader, node: Node) -> dict[str, Any]:
 
 
 def _named(world: WorldReader, node: Node, kind: str, attribute: str) -> Element:
-    """Return the element that an attribute names."""
     element: Element = getattr(world.scene, kind)(node.values[attribute])
     return element
 
@@ -352,7 +349,6 @@ def _inherited(
 
 # The number of values per mocap body.
 MOCAP = {"mpos": 3, "mquat": 4}
-MAX_KEYS = 100_000
 
 
 def keyframes(world: WorldReader) -> None:
@@ -373,8 +369,8 @@ def keyframes(world: WorldReader) -> None:
     count = 0
     for node in sections(world.root, "size"):
         count = node.values.get("nkey", count)
-        if count > MAX_KEYS:
-            raise bad(node, "nkey", count, f"at most {MAX_KEYS}")
+        if count > 100_000:
+            raise bad(node, "nkey", count, "at most 100000")
     while len(world.scene.keys) < count:
         world.scene.add_key()
 

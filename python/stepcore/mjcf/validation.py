@@ -11,12 +11,23 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from stepcore.checks import cut, nearest, refuse, shown
-from stepcore.mjcf.nodes import GROUPS, SECTIONS, MJCFError, Node, Refusals, effect, is_own_text
+from stepcore.mjcf.nodes import (
+    GROUPS,
+    SECTIONS,
+    MJCFError,
+    Node,
+    Refusals,
+    effect,
+    inside,
+    is_own_text,
+)
 from stepcore.mjcf.schema import ROOT, SEEN, UNCHECKED, Spec
+from stepcore.scene.element import table
+from stepcore.scene.elements import Actuator, Equality, Geom, Pair
 
 # Stricter than float(): no nan, inf, underscores or other spellings.
-_REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_INT = re.compile(r"[+-]?\d+", re.ASCII)
+REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+INT = re.compile(r"[+-]?\d+", re.ASCII)
 
 # Names whose empty text is kept; other empty attributes count as not given.
 KEPT_EMPTY = ("class", "childclass", "file")
@@ -44,7 +55,7 @@ def validate(root: Node, refusals: Refusals, exclusions: Exclusions) -> list[str
     pending: list[tuple[Node, Spec, str]] = [(root, ROOT, "")]
     while pending:
         node, spec, role = pending.pop()
-        inside: list[Node] = []
+        kept: list[Node] = []
         deeper: list[tuple[Node, Spec, str]] = []
         for child in node.children:
             inner = spec.children.get(child.tag)
@@ -65,9 +76,9 @@ def validate(root: Node, refusals: Refusals, exclusions: Exclusions) -> list[str
             except MJCFError as error:
                 refusals.add(error, child)
                 continue
-            inside.append(child)
+            kept.append(child)
             deeper.append((child, inner, inner.role))
-        node.children = inside
+        node.children = kept
         pending += reversed(deeper)
     exclusions.follow(root)
     return ignored
@@ -91,18 +102,14 @@ def _strip(node: Node, spec: Spec) -> list[str]:
 
 def _read(node: Node, spec: Spec, parent: Node, above: str, ignored: list[str]) -> None:
     node.values = values_of(node, spec)
-    _check_once(node, spec)
-    if spec.role == "unbuilt":
-        raise node.unbuilt(f"<{node.tag}> in <{parent.tag}>")
-    if spec.role and spec.role != above and not is_own_text(node):
-        ignored.append(node.listed(WHY[spec.role]))
-
-
-def _check_once(node: Node, spec: Spec) -> None:
     for tag in spec.once:
         same = [child for child in node.children if child.tag == tag]
         if len(same) > 1:
             raise same[1].error(f"a second <{tag}> in the same <{node.tag}>")
+    if spec.role == "unbuilt":
+        raise node.unbuilt(f"<{node.tag}> in <{parent.tag}>")
+    if spec.role and spec.role != above and not is_own_text(node):
+        ignored.append(node.listed(WHY[spec.role]))
 
 
 def values_of(node: Node, spec: Spec) -> dict[str, object]:
@@ -146,12 +153,12 @@ def _value(node: Node, name: str, text: str, kind: str) -> object:
         return {"true": True, "false": False}.get(text, text) if words[0] == "false" else text
     entries = text.split()
     if kind == "int":
-        if len(entries) != 1 or not _INT.fullmatch(entries[0]):
+        if len(entries) != 1 or not INT.fullmatch(entries[0]):
             raise bad(node, name, text, "an integer")
         return _int(node, name, entries[0])
     if kind.startswith("int"):
         count = None if kind == "int*" else int(kind[3:])
-        if count not in (None, len(entries)) or not all(map(_INT.fullmatch, entries)):
+        if count not in (None, len(entries)) or not all(map(INT.fullmatch, entries)):
             raise bad(node, name, text, f"{count or 'any number of'} integers")
         return tuple(_int(node, name, entry) for entry in entries)
     low, _, high = kind.partition("-")
@@ -163,7 +170,7 @@ def _value(node: Node, name: str, text: str, kind: str) -> object:
     else:
         fits = len(entries) == int(low)
         limit = f"{low} finite number{'s' if low != '1' else ''}"
-    if not fits or not all(map(_REAL.fullmatch, entries)):
+    if not fits or not all(map(REAL.fullmatch, entries)):
         raise bad(node, name, text, limit)
     numbers = tuple(map(float, entries))
     if not all(map(math.isfinite, numbers)):
@@ -178,24 +185,20 @@ def _int(node: Node, name: str, text: str) -> int:
 
 
 def bad(node: Node, name: str, value: object, limit: str) -> MJCFError:
-    """Return the error about the value of an attribute. limit: the allowed values."""
     return node.error(f"<{node.tag}> {name} = {shown(value)}: must be {limit}")
 
 
-# The kind of element that each attribute names.
+# The kind of element that each attribute names: of fields that refer to elements, and of others.
 REFERENCES = {
     **{
-        name: name
-        for name in (
-            *("joint", "body", "geom", "site", "camera", "tendon", "actuator", "sensor"),
-            *("mesh", "hfield", "material", "texture", "flex", "skin"),
-        )
+        row.name: row.type.refers[0].lower()
+        for kind in (Geom, Actuator, Equality, Pair)
+        for row in table(kind).values()
+        if len(row.type.refers) == 1 and row.name != "feeds"
     },
-    **dict.fromkeys(("joint1", "joint2", "jointinparent"), "joint"),
-    **dict.fromkeys(("body1", "body2", "subtree1", "subtree2", "target"), "body"),
-    **dict.fromkeys(("geom1", "geom2"), "geom"),
-    **dict.fromkeys(("site1", "site2", "sidesite", "refsite", "slidersite", "cranksite"), "site"),
-    **dict.fromkeys(("tendon1", "tendon2"), "tendon"),
+    **{name: name for name in ("camera", "actuator", "sensor", "geom", "material", "texture")},
+    **{"flex": "flex", "skin": "skin", "sidesite": "site"},
+    **dict.fromkeys(("subtree1", "subtree2", "target"), "body"),
     **dict.fromkeys(("class", "childclass"), "default"),
 }
 # Attributes that name an object, and the attributes that give its kind.
@@ -208,7 +211,6 @@ _KEPT = ("compiler", "default", "worldbody", "asset", "size")
 
 
 def kind_of(node: Node) -> str:
-    """Return the kind by which references name an element: "joint", "tendon", "mesh", …"""
     section, _, tag = node.path.partition("/")
     if section in _ONE_KIND or not tag:
         return section
@@ -295,7 +297,6 @@ class Exclusions:
         self.nodes[kind] += node.children
 
     def strip(self, node: Node) -> None:
-        """Remove the attributes of a node that are left out."""
         for name in list(node.attrs):
             kind = f"{node.tag}/{name}"
             if kind in self.nodes:
@@ -303,9 +304,7 @@ class Exclusions:
                 self.nodes[kind].append(node)
 
     def begin(self, root: Node) -> None:
-        """Record the actuators of the file, before any is left out."""
-        sections = [section for section in root.children if section.tag == "actuator"]
-        self._actuators = [id(node) for section in sections for node in section.children]
+        self._actuators = [id(node) for node in inside(root, "actuator")]
 
     def follow(self, root: Node) -> None:
         """Remove all elements that refer, directly or indirectly, to a left-out element."""
@@ -328,38 +327,29 @@ class Exclusions:
                     gone.setdefault(section, {}).setdefault(node.attrs["name"], kind)
         removed = False
         for part in root.children:
-            kept = []
+            kept: list[Node] = []
             for node in part.children:
-                kind = "" if part.tag == "default" else _kind_referred_to(node, gone)
-                if kind:
-                    self.nodes[kind].append(node)
-                    removed = True
-                else:
-                    kept.append(node)
+                kinds = (gone.get(of, {}).get(name, "") for _, of, name in references(node))
+                kind = "" if part.tag == "default" else next(filter(None, kinds), "")
+                removed |= bool(kind)
+                (self.nodes[kind] if kind else kept).append(node)
             part.children = kept
         return removed
 
     def notes(self) -> list[str]:
         """Return a note on each kind: the number of nodes left out, and their effect."""
-        return [_note(kind, nodes) for kind, nodes in self.nodes.items()]
+        notes = []
+        for kind, nodes in self.nodes.items():
+            if not nodes:
+                notes.append(f"without {kind}: the file has none")
+                continue
+            names = [f'<{n.tag}> "{n.attrs["name"]}"' for n in nodes if n.attrs.get("name")]
+            more = f" and {len(nodes) - 5} more" if len(nodes) > 5 else ""
+            listed = f" ({', '.join(names[:5])}{more})" if names else ""
+            where, does = f"{nodes[0].file}:{nodes[0].line}", effect(kind)
+            text = f"{where}: without {kind}: {len(nodes)} left out{listed}"
+            notes.append(cut(text + (f": {does}" if does else ""), 400))
+        return notes
 
     def counts(self) -> list[str]:
-        """Return the kinds with left-out nodes, each with its count."""
         return [f"{kind} ({len(nodes)})" for kind, nodes in self.nodes.items() if nodes]
-
-
-def _kind_referred_to(node: Node, gone: dict[str, dict[str, str]]) -> str:
-    """Return the kind of the first removed element that the node refers to, or ""."""
-    kinds = (gone.get(section, {}).get(name, "") for _, section, name in references(node))
-    return next(filter(None, kinds), "")
-
-
-def _note(kind: str, nodes: list[Node]) -> str:
-    if not nodes:
-        return f"without {kind}: the file has none"
-    names = [f'<{node.tag}> "{node.attrs["name"]}"' for node in nodes if node.attrs.get("name")]
-    listed = ", ".join(names[:5]) + (f" and {len(nodes) - 5} more" if len(nodes) > 5 else "")
-    does = effect(kind)
-    text = f"{nodes[0].file}:{nodes[0].line}: without {kind}: {len(nodes)} left out"
-    text += f" ({listed})" if names else ""
-    return cut(text + (f": {does}" if does else ""), 400)

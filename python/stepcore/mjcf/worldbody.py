@@ -36,7 +36,6 @@ class EmptyRange(str):
 
     @classmethod
     def of(cls, where: str, field: str, bounds: tuple[float, ...]) -> EmptyRange:
-        """Return the note about a range. where: the range's ``file:line``."""
         note = cls(f"{where}: {field} = {bounds[0]:g} {bounds[1]:g} is empty: no limit")
         note.where, note.field, note.bounds = where, field, bounds
         return note
@@ -160,14 +159,12 @@ class WorldReader:
         return None
 
     def keep(self, node: Node, element: Element) -> None:
-        """Record the node of an element, for error messages and keyframes."""
         self.nodes[id(element)] = node
         self.elements[id(node)] = element
         # setattr would refuse `place`, because it is not a field.
         element.__dict__["place"] = f"{node.file}:{node.line}"
 
     def _pose(self, node: Node, values: dict[str, Any], place: Place) -> tuple[Vec, Vec]:
-        """Return the pose of an element in its body, composed with the frames around it."""
         pos = values.get("pos", frames.ORIGIN)
         return _within(place.pose, pos, self.compiler.orientation(node, values))
 

@@ -25,6 +25,7 @@ from stepcore.mjcf.reader import read_text
 from stepcore.mjcf.schema import OWN_FEATURES, changed
 from stepcore.scene import frames
 from stepcore.scene.consistency import check
+from stepcore.scene.element import table
 from stepcore.scene.elements import (
     GRAVITY,
     MAGNETIC,
@@ -35,9 +36,7 @@ from stepcore.scene.elements import (
     Geom,
     HField,
     Joint,
-    Key,
     Mesh,
-    Pair,
     Sensor,
     Site,
     Tendon,
@@ -65,8 +64,13 @@ class Tag:
 
     def __init__(self, kind: str, /, **attributes: Any) -> None:
         self.kind = kind
-        self.attributes = {key: text(value) for key, value in attributes.items()}
+        self.attributes: dict[str, str] = {}
         self.inside: list[Tag] = []
+        self.set(**attributes)
+
+    def set(self, **attributes: Any) -> Tag:
+        self.attributes |= {key: text(value) for key, value in attributes.items()}
+        return self
 
     def add(self, tag: Tag) -> Tag:
         self.inside.append(tag)
@@ -78,7 +82,6 @@ class Tag:
 
 
 def text(value: Any) -> str:
-    """Return a value as the text of an attribute."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (tuple, list)):
@@ -142,7 +145,6 @@ class Names:
             self.given[id(element)] = name
 
     def of(self, element: Element) -> str:
-        """Return the name of an element in the file."""
         return self.given[id(element)]
 
     def attribute(self, element: Element) -> dict[str, str]:
@@ -151,8 +153,6 @@ class Names:
         return {"name": name} if name else {}
 
 
-# MuJoCo's grey with opacity 0.
-UNSEEN = (0.5, 0.5, 0.5, 0.0)
 # The group of disabled actuators.
 DISABLED = 30
 # Attributes of `<general>`, and the shortcuts that also have them.
@@ -170,66 +170,51 @@ def written(scene: Scene) -> str:
         raise ValueError(f"{world}: the world of an MJCF file is called world and has no mass")
     names = Names(layout, _referred(scene))
     root = Tag("mujoco", **({"model": scene.name} if scene.name else {}))
-    _add_compiler(root, scene)
+    compiler = root.add(Tag("compiler", angle="radian", **changed(scene.mass_rules)))
+    if ranges := changed(scene.lengthrange):
+        compiler.add(Tag("lengthrange", **ranges))
     words = _add_option(root, scene)
     meshes = [_mesh(mesh, names) for mesh in scene.meshes]
     _add_section(root, "asset", meshes + [_hfield(hfield, names) for hfield in scene.hfields])
     _add_tree(root, layout, names)
-    excluded = [_exclude(pair, names) for pair in scene.excludes]
-    _add_section(root, "contact", excluded + [_pair(pair, names) for pair in scene.pairs])
+    bodies = [map(names.of, pair) for pair in scene.excludes]
+    excluded = [Tag("exclude", body1=first, body2=second) for first, second in bodies]
+    _add_section(root, "contact", excluded + [_tag("pair", pair, names) for pair in scene.pairs])
     _add_section(root, "tendon", [_tendon(tendon, names) for tendon in scene.tendons])
     _add_section(root, "equality", [_equality(tie, names) for tie in scene.equalities])
-    _add_section(root, "actuator", _actuators(scene.actuators, names))
+    actuators = [
+        _actuator(actuator, scene.actuators[at + 1 : at + len(actuator.inputs)], names)
+        for at, actuator in enumerate(scene.actuators)
+        if actuator.type != "input"
+    ]
+    _add_section(root, "actuator", actuators)
     _add_section(root, "sensor", [_sensor(sensor, names) for sensor in scene.sensors])
-    _add_section(root, "keyframe", [_key(key) for key in scene.keys])
+    keys = [_tag("key", key, names) for key in scene.keys]
+    for key in keys:
+        # An empty list cannot be written as an attribute.
+        key.attributes = {name: value for name, value in key.attributes.items() if value}
+    _add_section(root, "keyframe", keys)
     data = own_data(words, names.made)
     if data:
         root.add(Tag("custom")).add(Tag("text", name=OWN_TEXT, data=data))
-    return printed(root, _left_out(scene))
+    count = len(scene.ignored)
+    what = "1 element" if count == 1 else f"{count} elements"
+    comment = f"<!-- Left out: {what} of the scene's file that cannot change the motion. -->\n"
+    return printed(root, comment if count else "")
 
 
 def _referred(scene: Scene) -> list[Element]:
-    """Return the elements that others refer to by name."""
-    holders: list[tuple[Element, Iterable[str]]] = [
-        *((pair, ("geom1", "geom2")) for pair in scene.pairs),
-        *((tie, tie.given()) for tie in scene.equalities),
-        *((a, [f for f in TARGET_FIELDS if f != "feeds"]) for a in scene.actuators),
-        *((sensor, ("object", "reference")) for sensor in scene.sensors),
-    ]
-    ends = [getattr(holder, field) for holder, fields in holders for field in fields]
+    holders = [*scene.pairs, *scene.equalities, *scene.actuators, *scene.sensors]
+    fields = [(e, f) for e in holders for f, row in table(type(e)).items() if row.type.refers]
+    ends = [getattr(element, field) for element, field in fields if field != "feeds"]
     ends += [body for pair in scene.excludes for body in pair]
     ends += [element for tendon in scene.tendons for element in tendon.elements()]
     return [end for end in ends if isinstance(end, Element)]
 
 
-def _actuators(actuators: list[Actuator], names: Names) -> list[Tag]:
-    tags = []
-    for at, actuator in enumerate(actuators):
-        if actuator.type != "input":
-            behind = actuators[at + 1 : at + len(actuator.inputs)]
-            tags.append(_actuator(actuator, behind, names))
-    return tags
-
-
 def _add_section(root: Tag, name: str, tags: list[Tag]) -> None:
     if tags:
         root.add(Tag(name)).inside = tags
-
-
-def _left_out(scene: Scene) -> str:
-    """Return the comment about elements of the scene's file that the text leaves out, or ""."""
-    count = len(scene.ignored)
-    if not count:
-        return ""
-    what = "1 element" if count == 1 else f"{count} elements"
-    return f"<!-- Left out: {what} of the scene's file that cannot change the motion. -->\n"
-
-
-def _add_compiler(root: Tag, scene: Scene) -> None:
-    """Add the compiler section."""
-    compiler = root.add(Tag("compiler", angle="radian", **changed(scene.mass_rules)))
-    if ranges := changed(scene.lengthrange):
-        compiler.add(Tag("lengthrange", **ranges))
 
 
 def _add_option(root: Tag, scene: Scene) -> dict[str, Any]:
@@ -259,23 +244,25 @@ def _add_option(root: Tag, scene: Scene) -> dict[str, Any]:
     return rest
 
 
+def _tag(kind: str, element: Element, names: Names, *skip: str, **first: Any) -> Tag:
+    """Return a tag with the element's name, `first`, and the fields that are no defaults."""
+    given = changed(element, "name", *skip, *first)
+    named = {f: names.of(v) if isinstance(v, Element) else v for f, v in (first | given).items()}
+    return Tag(kind, **names.attribute(element), **named)
+
+
 def _mesh(mesh: Mesh, names: Names) -> Tag:
-    arrays = {"vertex": mesh.vertices.ravel().tolist()}
+    tag = _tag("mesh", mesh, names, "vertices", "faces", "file")
+    tag.set(vertex=mesh.vertices.ravel().tolist())
     if mesh.faces is not None:
-        arrays["face"] = mesh.faces.ravel().tolist()
-    return Tag(
-        "mesh",
-        **names.attribute(mesh),
-        **changed(mesh, "name", "vertices", "faces", "file"),
-        **arrays,
-    )
+        tag.set(face=mesh.faces.ravel().tolist())
+    return tag
 
 
 def _hfield(hfield: HField, names: Names) -> Tag:
-    nrow, ncol = hfield.elevation.shape
-    heights = hfield.elevation.ravel().tolist()
-    own = {"size": hfield.size, "nrow": nrow, "ncol": ncol, "elevation": heights}
-    return Tag("hfield", **names.attribute(hfield), **own)
+    (nrow, ncol), heights = hfield.elevation.shape, hfield.elevation.ravel().tolist()
+    tag = _tag("hfield", hfield, names, "elevation", "file")
+    return tag.set(nrow=nrow, ncol=ncol, elevation=heights)
 
 
 def _add_tree(root: Tag, layout: Layout, names: Names) -> None:
@@ -306,8 +293,7 @@ def _before_bodies(tag: Tag, inner: Tag) -> None:
 
 
 def _body(body: Body, names: Names) -> Tag:
-    placed = changed(body, "name", "parent", "mass", "ipos", "inertia", "iquat")
-    tag = Tag("body", **names.attribute(body), **placed)
+    tag = _tag("body", body, names, "parent", "mass", "ipos", "inertia", "iquat")
     if body.mass is not None:
         tag.add(Tag("inertial", pos=body.ipos, mass=body.mass, **_inertia(body)))
     return tag
@@ -344,21 +330,20 @@ def _moments(quat: Vec, inertia: Vec) -> Vec:
 
 
 def _neighbours(x: float) -> list[float]:
-    """Return a number and its two nearest neighbours on both sides."""
     above, below = math.nextafter(x, math.inf), math.nextafter(x, -math.inf)
     further = math.nextafter(above, math.inf), math.nextafter(below, -math.inf)
     return [x, above, further[0], below, further[1]]
 
 
 def _joint(joint: Joint, names: Names) -> Tag:
-    skip = ["name", "body"]
+    skip = ["body"]
     if joint.type in ("ball", "free"):
         skip += ["axis", "ref", "springref"]
     if joint.type == "free":
         skip.append("pos")
     # Without limited="true", a range of 0 0 means no limit.
     limited = {"limited": "true"} if joint.range == (0.0, 0.0) else {}
-    return Tag("joint", **names.attribute(joint), **limited, **changed(joint, *skip))
+    return _tag("joint", joint, names, *skip, **limited)
 
 
 def _geom(geom: Geom, names: Names) -> Tag:
@@ -367,7 +352,8 @@ def _geom(geom: Geom, names: Names) -> Tag:
         if asset is not None:
             given[field] = names.of(asset)
     if given.pop("hidden", False):
-        given["rgba"] = UNSEEN
+        # MuJoCo's grey with opacity 0.
+        given["rgba"] = (0.5, 0.5, 0.5, 0.0)
     used = SIZES[geom.type]
     # MuJoCo requires a grid spacing > 0 for a plane.
     size = geom.size[:used] if used else (*geom.size[:2], geom.size[2] or 1.0)
@@ -378,26 +364,12 @@ def _geom(geom: Geom, names: Names) -> Tag:
 
 
 def _site(site: Site, names: Names) -> Tag:
-    given = changed(site, "name", "body", "size")
-    size = site.size[: SIZES[site.type]]
-    if size != SITE_SIZE[: len(size)]:
-        given["size"] = size
-    return Tag("site", **names.attribute(site), **given)
-
-
-def _exclude(pair: tuple[Body, Body], names: Names) -> Tag:
-    return Tag("exclude", body1=names.of(pair[0]), body2=names.of(pair[1]))
-
-
-def _pair(pair: Pair, names: Names) -> Tag:
-    ends = {"geom1": names.of(pair.geom1), "geom2": names.of(pair.geom2)}
-    given = changed(pair, "name", "geom1", "geom2")
-    return Tag("pair", **names.attribute(pair), **ends, **given)
+    tag, size = _tag("site", site, names, "body", "size"), site.size[: SIZES[site.type]]
+    return tag if size == SITE_SIZE[: len(size)] else tag.set(size=size)
 
 
 def _tendon(tendon: Tendon, names: Names) -> Tag:
-    kind = "fixed" if tendon.fixed else "spatial"
-    tag = Tag(kind, **names.attribute(tendon), **changed(tendon, "name", "path"))
+    tag = _tag("fixed" if tendon.fixed else "spatial", tendon, names, "path")
     tag.inside = [_stop(stop, names) for stop in tendon.path]
     return tag
 
@@ -414,13 +386,11 @@ def _stop(stop: Stop, names: Names) -> Tag:
 
 
 def _equality(equality: Equality, names: Names) -> Tag:
-    own = equality.given()
+    ends = equality.given()
     if equality.body1 is not None and equality.type == "connect":
         # MuJoCo requires an anchor with body1.
-        own["anchor"] = equality.anchor
-    own = {k: names.of(v) if isinstance(v, Element) else v for k, v in own.items()}
-    given = changed(equality, "name", "type", *own)
-    return Tag(equality.type, **names.attribute(equality), **own, **given)
+        ends["anchor"] = equality.anchor
+    return _tag(equality.type, equality, names, "type", **ends)
 
 
 def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
@@ -486,17 +456,15 @@ def _motor(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _sensor(sensor: Sensor, names: Names) -> Tag:
-    given: dict[str, Any] = dict(names.attribute(sensor))
-    given |= _end(sensor, names, sensor.object, sensor.objtype, "1")
+    given = _end(sensor, names, sensor.object, sensor.objtype, "1")
     given |= _end(sensor, names, sensor.reference, sensor.reftype, "2")
     if sensor.data:
         given["data"] = " ".join(sensor.data)
+    skip = ["type", "object", "reference", "objtype", "reftype", "data"]
     if sensor.type == "user":
         given["dim"] = sensor.num
-    rest = changed(sensor, "name", "type", "object", "reference", "objtype", "reftype", "data")
-    if sensor.type == "user":
-        rest.pop("num", None)
-    return Tag(sensor.type, **given, **rest)
+        skip.append("num")
+    return _tag(sensor.type, sensor, names, *skip, **given)
 
 
 def _end(
@@ -520,18 +488,11 @@ def _end(
     return {kind: name}
 
 
-def _key(key: Key) -> Tag:
-    given = changed(key)
-    # An empty list cannot be written as an attribute.
-    return Tag("key", **{name: value for name, value in given.items() if value != ()})
-
-
 # The first byte, the byte after the last, and the replacement.
 _Edit = tuple[int, int, bytes]
 
 
 def save(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write the scene to a file; see `Scene.save`."""
     target = Path(files.path("path", path))
     data = kept(scene, os.path.abspath(target.parent))
     target.write_bytes(written(scene).encode() if data is None else data)
@@ -674,7 +635,6 @@ def _edited(
 
 
 def _custom(data: bytes, held: _Start, rest: dict[str, Any]) -> _Edit:
-    """Return the edit of stepcore's own text, which keeps the words other than settings."""
     tag = data[held.start : held.stop].decode("utf-8", "replace")
     match = re.search(r"""\bdata\s*=\s*["']([^"']*)["']""", tag)
     settings = Settings().as_dict()
@@ -688,7 +648,6 @@ def _custom(data: bytes, held: _Start, rest: dict[str, Any]) -> _Edit:
 
 
 def _with(data: bytes, tag: _Start, attributes: dict[str, str]) -> _Edit:
-    """Return the edit that sets these attributes of a start tag."""
     text = data[tag.start : tag.stop]
     for name, value in attributes.items():
         word = f'{name}="{escaped(value)}"'.encode()

@@ -23,7 +23,6 @@ SIZE_WORDS = {
 
 
 def _is_root(layout: Layout, body: Body) -> bool:
-    """Return whether this body is the root of a tree."""
     return layout.moving(body) and not layout.moving(body.parent)
 
 

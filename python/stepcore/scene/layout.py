@@ -89,7 +89,6 @@ class Layout:
 
     @cached_property
     def _moving(self) -> set[int]:
-        """The ids of the bodies that can move."""
         moving: set[int] = set()
         # Parents precede their children.
         for body in self.bodies:

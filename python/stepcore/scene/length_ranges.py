@@ -30,7 +30,6 @@ OFF = ("contact", "spring", "damper", "gravity", "frictionloss", "sensor")
 SHORTEST, LEAST = 0.01, 1e-15
 # A cache of ranges, by a hash of the simulated scene.
 _found: dict[bytes, list[list[float]]] = {}
-MOST_KEPT = 64
 
 
 def fill(scene: Scene, data: dict[str, Any]) -> None:
@@ -87,7 +86,7 @@ def _simulated(scene: Scene, data: dict[str, Any], asked: list[int]) -> list[lis
             _settled(scene.actuators[index], rules, *each)
             for index, each in zip(asked, lengths, strict=True)
         ]
-        if len(_found) >= MOST_KEPT:
+        if len(_found) >= 64:
             _found.pop(next(iter(_found)))
         _found[key] = ranges
     return _found[key]

@@ -42,13 +42,11 @@ def plain(layout: Layout) -> dict[str, Any]:
 
 
 def _whole(scene: Scene) -> dict[str, Any]:
-    """Return the values that belong to the whole scene."""
     values = {word: getattr(scene, word) for word in (*WHOLE, "magnetic")}
     return {w: list(value) if isinstance(value, tuple) else value for w, value in values.items()}
 
 
 def _varied(layout: Layout) -> dict[str, Sequence[Element]]:
-    """Return the lists of elements whose values can be varied, by the engine's name of the list."""
     tree = ("body", "joint", "geom", "site")
     kinds = (*tree, "tendon", "actuator", "equality", "key", "pair")
     return {LISTS[kind]: layout.elements(kind) for kind in kinds}

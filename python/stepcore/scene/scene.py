@@ -502,7 +502,6 @@ class Scene(checks.KnownNames):
         return self._add(self.tendons, Tendon, fields, name=name, path=stops)
 
     def _stop(self, stop: Any) -> Any:
-        """Return a stop of a tendon's path with names replaced by elements."""
         match stop:
             case str():
                 return self.site(stop)
@@ -793,7 +792,6 @@ class Scene(checks.KnownNames):
 
 
 def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
-    """Set a geom's size and pose from its two end points."""
     both = [field for field in ("pos", "quat") if field in fields]
     if both:
         raise checks.ElementError(geom, f"{both[0]} and fromto are both given")
@@ -805,7 +803,6 @@ def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
 
 
 def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
-    """Return a new element; raise ValueError with the nearest name for an unknown field."""
     known = table(kind)
     for field in fields:
         if field not in known:

@@ -77,7 +77,6 @@ MESHES = (".stl", ".obj", ".msh")
 
 
 def child_of(node: Node, tag: str) -> Node | None:
-    """Return the first child with this tag, or None."""
     return next((child for child in node.children if child.tag == tag), None)
 
 

@@ -30,8 +30,6 @@ from stepcore.urdf.elements import (
     validate,
 )
 
-# The default axis of a joint is X.
-X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
 
 
@@ -212,7 +210,7 @@ class _Robot:
 
     def _joints(self, joint: Node) -> list[Node]:
         kind, name = joint.values["type"], joint.values["name"]
-        axis = _value(joint, "axis", "xyz", X)
+        axis = _value(joint, "axis", "xyz", (1.0, 0.0, 0.0))
         common = _dynamics(joint)
         if kind == "fixed":
             return []
@@ -222,7 +220,8 @@ class _Robot:
             raise bad(child_of(joint, "axis") or joint, "xyz", axis, "an axis that is not zero")
         if kind == "planar":
             turn = frames.from_z_axis(axis)
-            x, y, z = (frames.rotated(turn, own) for own in (X, Y, Z))
+            # The images of the three axes are the columns of the rotation.
+            x, y, z = zip(*frames.matrix(turn), strict=True)
             return [
                 _moving(joint, name + "_TX", "slide", x, common),
                 _moving(joint, name + "_TY", "slide", y, common),
@@ -296,7 +295,6 @@ class _Robot:
         return _element("geom", collision, **attrs, **_pose(collision))
 
     def _mesh(self, node: Node) -> str:
-        """Return the name of a mesh asset; there is one asset for each file and scale."""
         scale = node.values.get("scale", (1.0, 1.0, 1.0))
         path = mesh_path(node, self.directory, bool(self.extension))
         if (path, scale) not in self.meshes:
@@ -311,7 +309,6 @@ class _Robot:
         return self.meshes[path, scale].attrs["name"]
 
     def _visual(self, visual: Node) -> Node:
-        """Return a geom that neither collides nor has mass."""
         geom = self._geom(visual)
         geom.attrs |= {"contype": "0", "conaffinity": "0", "mass": "0"}
         try:
@@ -371,7 +368,6 @@ def _by_name(nodes: Iterable[Node]) -> dict[str, Node]:
 
 
 def _value(node: Node, tag: str, attribute: str, default: Any = None) -> Any:
-    """Return an attribute of a child; the default without the child or the attribute."""
     child = child_of(node, tag)
     return default if child is None else child.values.get(attribute, default)
 
@@ -390,7 +386,6 @@ def _moving(joint: Node, name: str, kind: str, axis: Vec, attrs: dict[str, str])
 
 
 def _turn(node: Node) -> Vec:
-    """Return the orientation of an origin: rotations about the parent's fixed x, y and z axes."""
     return frames.from_euler(_value(node, "origin", "rpy", frames.ORIGIN), "XYZ")
 
 

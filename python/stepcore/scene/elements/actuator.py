@@ -32,7 +32,6 @@ GAINS = ("fixed", "affine", "muscle")
 BIASES = ("none", "affine", "muscle")
 # Interpolation of past controls between samples.
 INTERPS = ("zoh", "linear", "cubic")
-MOST_SAMPLES = 10**6
 # Transmission targets: an actuator has exactly one of these.
 TARGETS = ("joint", "jointinparent", "tendon", "site", "cranksite", "body")
 # Optional second fields, with the target that each field needs.
@@ -41,7 +40,6 @@ TARGET_FIELDS = (*TARGETS, *SECOND, "cranklength", "feeds")
 
 
 def _one_or(count: int) -> checks.Check:
-    """Return a check for a number or up to `count` numbers."""
 
     def check(owner: Any, field: str, value: object) -> Any:
         if checks.listed(value) is None:
@@ -68,7 +66,7 @@ Inputs = Annotated[str | None, FieldType(checks.optional(_inputs), "str | None",
 Thermal = Annotated[Vec | None, replace(of.optional(of.vector(5)), attribute="1-6")]
 Cogging = Annotated[Vec | None, of.optional(of.vector(3, fill=ORIGIN))]
 Lugre = Annotated[Vec | None, replace(of.optional(of.vector(5, low=0)), attribute="1-5")]
-Samples = Annotated[int, replace(of.whole(0, MOST_SAMPLES), read=lambda value: max(value, 0))]
+Samples = Annotated[int, replace(of.whole(0, 10**6), read=lambda value: max(value, 0))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -11,9 +11,6 @@ from stepcore.scene.frames import IDENTITY, ORIGIN, Vec, turned_inertia
 
 # Sleep policies of a tree, set on its root.
 SLEEP = ("auto", "never", "allowed", "init")
-# Largest products of inertia in principal axes, relative to the trace. The engine's limit is
-# slightly larger.
-PRINCIPAL = 1e-10
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -76,7 +73,8 @@ class Body(Element):
 def _principal(axes: Vec, inertia: Vec) -> bool:
     w, x, y, z = axes
     xx, yy, zz, *products = turned_inertia((w, -x, -y, -z), inertia)
-    return max(map(abs, products)) <= PRINCIPAL * (xx + yy + zz) and any(inertia)
+    # The engine's limit of the products of inertia in principal axes is slightly larger.
+    return max(map(abs, products)) <= 1e-10 * (xx + yy + zz) and any(inertia)
 
 
 # A required and an optional reference to a body.

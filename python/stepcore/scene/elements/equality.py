@@ -152,7 +152,6 @@ class Equality(Element):
         return self.tendon1, self.tendon2
 
     def _tied_bodies(self, places: Places) -> tuple[Any, Any]:
-        """Return the two bodies of a connect or weld; a missing second body is the world."""
         if self.site1 is not None and self.site2 is not None:
             return self.site1.body, self.site2.body
         return self.body1, self.body2 or places.bodies[0]

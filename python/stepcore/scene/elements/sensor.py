@@ -69,7 +69,6 @@ RAY_DATA = ("dist", "dir", "origin", "point", "normal", "depth")
 
 
 def _words(owner: object, field: str, value: object) -> tuple[str, ...]:
-    """Return names of quantities from a list, or from a string separated by blanks."""
     words = value.split() if isinstance(value, str) else checks.listed(value)
     known = dict.fromkeys((*CONTACT_DATA, *RAY_DATA))
     if words is None or not all(isinstance(word, str) and word in known for word in words):

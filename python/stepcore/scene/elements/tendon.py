@@ -13,9 +13,6 @@ from stepcore.scene.elements.geom import Geom
 from stepcore.scene.elements.joint import Joint
 from stepcore.scene.elements.site import Site
 
-# MuJoCo's code for the length at which all joints are at their springref.
-AUTOMATIC = (-1.0, -1.0)
-
 
 class Share(NamedTuple):
     """A joint of a fixed tendon; the joint adds coef × its position to the length."""
@@ -125,7 +122,7 @@ class Tendon(Element):
     path: Annotated[Path, FieldType(path, "Iterable[Any]", refers=("Joint", "Site", "Geom"))]
     range: Annotated[of.Range, "m"] = None
     margin: Annotated[of.Real, "m"] = 0.0
-    springlength: Annotated[SpringLength, "m"] = AUTOMATIC
+    springlength: Annotated[SpringLength, "m"] = (-1.0, -1.0)
     stiffness: Annotated[of.Real, "N/m"] = 0.0
     stiffnesspoly: of.Poly = (0.0, 0.0)
     damping: Annotated[of.Real, "N·s/m"] = 0.0
