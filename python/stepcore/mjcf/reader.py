@@ -45,8 +45,8 @@ from stepcore.mjcf.nodes import (
 from stepcore.mjcf.validation import REFERENCES, Exclusions, validate
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import gc_pause
-from stepcore.scene.consistency import check
 from stepcore.scene.layout import LISTS, Layout, named
+from stepcore.scene.records import check
 from stepcore.urdf import translate
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from stepcore.mjcf.schema import NOT_IN_WORLD, given
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import Body, Element, Geom, Joint, Key, MassRules
-from stepcore.scene.elements.site import SITE_SIZE
+from stepcore.scene.elements.body import SITE_SIZE
 from stepcore.scene.frames import Vec
 
 if TYPE_CHECKING:

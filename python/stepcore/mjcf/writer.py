@@ -24,7 +24,6 @@ from stepcore.mjcf.option import NAMED_KINDS, implied, own_data, said, shortest,
 from stepcore.mjcf.reader import read_text
 from stepcore.mjcf.schema import OWN_FEATURES, changed
 from stepcore.scene import frames
-from stepcore.scene.consistency import check
 from stepcore.scene.element import table
 from stepcore.scene.elements import (
     GRAVITY,
@@ -43,11 +42,12 @@ from stepcore.scene.elements import (
 )
 from stepcore.scene.elements.actuator import TARGET_FIELDS
 from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS, FED
+from stepcore.scene.elements.body import SITE_SIZE
 from stepcore.scene.elements.sensor import OF_ACCELERATION, OF_FRAME
-from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import ORIGIN, Vec
 from stepcore.scene.layout import SIZES, Layout
+from stepcore.scene.records import check
 
 if TYPE_CHECKING:
     from stepcore.mjcf.nodes import Source

@@ -36,23 +36,23 @@ class Layout:
         self.scene = scene
         self.bodies = _depth_first(scene.bodies)
         self.index = {id(body): i for i, body in enumerate(self.bodies)}
+        # By kind and ``id`` of the element: its index.
+        self._places: dict[str, dict[int, int]] = {"body": self.index}
         self.joints: list[Joint] = self._by_body(scene.joints)
         self.geoms: list[Geom] = self._by_body(scene.geoms)
         self.sites = self._by_body(scene.sites)
         self.joints_of: dict[int, list[Joint]] = {}
         for joint in self.joints:
             self.joints_of.setdefault(id(joint.body), []).append(joint)
-        # By kind and ``id`` of the element: its index.
-        self._places: dict[str, dict[int, int]] = {"body": self.index}
 
     def _by_body(self, elements: Iterable[Any]) -> list[Any]:
-        return sorted(elements, key=lambda e: self.body(e, e.body))
+        return sorted(elements, key=lambda e: self.needed(e, e.body))
 
-    def body(self, owner: Element | str, body: Body) -> int:
-        """Return the index of a body that `owner` refers to; raise if it is not in the scene."""
-        index = self.index.get(id(body))
+    def needed(self, owner: Element | str, element: Element) -> int:
+        """Return the index of an element that `owner` refers to; raise if the scene has it not."""
+        index = self.place(element)
         if index is None:
-            raise checks.ElementError(owner, f"refers to {body}, which is not in this scene")
+            raise checks.ElementError(owner, f"refers to {element}, which is not in this scene")
         return index
 
     def elements(self, kind: str) -> Sequence[Any]:
@@ -65,7 +65,7 @@ class Layout:
         """Return the label of a body in errors: "body 'leg'", or "body 3" without a name."""
         if body is self.bodies[0]:
             return "the world"
-        return f"body '{body.name}'" if body.name else f"body {self.body(body, body)}"
+        return f"body '{body.name}'" if body.name else f"body {self.needed(body, body)}"
 
     @property
     def nq(self) -> int:

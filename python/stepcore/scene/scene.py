@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 from stepcore import checks, files
 from stepcore.scene import frames, hfield_files, length_ranges, mesh_files
-from stepcore.scene.consistency import check
 from stepcore.scene.element import belongs, table
 from stepcore.scene.elements import (
     GRAVITY,
@@ -37,7 +36,7 @@ from stepcore.scene.elements import (
 from stepcore.scene.elements.sensor import OBJECTS
 from stepcore.scene.layout import LISTS, Layout, named
 from stepcore.scene.names import Names
-from stepcore.scene.records import essence, plain
+from stepcore.scene.records import check, essence, plain
 from stepcore.signatures import takes_settings
 
 if TYPE_CHECKING:

@@ -371,7 +371,7 @@ def _tendons(model: Model) -> Iterator[tuple[int, float, float]]:
         square = features.spring * max(tendon.stiffness, 0.0) * weight
         rate = 0.0 if late else features.damper * tendon.damping * weight
         bodies = [element.body for element in tendon.elements()]
-        for tree in {model.root(layout.body(tendon, body)) for body in bodies} - {0}:
+        for tree in {model.root(layout.needed(tendon, body)) for body in bodies} - {0}:
             yield tree, square, rate
 
 

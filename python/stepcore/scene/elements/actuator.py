@@ -20,9 +20,7 @@ from stepcore.scene.elements.actuator_laws import (
     Law,
     inputs,
 )
-from stepcore.scene.elements.body import SomeBody
-from stepcore.scene.elements.joint import SomeJoint
-from stepcore.scene.elements.site import SomeSite
+from stepcore.scene.elements.body import SomeBody, SomeJoint, SomeSite
 from stepcore.scene.elements.tendon import SomeTendon
 from stepcore.scene.frames import ORIGIN, Vec
 
@@ -278,8 +276,15 @@ class Actuator(Element):
         # A placeholder for muscles without a range: `length_ranges.fill` replaces it.
         lengthrange = self.lengthrange or (0.0, 1.0 if law.is_muscle else 0.0)
         bounds = owner if axis is not None else self
+        field, element = self.target
+        target: dict[str, Any] = {field: -1 if element is None else place_of(places, element)}
+        if field == "site":
+            target["refsite"] = owner.refsite and place_of(places, owner.refsite)
+        if field == "cranksite" and owner.slidersite is not None:
+            target["slidersite"] = place_of(places, owner.slidersite)
+            target["cranklength"] = owner.cranklength
         return self.record("type", *ALL_LAW_FIELDS, *TARGET_FIELDS) | {
-            "target": self._plain_target(places),
+            "target": target,
             "feeds": None if self.feeds is None else place_of(places, self.feeds),
             "gain": list(law.gain),
             "bias": list(law.bias),
@@ -296,23 +301,12 @@ class Actuator(Element):
             "lengthrange": list(lengthrange),
         }
 
-    def _plain_target(self, places: Places) -> dict[str, Any]:
-        field, element = self.target
-        target: dict[str, Any] = {field: -1 if element is None else place_of(places, element)}
-        owner = self.feeds or self
-        if field == "site":
-            target["refsite"] = owner.refsite and place_of(places, owner.refsite)
-        if field == "cranksite" and owner.slidersite is not None:
-            target["slidersite"] = place_of(places, owner.slidersite)
-            target["cranklength"] = owner.cranklength
-        return target
-
     def check(self, places: Places) -> None:
         """Raise ElementError for fields that the type does not use, or that are contradictory."""
         for field in TARGET_FIELDS:
             end = getattr(self, field)
-            if isinstance(end, Element) and places.place(end) is None:
-                raise checks.ElementError(self, f"refers to {end}, which is not in this scene")
+            if isinstance(end, Element):
+                places.needed(self, end)
         known = LAW_FIELDS[self.type]
         for field in ALL_LAW_FIELDS:
             if getattr(self, field) is not None and field not in known:
@@ -329,7 +323,12 @@ class Actuator(Element):
         if self.type == "orientation":
             self._check_orientation()
         if self.type == "input":
-            self._check_input()
+            if self.feeds is None:
+                raise self._bad("feeds", "a pid, a dcmotor or an orientation for type 'input'")
+            if self.input not in (*INPUTS, *CHARTS["quat"]):
+                raise self._bad("input", f"one of {', '.join(INPUTS)}")
+            if self.feeds.type not in FED or self.input not in self.feeds.inputs[1:]:
+                raise self._bad("feeds", f"with {self.input!r} among its inputs, and not the first")
         if self.type in ("position", "intvelocity", "damper", "pid", "orientation"):
             for field in ("kv", "dampratio", "timeconst"):
                 if (getattr(self, field) or 0.0) < 0:
@@ -444,14 +443,6 @@ class Actuator(Element):
         for field in ("damping", "armature"):
             if getattr(self, field):
                 raise self._bad(field, "0 for an orientation")
-
-    def _check_input(self) -> None:
-        if self.feeds is None:
-            raise self._bad("feeds", "a pid, a dcmotor or an orientation for type 'input'")
-        if self.input not in (*INPUTS, *CHARTS["quat"]):
-            raise self._bad("input", f"one of {', '.join(INPUTS)}")
-        if self.feeds.type not in FED or self.input not in self.feeds.inputs[1:]:
-            raise self._bad("feeds", f"with {self.input!r} among its inputs, and not the first")
 
 
 def check_inputs(actuators: Sequence[Actuator]) -> None:

@@ -8,10 +8,8 @@ from typing import Annotated, Any
 from stepcore import checks
 from stepcore.scene.element import Element, Places, table
 from stepcore.scene.elements import field_types as of
-from stepcore.scene.elements.body import Body, SomeBody
+from stepcore.scene.elements.body import Body, Joint, Site, SomeBody, SomeJoint, SomeSite
 from stepcore.scene.elements.geom import Geom
-from stepcore.scene.elements.joint import Joint, SomeJoint
-from stepcore.scene.elements.site import Site, SomeSite
 from stepcore.scene.elements.tendon import SomeTendon, Tendon
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
 
@@ -122,34 +120,32 @@ class Equality(Element):
         elif self.body1 is None:
             raise checks.ElementError(self, f"a {kind} needs body1, or site1 and site2")
         ends = [getattr(self, field) for field in (by_site or ("body1", "body2"))]
-        first, second = (places.body(self, body) for body in self._tied_bodies(places))
+        first, second = (places.needed(self, body) for body in self._tied_bodies(places))
         for site in ends if by_site else ():
-            if places.place(site) is None:
-                raise checks.ElementError(self, f"refers to {site}, which is not in this scene")
+            places.needed(self, site)
         if first == second:
             same_body = f"{ends[0]} to {ends[1]}, of the same body"
             what = same_body if by_site else f"{ends[0]} to itself"
             raise checks.ElementError(self, f"connects {what}")
 
     def _check_lengths(self, places: Places) -> None:
-        first, second = self._lengths()
+        first, second = self._lengths
         if first is None:
             raise checks.ElementError(self, f"a {self.type} equality needs {self.type}1")
         for end in (first, second):
             if end is None:
                 continue
-            if places.place(end) is None:
-                raise checks.ElementError(self, f"refers to {end}, which is not in this scene")
+            places.needed(self, end)
             if isinstance(end, Joint) and end.type not in ("hinge", "slide"):
                 text = f"{end} is a {end.type}: must be a hinge or a slide"
                 raise checks.ElementError(self, text)
         if first is second:
             raise checks.ElementError(self, f"connects {first} to itself")
 
+    @property
     def _lengths(self) -> tuple[Joint | Tendon | None, Joint | Tendon | None]:
-        if self.type == "joint":
-            return self.joint1, self.joint2
-        return self.tendon1, self.tendon2
+        of_joints = self.type == "joint"
+        return (self.joint1, self.joint2) if of_joints else (self.tendon1, self.tendon2)
 
     def _tied_bodies(self, places: Places) -> tuple[Any, Any]:
         if self.site1 is not None and self.site2 is not None:
@@ -163,9 +159,9 @@ class Equality(Element):
         """
         record: dict[str, Any] = self.record(*_ENDS) | {"frame1": None, "frame2": None}
         if self.ties_lengths:
-            first, second = (end and places.place(end) for end in self._lengths())
+            first, second = (end and places.place(end) for end in self._lengths)
         else:
-            first, second = (places.body(self, body) for body in self._tied_bodies(places))
+            first, second = (places.needed(self, body) for body in self._tied_bodies(places))
             record |= self._frames()
         return record | {"first": first, "second": second}
 

@@ -152,8 +152,8 @@ class Sensor(Element):
         elif kind not in kinds:
             limit = f"{needed} for a sensor of type {self.type}"
             raise checks.ElementError(self, f"{field} = {element}: must be {limit}")
-        elif places.place(element) is None:
-            raise checks.ElementError(self, f"refers to {element}, which is not in this scene")
+        else:
+            places.needed(self, element)
         word = self.objtype if field == "object" else self.reftype
         if word and kind != "body":
             raise checks.ElementError(self, f"{field}: only a body can stand for its {word}")

@@ -9,9 +9,8 @@ from typing import Annotated, Any, NamedTuple
 from stepcore import checks
 from stepcore.scene.element import Element, FieldType, Places, place_of
 from stepcore.scene.elements import field_types as of
+from stepcore.scene.elements.body import Joint, Site
 from stepcore.scene.elements.geom import Geom
-from stepcore.scene.elements.joint import Joint
-from stepcore.scene.elements.site import Site
 
 
 class Share(NamedTuple):
