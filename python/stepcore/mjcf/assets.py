@@ -136,7 +136,12 @@ class Assets:
         if "face" in values and given != ["vertex"]:
             raise node.error("<mesh> has faces, but no vertices of its own")
         if "face" in values:
-            mesh.faces = _faces(node, values["face"])
+            face = values["face"]
+            if len(face) % 3 or not face:
+                raise bad(node, "face", face, "3 indices for each face")
+            if min(face) < 0:
+                raise bad(node, "face", min(face), "indices of vertices, >= 0")
+            mesh.faces = np.array(face).reshape(-1, 3)
         count = len(mesh.vertices)
         if count < 4:
             raise node.error(f"<mesh> has {count} vertices: must be at least 4")
@@ -242,14 +247,6 @@ class Assets:
                 read_bytes=size,
                 asset_bytes=size + sum(map(os.path.getsize, there)),
             )
-
-
-def _faces(node: Node, face: tuple[int, ...]) -> Any:
-    if len(face) % 3 or not face:
-        raise bad(node, "face", face, "3 indices for each face")
-    if min(face) < 0:
-        raise bad(node, "face", min(face), "indices of vertices, >= 0")
-    return np.array(face).reshape(-1, 3)
 
 
 def _is_zero(word: str) -> bool:

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from stepcore.mjcf.worldbody import Shape, WorldReader
     from stepcore.scene.scene import Scene
 
-# Sensors whose readings depend on masses, even of bodies that cannot move.
 OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")
 NOTE = (
     "an attached model makes masses by other rules (<compiler>): bodies have the masses that their "
@@ -124,7 +123,13 @@ def place_weightless(world: WorldReader) -> None:
     depend on masses.
     """
     scene = world.scene
-    touching, sensed = {id(geom.body) for geom in scene.geoms}, _senses_mass(scene)
+    touching = {id(geom.body) for geom in scene.geoms}
+    # Sensors may depend on masses or centres of mass even of bodies that cannot move.
+    sensed = any(
+        sensor.type in OF_MASS
+        or (sensor.type != "contact" and "body" in (sensor.objtype, sensor.reftype))
+        for sensor in scene.sensors
+    )
     groups: dict[tuple[object, ...], tuple[MassRules, list[Body]]] = {}
     for body in scene.bodies:
         rules = world.rules_of(body)
@@ -139,12 +144,6 @@ def place_weightless(world: WorldReader) -> None:
             if known[id(body)].mass == 0.0:
                 pos, quat = world.written[id(body)]
                 Weight(0.0, np.array(pos), np.zeros((3, 3)), quat).give(body)
-
-
-def _senses_mass(scene: Scene) -> bool:
-    kinds = {(sensor.type, sensor.objtype, sensor.reftype) for sensor in scene.sensors}
-    centred = any(kind != "contact" and "body" in ends for kind, *ends in kinds)
-    return centred or any(kind in OF_MASS for kind, *_ in kinds)
 
 
 def settle_masses(world: WorldReader) -> None:

@@ -33,19 +33,17 @@ class Compiler:
         self.ranges: dict[str, Any] = {}
         for node in sections:
             self.values |= node.values
-            self._check(node)
+            if node.values.get("coordinate") == "global":
+                limit = "local: MuJoCo dropped global coordinates"
+                raise bad(node, "coordinate", "global", limit)
+            sequence = node.values.get("eulerseq", "xyz")
+            if len(sequence) != 3 or sequence.lower().strip("xyz"):
+                raise bad(node, "eulerseq", sequence, "three letters of x, y, z, X, Y, Z")
             for child in node.children:
                 self.ranges |= child.values
         self.degrees = self.values.get("angle", "degree") == "degree"
         self.autolimits: bool = self.values.get("autolimits", True)
         self.eulerseq: str = self.values.get("eulerseq", "xyz")
-
-    def _check(self, node: Node) -> None:
-        if node.values.get("coordinate") == "global":
-            raise bad(node, "coordinate", "global", "local: MuJoCo dropped global coordinates")
-        sequence = node.values.get("eulerseq", "xyz")
-        if len(sequence) != 3 or sequence.lower().strip("xyz"):
-            raise bad(node, "eulerseq", sequence, "three letters of x, y, z, X, Y, Z")
 
     def path(self, node: Node, name: str, folder: str = "") -> str:
         """Return the path of the file that an element names.
@@ -98,6 +96,8 @@ class Compiler:
 
 Values = dict[str, Any]
 MAIN = "main"
+# Attributes of a class that name assets.
+ASSETS = ("mesh", "hfield", "material")
 
 
 def overlay(under: Values, over: Values) -> Values:
@@ -115,12 +115,6 @@ def overlay(under: Values, over: Values) -> Values:
             value = value + old[len(value) :]
         result[name] = value
     return result
-
-
-def _prefixed(values: Values, prefix: str) -> Values:
-    """Return the values of a class, with the prefix before the names of assets."""
-    assets = ("mesh", "hfield", "material")
-    return {name: prefix + value if name in assets else value for name, value in values.items()}
 
 
 class Defaults:
@@ -170,7 +164,10 @@ class Defaults:
         """
         names = {}
         for name, own in other.classes.items():
-            new = {tag: _prefixed(values, prefix) for tag, values in own.items()}
+            new = {
+                tag: {k: prefix + v if k in ASSETS else v for k, v in values.items()}
+                for tag, values in own.items()
+            }
             both = new, other.chains[name]
             here = prefix + name
             while here in self.classes and (self.classes[here], self.chains[here]) != both:

@@ -270,7 +270,8 @@ class WorldReader:
         values = self.defaults.of(node, place.childclass)
         kind = values.get("type", "sphere")
         name = values.get("name", "")
-        self._refer(node, values, "material")
+        if "material" in values:
+            self.references.append((node, "material", values["material"]))
         if name in self.names["geom"] and name:
             raise node.error(f'geom "{name}": the name is used twice')
         self.names["geom"].add(name)
@@ -322,8 +323,8 @@ class WorldReader:
 
     def _site(self, node: Node, place: Place) -> None:
         values = self.defaults.of(node, place.childclass)
-        self._refer(node, values, "material")
-        self._refer(node, values, "mesh")
+        named = [kind for kind in ("material", "mesh") if kind in values]
+        self.references += [(node, kind, values[kind]) for kind in named]
         kind = values.get("type", "sphere")
         size: Vec = values.get("size", ())
         values = values | {"size": size + SITE_SIZE[len(size) :]}
@@ -335,10 +336,6 @@ class WorldReader:
         else:
             fields |= {"type": kind, "size": size}
         self.keep(node, self.scene.add_site(place.body, **fields))
-
-    def _refer(self, node: Node, values: dict[str, Any], kind: str) -> None:
-        if kind in values:
-            self.references.append((node, kind, values[kind]))
 
 
 def _within(outer: tuple[Vec, Vec], pos: Vec, quat: Vec) -> tuple[Vec, Vec]:

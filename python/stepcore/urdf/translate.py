@@ -1,11 +1,11 @@
 """Translate a URDF to equivalent MJCF; each element keeps its line number in the URDF.
 
-A link becomes a body, a joint the joint of its child body, a collision a geom, and an inertial an
-inertial. As in MuJoCo, `effort` limits the actuator force on a joint (actuatorfrcrange), and
-`mimic` becomes a joint equality. A planar joint becomes two slides and a hinge (named _TX, _TY,
-_RZ). The root link is fixed to the world. Links on fixed joints are fused with their parent unless
-the file sets fusestatic="false". Unlike in MuJoCo, a planar joint moves in the plane normal to its
-axis, as URDF specifies.
+Format documentation: wiki.ros.org/urdf/XML. A link becomes a body, a joint the joint of its child
+body, a collision a geom, and an inertial an inertial. As in MuJoCo, `effort` limits the actuator
+force on a joint (actuatorfrcrange), and `mimic` becomes a joint equality. A planar joint becomes
+two slides and a hinge (named _TX, _TY, _RZ). The root link is fixed to the world. Links on fixed
+joints are fused with their parent unless the file sets fusestatic="false". Unlike in MuJoCo, a
+planar joint moves in the plane normal to its axis, as URDF specifies.
 """
 
 from __future__ import annotations
@@ -17,18 +17,198 @@ from typing import Any
 
 from stepcore.checks import cut, nearest
 from stepcore.mjcf.nodes import MJCFError, Node, Refusals
-from stepcore.mjcf.validation import bad
+from stepcore.mjcf.schema import Spec, spec
+from stepcore.mjcf.validation import bad, values_of
 from stepcore.scene import frames
 from stepcore.scene.frames import Vec
-from stepcore.urdf.elements import (
-    DRAWN_ROBOT,
-    ROBOT,
-    child_of,
-    drop_unreadable_visuals,
-    file_path,
-    mesh_path,
-    validate,
+
+ORIGIN = spec("xyz:3 rpy:3")
+GEOMETRY = spec(
+    "",
+    {
+        "box": spec("size!:3"),
+        "sphere": spec("radius!:1"),
+        "cylinder": spec("radius!:1 length!:1"),
+        "capsule": spec("radius!:1 length!:1"),
+        "mesh": spec("filename! scale:3"),
+    },
 )
+INERTIAL = spec(
+    "",
+    {
+        "origin": ORIGIN,
+        "mass": spec("value!:1"),
+        "inertia": spec("ixx!:1 iyy!:1 izz!:1 ixy:1 ixz:1 iyz:1"),
+    },
+    once=("origin", "mass", "inertia"),
+)
+COLLISION = spec(
+    "name group", {"origin": ORIGIN, "geometry": GEOMETRY}, once=("origin", "geometry")
+)
+MATERIAL = spec(
+    "name", {"color": spec("rgba:4"), "texture": spec("filename!")}, once=("color", "texture")
+)
+VISUAL = spec(
+    "name group",
+    {"origin": ORIGIN, "geometry": GEOMETRY, "material": MATERIAL},
+    once=("origin", "geometry", "material"),
+)
+LINK = {"inertial": INERTIAL, "collision": COLLISION}
+JOINT = spec(
+    "name! type!:revolute|continuous|prismatic|fixed|floating|planar",
+    {
+        "origin": ORIGIN,
+        "parent": spec("link!"),
+        "child": spec("link!"),
+        "axis": spec("xyz:3"),
+        "limit": spec("lower:1 upper:1 effort:1 velocity:1"),
+        "dynamics": spec("damping:1 friction:1"),
+        "mimic": spec("joint! multiplier:1 offset:1"),
+    },
+    once=("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
+)
+ROBOT = spec("name version", {"link": spec("name! type", LINK, once=("inertial",)), "joint": JOINT})
+# The schema with visual elements.
+DRAWN_ROBOT = spec(
+    "name version",
+    {
+        "link": spec("name! type", {**LINK, "visual": VISUAL}, once=("inertial",)),
+        "joint": JOINT,
+        "material": MATERIAL,
+    },
+)
+# Attributes of other programs whose names resemble those of URDF. The last three repeat entries
+# of the symmetric inertia matrix.
+FOREIGN = ("concave", "iyx", "izx", "izy")
+DRAWS = ("visual", "material")
+# The program xacro may leave these elements in its output; they have no effect.
+XACRO_ONLY = ("xacro:property", "xacro:arg")
+MESHES = (".stl", ".obj", ".msh")
+
+
+def child_of(node: Node, tag: str) -> Node | None:
+    return next((child for child in node.children if child.tag == tag), None)
+
+
+def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
+    """Set `values`, remove unread elements and attributes, and return lines for `Scene.ignored`.
+
+    Errors are collected in `refusals`.
+    """
+    ignored: list[str] = []
+    pending: list[tuple[Node, Spec]] = [(root, schema)]
+    while pending:
+        node, known = pending.pop()
+        ignored += _drop_attributes(node, known)
+        try:
+            node.values = values_of(node, known)
+        except MJCFError as error:
+            refusals.add(error, node)
+            continue
+        # Unknown elements are common in URDF files, but the shape of a geom must be known.
+        shapeless = node.tag == "geometry" and not any(
+            child.tag in known.children for child in node.children
+        )
+        kept = []
+        for child in node.children:
+            if child.tag in known.children:
+                kept.append(child)
+                pending.append((child, known.children[child.tag]))
+            elif child.tag.startswith("xacro:") and child.tag not in XACRO_ONLY:
+                text = f"<{child.tag}>: this is xacro, from which the program xacro makes URDF"
+                refusals.add(child.error(text))
+            elif shapeless and child.tag not in XACRO_ONLY:
+                near = nearest(child.tag, known.children)
+                refusals.add(child.error(f"unknown element <{child.tag}> in <{node.tag}>{near}"))
+            else:
+                why = "only draws" if child.tag in DRAWS else "says nothing about the motion"
+                ignored.append(child.listed(why))
+        for tag in known.once:
+            same = [child for child in kept if child.tag == tag]
+            if len(same) > 1:
+                refusals.add(same[1].error(f"a second <{tag}> in the same <{node.tag}>"))
+        node.children = kept
+    return ignored
+
+
+def drop_unreadable_visuals(root: Node) -> list[str]:
+    """Remove each invalid visual and material; return their errors."""
+    links = [node for node in root.children if node.tag == "link"]
+    visuals = [node for link in links for node in link.children if node.tag == "visual"]
+    errors: list[str] = []
+    for parents, tag, schema in (
+        ([root, *visuals], "material", MATERIAL),
+        (links, "visual", VISUAL),
+    ):
+        for parent in parents:
+            kept = []
+            for child in parent.children:
+                refusals = Refusals()
+                if child.tag == tag:
+                    validate(child, schema, refusals)
+                errors += map(str, refusals.errors)
+                if not refusals.errors:
+                    kept.append(child)
+            parent.children = kept
+    return errors
+
+
+def _drop_attributes(node: Node, known: Spec) -> list[str]:
+    """Remove attributes outside URDF and infinite limits; return lines about the attributes."""
+    if node.tag == "limit":
+        words = {name: text.strip().lower().lstrip("+-") for name, text in node.attrs.items()}
+        infinite = [name for name, word in words.items() if word in ("inf", "infinity")]
+        # A joint may be unlimited on both sides, but not on one side.
+        free = {"lower", "upper"} if {"lower", "upper"} <= {*infinite} else set()
+        for name in {*infinite} & {"effort", "velocity", *free}:
+            del node.attrs[name]
+    extra = [name for name in node.attrs if name not in known.attrs]
+    far = [name for name in extra if "nearest" not in nearest(name, known.attrs)]
+    foreign = [name for name in extra if name in far or name in FOREIGN]
+    for name in foreign:
+        del node.attrs[name]
+    return [node.listed(f"{name} is no attribute of URDF") for name in foreign]
+
+
+def file_path(node: Node, directory: str | None, extended: bool) -> str:
+    """Return the path of the file that a mesh or texture names, or the name if there is no file.
+
+    The name is ``package://name/…``, ``file://…``, or a path.
+    extended: whether the URDF has MuJoCo's extension. The extension's meshdir and strippath then
+        determine the path of a file that is not found here.
+    """
+    name = node.values["filename"].replace("\\", "/")
+    scheme, separator, rest = name.partition("://")
+    if not separator:
+        scheme, rest = "", name
+    if scheme == "package":
+        place = _in_package(rest, directory)
+    elif scheme in ("", "file", "model"):
+        place = os.path.join(directory or "", rest)
+    else:
+        raise node.error(f'<{node.tag} filename="{name}">: {scheme}:// is not known; package:// is')
+    if place and os.path.exists(place):
+        return os.path.abspath(place)
+    return os.path.basename(rest) if extended else rest
+
+
+def _in_package(name: str, directory: str | None) -> str:
+    """Return the path of a file in the URDF's own package or on ROS_PACKAGE_PATH; "" if none."""
+    package, _, rest = name.partition("/")
+    roots = [place for place in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if place]
+    above = None if directory is None else os.path.abspath(directory)
+    while above is not None:
+        roots.append(above)
+        parent = os.path.dirname(above)
+        if os.path.basename(above) == package:
+            roots.append(parent)
+        above = parent if parent != above else None
+    for root in roots:
+        for place in (os.path.join(root, package, rest), os.path.join(root, rest)):
+            if os.path.exists(place) and package in place.split(os.sep):
+                return place
+    return ""
+
 
 MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
 
@@ -211,7 +391,13 @@ class _Robot:
     def _joints(self, joint: Node) -> list[Node]:
         kind, name = joint.values["type"], joint.values["name"]
         axis = _value(joint, "axis", "xyz", (1.0, 0.0, 0.0))
-        common = _dynamics(joint)
+        common = {}
+        for word, field in (("damping", "damping"), ("friction", "frictionloss")):
+            number = _value(joint, "dynamics", word)
+            if number is not None:
+                if number < 0:
+                    raise bad(child_of(joint, "dynamics") or joint, word, number, ">= 0")
+                common[field] = repr(number)
         if kind == "fixed":
             return []
         if kind == "floating":
@@ -222,12 +408,14 @@ class _Robot:
             turn = frames.from_z_axis(axis)
             # The images of the three axes are the columns of the rotation.
             x, y, z = zip(*frames.matrix(turn), strict=True)
-            return [
-                _moving(joint, name + "_TX", "slide", x, common),
-                _moving(joint, name + "_TY", "slide", y, common),
-                _moving(joint, name + "_RZ", "hinge", z, common),
-            ]
-        return [_moving(joint, name, MOVES[kind], axis, common | self._limits(joint, kind))]
+            parts = [("_TX", "slide", x), ("_TY", "slide", y), ("_RZ", "hinge", z)]
+        else:
+            parts = [("", MOVES[kind], axis)]
+            common |= self._limits(joint, kind)
+        return [
+            _element("joint", joint, name=name + end, type=type, axis=_written(way), **common)
+            for end, type, way in parts
+        ]
 
     def _limits(self, joint: Node, kind: str) -> dict[str, str]:
         limit = child_of(joint, "limit")
@@ -296,7 +484,12 @@ class _Robot:
 
     def _mesh(self, node: Node) -> str:
         scale = node.values.get("scale", (1.0, 1.0, 1.0))
-        path = mesh_path(node, self.directory, bool(self.extension))
+        name = node.values["filename"].replace("\\", "/")
+        if os.path.splitext(name)[1].lower() not in MESHES:
+            words = ", ".join(MESHES)
+            text = f'<mesh filename="{name}">: meshes are read from {words}; save it as one'
+            raise node.error(text)
+        path = file_path(node, self.directory, bool(self.extension))
         if (path, scale) not in self.meshes:
             name = stem = os.path.splitext(os.path.basename(path))[0] or "mesh"
             while name in self.mesh_names:
@@ -381,10 +574,6 @@ def _element(tag: str, of: Node, **attrs: str) -> Node:
     return Node(tag, attrs, of.file, of.line)
 
 
-def _moving(joint: Node, name: str, kind: str, axis: Vec, attrs: dict[str, str]) -> Node:
-    return _element("joint", joint, name=name, type=kind, axis=_written(axis), **attrs)
-
-
 def _turn(node: Node) -> Vec:
     return frames.from_euler(_value(node, "origin", "rpy", frames.ORIGIN), "XYZ")
 
@@ -409,14 +598,3 @@ def _inertial(node: Node) -> Node:
         mass=repr(mass.values["value"]),
         fullinertia=_written(frames.turned_inertia(_turn(node), tuple(six))),
     )
-
-
-def _dynamics(joint: Node) -> dict[str, str]:
-    attrs = {}
-    for word, field in (("damping", "damping"), ("friction", "frictionloss")):
-        number = _value(joint, "dynamics", word)
-        if number is not None:
-            if number < 0:
-                raise bad(child_of(joint, "dynamics") or joint, word, number, ">= 0")
-            attrs[field] = repr(number)
-    return attrs
