@@ -199,6 +199,9 @@ class Element:
             record[name] = None if end is None else place_of(places, end)
         return record
 
+    def check(self, places: Places) -> None:
+        """Raise ElementError if the element contradicts itself or the scene."""
+
     def __str__(self) -> str:
         kind = type(self).__name__.lower()
         name = self.__dict__.get("name", "")

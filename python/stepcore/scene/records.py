@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import copy
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore.scene import length_ranges
-from stepcore.scene.elements import Body, Element, Geom, Key, Site, Tendon
+from stepcore.scene.elements import Body, Element, Geom, Key, Site
 from stepcore.scene.elements.actuator import check_inputs
-from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import IDENTITY, ORIGIN
 from stepcore.scene.layout import DOFS, LISTS, SIZES, Layout
 from stepcore.scene.value_paths import WHOLE, assign, find
@@ -180,47 +178,16 @@ def check(layout: Layout) -> None:
     if (world.pos, world.quat) != (ORIGIN, IDENTITY) or id(world) in layout.joints_of:
         raise ValueError("the world cannot move: it has no pos, no quat and no joint")
     for body in layout.bodies[1:]:
-        if body.mass is None and (any((*body.inertia, *body.ipos)) or body.iquat is not None):
-            raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
-        if body.mocap and (body.parent is not world or id(body) in layout.joints_of):
-            limit = "a child of the world without joints"
-            raise checks.refuse(body, "mocap", True, f"False, or {limit}")
-        if body.sleep != "auto" and not (layout.moving(body) and not layout.moving(body.parent)):
-            limit = '"auto": only the root of a tree, which has a joint, says how it sleeps'
-            raise checks.refuse(body, "sleep", body.sleep, limit)
-        _check_joints(layout, body)
+        _check_body(layout, body)
     for geom in layout.geoms:
-        need = 0 if geom.mesh is not None else SIZES[geom.type]
-        _check_asset(layout, geom)
-        if any(size <= 0 for size in geom.size[:need]):
-            raise checks.refuse(
-                geom, "size", geom.size, f"{SIZE_WORDS[geom.type]} for a {geom.type}"
-            )
-        if geom.type == "plane" and layout.moving(geom.body):
-            raise checks.ElementError(
-                geom, "a plane must be on the world or on a body that cannot move"
-            )
-    for tendon in scene.tendons:
-        for element in tendon.elements():
-            layout.needed(tendon, element)
-        (_check_fixed if tendon.fixed else _check_spatial)(tendon)
-    for actuator in scene.actuators:
-        actuator.check(layout)
+        _check_geom(layout, geom)
+    for pulling in (*scene.tendons, *scene.actuators):
+        pulling.check(layout)
     check_inputs(scene.actuators)
-    for equality in scene.equalities:
-        equality.check(layout)
-    for pair in scene.pairs:
-        for geom in (pair.geom1, pair.geom2):
-            layout.needed(pair, geom)
-        if pair.geom1 is pair.geom2:
-            raise checks.ElementError(pair, f"pairs {pair.geom1} with itself")
-    for sensor in scene.sensors:
-        sensor.check(layout)
+    for element in (*scene.equalities, *scene.pairs, *scene.sensors):
+        element.check(layout)
     for site in layout.sites:
-        if any(size <= 0 for size in site.size[: SIZES[site.type]]):
-            raise checks.refuse(
-                site, "size", site.size, f"{SIZE_WORDS[site.type]} for a {site.type}"
-            )
+        _check_size(site, SIZES[site.type])
     sizes = {"qpos": layout.nq, "qvel": layout.nv, "act": layout.na}
     sizes["ctrl"] = len(scene.actuators)
     mocaps = sum(body.mocap for body in scene.bodies)
@@ -239,46 +206,13 @@ def check(layout: Layout) -> None:
             seen.add(name)
 
 
-def _check_fixed(tendon: Tendon) -> None:
-    seen: set[int] = set()
-    for stop in tendon.path:
-        if not isinstance(stop, Share):
-            raise checks.ElementError(tendon, "passes a joint, so it passes nothing but joints")
-        joint = stop.joint
-        if joint.type not in ("hinge", "slide"):
-            raise checks.ElementError(tendon, f"passes {joint}, which is no hinge or slide")
-        if id(joint) in seen:
-            raise checks.ElementError(tendon, f"passes {joint} twice")
-        seen.add(id(joint))
+def _check_size(shape: Geom | Site, count: int) -> None:
+    if any(size <= 0 for size in shape.size[:count]):
+        limit = f"{SIZE_WORDS[shape.type]} for a {shape.type}"
+        raise checks.refuse(shape, "size", shape.size, limit)
 
 
-def _check_spatial(tendon: Tendon) -> None:
-    """Raise unless every branch begins and ends with a site and has sites between geoms."""
-    branches: list[list[Stop]] = [[]]
-    for at, stop in enumerate(tendon.path):
-        if isinstance(stop, Share):
-            raise checks.ElementError(tendon, f"passes {stop.joint}, and other things than joints")
-        if not isinstance(stop, Pulley):
-            branches[-1].append(stop)
-        elif at:
-            branches.append([])
-    for branch in branches:
-        if sum(isinstance(stop, Site) for stop in branch) < 2:
-            raise checks.ElementError(tendon, "a branch of its path needs at least two sites")
-        if not (isinstance(branch[0], Site) and isinstance(branch[-1], Site)):
-            raise checks.ElementError(tendon, "a branch of its path must begin and end with a site")
-        for stop, following in itertools.pairwise(branch):
-            if isinstance(stop, Around) and isinstance(following, Around):
-                raise checks.ElementError(tendon, "two geoms of its path need a site between them")
-            if isinstance(stop, Around) and stop.geom.type not in ("sphere", "cylinder"):
-                raise checks.ElementError(
-                    tendon,
-                    f"goes round {stop.geom}, which is a {stop.geom.type}: a sphere or a "
-                    "cylinder can be gone round",
-                )
-
-
-def _check_asset(layout: Layout, geom: Geom) -> None:
+def _check_geom(layout: Layout, geom: Geom) -> None:
     """Raise unless a geom's mesh and height field are in the scene and fit the geom's type."""
     listed: tuple[tuple[str, Any, bool, bool], ...] = (
         ("mesh", geom.mesh, geom.type == "mesh", geom.type in ("plane", "hfield")),
@@ -295,9 +229,23 @@ def _check_asset(layout: Layout, geom: Geom) -> None:
     if geom.type == "mesh" and geom.shellinertia:
         limit = 'False for a mesh, whose own inertia can be "shell"'
         raise checks.refuse(geom, "shellinertia", True, limit)
+    _check_size(geom, 0 if geom.mesh is not None else SIZES[geom.type])
+    if geom.type == "plane" and layout.moving(geom.body):
+        text = "a plane must be on the world or on a body that cannot move"
+        raise checks.ElementError(geom, text)
 
 
-def _check_joints(layout: Layout, body: Body) -> None:
+def _check_body(layout: Layout, body: Body) -> None:
+    """Raise if the fields of a body or its joints contradict each other."""
+    if body.mass is None and (any((*body.inertia, *body.ipos)) or body.iquat is not None):
+        raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
+    if body.mocap and (body.parent is not layout.bodies[0] or id(body) in layout.joints_of):
+        limit = "a child of the world without joints"
+        raise checks.refuse(body, "mocap", True, f"False, or {limit}")
+    root = layout.moving(body) and not layout.moving(body.parent)
+    if body.sleep != "auto" and not root:
+        limit = '"auto": only the root of a tree, which has a joint, says how it sleeps'
+        raise checks.refuse(body, "sleep", body.sleep, limit)
     joints = layout.joints_of.get(id(body), [])
     if sum(DOFS[joint.type] for joint in joints) > 6:
         raise checks.ElementError(body, "its joints have more than 6 dofs")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks
-from stepcore.scene.element import Element, FieldType
+from stepcore.scene.element import Element, FieldType, Places
 from stepcore.scene.elements import field_types as of
 from stepcore.scene.elements.body import ABody
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec, rotated
@@ -249,6 +249,13 @@ class Pair(Element):
     margin: Annotated[of.Real, "m"] = 0.0
     gap: Annotated[of.NonNegative, "m"] = 0.0
     adhesion: Annotated[of.NonNegative, "N"] = 0.0
+
+    def check(self, places: Places) -> None:
+        """Raise ElementError unless the pair is of two geoms of the scene."""
+        for geom in (self.geom1, self.geom2):
+            places.needed(self, geom)
+        if self.geom1 is self.geom2:
+            raise checks.ElementError(self, f"pairs {self.geom1} with itself")
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

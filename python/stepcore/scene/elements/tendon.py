@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
@@ -154,6 +155,54 @@ class Tendon(Element):
         for stop in self.path:
             parts = (stop,) if isinstance(stop, Site) else stop
             yield from (part for part in parts if isinstance(part, (Joint, Site, Geom)))
+
+    def check(self, places: Places) -> None:
+        """Raise ElementError unless the path is one, of elements of the scene."""
+        for element in self.elements():
+            places.needed(self, element)
+        if self.fixed:
+            self._check_fixed()
+        else:
+            self._check_spatial()
+
+    def _check_fixed(self) -> None:
+        seen: set[int] = set()
+        for stop in self.path:
+            if not isinstance(stop, Share):
+                raise self._bad("passes a joint, so it passes nothing but joints")
+            joint = stop.joint
+            if joint.type not in ("hinge", "slide"):
+                raise self._bad(f"passes {joint}, which is no hinge or slide")
+            if id(joint) in seen:
+                raise self._bad(f"passes {joint} twice")
+            seen.add(id(joint))
+
+    def _check_spatial(self) -> None:
+        """Raise unless every branch begins and ends with a site and has sites between geoms."""
+        branches: list[list[Stop]] = [[]]
+        for at, stop in enumerate(self.path):
+            if isinstance(stop, Share):
+                raise self._bad(f"passes {stop.joint}, and other things than joints")
+            if not isinstance(stop, Pulley):
+                branches[-1].append(stop)
+            elif at:
+                branches.append([])
+        for branch in branches:
+            if sum(isinstance(stop, Site) for stop in branch) < 2:
+                raise self._bad("a branch of its path needs at least two sites")
+            if not (isinstance(branch[0], Site) and isinstance(branch[-1], Site)):
+                raise self._bad("a branch of its path must begin and end with a site")
+            for stop, following in itertools.pairwise(branch):
+                if isinstance(stop, Around) and isinstance(following, Around):
+                    raise self._bad("two geoms of its path need a site between them")
+                if isinstance(stop, Around) and stop.geom.type not in ("sphere", "cylinder"):
+                    raise self._bad(
+                        f"goes round {stop.geom}, which is a {stop.geom.type}: a sphere or a "
+                        "cylinder can be gone round",
+                    )
+
+    def _bad(self, text: str) -> checks.ElementError:
+        return checks.ElementError(self, text)
 
     def plain(self, places: Places) -> dict[str, Any]:
         """Return the tendon as the engine reads it, with each stop of the path as a dict."""
