@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,10 +16,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from stepcore import checks, files
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.attach import Model
-from stepcore.mjcf.nodes import MJCFError, Node, Refusals, expand, inside, parse, sections
+from stepcore.mjcf.nodes import MJCFError, Node, Refusals, expand, inside, parse
 from stepcore.mjcf.reader import Models, finish, read_sections
 from stepcore.mjcf.validation import Exclusions, seen_values
-from stepcore.mjcf.worldbody import AT_ORIGIN
+from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import frames
 from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.frames import Vec
@@ -169,8 +168,7 @@ def read_looks(scene: Scene) -> Looks | None:
     covers = [link for link in links if any(geoms.get(id(n)) in drawn_too for n in link.visuals)]
     covered = {geoms.get(id(node)) for link in covers for node in link.collisions}
     looks.covered = [index for index, geom in enumerate(seen) if id(geom) in covered]
-    bodies = {id(node): at for key, node in world.nodes.items() if (at := layout.index.get(key))}
-    looks.lights = _lights(model, bodies, looks.notes)
+    looks.lights = _lights(world, layout, looks.notes)
     looks.headlight = _headlight(root, looks.notes)
     return looks
 
@@ -258,57 +256,36 @@ def _mean_colour(path: str) -> Vec:
     return (*(value / 255 for value in mean), 1.0)
 
 
-class _Place(NamedTuple):
-    """The place of an element: body index, pose of its frame in that body, and childclass."""
-
-    body: int = 0
-    pose: tuple[Vec, Vec] = AT_ORIGIN
-    childclass: str | None = None
-
-
-def _lights(model: Model, bodies: Mapping[int, int], notes: list[str]) -> list[Light]:
-    """Return the lights that are on.
+def _lights(world: WorldReader, layout: Layout, notes: list[str]) -> list[Light]:
+    """Return the lights that are on. notes: receives a line for each light that cannot be read.
 
     A light that tracks a body (`mode`) is fixed in its parent body instead.
-    bodies: the index of each body by the ``id`` of its node.
-    notes: receives a line for each light that cannot be read.
     """
     lights = []
-    pending = [(node, _Place()) for node in sections(model.root, "worldbody")]
-    while pending:
-        node, place = pending.pop()
-        for child in node.children:
-            if child.tag == "light":
-                try:
-                    values = seen_values(child, model.defaults.of(child, place.childclass))
-                    if values.get("type") == "image":
-                        notes.append(child.listed("of type image, which is not drawn"))
-                    elif values.get("active", True):
-                        lights.append(_light(child, values, place))
-                except MJCFError as error:
-                    notes.append(str(error))
-            elif child.tag == "frame" or id(child) in bodies:
-                pose = AT_ORIGIN
-                if child.tag == "frame":
-                    compiler = child.compiler or model.compiler
-                    turn = compiler.orientation(child, child.values)
-                    pos = child.values.get("pos", frames.ORIGIN)
-                    pose = frames.composed(place.pose, pos, turn)
-                childclass = model.defaults.known(child, "childclass") or place.childclass
-                body = bodies.get(id(child), place.body)
-                pending.append((child, _Place(body, pose, childclass)))
+    for node, place in world.lights:
+        body = layout.index.get(id(place.body))
+        if body is None:
+            continue
+        try:
+            values = seen_values(node, world.defaults.of(node, place.childclass))
+            if values.get("type") == "image":
+                notes.append(node.listed("of type image, which is not drawn"))
+            elif values.get("active", True):
+                lights.append(_light(node, values, body, place.pose))
+        except MJCFError as error:
+            notes.append(str(error))
     return lights
 
 
-def _light(node: Node, values: dict[str, Any], place: _Place) -> Light:
+def _light(node: Node, values: dict[str, Any], body: int, pose: tuple[Vec, Vec]) -> Light:
     try:
         direction = frames.normalised(values.get("dir", (0.0, 0.0, -1.0)), "dir")
     except ValueError as error:
         raise node.error(f"<light>: {error}") from None
     return Light(
-        place.body,
-        frames.composed(place.pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0],
-        frames.rotated(place.pose[1], direction),
+        body,
+        frames.composed(pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0],
+        frames.rotated(pose[1], direction),
         values.get("diffuse", (0.7, 0.7, 0.7)),
         values.get("type", "directional" if values.get("directional") else "spot"),
         values.get("cutoff", 45.0),

@@ -79,6 +79,7 @@ class WorldReader:
     shapes: the geoms, with the data that decides whether they are needed.
     written: for each body inside a frame, the pose that the file gives.
     ranges: for each joint or tendon, limited or not, the range that servos can inherit.
+    lights: the lights, each with its place.
     mesh_sites: the names of sites whose volume is a mesh.
     open_keys: keyframes of attached models, with the joints whose positions they give.
     only_drawn: geoms that only draw, if they are kept for drawing (`Assets.drawn`).
@@ -108,6 +109,7 @@ class WorldReader:
         self.written: dict[int, tuple[Vec, Vec]] = {}
         self.ranges: dict[int, tuple[float, ...]] = {}
         self.mesh_sites: set[str] = set()
+        self.lights: list[tuple[Node, Place]] = []
         self.open_keys: list[tuple[Key, set[int]]] = []
         self.only_drawn: set[int] = set()
         self.settled = False
@@ -152,6 +154,8 @@ class WorldReader:
             self._site(node, place)
         elif node.tag == "camera":
             self.names["camera"].add(name)
+        elif node.tag == "light":
+            self.lights.append((node, place))
         elif node.tag == "freejoint":
             self.keep(node, self.scene.add_joint(place.body, "free", name=name))
         elif node.tag == "joint":
