@@ -266,16 +266,14 @@ def _poses(node: Node, compiler: Compiler) -> Iterator[tuple[Vec, Vec]]:
 
 # Bodies and frames by tag and name, each with the childclass inherited at its position.
 Places = dict[tuple[str, str], tuple[Node, str]]
-# Merging takes the smaller value of the options in MINIMUM, the larger of those in MAXIMUM.
-MINIMUM = (
-    *("timestep", "tolerance", "ls_tolerance", "noslip_tolerance", "ccd_tolerance"),
-    "sleep_tolerance",
-)
-MAXIMUM = (
-    *("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"),
-    *("sdf_iterations", "sdf_initpoints"),
-)
-UNION = "actuatorgroupdisable"
+# How options of two models merge; all others must be the same.
+MERGED: dict[str, Callable[[Any, Any], Any]] = {
+    **dict.fromkeys(("timestep", "tolerance", "ls_tolerance", "noslip_tolerance"), min),
+    **dict.fromkeys(("ccd_tolerance", "sleep_tolerance"), min),
+    **dict.fromkeys(("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"), max),
+    **dict.fromkeys(("sdf_iterations", "sdf_initpoints"), max),
+    "actuatorgroupdisable": lambda here, there: tuple(dict.fromkeys((*here, *there))),
+}
 
 
 @dataclass
@@ -513,7 +511,7 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
     """
     mine, my_flags = _written_options(root)
     theirs, their_flags = _written_options(child)
-    both = [(mine, theirs), (my_flags, their_flags)]
+    both = ((mine, theirs), (my_flags, their_flags))
     named = f'"{child.attrs.get("model", "") or node.attrs.get("model", "")}"'
 
     def check(name: str, here: Any, there: Any) -> Any:
@@ -539,14 +537,8 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
     section = Node("option", {}, node.file, node.line)
     for name, there in theirs.items():
         here = mine.get(name, there)
-        if name in MINIMUM:
-            section.values[name] = min(here, there)
-        elif name in MAXIMUM:
-            section.values[name] = max(here, there)
-        elif name == UNION:
-            section.values[name] = tuple(dict.fromkeys((*here, *there)))
-        else:
-            section.values[name] = check(name, here, there)
+        merge = MERGED.get(name)
+        section.values[name] = merge(here, there) if merge else check(name, here, there)
     # A flag differs from its default if either model changes it.
     turned = {
         name: word
@@ -554,9 +546,8 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
         if word == ("enable" if name in FLAGS_OFF else "disable")
     }
     if turned:
-        inner = Node("flag", {}, node.file, node.line)
-        inner.values = dict(turned)
-        section.children = [inner]
+        section.children = [Node("flag", {}, node.file, node.line)]
+        section.children[0].values = dict(turned)
     root.children.append(section)
     changed = [name for name, value in section.values.items() if value != mine.get(name)]
     return note([*changed, *turned], "used")

@@ -278,13 +278,7 @@ BOUNDS = ("boundmass", "boundinertia", "balanceinertia")
 def fuse(world: WorldReader) -> None:
     """Fuse each body that cannot move relative to its parent with the parent, world first."""
     scene, root = world.scene, world.root
-    jointed = {id(joint.body) for joint in scene.joints}
-    # A body that an element refers to by name is not fused.
-    named = {name for node in below(root) for _, kind, name in references(node) if kind == "body"}
-    # Nor is a body with a force or torque sensor, which measures the load from the parent.
-    sensors = inside(root, "sensor")
-    measured = {node.attrs.get("site") for node in sensors if node.tag in ("force", "torque")}
-    measured_on = {id(site.body) for site in scene.sites if site.name and site.name in measured}
+    kept = _kept_apart(world)
     options = [section.values for section in sections(root, "option")]
     fluid = any(o.get(name, 0.0) > 0 for o in options for name in ("density", "viscosity"))
     layout = Layout(scene)
@@ -299,8 +293,7 @@ def fuse(world: WorldReader) -> None:
         if id(carrier) in whole:
             body.pos, body.quat = frames.composed(poses[id(carrier)], body.pos, body.quat)
             body.parent = carrier = whole[id(carrier)]
-        kept = id(body) in jointed or id(body) in measured_on or (body.name and body.name in named)
-        if kept:
+        if id(body) in kept:
             continue
         if carrier is not scene.world and not known:
             known = weights(scene, scene.bodies[1:])
@@ -311,8 +304,7 @@ def fuse(world: WorldReader) -> None:
             scene.fused[body.name] = carrier.name
         if carrier is not scene.world:
             _add_weight(world, body, carrier, known)
-    placed: list[Geom | Site] = [*layout.geoms, *layout.sites]
-    for element in placed:
+    for element in (*layout.geoms, *layout.sites):
         key = id(element.body)
         if key in whole:
             element.pos, element.quat = frames.composed(poses[key], element.pos, element.quat)
@@ -326,6 +318,21 @@ def fuse(world: WorldReader) -> None:
             f"{root.file}:{root.line}: bodies that nothing moves against their parent are part of "
             f"it (load(..., fuse=False) keeps them): {names}"
         )
+
+
+def _kept_apart(world: WorldReader) -> set[int]:
+    """Return the ids of the bodies that are not fused, whatever their masses."""
+    scene, root = world.scene, world.root
+    # A body that an element refers to by name.
+    named = {name for node in below(root) for _, kind, name in references(node) if kind == "body"}
+    # A force or torque sensor measures the load from the parent of its body.
+    sensors = inside(root, "sensor")
+    measured = {node.attrs.get("site") for node in sensors if node.tag in ("force", "torque")}
+    return (
+        {id(joint.body) for joint in scene.joints}
+        | {id(body) for body in scene.bodies if body.name and body.name in named}
+        | {id(site.body) for site in scene.sites if site.name and site.name in measured}
+    )
 
 
 def _may_fuse(

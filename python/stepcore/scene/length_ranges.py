@@ -51,19 +51,17 @@ def fill(scene: Scene, data: dict[str, Any]) -> None:
 
 def asked(scene: Scene) -> list[int]:
     """Return the indices of the actuators whose range must be found."""
-    rules = scene.lengthrange
-    return [index for index, each in enumerate(scene.actuators) if _asks(each, rules)]
-
-
-def _asks(actuator: Actuator, rules: LengthRange) -> bool:
-    if not actuator.law.is_muscle:
-        return False
-    if rules.mode != "none":
-        return actuator.lengthrange is None or not rules.useexisting
-    if actuator.lengthrange is None:
-        limit = 'given for a muscle where Scene.lengthrange has mode="none"'
-        raise checks.refuse(actuator, "lengthrange", None, limit)
-    return False
+    rules, left = scene.lengthrange, []
+    for index, actuator in enumerate(scene.actuators):
+        missing = actuator.lengthrange is None
+        if not actuator.law.is_muscle or not (missing or not rules.useexisting):
+            continue
+        if rules.mode != "none":
+            left.append(index)
+        elif missing:
+            limit = 'given for a muscle where Scene.lengthrange has mode="none"'
+            raise checks.refuse(actuator, "lengthrange", None, limit)
+    return left
 
 
 def _limits(actuator: Actuator) -> Sequence[float] | None:
