@@ -129,20 +129,17 @@ class Names:
         wanted |= {id(asset) for asset in (*scene.meshes, *scene.hfields)}
         for kind in NAMED_KINDS:
             # Elements inside bodies are numbered in document order.
-            self._name(kind, layout.elements(kind), wanted)
-
-    def _name(self, kind: str, elements: Iterable[Any], wanted: set[int]) -> None:
-        elements = list(elements)
-        taken = {element.name for element in elements}
-        for index, element in enumerate(elements):
-            name = element.name
-            if not name and id(element) in wanted:
-                name = f"{kind}_{index}"
-                while name in taken:
-                    name += "_"
-                taken.add(name)
-                self.made.append((kind, name))
-            self.given[id(element)] = name
+            elements = layout.elements(kind)
+            taken = {element.name for element in elements}
+            for index, element in enumerate(elements):
+                name = element.name
+                if not name and id(element) in wanted:
+                    name = f"{kind}_{index}"
+                    while name in taken:
+                        name += "_"
+                    taken.add(name)
+                    self.made.append((kind, name))
+                self.given[id(element)] = name
 
     def of(self, element: Element) -> str:
         return self.given[id(element)]

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 # Effects that MuJoCo leaves out of the simulation.
 OFF = ("contact", "spring", "damper", "gravity", "frictionloss", "sensor")
-# MuJoCo's lower bounds of the time constant of decay [s] and of norms.
-SHORTEST, LEAST = 0.01, 1e-15
+# MuJoCo's lower bound of norms.
+LEAST = 1e-15
 # A cache of ranges, by a hash of the simulated scene.
 _found: dict[bytes, list[list[float]]] = {}
 
@@ -130,7 +130,8 @@ def _extremes(
     way = np.tile([-rules.accel, rules.accel], len(asked))[:, None]
     ctrl, act = np.zeros((twice, arrays["ctrl"].shape[1])), np.zeros((twice, 0))
     ctrl[world, pulled] = 1.0
-    decay = math.exp(-timestep / max(SHORTEST, rules.timeconst))
+    # 10 ms is MuJoCo's lower bound of the time constant.
+    decay = math.exp(-timestep / max(0.01, rules.timeconst))
     least, greatest = np.full(twice, math.inf), np.full(twice, -math.inf)
     time = 0.0
     while time < rules.inttotal:

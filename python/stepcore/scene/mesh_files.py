@@ -37,9 +37,6 @@ Place = tuple[Any, Any]
 # others of its face, so the work is quadratic. The limit takes seconds and allows a face of 10,000
 # corners.
 MOST_WORK = 10**8
-# Additional work per corner of the file, so that the number of small faces is not limited; fixed
-# cost of the test of a corner.
-PER_CORNER, LEAST = 1000, 500
 # Formats by MJCF's content type.
 CONTENT = {"model/stl": "stl", "model/obj": "obj", "model/vnd.mujoco.msh": "msh"}
 FORMATS = ("stl", "obj", "msh")
@@ -249,7 +246,8 @@ def split_polygons(polygons: list[Polygon], vertices: NDArray[Any]) -> NDArray[A
     MuJoCo's reader.
     """
     split: list[Polygon] = []
-    work = MOST_WORK + PER_CORNER * sum(map(len, polygons))
+    # More for each corner of the file, so that the number of small faces is not limited.
+    work = MOST_WORK + 1000 * sum(map(len, polygons))
     for polygon in polygons:
         if len(polygon) == 3:
             split.append(polygon)
@@ -279,7 +277,8 @@ def _without_ears(polygon: Polygon, corners: NDArray[Any], work: int) -> tuple[l
     while len(left) > 3 and tries > 0:
         at %= len(left)
         tries -= 1
-        work -= LEAST + len(left)
+        # The test of a corner costs as much as 500 comparisons, besides those that it makes.
+        work -= 500 + len(left)
         if work < 0:
             raise ValueError(
                 "its faces of many corners take too long to split into triangles: save it with "
