@@ -139,16 +139,12 @@ KNEE = """<mujoco><option timestep="{dt}" integrator="{integrator}"/><worldbody>
 
 
 def test_a_stiff_scene_warns_once_with_the_name():
-    text = KNEE.format(dt=0.0015, integrator="Euler")
-    with pytest.warns(
-        sc.StiffnessWarning, match="stability margin of only 1.33×.*spring of joint `knee`"
-    ) as caught:
-        sc.loads(text)
+    told = "dt 5 ms may be unstable under euler: spring of joint `knee`"
+    with pytest.warns(sc.StiffnessWarning, match=told) as caught:
+        sc.loads(KNEE.format(dt=0.005, integrator="Euler"))
     assert len(caught) == 1
     assert caught[0].filename == __file__
     assert "\n" not in str(caught[0].message)
-    with pytest.warns(sc.StiffnessWarning, match="dt 5 ms may be unstable under euler"):
-        sc.loads(KNEE.format(dt=0.005, integrator="Euler"))
 
 
 def test_a_file_warns_as_a_text_does(tmp_path):

@@ -253,6 +253,7 @@ def test_a_model_may_have_any_name(chrome, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:dt 10 ms explodes", "ignore::stepcore.EnergyWarning")
+@pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
 def test_a_run_that_exploded_is_replayed_without_a_warning(chrome, tmp_path, capsys):
     body = '<body><joint type="slide" stiffness="1e8"/><geom size=".1"/></body>'
     model = tmp_path / "boom.xml"

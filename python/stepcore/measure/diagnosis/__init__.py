@@ -242,6 +242,10 @@ class Case:
             at = self.held[-1]
             own = shares(at, name, min(limit.longest, 1.0) if dt else self.wanted)
             return tuple(self._theirs(list(own)[:1]))
+        order = list(shares(self.held[max(limit.state, -1)], name, FAILS * dt))
+        if order and dt > AMPLE * self.wanted and self.motions.costly:
+            # Nobody asks for such steps, and what tells the elements apart takes long.
+            return tuple(self._theirs(order[:1]))
         if limit.state >= 0:
             held = self.held[limit.state]
             found = linear_limiters(self.model, held, name, dt)
@@ -251,10 +255,6 @@ class Case:
         if self.judge is None or dt <= 0:
             return tuple(Element.of(self.motions.model, "control", k) for k in range(nu))
         every = list(every_element(self.model, self.states))
-        order = list(shares(self.held[-1], name, FAILS * dt))
-        if order and dt > AMPLE * self.wanted and self.motions.costly:
-            # Nobody asks for such steps, and runs that tell the elements apart take long.
-            return tuple(self._theirs(order[:1]))
         every.sort(key=lambda e: order.index(e) if e in order else len(order))
         found = run_limiters(self.judge, every, name, dt, nu)
         spins = [e for e in every if e.kind == "spin"]

@@ -25,6 +25,7 @@ from stepcore.measure.diagnosis.linear import (
     softened_from,
 )
 from stepcore.measure.diagnosis.running import Judge, Loop
+from stepcore.scene.layout import Layout
 
 # The part of its strength to which an element is softened.
 SOFT = 0.1
@@ -35,6 +36,14 @@ TRIED, SHARE = 6, 0.02
 ALONE, EQUAL = 1.4, 1.25
 # The fields that make an element strong; those of a row are of its kind.
 STRENGTH = ("stiffness", "damping", "kp", "kv", "solref", "solreflimit", "solreffriction")
+
+
+# The further coefficients of springs and dampers: whose they are, and their names.
+POLYNOMIALS = {
+    f"{owner}{kind}": (part, f"{name}poly")
+    for owner, part in (("", "joint"), ("tendon ", "tendon"))
+    for kind, name in (("spring", "stiffness"), ("damper", "damping"))
+}
 
 
 @dataclass(frozen=True)
@@ -118,6 +127,11 @@ def softened(model: Model, elements: Sequence[Element], x: float = SOFT) -> Chan
                 row[knob.part] = own[knob.path][knob.part]
                 own[knob.path] = tuple(row)
             values |= own
+        if element.kind in POLYNOMIALS:
+            kind, name = POLYNOMIALS[element.kind]
+            more = SceneField.of(Layout(model.scene), kind, element.index, name)
+            if np.any(more.value):
+                values[path_of(more)] = tuple((x * np.asarray(more.value)).tolist())
     settings = dict[str, Any]()
     if model.settings.law == "penalty" and any(e.kind == "contact" for e in elements):
         settings["penalty_stiffness"] = x * model.settings.penalty_stiffness
