@@ -111,7 +111,8 @@ def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
     else:
         said = f"{'a PD controller holds' if motors else 'servos hold'} the start"
     yield f"test motion: {said}"
-    yield ", ".join(_loads(moves, chosen))
+    if not moves.held.failure:
+        yield ", ".join(_loads(moves, chosen))
     if moves.held.failure:
         yield f"it only holds the start, and that fails: {moves.held.failure}"
     elif moves.held.fell is not None:

@@ -129,12 +129,19 @@ class Study:
         return self.schedule.steps(float(self.engine.settings(change).dt))
 
     def price(self, change: Change, starts: int) -> float:
-        """Return the operations of runs from some starts; those within an accuracy weigh more."""
-        alone = 1.0 if getattr(self.engine.settings(change), "accuracy", None) is None else LANES
+        """Return the operations of runs from some starts; inf if the settings are refused.
+
+        Those of steps within an accuracy weigh more.
+        """
+        try:
+            settings = self.engine.settings(change)
+        except ValueError:
+            return math.inf
+        alone = 1.0 if getattr(settings, "accuracy", None) is None else LANES
         work = self.work(change)
         if not math.isfinite(work):
-            work = USUAL * (self.engine.nv + 2) / float(self.engine.settings(change).dt)
-        steps = OVERHEAD / float(self.engine.settings(change).dt)
+            work = USUAL * (self.engine.nv + 2) / float(settings.dt)
+        steps = OVERHEAD / float(settings.dt)
         return alone * (work + steps) * self.schedule.horizon * starts
 
     def affords(self, change: Change, starts: int) -> bool:
