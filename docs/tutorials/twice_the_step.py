@@ -7,8 +7,6 @@
 # changes that lift the limit. `trade` measures their accuracy and cost.
 
 # %%
-import warnings
-
 import stepcore as sc
 
 ARM = """
@@ -35,14 +33,9 @@ ARM = """
   </actuator>
 </mujoco>
 """
-with warnings.catch_warnings(record=True) as warned:
-    warnings.simplefilter("always")
-    scene = sc.loads(ARM)
-print(warned[0].message)
+scene = sc.loads(ARM)
 
 # %% [markdown]
-# `loads` already warns that the step of 1 ms is close to a limit.
-#
 # ## Twice the step
 #
 # At 2 ms the motion explodes. The error names the element that injected the energy:

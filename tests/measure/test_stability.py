@@ -11,6 +11,7 @@ import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
 from stepcore.engine.linear_maps import INTEGRATORS, step_matrix
+from stepcore.experiment import Change, Study
 from stepcore.lesson import maps
 from stepcore.lesson.maps import largest_stable_dt
 from stepcore.measure.stability import limit_of_springs, stability_map
@@ -330,3 +331,14 @@ def test_the_command(capsys, tmp_path):
     for wrong in ("a,b", "1:2", "2:1:3", "1:2:1"):
         assert main(["stability-map", "--values", wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_rungs_that_damp_a_fast_swing_do_not_pass_for_converged():
+    """Law: `discrete` in steps of 10 ms brings a swing of 1 m and 1000 rad/s to rest, so that its RMS
+    error is that of the swing, 1/√2 m. rk4 does so in steps of 2.5 and of 1.25 ms alike."""
+    scene = Change({"joint/spring/stiffness": 1e6}).of(lesson.spring().compile())
+    study = Study(scene, sc.Motion(horizon=2.5, starts=1, key="start"), period=0.2)
+    truth = study.truth(0.2)
+    assert truth.error < 0.02
+    (damped,) = study.run([Change(integrator="discrete", dt=0.01)], error=0.2)
+    assert damped.error == pytest.approx(1 / np.sqrt(2), rel=0.3)

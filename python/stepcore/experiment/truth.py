@@ -28,9 +28,9 @@ from stepcore.report.units import metres, seconds
 
 # The converged motion is known to this share of the error in question.
 SHARE = 0.1
-# A rung that leaves more than this share of the last one's change does not converge; after two of
-# them a start is left as it is (one may be luck).
-STALLED, PATIENCE = 0.9, 2
+# A rung that leaves more than this share of the last one's change does not converge; after three of
+# them a start is left as it is (two coarse rungs may agree by luck: those that damp a fast swing).
+STALLED, PATIENCE = 0.9, 3
 # The least gain of a rung that is believed, where moves shrink less the motion may be off by more.
 LEAST_GAIN = 1.1
 # Rungs of a ladder, at most, and rungs after which a method that still fails is given up.
@@ -272,12 +272,14 @@ class Converging:
         # Two rungs, of which the finer one costs about twice the other.
         while first > 1 and not study.affords(self.at(first), 3 * len(starts) // 2):
             first -= 1
+        why = ""
         for rung in range(first, self.rung + PATIENCE + 1):
             before, now = study.tracks([self.at(rung - 1), self.at(rung)], starts)
+            why = why or now.failure
             if not now.failure:
                 break
         if now.failure:
-            raise self._fails(now.failure)
+            raise self._fails(why)
         if self.grown and max(g.factor.max() for g in self.grown.values()) < TAME:
             # Where nothing grows from the starts of a search, nothing will nearby.
             like = next(iter(self.grown.values()))
@@ -327,7 +329,9 @@ class Converging:
         (finer,) = study.tracks([change], [hardest])
         if not finer.failure and own.moved > 0:
             far = float(self._between(own.tracks, finer, [hardest])[0])
-            self.doubt = max(self.doubt, left(own.moved / far if far > 0 else math.inf))
+            # Two rungs may agree by luck, as two that damp a fast swing to rest do.
+            gain = own.moved / far if far > 0 else math.inf
+            self.doubt = max(self.doubt, left(gain), 1 / gain if gain > 0 else math.inf)
             for other in self.known.values():
                 other.doubt = max(other.doubt, self.doubt)
 
