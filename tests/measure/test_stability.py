@@ -334,8 +334,8 @@ def test_the_command(capsys, tmp_path):
 
 
 def test_rungs_that_damp_a_fast_swing_do_not_pass_for_converged():
-    """Law: `discrete` in steps of 10 ms brings a swing of 1 m and 1000 rad/s to rest, so that its RMS
-    error is that of the swing, 1/√2 m. rk4 does so in steps of 2.5 and of 1.25 ms alike."""
+    """Law: `discrete` in steps of 10 ms brings a swing of 1 m and 1000 rad/s to rest: its error is
+    the RMS of the swing, 1/√2 m. In steps of 2.5 and of 1.25 ms rk4 brings it to rest, too."""
     scene = Change({"joint/spring/stiffness": 1e6}).of(lesson.spring().compile())
     study = Study(scene, sc.Motion(horizon=2.5, starts=1, key="start"), period=0.2)
     truth = study.truth(0.2)
