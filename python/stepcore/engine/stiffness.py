@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stepcore import escapes
+from stepcore.engine.actuator import actuators
 from stepcore.engine.element import Element, Elements
 from stepcore.engine.linear_maps import STIFFNESS_IMPLICIT, implicit_kinds
 from stepcore.engine.model import Model
@@ -74,13 +75,9 @@ def joint_gains(model: Model) -> Iterator[JointGain]:
         record = joint.record()
         yield JointGain("spring", j, j, features.spring * float(record["stiffness"][0]), 0.0)
         yield JointGain("damper", j, j, 0.0, features.damper * float(record["damping"][0]))
-    for i in range(model.nu if features.actuation else 0):
-        square = float(model.actuator_gear[i, 0]) ** 2
-        _, length, velocity = model.actuator_bias[i].tolist()
-        joint_index = int(model.actuator_joint[i])
-        if joint_index < 0 or model.jnt_type[joint_index] not in ("hinge", "slide"):
-            continue
-        yield JointGain("actuator", i, joint_index, -square * length, -square * velocity)
+    for own in actuators(model) if features.actuation else ():
+        if own.joint is not None:
+            yield JointGain("actuator", own.index, own.joint, own.stiffness, own.damping)
 
 
 def oscillator_dt(square: float, implicit: float, explicit: float, integrator: str) -> float:
