@@ -4,6 +4,7 @@ from stepcore import lesson as lesson
 from stepcore._core import EnergyWarning as EnergyWarning
 from stepcore._core import Settings as Settings
 from stepcore._core import SimulationError as SimulationError
+from stepcore._core import empty_caches as empty_caches
 from stepcore.engine.batch import Batch as Batch
 from stepcore.engine.error_bar import ErrorBar as ErrorBar
 from stepcore.engine.gradients import Gradients as Gradients
@@ -12,6 +13,7 @@ from stepcore.engine.linearization import Linearization as Linearization
 from stepcore.engine.linearization import Linearizations as Linearizations
 from stepcore.engine.model import Model as Model
 from stepcore.engine.noise import Noise as Noise
+from stepcore.engine.pitfalls import ModelWarning as ModelWarning
 from stepcore.engine.plan import Plan as Plan
 from stepcore.engine.replay import PostMortem as PostMortem
 from stepcore.engine.replay import Replay as Replay

@@ -347,6 +347,16 @@ class Model:
 def compile(scene: dict[str, Any]) -> Model:
     """Compiles a scene given as plain data: what `Scene.to_dict` returns."""
 
+def empty_caches() -> None:
+    """Gives back the memory that compiling keeps for models to come.
+
+    These are hulls of meshes (at most some 100 MB), and which pairs of geoms never meet. The next
+    model is compiled as the first one was.
+    """
+
+def end_threads() -> None:
+    """Called by Python when the program ends: no thread takes the GIL back after that."""
+
 class _World:
     """What one world and many have alike; of many every array has a leading world axis."""
 

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import io
+import math
 import os
 import stat
+import zipfile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from stepcore import checks
 
@@ -51,6 +58,42 @@ def read(path: str | os.PathLike[str], expected: str) -> bytes:
         raise IsADirectoryError(f"{called}: is a folder, not {expected}") from None
     except OSError as error:
         raise ValueError(f"{called}: cannot be read: {error.strerror or error}") from None
+
+
+def arrays(path: str | os.PathLike[str], expected: str) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an .npz file by name, or the one of an .npy file under "".
+
+    Raises ValueError for a file that is neither or is damaged, for arrays of Python objects and for
+    arrays that are together larger than `LARGEST`, which a small file can claim to hold; and what
+    `read` raises.
+    """
+    data = read(path, expected)
+    try:
+        if not zipfile.is_zipfile(io.BytesIO(data)):
+            return {"": _array(data)}
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            if sum(member.file_size for member in members) > LARGEST:
+                raise ValueError(f"has arrays of more than {LARGEST // 2**20} MiB")
+            return {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
+    except (ValueError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError) as error:
+        name = checks.cut(checks.without_middle(os.fsdecode(path)))
+        raise ValueError(f"{name}: is not {expected}: {checks.one_line(error)}") from None
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """Return the array of an .npy file, whose header must not claim more numbers than it has."""
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    header = np.lib.format.read_array_header_1_0
+    shape, _, dtype = (header if version == (1, 0) else np.lib.format.read_array_header_2_0)(file)
+    if (
+        dtype.hasobject
+        or math.prod(shape) * dtype.itemsize > len(data)
+        or min(shape, default=0) < 0
+    ):
+        raise ValueError("its numbers are not those that its header tells of")
+    return np.load(io.BytesIO(data), allow_pickle=False)
 
 
 def _readable(status: os.stat_result, name: str, expected: str) -> int:

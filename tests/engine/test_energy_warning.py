@@ -48,6 +48,36 @@ def test_a_long_closed_chain_of_few_sweeps(n):
     assert len(said) == 1 and sim.energy.kinetic > 30
 
 
+ROCKING = """<mujoco><worldbody><geom name="floor" type="plane" size="9 9 1" friction="5"/>
+<body pos="0 0 .1"><freejoint/><geom name="egg" type="{}" size="{}" mass="1" friction="5"/></body>
+</worldbody></mujoco>"""
+
+RIGID = {"law": "rigid", "dt": 0.002, "solver": "pgs", "sweeps": "auto"}
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "midpoint"])
+def test_contacts_after_the_stages_of_a_step_feed_what_rocks(integrator):
+    """An ellipsoid that rolls without slip keeps its energy; solved after the stages it gains."""
+    scene = sc.loads(ROCKING.format("ellipsoid", ".3 .2 .1"))
+    sim = sc.Sim(scene, **RIGID, integrator=integrator)
+    sim.qvel[:] = 0.2, 0, 0, 0, 2, 0
+    with pytest.warns(sc.EnergyWarning, match="the contact `floor`/`egg`.*semi-implicit") as said:
+        sim.step(5000)
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize("shape", [("sphere", ".1"), ("capsule", ".1 .1"), ("cylinder", ".2 .05")])
+@pytest.mark.parametrize("integrator", ["semi-implicit", "rk4", "midpoint"])
+def test_what_rolls_exactly_is_not_warned_of(shape, integrator):
+    sim = sc.Sim(sc.loads(ROCKING.format(*shape)), **RIGID, integrator=integrator)
+    sim.qpos[3:] = np.sqrt([0.5, 0.5, 0, 0])
+    sim.qpos[2] = 0.2 if shape[0] == "cylinder" else 0.1
+    sim.qvel[:] = 0.4, 0, 0, 0, 2, 0.3
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sim.step(3000)
+
+
 def test_an_explosion_is_told_once_and_changes_nothing():
     """Explicit Euler: E grows by 1 + (ω dt)² a step, which nobody need learn from an overflow."""
     watched, unwatched = (sc.Sim(sc.lesson.spring(), dt=0.05, integrator="explicit") for _ in "ab")

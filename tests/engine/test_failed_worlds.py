@@ -169,6 +169,24 @@ def test_a_world_of_a_batch_starts_again_without_its_impulses(on_failure):
     assert (batch.qpos[1] == new.qpos[1]).all() and (batch.qvel[1] == new.qvel[1]).all()
 
 
+def test_a_failed_world_stands_while_values_are_written():
+    """Until its own state is written: another value, its own too, makes its worlds anew."""
+    body = '<body pos="0 0 .3"><freejoint/><geom name="rod" type="capsule" size=".1 .2" mass="1"/>'
+    model = sc.loads(f"<mujoco><worldbody>{body}</body></worldbody></mujoco>").compile()
+    batch = sc.Batch(model, 3, on_failure="go on")
+    batch.qvel[1, 3:] = 1e200
+    batch.step(5)
+    error, stood = batch.failures[1], batch.qpos[1].copy()
+    for world, friction in [(0, 0.5), (2, 0.7), (1, 0.3)]:
+        batch.param["geom/rod/friction"][world, 0] = friction
+        batch.step(5)
+        assert list(batch.failures) == [1] and str(batch.failures[1]) == str(error)
+        assert np.array_equal(batch.qpos[1], stood)
+    batch.qpos[1], batch.qvel[1] = model.qpos0, 0.0
+    batch.step(5)
+    assert not batch.failures
+
+
 def damaged(state):
     """Each byte of a snapshot changed in turn, and every length cut off it."""
     rng = np.random.default_rng(8)

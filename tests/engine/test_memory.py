@@ -80,6 +80,7 @@ CASES = dict(
     matrix=lambda: sc.Sim(balls(2500, 'offset="1 0 0"')).mass_matrix(),
     linear_map=lambda: sc.Sim(balls(2500, 'offset="1 0 0"')).linearize(),
     worlds=lambda: sc.Batch(sc.lesson.spring(), 10**8),
+    reserved=lambda: sc.Batch(balls(2), 64, threads=64, max_contacts=1_000_000),
     small=lambda: sc.Sim(balls(50, 'offset="1 0 0"')).step(5),
 )
 try:
@@ -106,6 +107,7 @@ CASES = {
     ),
     "linear_map": (0.8, "linearize = 30000 × 30000 numbers"),
     "worlds": (1.0, "n = 100000000: must be a number of worlds that the memory can hold"),
+    "reserved": (1.0, "must be a number whose working space"),
     "small": (0.1, "fits"),
 }
 

@@ -23,6 +23,33 @@ def test_a_free_threaded_python_stays_without_the_gil():
     assert done.stdout == "False\n" and not done.stderr
 
 
+END = """
+import sys, threading, time
+import stepcore as sc
+
+model, steps = sc.lesson.stack().compile(), int(sys.argv[2])
+
+def go_on(world):
+    while True:
+        world.step(steps)
+
+for _ in range(3):
+    world = sc.Sim(model) if sys.argv[1] == "Sim" else sc.Batch(model, 64)
+    threading.Thread(target=go_on, args=(world,), daemon=True).start()
+time.sleep(0.2)
+print("ends")
+"""
+
+
+@pytest.mark.parametrize("kind", ["Sim", "Batch"])
+@pytest.mark.parametrize("steps", [5, 10**9])
+def test_a_program_ends_while_threads_step(kind, steps):
+    """A daemon thread that takes the GIL back while the interpreter ends is not torn down."""
+    command = [sys.executable, "-c", END, kind, str(steps)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (0, "ends\n"), done.stderr
+
+
 def run(model, seed):
     sim = sc.Sim(model, solver="newton")
     sim.qvel[:] = np.random.default_rng(seed).normal(size=len(sim.qvel))

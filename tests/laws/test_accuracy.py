@@ -151,6 +151,23 @@ def test_worlds_of_a_batch_are_those_of_sims(threads):
     assert np.array_equal(batch.qpos, other.qpos)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_calls_of_a_batch_are_those_of_a_sim(seed):
+    """Over long runs, in calls of any length, with controls that change between them."""
+    random = np.random.default_rng(seed)
+    kp, wall = random.uniform(20, 400), random.uniform(0.1, 0.3)
+    model = sc.loads(ROBOT.format(dt=0.01, kp=kp, loss=0.1, wall=wall)).compile()
+    sim = sc.Sim(model, accuracy=1e-3)
+    batch = sc.Batch(model, 2, threads=1, accuracy=1e-3)
+    for _ in range(30):
+        steps = int(random.integers(1, 14))
+        sim.ctrl[:] = batch.ctrl[:] = random.uniform(-1, 1, 2)
+        sim.step(steps)
+        batch.step(steps)
+        assert np.array_equal(batch.qpos, [sim.qpos] * 2)
+        assert np.array_equal(batch.qvel, [sim.qvel] * 2)
+
+
 def test_a_world_that_no_step_is_short_enough_for_stands_alone():
     """The others, whose balls do not land, go on; the failed one keeps its last state."""
     batch = sc.Batch(sc.loads(BALL.format(dt=0.05)), 3, accuracy=1e-10, on_failure="go on")

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use stepcore::arrays::{Array, Given, Givens};
-use stepcore::batch::{kinds, Motion};
+use stepcore::batch::{kinds, Failed, Motion};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::WIDEST;
@@ -228,6 +228,12 @@ impl Worlds for Auto {
     }
     fn failed(&self, world: usize) -> Option<&Error> {
         self.now.failed(world)
+    }
+    fn failures(&self) -> Vec<Option<Failed>> {
+        self.now.failures()
+    }
+    fn set_failures(&mut self, failed: Vec<Option<Failed>>) {
+        self.now.set_failures(failed);
     }
     fn time(&self) -> f64 {
         self.now.time()

@@ -3,7 +3,8 @@
 use std::ffi::CString;
 
 use pyo3::exceptions::{
-    PyBaseException, PyKeyboardInterrupt, PyRuntimeError, PyUserWarning, PyValueError,
+    PyBaseException, PyKeyboardInterrupt, PyRuntimeError, PyRuntimeWarning, PyUserWarning,
+    PyValueError,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
@@ -45,6 +46,12 @@ pub fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
     let text = CString::new(printable(text)).unwrap_or_default();
     // Python's own caller of `step`.
     PyErr::warn(py, &py.get_type::<EnergyWarning>(), &text, 2)
+}
+
+/// Says why a run takes long.
+pub fn warn_slow(py: Python<'_>, text: &str) -> PyResult<()> {
+    let text = CString::new(printable(text)).unwrap_or_default();
+    PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, 2)
 }
 
 /// Whatever the engine refuses is raised in Python.
@@ -149,7 +156,7 @@ fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> 
     error.setattr("growth", post.growth.map(|growth| growth / post.dt))?;
     let stable = match post.stable {
         Stable::Springs { dt, .. } | Stable::Halved { dt } => Some(dt),
-        Stable::Unknown | Stable::Never { .. } | Stable::NotFound => None,
+        Stable::Unknown | Stable::Never { .. } | Stable::AfterStages { .. } | Stable::NotFound => None,
     };
     error.setattr("stable_dt", stable)?;
     let (start, inputs) = (&post.start, &post.inputs);

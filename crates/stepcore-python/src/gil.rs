@@ -46,9 +46,55 @@ fn interrupted() -> bool {
         return false;
     }
     ASKED.set(Some(now));
-    let raised = Python::attach(|py| py.check_signals()).err();
+    let raised = with_python(|py| py.check_signals()).err();
     RAISED.with_borrow_mut(|to| *to = raised);
     RAISED.with_borrow(Option::is_some)
+}
+
+/// The interpreter is about to end; the thread in which it does; how many threads are about to take the GIL.
+static ENDING: AtomicBool = AtomicBool::new(false);
+static COMING_BACK: AtomicU64 = AtomicU64::new(0);
+thread_local! {
+    static ENDS: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Before this thread takes the GIL. An interpreter that ends takes a thread away that asks for it, and with
+/// Rust on the stack that aborts the program: such a thread waits here until the program has ended.
+fn come_back() {
+    COMING_BACK.fetch_add(1, Ordering::SeqCst);
+    if ENDING.load(Ordering::SeqCst) && !ENDS.get() {
+        COMING_BACK.fetch_sub(1, Ordering::SeqCst);
+        loop {
+            thread::park();
+        }
+    }
+}
+
+/// This thread has the GIL again.
+fn is_back() {
+    COMING_BACK.fetch_sub(1, Ordering::SeqCst);
+}
+
+/// Takes the GIL for a moment in a call that has released it.
+pub fn with_python<T>(look: impl FnOnce(Python<'_>) -> T) -> T {
+    come_back();
+    Python::attach(|py| {
+        is_back();
+        look(py)
+    })
+}
+
+/// Called by Python when the program ends, while every thread can still take the GIL: lets in those that are
+/// about to, and nobody after them.
+#[pyfunction]
+pub fn end_threads(py: Python<'_>) {
+    ENDS.set(true);
+    ENDING.store(true, Ordering::SeqCst);
+    py.detach(|| {
+        while COMING_BACK.load(Ordering::SeqCst) > 0 {
+            thread::sleep(Duration::from_micros(100));
+        }
+    });
 }
 
 /// Runs engine code without the GIL. What a signal raises within a long step ends it, and the step is
@@ -57,7 +103,13 @@ pub fn release<T: Send>(
     py: Python<'_>,
     run: impl FnOnce() -> Result<T, Error> + Send,
 ) -> PyResult<T> {
-    finish(py, py.detach(|| guard(run)))
+    let done = py.detach(|| {
+        let done = guard(run);
+        come_back();
+        done
+    });
+    is_back();
+    finish(py, done)
 }
 
 /// Single steps, of which the short ones keep the GIL: giving it up and taking it back takes as long

@@ -39,6 +39,8 @@ use pyo3::prelude::*;
 // Objects lock what they hold (`gil::lock`, `memory`): no GIL is needed.
 #[pymodule(gil_used = false)]
 mod _core {
+    use pyo3::prelude::*;
+
     /// The vector instructions that this module was compiled for.
     #[pymodule_export]
     const VECTORS: &str = if cfg!(target_feature = "avx2") {
@@ -55,15 +57,25 @@ mod _core {
     #[pymodule_export]
     use super::errors::{EnergyWarning, SimulationError};
     #[pymodule_export]
+    use super::gil::end_threads;
+    #[pymodule_export]
     use super::integrators::{amplification, integrators, linear_step};
     #[pymodule_export]
     use super::linearizers::Linearizers;
     #[pymodule_export]
-    use super::model::{compile, Model};
+    use super::model::{compile, empty_caches, Model};
     #[pymodule_export]
     use super::noise::{noise, quantile};
     #[pymodule_export]
     use super::settings::Settings;
     #[pymodule_export]
     use super::sim::Sim;
+
+    /// Threads that step when the program ends do not abort it.
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        let end_threads = module.getattr("end_threads")?;
+        module.py().import("atexit")?.call_method1("register", (end_threads,))?;
+        Ok(())
+    }
 }

@@ -52,6 +52,13 @@ pub fn compile(scene: &Bound<'_, PyAny>) -> PyResult<Model> {
     Ok(Model(Arc::new(model)))
 }
 
+/// Gives back the memory that compiling keeps for models to come: hulls of meshes (at most some 100 MB), and
+/// which pairs of geoms never meet. The next model is compiled as the first one was.
+#[pyfunction]
+pub fn empty_caches() {
+    stepcore::model::empty_caches();
+}
+
 fn joint_type(kind: JointType) -> &'static str {
     match kind {
         JointType::Free => "free",

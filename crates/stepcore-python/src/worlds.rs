@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, Given, Givens};
-use stepcore::batch::{fills_lanes, gains_by_lanes, kinds, Batch, Last, Motion};
+use stepcore::batch::{fills_lanes, gains_by_lanes, kinds, Batch, Failed, Last, Motion};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::Real;
@@ -40,6 +40,9 @@ pub trait Worlds: Send + Sync {
     fn qacc(&self) -> Vec<f64>;
     /// Of the last solves, where they were kept.
     fn actuator_forces(&self) -> Option<Vec<f64>>;
+    /// The worlds that failed while the others went on, and those of another that takes over.
+    fn failures(&self) -> Vec<Option<Failed>>;
+    fn set_failures(&mut self, failed: Vec<Option<Failed>>);
     /// A world's arrays as they are here.
     fn lists(&self, world: usize) -> Lists;
     /// Does a world's last solve again in `into`, which then has its rows and contacts.
@@ -188,6 +191,12 @@ impl<R: Real> Worlds for Batch<R> {
     }
     fn failed(&self, world: usize) -> Option<&Error> {
         Batch::failed(self, world).map(|failed| &failed.error)
+    }
+    fn failures(&self) -> Vec<Option<Failed>> {
+        (0..self.worlds).map(|world| Batch::failed(self, world).cloned()).collect()
+    }
+    fn set_failures(&mut self, failed: Vec<Option<Failed>>) {
+        Batch::set_failed(self, failed);
     }
     fn time(&self) -> f64 {
         Batch::time(self)

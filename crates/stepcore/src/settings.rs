@@ -247,6 +247,11 @@ impl Settings {
         }
     }
 
+    /// Contacts are solved once, where a step of several stages began.
+    pub(crate) fn rows_after_stages(&self) -> bool {
+        self.law.on_guess() && self.integrator.scheme().stages != Stages::Start
+    }
+
     /// Equalities act within the step.
     pub fn connects_inside(&self) -> bool {
         self.inside() == Inside::Equalities

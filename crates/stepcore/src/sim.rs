@@ -198,7 +198,7 @@ impl<R: Real> Sim<R> {
             let limit = "1 with sleep: each world sleeps by itself";
             return Err(Error::value("lanes", R::LANES, limit));
         }
-        check_spaces(&models[0], R::LANES, "lanes")?;
+        check_spaces(&models[0], &settings, R::LANES, "lanes")?;
         if settings.accuracy.0.is_some() {
             extrapolates::<R>(&mut settings)?;
         }

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
 from stepcore.scene.layout import Layout
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+    from stepcore.engine.sim import Sim
 
 # What a control sets: a length, a velocity, a force, or something else (muscles, adhesion,
 # controllers with further inputs).

@@ -28,6 +28,7 @@ from stepcore.engine.arrays import (
 from stepcore.engine.gradients import Gradients, X
 from stepcore.engine.linearization import Linearizations, LinearWorlds
 from stepcore.engine.parameters import Parameters, columns
+from stepcore.engine.pitfalls import warn_of_pitfalls
 from stepcore.engine.tables import Momentum, contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import OF_WORLDS, Rollout, recordable, samples
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
@@ -111,6 +112,7 @@ class Batch(World):
         self._on_failure: str = checks.one_of(*ON_FAILURE)("Batch", "on_failure", on_failure)
         self._failures: dict[int, SimulationError] = {}
         self._residuals = BatchResiduals()
+        warn_of_pitfalls(self._model, stacklevel=4)
         own, goes_on = self._model.settings, self._on_failure == "go on"
         how = (self._threads, None if self._lanes == "auto" else self._lanes, goes_on)
         self._own(_core.Batch(self._model.core, own, n, *how))

@@ -16,6 +16,7 @@ from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.error_bar import ErrorBar, FinerRun
 from stepcore.engine.linearization import Linearization, Linearizations, linear_step
 from stepcore.engine.parameters import columns
+from stepcore.engine.pitfalls import warn_of_pitfalls
 from stepcore.engine.tables import Energy, Momentum, contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import Trajectory, record_run, whole_steps
 from stepcore.engine.unsolved import UnsolvedWarning
@@ -81,6 +82,7 @@ class Sim(World):
         refuse_unknown_settings(Sim, fields)
         self._model = compiled(model).with_settings(settings, **fields)
         self._threads = checks.count("threads", threads)
+        warn_of_pitfalls(self._model, stacklevel=4)
         self._own(_core.Sim(self._model.core, self._model.settings, self._threads))
         checks.one_of(True, False)("Sim", "error_bar", error_bar)
         self._finer = FinerRun(self) if error_bar else None

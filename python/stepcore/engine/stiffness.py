@@ -20,11 +20,11 @@ from stepcore import escapes
 from stepcore.engine.actuator import actuators
 from stepcore.engine.element import Element, Elements
 from stepcore.engine.linear_maps import STIFFNESS_IMPLICIT, implicit_kinds
-from stepcore.engine.model import Model
 from stepcore.report.units import seconds
 from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
+    from stepcore.engine.model import Model
     from stepcore.scene.scene import Scene
 
 # Shorter steps are not told [s].
@@ -140,7 +140,7 @@ def estimate(scene: Scene) -> str:
         return ""
     if not moves and all(actuator.type == "motor" for actuator in scene.actuators):
         return ""
-    model = Model(scene)
+    model = scene.compile()
     settings, dt = model.settings, model.settings.dt
     with np.errstate(all="ignore"):
         limit, element = stiffest(model)

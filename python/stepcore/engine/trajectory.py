@@ -226,15 +226,7 @@ class Trajectory:
         IsADirectoryError for a folder.
         """
         shown = checks.cut(source := files.path("path", path), 300)
-        if os.path.isdir(source):
-            raise IsADirectoryError(f"{shown}: is a folder, not a trajectory")
-        try:
-            with open(source, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-        except FileNotFoundError:
-            raise FileNotFoundError(f"{shown}: no such file") from None
-        except (ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile):
-            raise ValueError(f"{shown}: is no trajectory, or was damaged") from None
+        arrays = files.arrays(source, "a trajectory")
         if "kind" not in arrays or str(arrays["kind"]) != KIND:
             raise ValueError(f"{shown}: is no trajectory; `Trajectory.save` writes them")
         if str(arrays.get("version")) != str(VERSION):

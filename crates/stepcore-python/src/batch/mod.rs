@@ -253,9 +253,10 @@ impl Batch {
         let worlds = &mut *guard;
         gil::release(py, || {
             if !worlds.set_models(&self.how, &models, &model_of) {
-                let memos = worlds.memos();
+                let (memos, failures) = (worlds.memos(), worlds.failures());
                 *worlds = self.how.worlds(models, &model_of)?;
                 worlds.set_memos(&memos);
+                worlds.set_failures(failures);
             }
             worlds.unsolved();
             Ok(())

@@ -125,10 +125,12 @@ impl<R: Real> Batch<R> {
             all.push(own);
         }
         let workers = Workers::new(&all, settings, &layout, worlds, threads)?;
+        // As in `Watched`: steps within an accuracy watch themselves.
+        let fixed = settings.accuracy.0.is_none();
         let group = |index: usize| {
             let (own, worlds) = (layout.kind(index), layout.worlds(index).len());
-            let watched =
-                index.is_multiple_of(layout.groups().div_ceil(WATCHED.div_ceil(R::LANES)));
+            let every = layout.groups().div_ceil(WATCHED.div_ceil(R::LANES));
+            let watched = fixed && index.is_multiple_of(every);
             let least = watched.then_some(Care::Least);
             let care = if settings.ledger { Some(Care::Full) } else { least };
             Group::new(all[index].clone(), workers.initial_sleep(own), worlds, care)
@@ -237,6 +239,14 @@ impl<R: Real> Batch<R> {
     pub fn failed(&self, world: usize) -> Option<&Failed> {
         let (group, lane) = self.layout.of(world);
         self.groups[group].standing.lanes[lane].as_deref()
+    }
+
+    /// These worlds failed, as they had in a batch from which this one takes over.
+    pub fn set_failed(&mut self, failed: Vec<Option<Failed>>) {
+        for (world, failed) in failed.into_iter().enumerate() {
+            let (group, lane) = self.layout.of(world);
+            self.groups[group].standing.lanes[lane] = failed.map(Box::new);
+        }
     }
 
     /// Some worlds begin anew, wherever their arrays put them: they have no impulses to start from,

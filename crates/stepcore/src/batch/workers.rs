@@ -50,7 +50,8 @@ impl<R: Real> Workers<R> {
         }
         for (first, count) in groups.iter().filter(|(_, count)| *count > 0) {
             let model = models[*first].first();
-            check_spaces(model, R::LANES * threads.min(*count), "threads × lanes")?;
+            let spaces = R::LANES * threads.min(*count);
+            check_spaces(model, settings, spaces, "threads × lanes")?;
         }
         let space = |group: usize| {
             let sim = Sim::side_by_side(models[group].clone(), settings.clone())?;

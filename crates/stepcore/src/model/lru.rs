@@ -30,6 +30,11 @@ impl<K, V: Clone> Lru<K, V> {
         self.put((question, answer));
     }
 
+    pub fn clear(&mut self) {
+        self.entries = VecDeque::new();
+        self.size = 0;
+    }
+
     fn take(&mut self, same: impl Fn(&K) -> bool) -> Option<(K, V)> {
         let at = self.entries.iter().position(|(other, _)| same(other))?;
         let entry = self.entries.remove(at)?;

@@ -4,10 +4,12 @@
 //! can ask for is added up first. The bytes of one of each were measured, and rounded up.
 
 use super::Model;
+use crate::detect::Contact;
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::room::can_be_had;
 use crate::scene::{Scene, Stop};
+use crate::settings::Settings;
 
 /// A past control: in a world's working space, and in the arrays of its user.
 const SAMPLE: usize = 300;
@@ -51,16 +53,22 @@ pub(super) fn check_scene(scene: &Scene) -> Result<()> {
     ]))
 }
 
-/// Bytes of the working space of a world.
-fn working_space(model: &Model) -> usize {
+/// Bytes of the working space of a world, with room for so many contacts.
+fn working_space(model: &Model, contacts: usize) -> usize {
     let elements = model.bodies.len() + model.geoms.len() + model.tendons.len();
     let parts = [(model.nhistory, SAMPLE), (model.row_dofs.len(), PLACES), (elements, ELEMENT)];
-    parts.iter().fold(0, |sum, (count, each)| sum + count * each)
+    let reserved = contacts * size_of::<Contact<f64>>();
+    parts.iter().fold(reserved, |sum, (count, each)| sum + count * each)
 }
 
 /// Refuses more working spaces than the memory holds; `field` says whose number they are.
-pub(crate) fn check_spaces(model: &Model, spaces: usize, field: &str) -> Result<()> {
-    let bytes = working_space(model).saturating_mul(spaces);
+pub(crate) fn check_spaces(
+    model: &Model,
+    settings: &Settings,
+    spaces: usize,
+    field: &str,
+) -> Result<()> {
+    let bytes = working_space(model, settings.max_contacts).saturating_mul(spaces);
     if can_be_had(bytes) {
         return Ok(());
     }

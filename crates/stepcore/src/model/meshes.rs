@@ -36,6 +36,11 @@ const MOST: usize = 1 << 20;
 
 static KEPT: Mutex<Lru<Mesh, Measured>> = Mutex::new(Lru::new(MOST, size));
 
+/// Keeps none any more.
+pub(super) fn forget() {
+    lock(&KEPT).clear();
+}
+
 fn size(mesh: &Mesh) -> usize {
     mesh.vertices.len() + mesh.faces.len()
 }

@@ -67,6 +67,12 @@ use fluid::Fluid;
 use nalgebra::{Scalar, Vector3};
 use std::collections::HashSet;
 
+/// Forgets what compiling keeps of the meshes and pairs of earlier models, for the next one.
+pub fn empty_caches() {
+    meshes::forget();
+    proofs::forget();
+}
+
 /// A scene, compiled.
 #[derive(Clone, Debug, Default)]
 pub struct Model<N: Scalar = f64> {

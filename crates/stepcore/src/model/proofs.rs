@@ -126,6 +126,11 @@ pub fn keep(question: Question, proof: &Proof) {
     lock(&KEPT).keep(question, proof.clone(), Question::same);
 }
 
+/// Keeps none any more.
+pub fn forget() {
+    lock(&KEPT).clear();
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -5,6 +5,7 @@ use super::columns::Curved;
 use super::pattern::Pattern;
 use super::penalty::{interval, Line};
 use super::system::System;
+use crate::interrupt::ends_after_iteration;
 use crate::real::{Count, Mask, Real};
 use crate::solve::limits::{Limits, Report};
 
@@ -100,6 +101,10 @@ impl<R: Real> System<R> {
             self.floor = R::select(live, floor, self.floor);
             last = R::select(live.and(recalled.not()), fall, last);
             live = live.and(end.not());
+            if ends_after_iteration(iteration) {
+                report.interrupted = true;
+                break;
+            }
         }
         // An unfinished lane has nothing to refine.
         self.fresh = self.fresh.and(live.not());

@@ -16,6 +16,7 @@ use crate::error::{Divergence, Error, Result};
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::{Constant, Real};
+use crate::settings::Settings;
 use crate::sim::Sim;
 use crate::state::{Inputs, State, INPUTS};
 
@@ -51,11 +52,13 @@ impl Care {
         }
     }
 
-    /// How many times the energy that circulates may be gained.
-    fn allowed(self) -> f64 {
+    /// How many times the energy that circulates may be gained. Rows that are solved after the stages
+    /// of a step can feed a body that rocks little by little, for as long as it does: no healthy run
+    /// doubles its energy so either.
+    fn allowed(self, settings: &Settings) -> f64 {
         match self {
-            Self::Full => 1.0,
-            Self::Least => 10.0,
+            Self::Least if !settings.rows_after_stages() => 10.0,
+            _ => 1.0,
         }
     }
 
@@ -341,7 +344,7 @@ impl<R: Real> Ledger<R> {
         let mut outcome = Ok(());
         if new {
             self.opened = sim.state.steps;
-            let allowed = self.care.allowed();
+            let allowed = self.care.allowed(&sim.settings);
             self.accounts.clear();
             self.accounts.extend(self.levels.iter().map(|level| Account::open(level, allowed)));
             self.verdicts.fill(Verdict::default());

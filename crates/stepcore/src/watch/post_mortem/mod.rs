@@ -165,7 +165,7 @@ impl<R: Real> Run<'_, R> {
         let scale = self.ledger.and_then(|ledger| ledger.scale(lane));
         let (from, window) = feeding(sim.model_of(lane), &steps, scale, gained);
         let was_well = exact && window.is_empty();
-        let shares = shares(window);
+        let mut shares = shares(window);
         let element = match shares.first() {
             Some((element, _)) => Some(*element),
             None => self.strongest(lane, was_well, &budget),
@@ -180,7 +180,16 @@ impl<R: Real> Run<'_, R> {
             }
             _ => None,
         };
-        let element = saturated.or(element);
+        let element = saturated.or_else(|| {
+            if element != Some(Element::GRAVITY) {
+                return element;
+            }
+            // It gives back what it took: where it stands out, others have moved bodies wrongly.
+            shares = without_gravity(std::mem::take(&mut shares));
+            let next = shares.first().map(|(element, _)| *element);
+            next.or_else(|| self.strongest(lane, was_well, &budget))
+                .filter(|element| *element != Element::GRAVITY)
+        });
         let shares = shares.into_iter();
         let stable = match was_well {
             true => Stable::Unknown,
@@ -261,6 +270,11 @@ impl<R: Real> Run<'_, R> {
             return Stable::Unknown;
         }
         let integrator = sim.settings.integrator;
+        if exact && sim.settings.rows_after_stages() {
+            if let Some(share) = segment.under_semi_implicit(sim, lane, budget) {
+                return Stable::AfterStages { share };
+            }
+        }
         // The contacts' own springs are none of those that are known: only a rerun tells, and
         // one that meets them again.
         let penalty = sim.settings.law == Law::Penalty;
@@ -289,6 +303,14 @@ impl<R: Real> Run<'_, R> {
             Halved::Untried => Stable::Unknown,
         }
     }
+}
+
+/// The shares of all elements but gravity, of what these injected.
+fn without_gravity(mut shares: Vec<(Element, f64)>) -> Vec<(Element, f64)> {
+    shares.retain(|(element, _)| *element != Element::GRAVITY);
+    let all: f64 = shares.iter().map(|(_, share)| share).sum();
+    shares.iter_mut().for_each(|(_, share)| *share /= all);
+    shares
 }
 
 /// One step under a tape, if it can be committed and is within the budget.

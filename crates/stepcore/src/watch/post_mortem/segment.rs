@@ -2,7 +2,7 @@
 
 use super::budget::Budget;
 use crate::real::Real;
-use crate::settings::{Settings, Sweeps};
+use crate::settings::{Integrator, Settings, Sweeps};
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
 use crate::watch::ledger::{Care, Ledger, Milestone};
@@ -216,6 +216,19 @@ impl<R: Real> Segment<R> {
         }
         let trial = self.gain_under(settings, of, lane, 0, budget);
         matches!(trial, Trial::Gained { gained: left, .. } if left <= LITTLE * gained)
+    }
+
+    /// What semi-implicit gains over the stretch, as a share of what was gained; None where it is not less
+    /// than half, or would take too long to find out.
+    pub fn under_semi_implicit(&self, of: &Sim<R>, lane: usize, budget: &Budget) -> Option<f64> {
+        let settings = Settings { integrator: Integrator::SemiImplicit, ..of.settings.clone() };
+        let now = self.gain(of, of.clock.seconds, lane, 0, budget);
+        match (now, self.gain_under(settings, of, lane, 0, budget)) {
+            (Trial::Gained { gained: now, .. }, Trial::Gained { gained, .. }) => {
+                Some((gained / now).max(0.0)).filter(|share| *share < 0.5)
+            }
+            _ => None,
+        }
     }
 
     /// The largest of dt/2, dt/4, … with which the stretch gains nothing to speak of, nor as

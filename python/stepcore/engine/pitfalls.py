@@ -1,0 +1,129 @@
+"""What a model's settings make of it, and finite motions would not tell.
+
+Both are closed forms of the scene and its settings: no model is linearised or run.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stepcore import escapes
+from stepcore.engine.linear_maps import INTEGRATORS, implicit_kinds
+from stepcore.engine.stiffness import joint_gains
+from stepcore.report.units import compact, metres
+from stepcore.scene.layout import Layout
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+    from stepcore.scene.elements import Geom
+
+# Two light slides in a closed loop hold where an integrator that damps after the rows takes up to 5
+# times what it leaves of a velocity, and diverge at 10 (`tests/engine/test_pitfalls.py`).
+DAMPED = 5.0
+# Contacts of a body at rest, which share its weight; of other shapes one a corner of a face.
+CONTACTS, FACE = {"sphere": 1, "ellipsoid": 1, "capsule": 2}, 4
+
+
+class ModelWarning(UserWarning):
+    """What the settings of a model make of it: friction that is too soft, rows that damping undoes.
+
+    >>> import warnings
+    >>> from stepcore import Sim, loads
+    >>> scene = loads('''<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+    ... <body pos="0 0 .1"><freejoint/><geom name="box" type="box" size=".1 .1 .1" friction="20"/>
+    ... </body></worldbody></mujoco>''')
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     _ = Sim(scene)
+    >>> print(caught[0].message)  # doctest: +NORMALIZE_WHITESPACE
+    friction 20 makes the pyramids of geom `box` soft: under its weight it sinks by about 3.93 m,
+    more than half of its thickness; cone="elliptic" holds it
+    """
+
+
+def warn_of_pitfalls(model: Model, stacklevel: int = 3) -> None:
+    """Warn in one line for each thing that the settings make of a model.
+
+    stacklevel: as of `warnings.warn`, counted from this function.
+    """
+    for text in (*soft_pyramids(model), *undone_rows(model)):
+        warnings.warn(ModelWarning(escapes.printable(text)), stacklevel=stacklevel)
+
+
+def soft_pyramids(model: Model) -> Iterator[str]:
+    """Yield the geom that sinks deepest where its friction makes pyramids too soft to hold it.
+
+    Each edge of a pyramid of friction μ has 2μ²(1 + μ²) times the softness of a normal alone, and
+    four of them share a contact's force (MuJoCo's rows; with no friction the depth at rest is
+    (1 − d) g/(k d²), d the impedance of deep contacts and k = 1/timeconst² or -solref).
+    """
+    settings, geoms = model.settings, Layout(model.scene).geoms
+    if settings.cone != "pyramidal" or settings.law != "solref":
+        return
+    steep = _steepest(geoms)
+    if not (steep > 1).any():
+        return
+    gravity, found = float(np.linalg.norm(model.scene.gravity)), []
+    for index, (geom, friction) in enumerate(zip(geoms, steep.tolist(), strict=True)):
+        size = model.geom_size[index]
+        if friction <= 1 or geom.shape == "plane" or not model.body_mass[model.geom_body[index]]:
+            continue
+        d, (time, ratio) = geom.solimp[1], geom.solref
+        stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
+        soft = friction**2 * (1 + friction**2) / 2 / CONTACTS.get(geom.shape, FACE)
+        depth, thin = (
+            soft * (1 - d) * gravity / (stiffness * d**2),
+            size[size > 0].min(initial=np.inf),
+        )
+        if depth > thin:
+            found.append((depth / thin, depth, friction, index))
+    if found:
+        _, depth, friction, index = max(found)
+        name = model.element_name("geom", index)
+        yield (
+            f"friction {compact(friction)} makes the pyramids of {name} soft: under its weight it "
+            f"sinks by about {metres(depth)}, more than half of its thickness; "
+            'cone="elliptic" holds it'
+        )
+
+
+def _steepest(geoms: Sequence[Geom]) -> np.ndarray:
+    """Return the largest friction that each geom meets, its own or that of another; 0 for none."""
+    own = np.array([geom.friction[0] for geom in geoms])
+    types, others = (np.array([getattr(g, n) for g in geoms]) for n in ("contype", "conaffinity"))
+    meets = (types[:, None] & others) | (others[:, None] & types)
+    np.fill_diagonal(meets, 0)
+    both = np.maximum(own[:, None], own)
+    return np.where(meets != 0, both, 0.0).max(axis=1, initial=0.0)
+
+
+def undone_rows(model: Model) -> Iterator[str]:
+    """Yield the joint whose damping, applied after the rows, undoes most of them in a closed loop.
+
+    Under a law on velocities rows set velocities, and these integrators damp them afterwards: by
+    1/(1 + dt·c/m) each, which keeps a row only where all its dofs are damped alike.
+    """
+    settings = model.settings
+    scheme = INTEGRATORS[settings.integrator]
+    late = scheme["damping"] and not scheme["stiffness"]
+    if settings.law not in ("lesson", "relaxed", "rigid") or not late or not model.scene.equalities:
+        return
+    hidden = implicit_kinds(settings.integrator, model.scene.features.eulerdamp)
+    rates = np.zeros(len(model.scene.joints))
+    for kind, _, joint, _, damping in joint_gains(model):
+        if kind in hidden:
+            rates[joint] += model.dof_invweight0[model.jnt_dofadr[joint]] * damping
+    worst = int(rates.argmax()) if len(rates) else 0
+    if len(rates) and settings.dt * rates[worst] > DAMPED:
+        times = compact(float(settings.dt * rates[worst]))
+        name = model.element_name("joint", worst)
+        yield (
+            f"law {settings.law!r} with integrator {settings.integrator!r}: the damping of {name} "
+            f"acts after the rows are solved, and takes {times} times what it leaves of a "
+            "velocity, so that equalities do not hold and may diverge; integrator='discrete' or "
+            "'rk4' holds them"
+        )
