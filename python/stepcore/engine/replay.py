@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import json
 import os
@@ -76,29 +77,27 @@ class Replay:
         sim.restore(self.state, None)
         own = dict(sim.arrays())
         changes = {step: arrays for step, *arrays in self.inputs}
-        time, energy, steps = [], [], []
-        for step in range(self.steps):
-            _put(own, changes.get(step))
-            try:
+        time, energy, steps = list[float](), list[float](), list[dict[Any, float]]()
+        # A replay that fails too early is not the same.
+        with contextlib.suppress(SimulationError):
+            for step in range(self.steps):
+                _put(own, changes.get(step))
                 before, after, injected = sim.taped_step()
-            except SimulationError:
-                # The replay fails too early, so `same` will be False.
-                break
-            energy += [before, after] if step == 0 else [after]
-            time.append(sim.time)
-            steps.append(dict(injected))
+                energy += [before, after] if step == 0 else [after]
+                time.append(sim.time)
+                steps.append(dict(injected))
         _put(own, changes.get(self.steps))
-        elements = sorted({element for injected in steps for element in injected})
+        work = {
+            model.element_name(*element): np.array([step.get(element, 0.0) for step in steps])
+            for element in sorted({element for injected in steps for element in injected})
+        }
         return PostMortem(
             name=self.name or "scene",
             replay=self,
             same=_fails(self, sim, own),
             time=np.array(time),
             energy=np.array(energy),
-            work={
-                model.element_name(*element): np.array([step.get(element, 0.0) for step in steps])
-                for element in elements
-            },
+            work=work,
         )
 
     def to_json(self) -> str:
@@ -220,7 +219,6 @@ class PostMortem(Result):
 
     @property
     def settings(self) -> Settings:
-        """The settings of the run."""
         return self.replay.settings
 
     @property
@@ -236,17 +234,17 @@ class PostMortem(Result):
 
     @property
     def title(self) -> str:
-        """Title of the post-mortem."""
         return f"{self.name}: post-mortem"
 
     @property
     def sentences(self) -> list[str]:
         """The text of the error, and whether the replay reproduced the failure."""
-        text = self.paragraph
-        step = self.replay.happened["step"]
-        again = f"The replay fails again after {self.replay.steps} steps, with the same bits."
-        other = f"The replay does not fail in step {step} with the same bits as the run."
-        said = [text[:1].upper() + text[1:].removesuffix(".") + ".", again if self.same else other]
+        text, replay = self.paragraph, self.replay
+        again = f"The replay fails again after {replay.steps} steps, with the same bits."
+        if not self.same:
+            step = replay.happened["step"]
+            again = f"The replay does not fail in step {step} with the same bits as the run."
+        said = [text[:1].upper() + text[1:].removesuffix(".") + ".", again]
         if not len(self.time):
             said.append(
                 "With ledger=True in its settings a run records the steps before a failure."
@@ -262,8 +260,10 @@ class PostMortem(Result):
         """Return the last steps of the leading elements; `full`: all steps and elements."""
         if not len(self.time):
             return []
-        names = self.leading(len(self.work) if full else PRINTED_ELEMENTS)
-        table = self._steps(names, len(self.time) if full else PRINTED_STEPS)
+        most, count = (
+            (len(self.work), len(self.time)) if full else (PRINTED_ELEMENTS, PRINTED_STEPS)
+        )
+        table = self._steps(self.leading(most), count)
         table.heading = (
             "Kinetic and spring energy [J], and what each element injected in the step [J]"
         )
@@ -281,23 +281,16 @@ class PostMortem(Result):
 
     def details(self) -> dict[str, Any]:
         """Return the recorded steps as arrays, and the data of the failure."""
-        return {
-            "steps": self.replay.steps,
-            "same": self.same,
-            "happened": self.replay.happened,
-            "time": self.time,
-            "energy": self.energy,
-            "work": self.work,
-        }
+        steps = {"steps": self.replay.steps, "same": self.same, "happened": self.replay.happened}
+        return steps | {"time": self.time, "energy": self.energy, "work": self.work}
 
     def leading(self, most: int) -> list[str]:
         """Return the leading elements: by share, then by the largest energy moved in a step."""
-        moved = {
-            name: float(np.abs(work[np.isfinite(work)]).max(initial=0.0))
-            for name, work in self.work.items()
-        }
-        rest = sorted((name for name in moved if name not in self.shares), key=lambda n: -moved[n])
-        names = [name for name in self.shares if name in self.work]
+        shares, moved = list(self.shares), dict[str, float]()
+        for name, work in self.work.items():
+            moved[name] = float(np.abs(work[np.isfinite(work)]).max(initial=0.0))
+        rest = sorted((name for name in moved if name not in shares), key=lambda n: -moved[n])
+        names = [name for name in shares if name in moved]
         return (names + [name for name in rest if moved[name] > 0])[:most]
 
 
@@ -380,19 +373,27 @@ MOST_STEPS = 100_000
 # Array types in a scene: numbers, and indices of vertices.
 ARRAYS = ("<f8", "<i8", "<u8", "<i4", "<u4")
 
-whole = checks.whole(0, 2**63 - 1)
 
-
-def _float(owner: Any, name: str, value: object) -> float:
-    """Check a JSON number, which may be non-finite."""
+def _number(value: object) -> float | None:
+    """Return a JSON number, which may be non-finite; None for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise checks.refuse(owner, name, value, "a number")
+        return None
     try:
         return float(value)
     except OverflowError:
-        raise checks.refuse(owner, name, value, "a number below 1e308") from None
+        return None
 
 
+def _decoded(value: object) -> bytes | None:
+    try:
+        return base64.b64decode(value, validate=True) if isinstance(value, str) else None
+    except ValueError:
+        return None
+
+
+whole = checks.whole(0, 2**63 - 1)
+_float = checks.checked(_number, "a number below 1e308")
+_bytes = checks.checked(_decoded, "base64")
 _list = checks.checked(lambda value: value if isinstance(value, list) else None, "a list")
 _dict = checks.checked(lambda value: value if isinstance(value, dict) else None, "an object")
 
@@ -414,14 +415,6 @@ def _id(owner: Any, name: str, value: object) -> tuple[str, int, int]:
 def _shares(owner: Any, name: str, value: object) -> dict[str, float]:
     shares = _dict(owner, name, value)
     return {key: _float(owner, f"{name}.{checks.cut(key, 80)}", shares[key]) for key in shares}
-
-
-def _state(owner: Any, name: str, value: object) -> bytes:
-    text = checks.text(owner, name, value)
-    try:
-        return base64.b64decode(text, validate=True)
-    except ValueError:
-        raise checks.refuse(owner, name, value, "base64") from None
 
 
 def _input(owner: Any, name: str, value: object) -> tuple[Any, ...]:
@@ -457,7 +450,7 @@ BODY = {
     "name": checks.text,
     "scene": _dict,
     "settings": _dict,
-    "state": _state,
+    "state": _bytes,
     "inputs": _each(_input),
     "steps": checks.whole(0, MOST_STEPS),
     "happened": _event,
@@ -476,16 +469,15 @@ def _unpacked(data: Any) -> Any:
 
 
 def _array(packed: object) -> Any:
-    entries = packed if isinstance(packed, list) and len(packed) == 3 else ["", "", ""]
-    if entries[0] not in ARRAYS:
-        limit = f"(type, shape, base64), of a type {', '.join(ARRAYS)}"
-        raise ValueError(f"array = {checks.shown(packed)}: must be {limit}")
     try:
-        shape = [whole("array", "shape", count) for count in _list("array", "shape", entries[1])]
-        numbers = np.frombuffer(_state("array", "bytes", entries[2]), entries[0]).reshape(shape)
-        return numbers.astype(numbers.dtype.newbyteorder("="))
+        kind, counts, text = _list("array", "entries", packed)
+        if kind not in ARRAYS:
+            raise ValueError(f"must be (type, shape, base64), of a type {', '.join(ARRAYS)}")
+        shape = [whole("array", "shape", count) for count in counts]
+        numbers = np.frombuffer(_bytes("array", "bytes", text), kind).reshape(shape)
     except (ValueError, TypeError) as error:
         raise ValueError(f"array = {checks.shown(packed)}: {checks.one_line(error)}") from None
+    return numbers.astype(numbers.dtype.newbyteorder("="))
 
 
 def _record(
