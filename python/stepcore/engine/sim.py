@@ -43,7 +43,7 @@ class Sim(World):
         (`Model.is_heap`); one thread does all other work.
     error_bar: whether a finer run goes beside this one, from which `error` is known: with a tenth
         of the ``accuracy``, or with a quarter of ``dt`` and rows solved to rounding. A run then
-        takes 3 to 8 times as long. The motion is the same.
+        takes 2 to 5 times as long, or 4 to 10 times. The motion is the same.
     fields: single fields of `Settings` to change, such as ``dt=0.005, solver="pgs"``.
 
     The state arrays (qpos, qvel, ctrl, qfrc_applied, xfrc_applied) can be written, in place or by
@@ -339,8 +339,7 @@ class Sim(World):
     def _judge(self) -> FinerRun:
         if self._finer is None:
             raise ValueError("error: not measured; ask for it with Sim(…, error_bar=True)")
-        self._finer.meet()
-        return self._finer
+        return self._finer.judged()
 
     # The last step or forward().
 
