@@ -76,9 +76,9 @@ def readout(doc: str, of: str = "") -> ReadOnly[Floats]:
     return ReadOnly(doc, lambda owner, name: owner._core.readout(of or name))
 
 
-def constant(doc: str, table: str = "_arrays") -> ReadOnly[NDArray[Any]]:
+def constant(doc: str) -> ReadOnly[NDArray[Any]]:
     """Return an attribute that is a constant array of a `Model`."""
-    return ReadOnly(doc, lambda owner, name: getattr(owner, table)[name])
+    return ReadOnly(doc, lambda owner, name: owner._arrays[name])
 
 
 def element_names(doc: str) -> ReadOnly[tuple[str, ...]]:
