@@ -143,7 +143,7 @@ class Batch(World):
         return self._model_of(index)
 
     def _model_of(self, world: int) -> Model:
-        return self._param.model_of(world)
+        return self._param._variants.model(world)
 
     def step(self, n: int = 1, *, progress: Choice = None) -> None:
         """Take n steps in every world, with the GIL released; raise the same errors as `Sim.step`.
@@ -404,7 +404,7 @@ class Batch(World):
         self._write(values, where)
         if key is None:
             # The arrays that parameters change.
-            for worlds_of, values in self._param.initial():
+            for worlds_of, values in self._param._variants.initial():
                 self._write(values, np.intersect1d(worlds_of, chosen))
         for name, rows in own.items():
             self._arrays[name][where] = rows
