@@ -92,6 +92,8 @@ class Batch(World):
     [-0.981, 0.019, 1.019]
     """
 
+    _lead = (slice(None),)
+
     @takes_settings
     def __init__(
         self,

@@ -146,6 +146,8 @@ class World(checks.KnownNames, ABC):
     )
     actuator_force = readout("Force of each actuator before its gear [N or N·m], shape (nu,).")
 
+    # The index of all worlds in front of that of an element.
+    _lead: tuple[slice, ...] = ()
     _core: Any
     _model: Model
 
