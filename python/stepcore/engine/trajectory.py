@@ -23,14 +23,14 @@ from stepcore.engine.control import controls, not_finite
 from stepcore.engine.error_bar import driven, judged
 from stepcore.engine.snapshots import Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
+from stepcore.engine.world import READINGS, World
 
 if TYPE_CHECKING:
     from stepcore import _core
-    from stepcore.engine.world import World
     from stepcore.viewing.frames import Replayed
     from stepcore.viewing.live import View
 
-SomeWorld = TypeVar("SomeWorld", bound="World")
+SomeWorld = TypeVar("SomeWorld", bound=World)
 # Controls over a run: a function of (time, sim), or a table with a row for each control period.
 Driven = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
@@ -48,23 +48,10 @@ SAMPLED = {
     *("time", "qpos", "qvel", "act", "ctrl_history", "ctrl", "xpos", "xquat", "energy"),
     *("qacc", "actuator_force"),
 }
-RECORDED = (
-    *("qpos", "qvel", "act", "ctrl_history", "ctrl", "qfrc_applied", "xfrc_applied"),
-    *("eq_active", "mocap_pos", "mocap_quat"),
-    *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat"),
-    *("ten_length", "ten_velocity"),
-    *("subtree_com", "cinert", "cvel", "cacc", "cfrc_ext", "cfrc_int"),
-    *("energy", "momentum", "overlap", "bias", "passive", "qfrc_bias", "qfrc_passive"),
-    *("actuator_length", "actuator_velocity"),
-    "sensordata",
-    *("qacc", "residual", "constraint_force", "qfrc_constraint", "actuator_force"),
-    *("sweeps_done", "row_updates"),
-    "unrecovered_overlap",
-    *("error", "body_error"),
-)
-# Counts of a single Sim's solve, its error bar; and momentum, which is a pair of arrays.
-ONLY_OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum", "error", "body_error")
-OF_WORLDS = tuple(name for name in RECORDED if name not in ONLY_OF_ONE_WORLD)
+# What is recorded of one world only: counts of its solve, its error bar, and a pair of arrays.
+OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum", "error", "body_error")
+OF_WORLDS = (*READINGS, "energy", "overlap", "sensordata", "residual", "unrecovered_overlap")
+RECORDED = (*OF_WORLDS, *OF_ONE_WORLD)
 
 
 class Rollout(NamedTuple):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from stepcore import _core, checks
 from stepcore._core import SimulationError
-from stepcore.engine.arrays import Floats, StateArray, numbers, readout
+from stepcore.engine.arrays import Floats, ReadOnly, StateArray, numbers, readout
 from stepcore.engine.tables import RayHits
 from stepcore.engine.views import (
     ActuatorView,
@@ -392,6 +392,12 @@ class World(checks.KnownNames, ABC):
 
     def _model_of(self, world: int) -> Model:
         return self._model
+
+
+# The arrays that can be recorded: the state, the inputs and the readouts.
+READINGS = tuple(
+    name for name, own in vars(World).items() if isinstance(own, StateArray | ReadOnly)
+)
 
 
 def _vectors(name: str, value: ArrayLike) -> Floats:
