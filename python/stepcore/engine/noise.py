@@ -132,7 +132,6 @@ class Noise:
         return chosen, (len(chosen), width)
 
     def _next(self, chosen: Chosen, shape: tuple[int, int], normal: bool) -> Floats:
-        """Draw normal numbers, or numbers strictly between 0 and 1, for some worlds."""
         drawn = self._drawn[chosen]
         numbers = _core.noise(self._keys[chosen], drawn, shape[1], normal)
         self._drawn[chosen] = drawn + np.uint64(shape[1])
