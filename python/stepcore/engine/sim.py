@@ -127,13 +127,6 @@ class Sim(World):
         """
         self._call(self._core.balance)
 
-    def forward(self) -> None:
-        """Compute poses, contacts and forces at the present state, without taking a step.
-
-        Raises the same errors as `step`.
-        """
-        self._call(self._core.forward)
-
     def linearize(self, parameters: Sequence[str] = ()) -> Linearization:
         """Linearise the next step about the present state, without taking the step.
 
