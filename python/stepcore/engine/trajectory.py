@@ -222,7 +222,7 @@ class Trajectory:
             raise FileNotFoundError(f"{shown}: no such file") from None
         except (ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile):
             raise ValueError(f"{shown}: is no trajectory, or was damaged") from None
-        if "kind" not in arrays or str(arrays["kind"]) != KIND:
+        if str(arrays.get("kind")) != KIND:
             raise ValueError(f"{shown}: is no trajectory; `Trajectory.save` writes them")
         if str(arrays.get("version")) != str(VERSION):
             what = f"version {checks.cut(str(arrays.get('version')), 80)} of a trajectory"
@@ -406,15 +406,15 @@ def record_run(
         checks.function("time", "sim")("run", "control", control)
     elif control is not None:
         control = _table(sim, control)
-    names, arrays = judged(sim, recordable(record)), dict[str, NDArray[Any]]()
+    names = judged(sim, recordable(record))
     try:
-        for name in ("time", *names):
-            value = np.asarray(getattr(sim, name))
-            arrays[name] = np.empty((steps + 1, *value.shape), dtype=value.dtype)
-            arrays[name][0] = value
+        values = {name: np.asarray(getattr(sim, name)) for name in ("time", *names)}
+        arrays = {n: np.empty((steps + 1, *v.shape), dtype=v.dtype) for n, v in values.items()}
     except MemoryError:
         what = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
         raise ValueError(f"{what}; run shorter pieces, or record less") from None
+    for name, value in values.items():
+        arrays[name][0] = value
     residuals, stride, snapshots = Residuals(sim), max(1, steps // LOOKS), Taking(sim, steps)
     for done in pieces(sim, steps, control, period, arrays, (stride,), snapshots):
         if done and done % stride == 0:
@@ -486,7 +486,7 @@ def samples(
     """
     own = () if told is None else (told,)
     if _sampled(world, names):
-        made, _ = world._call(world._core.follow, every_step(names, steps), ctrl, *own)
+        made, _ = world._call(world._core.follow, asked(names, steps), ctrl, *own)
         if ctrl is None and "ctrl" in names:
             # As they were given, not as single precision has them.
             made[names.index("ctrl")][:] = world._arrays["ctrl"].reshape(len(made[0]), 1, -1)
@@ -550,12 +550,9 @@ def _table(sim: SomeWorld, control: ArrayLike) -> Floats:
         limit = f"of shape (n, {sim.model.nu}) with n > 0"
         raise ValueError(f"control has shape {table.shape}: must be {limit}")
     if bad := not_finite(sim, table):
-        (row, k), value = bad, table[bad]
-        name = sim.model.actuator_names[k]
-        where = (
-            f'actuator "{name}", in row {row} of control' if name else f"in row {row} of control"
-        )
-        limit = "finite in single precision" if sim.settings.precision == "f32" else "finite"
+        (row, k), value, name = bad, table[bad], sim.model.actuator_names[bad[1]]
+        where = f'actuator "{name}", ' * bool(name) + f"in row {row} of control"
+        limit = "finite" + " in single precision" * (sim.settings.precision == "f32")
         said = f"ctrl[{k}] = {'NaN' if np.isnan(value) else value}: must be {limit} ({where})"
         raise ValueError(f"{said}; the state was left as it is")
     return table
@@ -568,15 +565,22 @@ def sampled(names: Collection[str], settings: Settings) -> bool:
     return set(names) <= SAMPLED - solved
 
 
-def every_step(names: Sequence[str], steps: int) -> _core._Asked:
-    """Return what the engine is asked for: a sample of each step, under a row of controls each."""
+def asked(
+    names: Sequence[str],
+    steps: int,
+    every: int = 1,
+    hold: int = 1,
+    first: bool = False,
+    bound: float = np.inf,
+) -> _core._Asked:
+    """Return what the engine is asked for: samples of a run, the first at the start or not."""
     return {
         "names": list(names),
         "steps": steps,
-        "every": 1,
-        "hold": 1,
-        "first": False,
-        "bound": np.inf,
+        "every": every,
+        "hold": hold,
+        "first": first,
+        "bound": bound,
     }
 
 
