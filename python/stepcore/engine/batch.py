@@ -20,7 +20,6 @@ from stepcore.engine.arrays import (
     Floats,
     indices_of,
     kept,
-    last_of,
     numbers,
     snapshot,
 )
@@ -430,8 +429,8 @@ class Batch(World):
             worlds = list(state)
         except TypeError:
             worlds = [state]  # type: ignore[list-item]
-        lasts = [last_of(world) for world in worlds]
-        own = self._core.restore([snapshot(state, world) for world in worlds], lasts)
+        parts = [snapshot(state, world) for world in worlds]
+        own = self._core.restore([own for own, _ in parts], [last for _, last in parts])
         self._reset_at[:] = np.nan
         for world, (start, steps) in own.items():
             self._reset_at[world] = self.time - steps * self.settings.dt

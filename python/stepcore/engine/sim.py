@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings
-from stepcore.engine.arrays import Floats, kept, last_of, snapshot
+from stepcore.engine.arrays import Floats, kept, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.error_bar import ErrorBar, FinerRun
 from stepcore.engine.linearization import Linearization, Linearizations, linear_step
@@ -216,7 +216,7 @@ class Sim(World):
 
         Raises ValueError for bytes that are no snapshot of this model; nothing changes then.
         """
-        self._core.restore(snapshot(state, state), last_of(state))
+        self._core.restore(*snapshot(state, state))
 
     def copy(self) -> Sim:
         """Return another Sim of the same model, settings and state; both continue bit-identically.
