@@ -7,6 +7,7 @@ removing the entry saves.
 
 from __future__ import annotations
 
+import heapq
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -29,8 +30,8 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
-# The number of costliest entries in the answer, and of entries in a table without --all.
-COSTLY, PRINTED = 3, 9
+# The number of entries in a table without --all.
+PRINTED = 9
 LEGEND = (
     "flops: floating-point operations of the entry's own stage, or those saved by removing the "
     "entry. They do not add up, because some work serves several entries."
@@ -124,7 +125,7 @@ class Plan(Result):
         sentences = [f"A step at {self.at} takes {self.flops:.0f} floating-point operations{time}."]
         costs = [(entry.flops, entry.name) for entry in self.used if entry.flops]
         if costs and self.flops > 0:
-            named = [f"{name} ({flops:.0f})" for flops, name in sorted(costs)[: -COSTLY - 1 : -1]]
+            named = [f"{name} ({flops:.0f})" for flops, name in heapq.nlargest(3, costs)]
             sentences.append(f"Most of it: {'; '.join(named)}.")
         pairs = [entry for entry in self.entries if entry.kind == "pair"]
         if pairs:

@@ -178,11 +178,6 @@ def _check(body: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-# The number of steps, and of elements, that are printed.
-PRINTED_STEPS = 12
-PRINTED_ELEMENTS = 5
-
-
 @dataclass(repr=False)
 class PostMortem(Result):
     """A repeated failure, with the energy that each element injected in each step.
@@ -260,9 +255,7 @@ class PostMortem(Result):
         """Return the last steps of the leading elements; `full`: all steps and elements."""
         if not len(self.time):
             return []
-        most, count = (
-            (len(self.work), len(self.time)) if full else (PRINTED_ELEMENTS, PRINTED_STEPS)
-        )
+        most, count = (len(self.work), len(self.time)) if full else (5, 12)
         table = self._steps(self.leading(most), count)
         table.heading = (
             "Kinetic and spring energy [J], and what each element injected in the step [J]"

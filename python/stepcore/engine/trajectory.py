@@ -21,7 +21,7 @@ from stepcore.engine.arrays import STATE, Floats, numbers
 from stepcore.engine.axes import UNITS, Axis, axes_of
 from stepcore.engine.control import controls, not_finite
 from stepcore.engine.error_bar import driven, judged
-from stepcore.engine.snapshots import Snapshots, Taking
+from stepcore.engine.snapshots import RATE, Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
 from stepcore.engine.world import READINGS, World
 
@@ -35,8 +35,6 @@ SomeWorld = TypeVar("SomeWorld", bound=World)
 Driven = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
 UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
-# With more snapshots than this (20 s of motion) a notebook shows no page.
-INLINE = 1200
 
 # Files: the version increases when the layout changes; the name of the column of times of a table;
 # and extensions of other formats, with which a file name would be misleading.
@@ -372,8 +370,8 @@ class Trajectory:
         return replayed(self.snapshots, label)
 
     def _repr_html_(self) -> str | None:
-        """Return the page of `save_html` for a notebook, if the run is short."""
-        if self.snapshots is None or len(self.snapshots.states) > INLINE:
+        """Return the page of `save_html` for a notebook, if the run has at most 20 s."""
+        if self.snapshots is None or len(self.snapshots.states) > 20 * RATE:
             return None
         from stepcore.viewing.page import framed, page
 
