@@ -177,13 +177,3 @@ def _mixed(words: Words) -> Words:
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     result: Words = z ^ (z >> np.uint64(31))
     return result
-
-
-def quantile(share: Floats) -> Floats:
-    """Return the quantile of the standard normal distribution, for shares between 0 and 1.
-
-    >>> import numpy as np
-    >>> quantile(np.array([0.025, 0.5, 0.975])).round(6).tolist()
-    [-1.959964, 0.0, 1.959964]
-    """
-    return _core.quantile(share)
