@@ -155,7 +155,9 @@ class Replay:
 
 def _made(data: dict[str, Any]) -> Replay:
     """Create a replay from a file's checked data; raise ValueError or TypeError for a bad field."""
-    fields = _record("replay", "", data, BODY)
+    fields = _formed("replay", "", data, BODY)
+    if len(fields["happened"]["share_ids"]) != len(fields["happened"]["shares"]):
+        raise ValueError("happened.share_ids: must be one for each share")
     settings, scene = Settings(**fields.pop("settings")), _unpacked(fields.pop("scene"))
     return Replay(**fields, settings=settings, _scene=scene)
 
@@ -391,18 +393,32 @@ _list = checks.checked(lambda value: value if isinstance(value, list) else None,
 _dict = checks.checked(lambda value: value if isinstance(value, dict) else None, "an object")
 
 
-def _each(check: checks.Check) -> checks.Check:
-    return lambda owner, name, value: [
-        check(owner, f"{name}[{k}]", entry) for k, entry in enumerate(_list(owner, name, value))
-    ]
+def _formed(owner: Any, name: str, value: object, form: Any) -> Any:
+    """Return a value of a form: a check, [the form of each entry], (one of each), or a record."""
+    if isinstance(form, list):
+        entries = enumerate(_list(owner, name, value))
+        return [_formed(owner, f"{name}[{k}]", entry, form[0]) for k, entry in entries]
+    if isinstance(form, tuple):
+        entries = _list(owner, name, value)
+        if len(entries) != len(form):
+            raise checks.refuse(owner, name, value, f"a list of {len(form)} entries")
+        each = enumerate(zip(entries, form, strict=True))
+        return tuple(_formed(owner, f"{name}[{k}]", *pair) for k, pair in each)
+    if not isinstance(form, dict):
+        return form(owner, name, value)
+    record, prefix = _dict(owner, name, value), f"{name}." if name else ""
+    for key in record:
+        if key not in form:
+            raise ValueError(f"{prefix}{checks.cut(key, 80)}: no such field")
+    for key in form:
+        if key not in record:
+            raise ValueError(f"{prefix}{key}: missing")
+    return {key: _formed(owner, prefix + key, record[key], own) for key, own in form.items()}
 
 
-def _id(owner: Any, name: str, value: object) -> tuple[str, int, int]:
-    entries = _list(owner, name, value)
-    if len(entries) != 3 or not isinstance(entries[0], str):
-        raise checks.refuse(owner, name, value, "(kind, index, part)")
-    index, part = (checks.whole(-1, 2**63 - 1)(owner, name, entry) for entry in entries[1:])
-    return entries[0], index, part
+def _id(owner: Any, name: str, value: object) -> Any:
+    """Check for kind, index and part of an element."""
+    return _formed(owner, name, value, (checks.text, *[checks.whole(-1, 2**63 - 1)] * 2))
 
 
 def _shares(owner: Any, name: str, value: object) -> dict[str, float]:
@@ -410,23 +426,12 @@ def _shares(owner: Any, name: str, value: object) -> dict[str, float]:
     return {key: _float(owner, f"{name}.{checks.cut(key, 80)}", shares[key]) for key in shares}
 
 
-def _input(owner: Any, name: str, value: object) -> tuple[Any, ...]:
-    entries, most = _list(owner, name, value), 1 + len(INPUTS)
-    if len(entries) != most:
-        raise checks.refuse(owner, name, value, f"a list of {most} entries")
-    arrays = (checks.numbers(owner, f"{name}[{k}]", entries[k]) for k in range(1, most))
-    return whole(owner, f"{name}[0]", entries[0]), *map(list, arrays)
+def _numbers(owner: Any, name: str, value: object) -> list[float]:
+    return list(checks.numbers(owner, name, value))
 
 
-def _event(owner: Any, name: str, value: object) -> dict[str, Any]:
-    event = _record(owner, f"{name}.", _dict(owner, name, value), EVENT)
-    if len(event["share_ids"]) != len(event["shares"]):
-        raise checks.refuse(owner, f"{name}.share_ids", event["share_ids"], "one for each share")
-    return event
-
-
-# Attributes of the error in a replay; `EVENT` adds the error's text and the last state.
-ATTRIBUTES: dict[str, checks.Check] = {
+# Attributes of the error in a replay; the file has the error's text and the last state beside them.
+ATTRIBUTES: dict[str, Any] = {
     "step": whole,
     "time": _float,
     "world": whole,
@@ -436,29 +441,26 @@ ATTRIBUTES: dict[str, checks.Check] = {
     "element": checks.text,
     "element_id": checks.optional(_id),
     "shares": _shares,
-    "share_ids": _each(_id),
+    "share_ids": [_id],
 }
-EVENT = {**ATTRIBUTES, "text": checks.text, "state": checks.text}
 BODY = {
     "name": checks.text,
     "scene": _dict,
     "settings": _dict,
     "state": _bytes,
-    "inputs": _each(_input),
+    "inputs": [(whole, *[_numbers] * len(INPUTS))],
     "steps": checks.whole(0, MOST_STEPS),
-    "happened": _event,
+    "happened": {**ATTRIBUTES, "text": checks.text, "state": checks.text},
 }
 
 
-def _unpacked(data: Any) -> Any:
+def _unpacked(data: dict[str, Any]) -> Any:
     """Return plain data with packed arrays converted back to arrays."""
-    if isinstance(data, list):
-        return [_unpacked(entry) for entry in data]
-    if not isinstance(data, dict):
-        return data
-    if set(data) == {"array"}:
-        return _array(data["array"])
-    return {key: _unpacked(value) for key, value in data.items()}
+
+    def whole_or_array(own: dict[str, Any]) -> Any:
+        return _array(own["array"]) if set(own) == {"array"} else own
+
+    return json.loads(json.dumps(data), object_hook=whole_or_array)
 
 
 def _array(packed: object) -> Any:
@@ -471,15 +473,3 @@ def _array(packed: object) -> Any:
     except (ValueError, TypeError) as error:
         raise ValueError(f"array = {checks.shown(packed)}: {checks.one_line(error)}") from None
     return numbers.astype(numbers.dtype.newbyteorder("="))
-
-
-def _record(
-    owner: Any, prefix: str, data: dict[str, Any], fields: dict[str, checks.Check]
-) -> dict[str, Any]:
-    for name in data:
-        if name not in fields:
-            raise ValueError(f"{prefix}{checks.cut(name, 80)}: no such field")
-    for name in fields:
-        if name not in data:
-            raise ValueError(f"{prefix}{name}: missing")
-    return {name: check(owner, prefix + name, data[name]) for name, check in fields.items()}
