@@ -239,7 +239,7 @@ def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = Non
     first = back.rows[:, 0]
     return Gradients(
         steps.rollout,
-        steps.tangents.gradient(steps.start["qpos"], first[:, :nv]),
+        steps.tangents.of_dofs(steps.start["qpos"], first[:, :nv], inverse=True),
         first[:, nv : 2 * nv],
         first[:, 2 * nv : 2 * nv + steps.batch.model.na],
         back.ctrl,
