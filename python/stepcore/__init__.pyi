@@ -26,6 +26,8 @@ from stepcore.engine.trajectory import Trajectory as Trajectory
 from stepcore.engine.unsolved import UnsolvedWarning as UnsolvedWarning
 from stepcore.experiment.motion import Motion as Motion
 from stepcore.experiment.policy import policy as policy
+from stepcore.loading import load as load
+from stepcore.loading import loads as loads
 from stepcore.measure.ablation import Ablation as Ablation
 from stepcore.measure.ablation import ablate as ablate
 from stepcore.measure.check import Check as Check
@@ -50,8 +52,6 @@ from stepcore.measure.trade import trade as trade
 from stepcore.measure.tune import Tuning as Tuning
 from stepcore.measure.tune import tune as tune
 from stepcore.mjcf.nodes import MJCFError as MJCFError
-from stepcore.reading import load as load
-from stepcore.reading import loads as loads
 from stepcore.report.report import Report as Report
 from stepcore.report.table import Table as Table
 from stepcore.scene.elements import Actuator as Actuator

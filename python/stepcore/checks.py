@@ -20,7 +20,6 @@ Check = Callable[[Any, str, Any], Any]
 
 # Below this length a direction or a quaternion has no meaning (MuJoCo's own threshold).
 TINY = 1e-14
-KNOWN = 10  # Number of existing names that an error lists if no name is near.
 # Largest length of an error text, for any file or argument [characters].
 LONGEST = 1000
 # Largest length of a name, and of a word or path, in an error [characters].
@@ -38,8 +37,7 @@ def cut(text: str, width: int = LONGEST) -> str:
     return text if len(text) <= width else text[: width - 1] + "…"
 
 
-_NAME = re.compile(rf'"[^"\n]{{{LONGEST_NAME + 1},}}"')
-_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
+_LONG = re.compile(rf'"[^"\n]{{{LONGEST_NAME + 1},}}"|\S{{{LONGEST_WORD + 1},}}')
 
 
 def brief(text: str) -> str:
@@ -48,13 +46,13 @@ def brief(text: str) -> str:
     Names come first in an error, so names are shortened before the text is cut. Every error about a
     file or an element passes through this function.
     """
-    return cut(_WORD.sub(_shortened, _NAME.sub(_shortened, text)))
 
+    def shortened(match: re.Match[str]) -> str:
+        word = match.group()
+        name = word[0] == '"' and "/" not in word and os.sep not in word
+        return without_middle(word, LONGEST_NAME if name else LONGEST_WORD)
 
-def _shortened(match: re.Match[str]) -> str:
-    word = match.group()
-    name = word[0] == '"' and "/" not in word and os.sep not in word
-    return without_middle(word, LONGEST_NAME if name else LONGEST_WORD)
+    return cut(_LONG.sub(shortened, text))
 
 
 def without_middle(word: str, width: int = LONGEST_WORD) -> str:
@@ -68,7 +66,7 @@ def quoted(name: str) -> str:
     return f'"{cut(name, 80)}"'
 
 
-def nearest(name: str, known: Iterable[str], listed: int = KNOWN) -> str:
+def nearest(name: str, known: Iterable[str], listed: int = 10) -> str:
     """Return '; nearest: "damping"', or the first `listed` known names if none is near."""
     names = [k for k in known if k]
     # Case is ignored, so that "rk4" is near "RK4".
@@ -335,34 +333,28 @@ def pose(owner: Any, field: str, value: object) -> tuple[float, ...]:
     return entries[:3] + tuple(unit(4)(owner, f"{field}[3:]", entries[3:]))
 
 
-def _interval(value: object) -> tuple[float, ...] | None:
-    entries = all_numbers(listed(value)) or ()
-    return entries if len(entries) == 2 and entries[0] < entries[1] else None
+def pair(fits: Callable[[float, float], bool], limit: str) -> Check:
+    """Return a check for two finite numbers that fit."""
+
+    def convert(value: object) -> tuple[float, ...] | None:
+        entries = all_numbers(listed(value)) or ()
+        return entries if len(entries) == 2 and fits(*entries) else None
+
+    return checked(convert, limit)
 
 
-interval = checked(_interval, "two finite numbers, the first smaller")
-interval_or_zero = checked(
-    lambda value: (all_numbers(listed(value)) == (0.0, 0.0) and (0.0, 0.0)) or _interval(value),
-    "two finite numbers, the first smaller",
+_SMALLER = "two finite numbers, the first smaller"
+interval = pair(lambda low, high: low < high, _SMALLER)
+interval_or_zero = pair(lambda low, high: low < high or low == high == 0, _SMALLER)
+# Time constants [s] and damping ratios, or minus stiffnesses and minus dampings.
+solref = pair(
+    lambda time, ratio: (time > 0) == (ratio > 0),
+    "(time constant, damping ratio) both > 0, or (-stiffness, -damping) both <= 0",
 )
-
-
-def solref(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """Check for time constant [s] and damping ratio > 0, or -stiffness and -damping <= 0."""
-    result: tuple[float, ...] = vector(2)(owner, field, value)
-    if (result[0] > 0) != (result[1] > 0):
-        limit = "(time constant, damping ratio) both > 0, or (-stiffness, -damping) both <= 0"
-        raise refuse(owner, field, value, limit)
-    return result
-
-
-def solreffriction(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """Check for time constant > 0 [s] and damping ratio >= 0, or -stiffness and -damping <= 0."""
-    result: tuple[float, ...] = vector(2)(owner, field, value)
-    if result[1] < 0 if result[0] > 0 else result[1] > 0:
-        limit = "time constant > 0 and damping ratio >= 0, or -stiffness and -damping, both <= 0"
-        raise refuse(owner, field, value, limit)
-    return result
+solreffriction = pair(
+    lambda time, ratio: ratio >= 0 if time > 0 else ratio <= 0,
+    "time constant > 0 and damping ratio >= 0, or -stiffness and -damping, both <= 0",
+)
 
 
 def table(columns: int | None, *, whole: bool = False) -> Check:
@@ -379,20 +371,18 @@ def table(columns: int | None, *, whole: bool = False) -> Check:
 
         try:
             given = np.asarray(value)
-            fits = given.dtype.kind in "iuf"
-            array = np.array(given, dtype=float) if fits else np.empty(0)
+            array = np.array(given if given.dtype.kind in "iuf" else math.nan, dtype=float)
         except (TypeError, ValueError):
-            fits, array = False, np.empty(0)
-        if fits and columns and array.ndim == 1 and array.size % columns == 0:
+            array = np.array(math.nan)
+        if columns and array.ndim == 1 and array.size % columns == 0:
             array = array.reshape(-1, columns)
-        fits = fits and array.ndim == 2 and (columns is None or array.shape[1] == columns)
-        if not fits or not np.isfinite(array).all():
+        fits = array.ndim == 2 and columns in (None, array.shape[1]) and np.isfinite(array).all()
+        # A float represents whole numbers exactly up to 53 bits.
+        if fits and whole:
+            fits = ((array == np.floor(array)) & (array >= 0) & (array < 2**53)).all()
+        if not fits:
             raise refuse(owner, field, value, limit)
-        if whole:
-            # A float represents whole numbers exactly up to 53 bits.
-            if (array != np.floor(array)).any() or (array < 0).any() or (array >= 2**53).any():
-                raise refuse(owner, field, value, limit)
-            array = array.astype(np.uintp)
+        array = array.astype(np.uintp) if whole else array
         array.flags.writeable = False
         return array
 
@@ -423,15 +413,6 @@ def element(*kinds: str) -> Check:
     return checked(lambda value: value if type(value).__name__ in kinds else None, limit)
 
 
-def whole_pair(owner: Any, field: str, value: object) -> tuple[int, ...]:
-    """Check for two whole numbers."""
-    entries = listed(value)
-    if entries is None or len(entries) != 2:
-        raise refuse(owner, field, value, "2 whole numbers")
-    check = whole(-(2**31), 2**31 - 1)
-    return tuple(check(owner, field, entry) for entry in entries)
-
-
 def _inertia(value: object) -> tuple[float, ...] | None:
     result = all_numbers(listed(value)) or ()
     fits = len(result) in (3, 6) and min(result[:3]) >= 0
@@ -439,6 +420,12 @@ def _inertia(value: object) -> tuple[float, ...] | None:
 
 
 inertia = checked(_inertia, "3 or 6 finite numbers (xx yy zz xy xz yz), the first three >= 0")
+
+
+def whole_pair(owner: Any, field: str, value: object) -> tuple[int, ...]:
+    """Check for two whole numbers."""
+    check = whole(-(2**31), 2**31 - 1)
+    return tuple(check(owner, field, entry) for entry in vector(2)(owner, field, value))
 
 
 def function(*arguments: str) -> Check:

@@ -44,8 +44,6 @@ SECONDS = {
 }
 # The time in which an answer is completed from the runs made, after the deadline or Ctrl-C [s].
 CLOSING = 3.0
-# Times that a message proposes for a longer measurement [s].
-ROUND = (15, 30, 60, 120, 300, 600, 1800, 3600, 7200, 36000, 86400)
 
 F = TypeVar("F", bound=Callable[..., Any])
 clock = monotonic
@@ -173,37 +171,32 @@ class Deadline:
     @property
     def longer(self) -> int:
         """A longer time to propose [s]."""
-        given = 0.0 if math.isinf(self.seconds) else self.seconds
-        least = 2 * max(1.0, given, self.spent)
-        return next((time for time in ROUND if time >= least), math.ceil(least))
+        return 2 * math.ceil(max(1.0, self.spent if math.isinf(self.seconds) else self.seconds))
 
     @property
     def sentence(self) -> str:
         """What was left out, and how to go on; "" if nothing was."""
         if not self.left_out:
             return ""
-        kind = "Interrupted" if self.interrupted else "Stopped"
-        return (
-            f"{kind} after {_in_words(self.spent)}. Not done: {'; '.join(self.left_out)}. "
-            f"{_goes_on(self.longer)}."
-        )
+        left_out = "; ".join(self.left_out)
+        return f"{self._ended.capitalize()}. Not done: {left_out}. {self._goes_on}."
+
+    @property
+    def _ended(self) -> str:
+        time = f"{self.spent:.2g}" if self.spent < 100 else f"{self.spent:.0f}"
+        return f"{'interrupted' if self.interrupted else 'stopped'} after {time} s"
+
+    @property
+    def _goes_on(self) -> str:
+        return f"`--seconds {self.longer}` (in Python seconds={self.longer}) goes on further"
 
     def nothing(self, error: OutOfTime) -> OutOfTime:
         """Return the error of a measurement without any answer."""
         done = ", ".join(getattr(error, "__notes__", ()))
-        kind, what = "interrupted" if self.interrupted else "stopped", f" ({done})" if done else ""
-        early = f"{kind} after {_in_words(self.spent)}, too early for any answer{what}"
-        nothing = OutOfTime(f"{early}; {_goes_on(self.longer)}")
+        what = f" ({done})" if done else ""
+        nothing = OutOfTime(f"{self._ended}, too early for any answer{what}; {self._goes_on}")
         nothing.interrupted = self.interrupted
         return nothing
-
-
-def _goes_on(time: int) -> str:
-    return f"`--seconds {time}` (in Python seconds={time}) goes on further"
-
-
-def _in_words(time: float) -> str:
-    return f"{time:.2g} s" if time < 100 else f"{time:.0f} s"
 
 
 def current() -> Deadline | None:

@@ -11,6 +11,8 @@ import os
 import pickle
 import sys
 import threading
+import traceback
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import (
     BrokenExecutor,
@@ -20,14 +22,12 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
+from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from stepcore import checks, deadline
 from stepcore.report.progress import Progress, show_life
-
-if TYPE_CHECKING:
-    from stepcore.engine.sim import Sim
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -36,8 +36,6 @@ R = TypeVar("R")
 # finish together, and little is repeated when a worker is lost. (Executors do not tell how many
 # workers they have.)
 MAX_CHUNKS = 512
-# Number of steps between two checkpoints of a long run.
-STEPS_PER_CHECK = 1000
 # How often the deadline is looked at while another executor works [s].
 PATIENCE = 0.1
 # Number of retries of a point whose worker was lost.
@@ -107,25 +105,22 @@ def each(
             stop.set()
 
 
+@dataclass
 class _Chunks(Generic[T, R]):
-    def __init__(
-        self,
-        function: Callable[[T], R],
-        points: Sequence[T],
-        executor: Executor,
-        size: int,
-        bar: Progress,
-        done: list[R | None],
-        took: Callable[[range, list[R]], object] | None,
-    ) -> None:
-        self.took = took
-        self.function, self.points, self.executor, self.bar = function, points, executor, bar
-        self.size = size
-        self.key = os.urandom(8).hex()
-        self.done: list[Any] = done
-        self.pending: dict[Future[list[R]], range] = {}
-        self.finished: SimpleQueue[Future[list[R]]] = SimpleQueue()
-        self.losses: dict[int, int] = {}
+    """The points of `each`, sent to an executor `size` at a time."""
+
+    function: Callable[[T], R]
+    points: Sequence[T]
+    executor: Executor
+    size: int
+    bar: Progress
+    done: list[Any]
+    took: Callable[[range, list[R]], object] | None
+    # Dask merges submissions with equal arguments; the key keeps them apart.
+    key: str = field(default_factory=lambda: os.urandom(8).hex())
+    pending: dict[Future[list[R]], range] = field(default_factory=dict)
+    finished: SimpleQueue[Future[list[R]]] = field(default_factory=SimpleQueue)
+    losses: Counter[int] = field(default_factory=Counter)
 
     def results(self) -> list[R]:
         """Return all results; on any exception, cancel the chunks that have not begun."""
@@ -172,10 +167,8 @@ class _Chunks(Generic[T, R]):
 
     def _submit(self, indices: range, attempt: int = 0) -> None:
         chunk = [self.points[i] for i in indices]
-        # Dask merges submissions with equal arguments; the key keeps them apart.
-        key = f"{self.key} {attempt}"
         work = _run_chunk if isinstance(self.executor, ThreadPoolExecutor) else _run_sent_chunk
-        future = self.executor.submit(work, self.function, chunk, key)
+        future = self.executor.submit(work, self.function, chunk, f"{self.key} {attempt}")
         self.pending[future] = indices
         future.add_done_callback(self.finished.put)
 
@@ -187,7 +180,7 @@ class _Chunks(Generic[T, R]):
                 raise
             # Each point alone, so that a point that kills its worker is identified.
             for i in indices:
-                self.losses[i] = self.losses.get(i, 0) + 1
+                self.losses[i] += 1
                 if self.losses[i] > MAX_RETRIES:
                     raise RuntimeError(
                         f"point {i} ({checks.shown(self.points[i])}) lost its worker "
@@ -229,13 +222,6 @@ def checkpoint() -> None:
         raise CancelledError
 
 
-def steps(sim: Sim, n: int) -> None:
-    """Call `sim.step(n)` with checkpoints."""
-    for done in range(0, n, STEPS_PER_CHECK):
-        checkpoint()
-        sim.step(min(STEPS_PER_CHECK, n - done))
-
-
 def _worker_was_lost(error: Exception) -> bool:
     """Return whether a Dask cluster lost the worker, before or while its result was fetched.
 
@@ -246,10 +232,8 @@ def _worker_was_lost(error: Exception) -> bool:
     dask = sys.modules.get("distributed")
     if isinstance(error, CancelledError) or (dask and isinstance(error, dask.KilledWorker)):
         return True
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    raised_in = trace.tb_frame.f_globals.get("__name__") if trace is not None else None
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    raised_in = frames[-1].f_globals.get("__name__") if frames else None
     return isinstance(error, ValueError) and raised_in == "distributed.cfexecutor"
 
 

@@ -1,4 +1,4 @@
-"""Find a scene by file, model of a package, scene of the lesson, or MuJoCo model."""
+"""Find and read scenes: by file, model of a package, scene of the lesson, or MuJoCo model."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stepcore import checks
 from stepcore.checks import brief, nearest
+from stepcore.engine.stiffness import warn_of_stiffness
+from stepcore.engine.world import compiled
 from stepcore.mjcf.from_mujoco import is_mujoco, read_mujoco
-from stepcore.mjcf.reader import read_file
+from stepcore.mjcf.reader import read_file, read_text
 from stepcore.scene.scene import Scene
 
 if TYPE_CHECKING:
+    import mujoco  # type: ignore[import-untyped,unused-ignore]
+
     from stepcore.engine.model import Model
 
 # Folders of a package with models for its own tests only.
@@ -23,37 +28,107 @@ WITH_MODELS = ("gymnasium", "dm_control")
 LESSON = ("spring", "drop", "stack", "grasp")
 
 
-def find_scene(source: Any, without: Iterable[str] = (), fuse: bool | None = None) -> Scene:
-    """Return the scene that `source` names.
+def load(
+    path: str | os.PathLike[str] | mujoco.MjModel | mujoco.MjSpec,
+    *,
+    without: Iterable[str] = (),
+    fuse: bool | None = None,
+) -> Scene:
+    """Read a scene from an MJCF or a URDF file, or from an MjModel or an MjSpec of MuJoCo.
 
-    source: "lesson:stack" is a scene of the lesson. "package:name" is the MJCF file name.xml among
-        the files of an installed package, such as "gymnasium:half_cheetah"; the package is not
-        imported. If several files have this name, give more of the path: "package:folder/name".
-        Files in a folder of tests count only if there are no others. An MjModel or an MjSpec is
-        read from its XML. Every other source is the path of an MJCF file.
-    without, fuse: see `stepcore.load`.
+    A URDF gives the same scene as in MuJoCo: the root link is fixed to the world, efforts clamp the
+    actuator forces on joints, mimic joints become joint equalities, visuals are not read, and a
+    link on a fixed joint is merged into its parent body.
 
-    Raises ValueError for an unknown name, and the errors of `stepcore.load` for a path.
+    path: the path of a file, "package:name" for a model among the files of an installed package
+        (such as "gymnasium:ant"), or "lesson:name" for a scene of the lesson. The file's
+        ``<option>`` becomes ``scene.settings``. Angles become radians and orientations unit
+        quaternions; default classes, includes and frames are resolved.
+        An `mujoco.MjSpec` is read from the XML that MuJoCo writes, with all digits of its numbers.
+        An `mujoco.MjModel` is read in the same way, with the present values of its arrays. MuJoCo
+        keeps the XML only of the model that was loaded last from a file or a text; every other
+        MjModel raises a ValueError.
+    without: kinds of elements that are left out of the file on purpose, with all references to
+        them: an element ("weld", "actuator/muscle"), an attribute ("geom/surfacevel"), a section
+        ("contact", "tendon", "equality", "actuator", "sensor", "keyframe"), "flex" or "plugin".
+        `Scene.notes` lists the consequences. Every result states that its scene is reduced.
+    fuse: True merges bodies without joints into their parents, as MJCF's ``fusestatic`` does. None
+        takes the value of the file; for a URDF that gives no value, True. False keeps every link as
+        a named body; a free joint can then be added to the root link. `Scene.fused` maps the name
+        of each merged body to the body that contains it.
+
+    Raises FileNotFoundError for a missing file, IsADirectoryError for a folder, ValueError for an
+    unknown name or kind, and MJCFError for a file that cannot be read. MJCFError is a ValueError;
+    its text begins with ``file:line:`` and has a line for each error or unsupported feature. Warns
+    (`StiffnessWarning`) if the scene's own time step has a stability margin below 2.
+
+    >>> load("lesson:stack").compile().nv
+    2
     """
+    if not isinstance(path, (str, bytes, os.PathLike)) and not is_mujoco(path):
+        limit = 'the path of an MJCF file, "package:name", or a MjModel or MjSpec of mujoco'
+        raise checks.refuse("load", "path", path, limit)
+    scene = find_scene(path, without, fuse)
+    warn_of_stiffness(scene)
+    return scene
+
+
+def loads(
+    text: str | bytes,
+    *,
+    base: str | os.PathLike[str] | None = None,
+    name: str = "<string>",
+    without: Iterable[str] = (),
+    fuse: bool | None = None,
+) -> Scene:
+    """Read a scene from a text in MJCF or URDF.
+
+    text: the XML.
+    base: the folder of included files.
+    name: the name of the text in error messages.
+    without, fuse: see `load`.
+
+    Raises and warns as `load` does.
+
+    >>> scene = loads('<mujoco><option timestep="0.01"/><worldbody/></mujoco>')
+    >>> scene.settings.dt
+    0.01
+    >>> loads("<mujoco><wordbody/></mujoco>")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    stepcore.mjcf.nodes.MJCFError: <string>:1: unknown element <wordbody> in <mujoco>; nearest: ...
+    """
+    scene = Scene()
+    read_text(scene, text, base=base, name=name, without=without, fuse=fuse)
+    warn_of_stiffness(scene)
+    return scene
+
+
+def find_scene(source: Any, without: Iterable[str] = (), fuse: bool | None = None) -> Scene:
+    """Return the scene that `source` names; see `load`, whose warning is left to the caller.
+
+    The package of "package:name" is not imported. If several of its files have this name, give more
+    of the path: "package:folder/name". Files in a folder of tests count only if there are no
+    others. Raises ValueError for an unknown name, and the errors of `load` for a path.
+    """
+    scene = Scene()
     if is_mujoco(source):
-        scene = Scene()
         read_mujoco(scene, source, without, fuse)
         return scene
     text = os.fsdecode(source)
     package, _, name = text.partition(":")
     # "C:" is a drive.
     if ":" not in text or len(package) == 1 or os.path.exists(text):
-        return _read(text, without, fuse)
-    if package == "lesson":
+        read_file(scene, text, without, fuse)
+    elif package == "lesson":
         if name not in LESSON:
             raise ValueError(brief(f"lesson:{name}: the lesson's scenes are {', '.join(LESSON)}"))
         from stepcore.lesson import scenes
 
-        lesson: Scene = getattr(scenes, name)()
-        lesson.name = name
-        return lesson
-    scene = _read(find_asset(package, name), without, fuse)
-    scene.name = scene.name or name
+        scene = getattr(scenes, name)()
+        scene.name = name
+    else:
+        read_file(scene, find_asset(package, name), without, fuse)
+        scene.name = scene.name or name
     return scene
 
 
@@ -62,8 +137,6 @@ def find_model(source: Any) -> Model:
 
     Raises ValueError for anything else.
     """
-    from stepcore.engine.world import compiled
-
     if isinstance(source, (str, os.PathLike)) or is_mujoco(source):
         source = find_scene(source)
     return compiled(source)
@@ -94,9 +167,3 @@ def find_asset(package: str, name: str) -> Path:
             brief(f"{package}:{name}: several files have this name; give more: {several}")
         )
     return matches[0]
-
-
-def _read(path: str | Path, without: Iterable[str], fuse: bool | None) -> Scene:
-    scene = Scene()
-    read_file(scene, path, without, fuse)
-    return scene

@@ -52,15 +52,8 @@ class UnknownArgument(TypeError, ValueError):
     """
 
 
-class _AsInScene:
-    """The default of a settings field in a signature: the scene's value."""
-
-    def __repr__(self) -> str:
-        return "<the scene's>"
-
-
-class _Annotation(str):
-    """An annotation that `help` shows without quotation marks."""
+class _Shown(str):
+    """A text that `help` shows without quotation marks."""
 
     def __repr__(self) -> str:
         return str(self)
@@ -76,23 +69,21 @@ def keyword(name: str, default: object, annotation: object) -> inspect.Parameter
 def spell_out(function: F, keywords: Iterable[inspect.Parameter]) -> F:
     """Replace ``**fields`` by `keywords` in the signature of a function."""
     own = inspect.signature(function)
-    listed = [p for p in own.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
-    plain = [_plain(parameter) for parameter in (*listed, *keywords)]
-    returns = own.return_annotation
-    if isinstance(returns, str):
-        returns = _Annotation(returns)
-    function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        plain, return_annotation=returns
-    )
+    given = [p for p in own.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+    named = [p.replace(annotation=_plain(p.annotation)) for p in (*given, *keywords)]
+    signature = inspect.Signature(named, return_annotation=_plain(own.return_annotation))
+    function.__signature__ = signature  # type: ignore[attr-defined]
     return function
+
+
+def _plain(annotation: Any) -> Any:
+    return _Shown(annotation) if isinstance(annotation, str) else annotation
 
 
 def takes_settings(function: F) -> F:
     """Decorate a function: its signature lists each field of `Settings` as a keyword."""
-    fields = SettingsFields.__annotations__.items()
-    return spell_out(
-        function, [keyword(name, _AsInScene(), annotation(hint)) for name, hint in fields]
-    )
+    fields, default = SettingsFields.__annotations__.items(), _Shown("<the scene's>")
+    return spell_out(function, [keyword(name, default, annotation(hint)) for name, hint in fields])
 
 
 def refuse_unknown(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
@@ -111,12 +102,6 @@ def refuse_unknown_settings(call: Callable[..., Any], given: SettingsFields) -> 
     """
     if not given.keys() <= SettingsFields.__annotations__.keys():
         refuse_unknown(call, given)
-
-
-def _plain(parameter: inspect.Parameter) -> inspect.Parameter:
-    if isinstance(parameter.annotation, str):
-        return parameter.replace(annotation=_Annotation(parameter.annotation))
-    return parameter
 
 
 def annotation(hint: Any) -> Any:

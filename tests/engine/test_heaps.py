@@ -32,7 +32,7 @@ def test_a_model_of_many_pairs_is_a_heap_and_says_so(monkeypatch):
     assert not few.is_heap and few.npair == len(few.pairs) == 60 * 61 // 2
     assert many.is_heap and many.npair == 70 * 71 // 2
     assert many.heap == {("plane", "sphere"): 70, ("sphere", "sphere"): 70 * 69 // 2}
-    for name in ("pairs", "pair_geoms", "pair_solref", "pair_friction", "pair_invweight0"):
+    for name in ("pairs", "pair_geoms"):
         with pytest.raises(ValueError, match=r"pairs: this model is a heap.*contact_pair"):
             getattr(many, name)
     text = str(many.plan())

@@ -26,7 +26,7 @@ LAYERS = (
     ("lesson.scenes", "lesson.maps", "loading"),
     ("experiment",),
     ("measure",),
-    ("lesson", "reading"),
+    ("lesson",),
     ("gymnasium", "torch", "jax"),
     ("cli", "__main__"),
 )

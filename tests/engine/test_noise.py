@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stepcore as sc
-from stepcore.engine.noise import quantile
+from stepcore._core import quantile
 
 
 @settings(deadline=None, max_examples=50)

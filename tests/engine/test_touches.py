@@ -68,9 +68,9 @@ def test_shapes_follow_those_of_qpos(capsules, qpos):
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ({"geom1": "c"}, r'geom1: no geom "c"; known: "a", "b"'),
-        ({"geom2": 2}, "geom2 = 2: must be a geom's name or an index from 0 to 1"),
-        ({"geom2": -1}, "geom2 = -1: must be"),
+        ({"geom1": "c"}, r'no geom is named "c"; known: "a", "b"'),
+        ({"geom2": 2}, "geom = 2: must be the name of a geom or an index below 2"),
+        ({"geom2": -3}, "geom = -3: must be"),
         ({"qpos": np.zeros(13)}, r"qpos has shape \(13,\): must be \(…, 14\)"),
         ({"qpos": np.full(14, np.nan)}, "qpos has entries that are not finite"),
         ({"precision": "f16"}, "precision = 'f16': must be 'f64' or 'f32'"),

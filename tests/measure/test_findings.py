@@ -170,7 +170,7 @@ def incline(degrees, cone="elliptic", impratio=1.0, solref="0.02 1"):
 def creep_speed(degrees, impratio=1.0):
     """A friction row pulls back with R f = b v; f = m g sin, b = 2/(dmax tc), R = R_n/impratio."""
     angle = math.radians(degrees)
-    weight = 2 * G * float(incline(degrees).compile().pair_invweight0[0])
+    weight = 2 * G * incline(degrees).compile().contact_pair(0).invweight0
     d = impedance(SOLIMP, yielding((0.02, 1), SOLIMP, weight * math.cos(angle), 0.002))
     return (1 - d) / d / impratio * weight * math.sin(angle) * 0.95 * 0.02 / 2
 

@@ -112,7 +112,7 @@ def test_stages_end_at_their_shares_and_an_answer_is_still_completed(clock):
             deadline.check()
     assert limit.left_out == ["the first half", "what follows"]
     assert limit.sentence.startswith("Interrupted after ")
-    assert "Not done: the first half; what follows. `--seconds 300`" in limit.sentence
+    assert "Not done: the first half; what follows. `--seconds 200`" in limit.sentence
     assert deadline.current() is None
 
 

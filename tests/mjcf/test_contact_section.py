@@ -61,17 +61,22 @@ def test_python_writes_the_same_scene():
     assert again.pairs[1].geom1.name == ""
 
 
+def pairs(scene):
+    compiled = scene.compile()
+    return [compiled.contact_pair(k) for k in range(compiled.npair)]
+
+
 def test_the_override_comes_back_and_acts_only_with_its_flag():
     option = '<option o_margin=".1" o_solref=".3" o_friction=".5 .5">{}</option>'
     off = sc.loads(model('<pair geom1="ga" geom2="floor"/>', option.format("")))
     assert off.contact_override.margin == 0.1
     assert off.contact_override.friction == (0.5, 0.5, 0.005, 0.0001, 0.0001)
     assert off.to_dict()["contact_override"] is None
-    assert off.compile().pair_solref.tolist() == [[0.02, 1.0]] * 2
+    assert [pair.solref for pair in pairs(off)] == [(0.02, 1.0)] * 2
     flag = '<flag override="enable"/>'
     on = sc.loads(model('<pair geom1="ga" geom2="floor"/>', option.format(flag)))
-    assert on.compile().pair_solref.tolist() == [[0.3, 1.0]] * 2
-    assert on.compile().pair_friction.tolist() == [0.5] * 2
+    assert [pair.solref for pair in pairs(on)] == [(0.3, 1.0)] * 2
+    assert [pair.friction for pair in pairs(on)] == [0.5] * 2
     assert sc.loads(on.to_mjcf()) == on
     assert sc.loads(off.to_mjcf()).contact_override.margin == 0.1
 
@@ -80,7 +85,7 @@ def test_values_of_a_pair_by_path():
     compiled = sc.loads(model('<pair name="a/b" geom1="ga" geom2="floor"/>')).compile()
     changed = compiled.with_values({"pair/a/b/friction": (0.25, 0.25), "pair/a/b/gap": 1})
     assert changed.scene.pair("a/b").friction == (0.25, 0.25, 0.005, 0.0001, 0.0001)
-    assert changed.pair_friction[0] == 0.25
+    assert changed.contact_pair(0).friction == 0.25
     with pytest.raises(ValueError, match='no pair is named "ab"; nearest: "a/b"'):
         compiled.with_values({"pair/ab/friction": 1})
     with pytest.raises(ValueError, match='a pair has no value "geom1"'):

@@ -26,8 +26,7 @@ from stepcore.experiment.motion import INTERPOLATIONS
 from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
 from stepcore.experiment.policy import Policy
 from stepcore.experiment.user_table import ENDINGS, is_file
-from stepcore.loading import find_scene
-from stepcore.reading import load
+from stepcore.loading import find_scene, load
 from stepcore.report.units import counted, length_of, time_of
 
 

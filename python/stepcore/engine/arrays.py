@@ -76,9 +76,9 @@ def readout(doc: str, of: str = "") -> ReadOnly[Floats]:
     return ReadOnly(doc, lambda owner, name: owner._core.readout(of or name))
 
 
-def constant(doc: str, table: str = "_arrays") -> ReadOnly[NDArray[Any]]:
+def constant(doc: str) -> ReadOnly[NDArray[Any]]:
     """Return an attribute that is a constant array of a `Model`."""
-    return ReadOnly(doc, lambda owner, name: getattr(owner, table)[name])
+    return ReadOnly(doc, lambda owner, name: owner._arrays[name])
 
 
 def element_names(doc: str) -> ReadOnly[tuple[str, ...]]:
@@ -99,14 +99,9 @@ def fill(array: Floats, name: str, value: ArrayLike) -> None:
     vanish in an empty array.
     """
     table = numbers(name, value)
-    own = array.shape[array.ndim - table.ndim :]
-    try:
-        if np.ndim(value) and table.ndim <= array.ndim and table.shape != own:
-            raise ValueError
-        array[...] = table
-    except ValueError:
-        limit = f"of shape {array.shape}"
-        raise ValueError(f"{name} has shape {table.shape}: must be {limit}") from None
+    if np.ndim(value) and table.shape != array.shape[array.ndim - table.ndim :]:
+        raise ValueError(f"{name} has shape {table.shape}: must be of shape {array.shape}")
+    array[...] = table
 
 
 def indices_of(worlds: ArrayLike, n: int) -> NDArray[np.intp]:
@@ -137,15 +132,13 @@ def kept(state: bytes, last: bytes | None) -> State:
     return own
 
 
-def last_of(state: object) -> bytes | None:
-    """Return what a snapshot keeps of the last solve."""
-    return state.last if isinstance(state, State) else None
+def snapshot(value: object, part: Any) -> tuple[bytes, bytes | None]:
+    """Return `part` of the snapshot `value`, and what it keeps of the last solve.
 
-
-def snapshot(value: object, part: Any) -> bytes:
-    """Return `part` of the snapshot `value` as bytes; raise ValueError if this is impossible."""
+    Raises ValueError for what are no bytes.
+    """
     try:
-        return bytes(memoryview(part))
+        return bytes(memoryview(part)), getattr(part, "last", None)
     except TypeError:
         text = "must be what state() returned"
         raise ValueError(f"state = {checks.shown(value)}: {text}") from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,7 +20,6 @@ from stepcore.engine.arrays import (
     Floats,
     indices_of,
     kept,
-    last_of,
     numbers,
     snapshot,
 )
@@ -93,6 +91,8 @@ class Batch(World):
     [-0.981, 0.019, 1.019]
     """
 
+    _lead = (slice(None),)
+
     @takes_settings
     def __init__(
         self,
@@ -145,7 +145,7 @@ class Batch(World):
         return self._model_of(index)
 
     def _model_of(self, world: int) -> Model:
-        return self._param.model_of(world)
+        return self._param._variants.model(world)
 
     def step(self, n: int = 1, *, progress: Choice = None) -> None:
         """Take n steps in every world, with the GIL released; raise the same errors as `Sim.step`.
@@ -163,10 +163,6 @@ class Batch(World):
         with self._long(n, progress) as told:
             self._call(self._core.step, n, told)
         self._told(n)
-
-    def forward(self) -> None:
-        """Compute poses, contacts and forces at the present states, without taking a step."""
-        self._call(self._core.forward)
 
     def rollout(
         self, ctrl: ArrayLike, record: Sequence[str] = (), *, progress: Choice = None
@@ -392,34 +388,25 @@ class Batch(World):
         """
         chosen = np.arange(len(self)) if worlds is None else indices_of(worlds, len(self))
         values, time = self._initial(key)
+        own: dict[str, Floats] = {}
         for name, given in (("qpos", qpos), ("qvel", qvel)):
             if given is not None:
-                values[name] = self._rows(name, given, len(chosen))
+                width = self._arrays[name].shape[1]
+                own[name] = self._table(name, given, (width,), (len(chosen), width))
         if worlds is None:
             self._restart(time)
         else:
             self._core.forget(chosen.tolist())
             self._reset_at[chosen], self._reset_to[chosen] = self.time, time
-        own = {name: values.pop(name) for name in ("qpos", "qvel") if np.ndim(values[name]) > 1}
         # Writing a slice is much faster than writing indices.
         where: Any = slice(None) if worlds is None else chosen
         self._write(values, where)
         if key is None:
             # The arrays that parameters change.
-            for worlds_of, values in self._param.initial():
+            for worlds_of, values in self._param._variants.initial():
                 self._write(values, np.intersect1d(worlds_of, chosen))
         for name, rows in own.items():
             self._arrays[name][where] = rows
-
-    def _rows(self, name: str, given: ArrayLike, k: int) -> Floats:
-        """Return a finite table with one row for each of k worlds and the array's width."""
-        table, width = numbers(name, given), self._arrays[name].shape[1]
-        if table.shape not in ((width,), (k, width)):
-            limit = f"({width},) or ({k}, {width})"
-            raise ValueError(f"{name} has shape {table.shape}: must be {limit}")
-        if not np.isfinite(table).all():
-            raise ValueError(f"{name}: must be finite")
-        return np.broadcast_to(table, (k, width))
 
     def state(self) -> tuple[bytes, ...]:
         """Return a complete snapshot of every world; each is also a snapshot of a `Sim`.
@@ -444,8 +431,8 @@ class Batch(World):
             worlds = list(state)
         except TypeError:
             worlds = [state]  # type: ignore[list-item]
-        lasts = [last_of(world) for world in worlds]
-        own = self._core.restore([snapshot(state, world) for world in worlds], lasts)
+        parts = [snapshot(state, world) for world in worlds]
+        own = self._core.restore([own for own, _ in parts], [last for _, last in parts])
         self._reset_at[:] = np.nan
         for world, (start, steps) in own.items():
             self._reset_at[world] = self.time - steps * self.settings.dt
@@ -453,7 +440,7 @@ class Batch(World):
 
     def copy(self) -> Batch:
         """Return another batch of the same worlds; both continue bit-identically."""
-        return copy.deepcopy(self)
+        return _restored(*self.__reduce__()[1])
 
     # The present states.
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import copy
+import functools
 import hashlib
 import pickle
-import threading
-from collections import OrderedDict
+import zlib
 from typing import TYPE_CHECKING, Any
 
 from stepcore import _core, checks
@@ -16,9 +16,6 @@ from stepcore.scene.layout import Layout, called, named
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
-
-# The number of compiled scenes that a process caches for the models sent to it.
-KEPT = 16
 
 
 def bare(scene: Scene) -> bytes:
@@ -67,33 +64,14 @@ def compile_data(scene: Scene, data: dict[str, Any] | ValueError) -> _core.Model
         raise _with_file_lines(error, Layout(scene)) from None
 
 
-class CompiledScenes:
-    """A cache of the scenes that this process compiled last, by their pickle.
+@functools.lru_cache(maxsize=16)
+def compiled_pickle(pickled: bytes) -> _core.Model:
+    """Return the engine's model of a scene, sent as `zlib.compress(bare(scene))`.
 
-    Compilation is deterministic and takes longer than unpickling. A worker that receives a model
-    repeatedly, with any settings, compiles the model once.
+    A worker that receives a model repeatedly, with any settings, compiles it once.
     """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._models: OrderedDict[bytes, _core.Model] = OrderedDict()
-
-    def get(self, pickled: bytes, scene: Scene) -> _core.Model:
-        """Return the compiled model of a scene, whose pickle is the key."""
-        key = hashlib.blake2b(pickled, digest_size=16).digest()
-        with self._lock:
-            if key in self._models:
-                self._models.move_to_end(key)
-                return self._models[key]
-        model = compiled(scene)
-        with self._lock:
-            self._models[key] = model
-            while len(self._models) > KEPT:
-                self._models.popitem(last=False)
-        return model
-
-
-compiled_scenes = CompiledScenes()
+    scene: Scene = pickle.loads(zlib.decompress(pickled))
+    return compiled(scene)
 
 
 def _with_file_lines(error: ValueError, layout: Layout) -> ValueError:
@@ -103,20 +81,15 @@ def _with_file_lines(error: ValueError, layout: Layout) -> ValueError:
     error begins with the place of the first element. An element without a name is described by its
     body.
     """
-    text = str(error)
-    first = ""
+    text, first, end = str(error), "", 0
     parts: list[str] = []
-    end = 0
     mentions: list[tuple[int, int, str, int]] = getattr(error, "mentions", [])
     mentioned = [layout.elements(kind)[index] for _, _, kind, index in mentions]
-    for at, (start, stop, _, _) in enumerate(mentions):
-        element = mentioned[at]
-        label = text[start:stop]
-        body = getattr(element, "body", None)
-        unnamed = not getattr(element, "name", "")
+    for at, ((start, stop, _, _), element) in enumerate(zip(mentions, mentioned, strict=True)):
+        label, body = text[start:stop], getattr(element, "body", None)
         # The engine may already name the body, right after the element.
-        told = at + 1 < len(mentioned) and mentioned[at + 1] is body
-        if isinstance(body, Body) and unnamed and not told:
+        told = getattr(element, "name", "") or mentioned[at + 1 : at + 2] == [body]
+        if isinstance(body, Body) and not told:
             label += f" of {layout.body_called(body)}"
         place = str(element.place)
         first = first or place

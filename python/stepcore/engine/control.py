@@ -79,10 +79,8 @@ def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) 
 
 def _refused(function: Callable[..., Any], sim: World, what: str) -> str:
     """Return the error text for a control function that returned `what`."""
-    nu = sim.model.nu
-    limit = f"must return {nu} finite number{'s' * (nu != 1)}, one for each actuator"
-    if sim.settings.precision == "f32":
-        limit = f"{limit}, in single precision"
+    nu, single = sim.model.nu, ", in single precision" * (sim.settings.precision == "f32")
+    limit = f"must return {nu} finite number{'s' * (nu != 1)}, one for each actuator{single}"
     return f"{control_name(function)} returned {what} at time {sim.time:g} s: {limit}"
 
 

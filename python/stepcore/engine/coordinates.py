@@ -116,17 +116,13 @@ class Coordinates:
         return turns * (4 / (quat**2).sum(-1))[..., None, None] if inverse else turns
 
     def of_dofs(self, qpos: Floats, change: Floats, inverse: bool = False) -> Floats:
-        """Return a change of dofs as one of qpos; (…, nv) to (…, nq)."""
+        """Return a change of dofs (or, inverse, a gradient) as one of qpos; (…, nv) to (…, nq)."""
         out = np.zeros(qpos.shape)
         out[..., self._numbers[0]] = change[..., self._numbers[1]]
         for q, v in self._quaternions:
             turns = self._turns(qpos, q, inverse)
             out[..., q : q + 4] = np.einsum("...a,...ak->...k", change[..., v : v + 3], turns)
         return out
-
-    def gradient(self, qpos: Floats, change: Floats) -> Floats:
-        """Return a gradient by the dofs as one by qpos, of which quaternions are made unit."""
-        return self.of_dofs(qpos, change, inverse=True)
 
     def to_dofs(self, qpos: Floats, gradient: Floats, inverse: bool = False) -> Floats:
         """Return a gradient by qpos as one by the dofs; (…, nq) to (…, nv)."""

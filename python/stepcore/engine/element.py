@@ -39,6 +39,7 @@ FIELDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "tendon friction loss": ("tendon", (*_LOSS, "frictionloss")),
     **dict.fromkeys(EQUALITIES, ("equality", ("solref", "solimp"))),
 }
+CONTACT = ("solref", "solimp", "friction", "margin")
 OVERRIDE = "contact_override"
 
 # The maximum number of names in a list.
@@ -81,13 +82,13 @@ class Element:
         override that replaces them.
         """
         scene, layout = model.scene, Layout(model.scene)
-        if self.kind == "contact":
-            return _contact_fields(model, layout, self.index)
-        if self.kind == "actuator":
+        kind, names = FIELDS.get(self.kind, (self.kind, ()))
+        owners = [(kind, self.index)]
+        if kind == "contact":
+            owners, names = _owners_of_contact(model, layout, self.index), CONTACT
+        elif kind == "actuator":
             names = (*LAW_FIELDS[scene.actuators[self.index].type], "gear", "forcerange")
-            return tuple(SceneField.of(layout, "actuator", self.index, name) for name in names)
-        kind, names = FIELDS.get(self.kind, ("", ()))
-        return tuple(SceneField.of(layout, kind, self.index, name) for name in names)
+        return tuple(SceneField.of(layout, *owner, name) for name in names for owner in owners)
 
 
 @dataclass(frozen=True)
@@ -132,20 +133,13 @@ def _owner(layout: Layout, kind: str, index: int) -> Any:
     return scene.contact_override if kind == OVERRIDE else layout.elements(kind)[index]
 
 
-def _contact_fields(model: Model, layout: Layout, index: int) -> tuple[SceneField, ...]:
+def _owners_of_contact(model: Model, layout: Layout, index: int) -> list[tuple[str, int]]:
     scene, geoms = model.scene, model.contact_pair(index).geoms
     if scene.contact_override.enable:
-        owners = [(OVERRIDE, 0)]
-    else:
-        both = {id(layout.geoms[geom]) for geom in geoms}
-        pairs = enumerate(scene.pairs)
-        owners = [("pair", k) for k, p in pairs if {id(p.geom1), id(p.geom2)} == both]
-        owners = owners or [("geom", geom) for geom in geoms]
-    return tuple(
-        SceneField.of(layout, kind, k, name)
-        for name in ("solref", "solimp", "friction", "margin")
-        for kind, k in owners
-    )
+        return [(OVERRIDE, 0)]
+    both, pairs = {id(layout.geoms[geom]) for geom in geoms}, enumerate(scene.pairs)
+    explicit = [("pair", k) for k, p in pairs if {id(p.geom1), id(p.geom2)} == both]
+    return explicit or [("geom", geom) for geom in geoms]
 
 
 # Coriolis, centrifugal and gravity forces, which belong to no element.

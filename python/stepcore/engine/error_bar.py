@@ -61,11 +61,14 @@ class FinerRun:
         reach = longest(model, self.matter)
         self.parted, self.together = PARTED * reach, TOGETHER * reach
         self.until = np.inf
-        # The state of the first run when both were there last; None: they have not met.
-        self.state: dict[str, Floats] | None = None
+        # The state of the first run when both were there last, None where they have not met; and
+        # the inputs that both had.
+        self.state: list[bytes] | None = None
+        self.inputs: list[bytes] | None = None
         self.failed = False
-        # How far bodies are apart now, once it was asked.
+        # How far bodies are apart now, once it was asked; and steps since it was looked at.
         self.far: Floats | None = None
+        self.unseen = 0
         # What the finer run's own copy of a control function returned last.
         self.ctrl: Floats | None = None
 
@@ -92,7 +95,8 @@ class FinerRun:
             if isinstance(error, KeyboardInterrupt):
                 raise
         self._keep()
-        if not self.failed:
+        self.unseen += n
+        if self.unseen >= self.block:
             self._look()
 
     def _fail(self) -> None:
@@ -101,29 +105,44 @@ class FinerRun:
         self._keep()
 
     def _look(self) -> None:
-        far = float(self._distances().max(initial=0.0))
-        if np.isfinite(self.until):
-            self.until = np.inf if far <= self.together else self.until
-        elif not far <= self.parted:
-            self.until = self.of.time
+        """Look whether the runs have parted, or are together again."""
+        if self.unseen and not self.failed:
+            far = float(self._distances().max(initial=0.0))
+            if self.until < np.inf:
+                self.until = np.inf if far <= self.together else self.until
+            elif not far <= self.parted:
+                self.until = self.of.time
+        self.unseen = 0
+
+    def judged(self) -> FinerRun:
+        """Return this run, having looked at where both are."""
+        self.meet()
+        self._look()
+        return self
 
     def meet(self) -> None:
         """Begin at the state of the first run, unless it comes from a step; take its inputs."""
-        first, own, known = self.of._arrays, self.sim._arrays, self.state
-        if known is None or any(not np.array_equal(first[name], known[name]) for name in STATE):
+        first, own = self.of._arrays, self.sim._arrays
+        if self.state != self._bits(STATE):
             for name in STATE:
                 own[name][...] = first[name]
             self.sim._restart(self.of.time)
-            self.until, self.failed = np.inf, False
+            self.until, self.failed, self.unseen = np.inf, False, 0
             self._keep()
-        for name in INPUTS:
-            own[name][...] = first[name]
+        inputs = self._bits(INPUTS)
+        if inputs != self.inputs or self.ctrl is not None:
+            self.inputs = inputs
+            for name in INPUTS:
+                own[name][...] = first[name]
         if self.ctrl is not None:
+            self.inputs = None
             own["ctrl"][...] = self.ctrl
 
     def _keep(self) -> None:
-        self.far = None
-        self.state = {name: np.array(self.of._arrays[name]) for name in STATE}
+        self.far, self.state = None, self._bits(STATE)
+
+    def _bits(self, names: Sequence[str]) -> list[bytes]:
+        return [self.of._arrays[name].tobytes() for name in names]
 
     def errors(self) -> Floats:
         """Return the error of each body [m], (nbody,); inf where it is not known."""
@@ -153,7 +172,7 @@ class FinerRun:
 
     def kept(self) -> tuple[bytes, float, bool]:
         """Return what a copy goes on from."""
-        self.meet()
+        self.judged()
         return self.sim.state(), self.until, self.failed
 
     def go_on(self, state: bytes, until: float, failed: bool) -> None:

@@ -8,7 +8,7 @@ and applied to any copy of the scene.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -19,7 +19,6 @@ from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
-    from stepcore.scene.elements import Geom
     from stepcore.scene.scene import Scene
 
 # Above this number of body pairs in contact, pairs are removed body by body.
@@ -114,31 +113,16 @@ def _cleared(kind: str, own: Sequence[int], held: str, *fields: str, name: str) 
     return [Removal(kind, counted(len(own), name), (edit,))] if own else []
 
 
-@dataclass(frozen=True)
-class Has:
-    """A feature common to joints and tendons: its test, its fields and its name in words."""
-
-    test: Callable[[Any], bool]
-    fields: tuple[str, ...]
-    words: str
-
-
-HAS = {
-    "spring": Has(lambda e: e.sprung, ("stiffness", "stiffnesspoly"), "springs"),
-    "damper": Has(lambda e: e.damped, ("damping", "dampingpoly"), "damping"),
-    "frictionloss": Has(lambda e: e.frictionloss > 0, ("frictionloss",), "friction loss"),
-    "armature": Has(lambda e: e.armature > 0, ("armature",), "armature"),
+# Who has a feature, its fields, and its name; the first four are those of joints and tendons.
+HAS: dict[str, tuple[Callable[[Any], bool], tuple[str, ...], str]] = {
+    "spring": (lambda e: e.sprung, ("stiffness", "stiffnesspoly"), "springs"),
+    "damper": (lambda e: e.damped, ("damping", "dampingpoly"), "damping"),
+    "frictionloss": (lambda e: e.frictionloss > 0, ("frictionloss",), "friction loss"),
+    "armature": (lambda e: e.armature > 0, ("armature",), "armature"),
+    "belt": (lambda geom: any(geom.surfacevel), ("surfacevel",), "moving surfaces"),
+    "adhesion": (lambda e: e.adhesion > 0, ("adhesion",), "adhesion"),
 }
-
-
-def is_belt(geom: Geom) -> bool:
-    """Return whether the geom's surface moves."""
-    return any(geom.surfacevel)
-
-
-def is_sticky(geom: Geom) -> bool:
-    """Return whether the geom's contacts are adhesive."""
-    return geom.adhesion > 0
+OF_TENDONS = list(HAS)[:4]
 
 
 class RemovableFeatures:
@@ -159,32 +143,27 @@ class RemovableFeatures:
 
     def removals(self, usage: MotionUsage, settings: Settings) -> list[Removal]:
         """Return the removal of every feature, one at a time."""
+        # Every solve begins from zero impulses.
+        cold = Removal("warm start", "", (("settings", (("warm_start", False),)),))
         return [
-            *self.cone(settings),
-            *self.friction(),
+            *self._friction(settings),
             *self.terms(),
-            *self.limits(usage),
-            *self.colliders(usage),
-            *self.equalities(),
-            *self.warm_start(settings),
+            *self._limits(usage),
+            *self._colliders(usage),
+            *self._equalities(),
+            *([cold] if settings.warm_start else []),
         ]
 
-    def cone(self, settings: Settings) -> list[Removal]:
-        """Return the change to the other friction cone, if there is friction."""
-        if not self.geoms_with_friction():
-            return []
-        other = "pyramidal" if settings.cone == "elliptic" else "elliptic"
-        edit = ("settings", (("cone", other),))
-        return [Removal("cone", f"{settings.cone} → {other}", (edit,))]
-
-    def friction(self) -> list[Removal]:
-        """Return the removals of all friction, and of torsional and rolling friction."""
-        geoms, turning = self.geoms_with_friction(), self.geoms_with_friction(3)
-        removals = [Removal("friction", "condim 1", (("frictionless", geoms),))] if geoms else []
-        if turning:
-            edit = ("sliding only", turning)
-            removals.append(Removal("torsional and rolling friction", "condim 3", (edit,)))
-        return removals
+    def _friction(self, settings: Settings) -> Iterator[Removal]:
+        """Yield the other cone, no friction, and friction without torsion and rolling."""
+        if geoms := self.geoms_with_friction():
+            other = "pyramidal" if settings.cone == "elliptic" else "elliptic"
+            edit = ("settings", (("cone", other),))
+            yield Removal("cone", f"{settings.cone} → {other}", (edit,))
+            yield Removal("friction", "condim 1", (("frictionless", geoms),))
+        if turning := self.geoms_with_friction(3):
+            edits = (("sliding only", turning),)
+            yield Removal("torsional and rolling friction", "condim 3", edits)
 
     def geoms_with_friction(self, above: int = 1) -> tuple[int, ...]:
         """Return the geoms of pairs with condim > `above`, by index in the scene."""
@@ -196,8 +175,9 @@ class RemovableFeatures:
         """Return the removals of smooth forces, armature and friction loss."""
         scene, features = self.scene, self.scene.features
         heavy = [i for i, joint in enumerate(scene.joints) if joint.armature > 0]
-        belts = [self.geom[i] for i in self.split(is_belt)[0]]
-        light = [i for i, body in enumerate(scene.bodies) if body.gravcomp != 0]
+        belts = [self.geom[i] for i in self.split("belt")[0]]
+        bodies = enumerate(scene.bodies if features.gravity else ())
+        light = [i for i, body in bodies if body.gravcomp != 0]
         fluid = Removal("fluid", "", (("no fluid", None),))
         coriolis = Removal("velocity forces", "Coriolis, gyroscopic", (("feature", "coriolis"),))
         return [
@@ -205,57 +185,50 @@ class RemovableFeatures:
             *_cleared("armature", heavy, "joints", "armature", name="joint"),
             *self._joints("joint damping", "damper"),
             *self._joints("joint springs", "spring"),
-            *self.tendons(),
+            *self._tendons(),
             *([fluid] if scene.density > 0 or scene.viscosity > 0 else []),
             *_cleared("moving surfaces", belts, "geoms", "surfacevel", name="geom"),
-            *self.adhesion(),
-            *_cleared(
-                "gravity compensation",
-                light if features.gravity else (),
-                "bodies",
-                "gravcomp",
-                name="body",
-            ),
+            *self._adhesion(),
+            *_cleared("gravity compensation", light, "bodies", "gravcomp", name="body"),
             *([coriolis] if features.coriolis and not all(self.plan["constant"]) else []),
         ]
 
-    def adhesion(self) -> list[Removal]:
+    def _adhesion(self) -> list[Removal]:
         """Return the removal of the adhesion of colliding geoms and explicit pairs."""
-        geoms = tuple(self.geom[i] for i in self.split(is_sticky)[0])
+        geoms = tuple(self.geom[i] for i in self.split("adhesion")[0])
         pairs = tuple(i for i, pair in enumerate(self.scene.pairs) if pair.adhesion > 0)
         both = [("geom", geoms), ("pair", pairs)]
         edits = tuple(("cleared", (f"{noun}s", own, ("adhesion",))) for noun, own in both if own)
         words = " and ".join(counted(len(own), noun) for noun, own in both if own)
         return [Removal("adhesion", words, edits)] if edits else []
 
-    def split(self, has: Callable[[Geom], bool]) -> tuple[list[int], list[int]]:
-        """Return the geoms that pass a test, colliding and other, by index in the model."""
+    def split(self, feature: str) -> tuple[list[int], list[int]]:
+        """Return the geoms that have a feature, colliding and other, by index in the model."""
+        has, collides = HAS[feature][0], self.plan["collides"]
         own = [i for i, index in enumerate(self.geom) if has(self.scene.geoms[index])]
-        collides = self.plan["collides"]
         return [i for i in own if collides[i]], [i for i in own if not collides[i]]
 
     def _acts(self, feature: str) -> bool:
-        """Return whether the scene has springs, dampers, friction loss or armature switched on."""
         features = self.scene.features
         rows = feature != "frictionloss" or features.constraint
         return rows and bool(getattr(features, feature, True))
 
     def _joints(self, kind: str, feature: str) -> list[Removal]:
         """Return the removal of a joint feature, which keeps the same feature of tendons."""
-        has = HAS[feature]
-        joints = [j for j, joint in enumerate(self.scene.joints) if has.test(joint)]
+        has, fields, _ = HAS[feature]
+        joints = [j for j, joint in enumerate(self.scene.joints) if has(joint)]
         if not joints or not self._acts(feature):
             return []
-        if any(has.test(tendon) for tendon in self.scene.tendons):
-            return _cleared(kind, joints, "joints", *has.fields, name="joint")
+        if any(has(tendon) for tendon in self.scene.tendons):
+            return _cleared(kind, joints, "joints", *fields, name="joint")
         return [Removal(kind, counted(len(joints), "joint"), (("feature", feature),))]
 
-    def tendons(self) -> list[Removal]:
-        """Return the removals of spring, damping, friction loss, armature and each limit."""
+    def _tendons(self) -> list[Removal]:
         features, tendons, removals = self.scene.features, self.scene.tendons, list[Removal]()
-        for feature, has in HAS.items():
-            own = [i for i, t in enumerate(tendons) if has.test(t) and self._acts(feature)]
-            removals += _cleared(f"tendon {has.words}", own, "tendons", *has.fields, name="tendon")
+        for feature in OF_TENDONS:
+            has, fields, words = HAS[feature]
+            own = [i for i, t in enumerate(tendons) if has(t) and self._acts(feature)]
+            removals += _cleared(f"tendon {words}", own, "tendons", *fields, name="tendon")
         on = features.limit and features.constraint
         ranged = [i for i, tendon in enumerate(tendons) if on and tendon.range is not None]
         names = self.model.called("tendon") if ranged else ()
@@ -264,51 +237,48 @@ class RemovableFeatures:
             for i in ranged
         ]
 
-    def limits(self, usage: MotionUsage) -> list[Removal]:
-        """Return the removals of all unreached limits together, and of each reached limit."""
+    def _limits(self, usage: MotionUsage) -> Iterator[Removal]:
+        """Yield the removals of all unreached limits together, and of each reached limit."""
         features, names = self.scene.features, self.model.called("joint")
         on = features.limit and features.constraint
-        ranged = [
-            i for i, j in enumerate(self.joint) if on and self.scene.joints[j].range is not None
-        ]
-        unused = [i for i in ranged if i not in usage.limited]
-        never = f"{counted(len(unused), 'joint')} whose limit is never reached"
-        groups = [("limits", never, unused)] if unused else []
-        groups += [("limit", names[i], [i]) for i in ranged if i in usage.limited]
-        own = ((kind, name, tuple(self.joint[i] for i in some)) for kind, name, some in groups)
-        return [
-            Removal(kind, name, (("cleared", ("joints", joints, ("range",))),))
-            for kind, name, joints in own
-        ]
+        joints = dict(enumerate(self.joint)) if on else {}
+        ranged = {i: j for i, j in joints.items() if self.scene.joints[j].range is not None}
+        unused = [j for i, j in ranged.items() if i not in usage.limited]
+        if unused:
+            never = f"{counted(len(unused), 'joint')} whose limit is never reached"
+            yield Removal("limits", never, (("cleared", ("joints", tuple(unused), ("range",))),))
+        for i, j in ranged.items():
+            if i in usage.limited:
+                yield Removal("limit", names[i], (("cleared", ("joints", (j,), ("range",))),))
 
-    def colliders(self, usage: MotionUsage) -> list[Removal]:
-        """Return the removals of body pairs, self-collision and groups of geoms."""
+    def _colliders(self, usage: MotionUsage) -> Iterator[Removal]:
+        """Yield the removals of body pairs, self-collision and groups of geoms."""
         pairs, called = list(self.body_pairs()), self.model.called("body")
         unused = [pair for pair in pairs if pair not in usage.touched]
         met = [pair for pair in pairs if pair in usage.touched]
-        never = f"{counted(len(unused), 'pair')} of bodies that never touch"
-        removals = [self._excluding("colliders", never, unused)] if unused else []
+        if unused:
+            never = f"{counted(len(unused), 'pair')} of bodies that never touch"
+            yield self._excluding("colliders", never, unused)
         if len(met) <= MAX_PAIRS:
             for a, b in met:
-                removals.append(self._excluding("collider", f"{called[a]}/{called[b]}", [(a, b)]))
+                yield self._excluding("collider", f"{called[a]}/{called[b]}", [(a, b)])
         else:
             for body in sorted({body for pair in met for body in pair}):
                 own = [pair for pair in met if body in pair]
                 name = f"{called[body]} ({counted(len(own), 'pair')})"
-                removals.append(self._excluding("collider", name, own))
+                yield self._excluding("collider", name, own)
         trees = [range(first, first + count) for first, count, _, _ in self.plan["trees"]]
         own = [(a, b) for a, b in pairs if any(a in tree and b in tree for tree in trees)]
         if own and len(own) < len(pairs):
             name = counted(len(own), "pair") + " of bodies"
-            removals.append(self._excluding("self-collision", name, own))
-        geoms = self.scene.geoms
-        solid = [self.geom[i] for i, on in enumerate(self.plan["collides"]) if on]
-        groups = sorted({geoms[i].group for i in solid})
-        for group in groups if len(groups) > 1 else ():
-            some = tuple(i for i in solid if geoms[i].group == group)
-            name = f"group {group} ({counted(len(some), 'geom')})"
-            removals.append(Removal("collider group", name, (("no contact", some),)))
-        return removals
+            yield self._excluding("self-collision", name, own)
+        groups: dict[int, list[int]] = {}
+        for i, collides in zip(self.geom, self.plan["collides"], strict=True):
+            if collides:
+                groups.setdefault(self.scene.geoms[i].group, []).append(i)
+        for group in sorted(groups) if len(groups) > 1 else ():
+            name = f"group {group} ({counted(len(groups[group]), 'geom')})"
+            yield Removal("collider group", name, (("no contact", tuple(groups[group])),))
 
     def body_pairs(self) -> dict[tuple[int, int], list[tuple[int, int]]]:
         """Return the pairs of geoms by pair of bodies, the smaller index first."""
@@ -323,23 +293,14 @@ class RemovableFeatures:
         value = tuple((self.body[a], self.body[b]) for a, b in pairs)
         return Removal(kind, name, (("exclude", value),))
 
-    def equalities(self) -> list[Removal]:
-        """Return the removal of each active equality."""
-        features = self.scene.features
-        if not (features.equality and features.constraint):
-            return []
-        names = self.model.called("equality")
+    def _equalities(self) -> list[Removal]:
+        features, names = self.scene.features, self.model.called("equality")
+        on = features.equality and features.constraint
         return [
             Removal("equality", names[i], (("inactive", (i,)),))
             for i, equality in enumerate(self.scene.equalities)
-            if equality.active
+            if on and equality.active
         ]
-
-    def warm_start(self, settings: Settings) -> list[Removal]:
-        """Return the removal of warm starts: every solve begins from zero impulses."""
-        if not settings.warm_start:
-            return []
-        return [Removal("warm start", "", (("settings", (("warm_start", False),)),))]
 
 
 def _positions(compiled: Iterable[Any], listed: Iterable[Any]) -> list[int]:

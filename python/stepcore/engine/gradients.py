@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers, refuse_late
@@ -123,13 +123,10 @@ class Steps:
         self.held = {name: np.array(getattr(batch, name)) for name in INPUTS[1:]}
         self.start = {name: np.array(getattr(batch, name)) for name in X}
         self.time = batch.time
-        past = [name for name in X[len(STATE) :] if self.start[name].size]
-        self.rollout = batch.rollout(self.ctrl, past, progress=progress)
+        self.rollout = batch.rollout(self.ctrl, X[len(STATE) :], progress=progress)
         after = {**self.rollout._asdict(), **self.rollout.recorded}
-        # Scenes without late controls have no past.
-        nothing = np.zeros((self.n, self.count, 0))
         self.states = {
-            name: np.concatenate([first[:, None], after.get(name, nothing)], axis=1)
+            name: np.concatenate([first[:, None], after[name]], axis=1)
             for name, first in self.start.items()
         }
         return self
@@ -184,10 +181,6 @@ class Steps:
         states["ctrl"] = self.ctrl[own, some]
         for name, rows in self.held.items():
             states[name] = np.repeat(rows[own][:, None], len(steps), 1)
-        return self._worlds(worlds).linear(states, self.by)
-
-    def _worlds(self, worlds: range) -> LinearWorlds:
-        """Return the linearisers of some worlds; the last ones are kept."""
         if self._linearised is None or self._linearised[0] != worlds:
             if len(worlds) == self.n and self.models is self.batch.param.models():
                 made = self.batch._linearised_worlds()
@@ -195,7 +188,7 @@ class Steps:
                 models = [self.models[world] for world in worlds]
                 made = LinearWorlds(models, self.batch._threads, worlds.start)
             self._linearised = worlds, made
-        return self._linearised[1]
+        return self._linearised[1].linear(states, self.by)
 
 
 def vjp(
@@ -224,22 +217,29 @@ def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = Non
     back = adjoints(steps, weights)
     asked = np.linalg.norm(weights, axis=-1).sum(axis=1)
     growth = back.sizes.max(axis=1, initial=0.0) / np.where(asked > 0, asked, np.inf)
-    texts = [
-        grown(steps, int(world), float(growth[world]), int(back.factors[world].argmax()))
-        for world in np.flatnonzero(growth > GROWTH)[:1]
-    ]
+    grown = growth > GROWTH
+    texts = [_grown(steps, int(k), float(growth[k]), back) for k in np.flatnonzero(grown)[:1]]
     error = None
     if halved is not None:
-        finer = adjoints(halved, halved.dofs({name: spread(rows) for name, rows in given.items()}))
-        error, doubts = _error(steps, back, halved, finer, asked, told=growth > GROWTH)
-        texts += doubts
+        finer = adjoints(halved, halved.dofs({name: _spread(rows) for name, rows in given.items()}))
+        parts, failed = _apart(back, finer, steps, asked), halved.batch.failures
+        error = np.max(list(parts.values()), axis=0)
+        error[list(failed)] = np.inf
+        texts += [
+            f"the gradient of world {world} has no error bar, as in steps half as long the rollout "
+            f"{checks.one_line(failed[world])}"
+            for world in list(failed)[:1]
+        ]
+        for world in np.flatnonzero(np.isfinite(error) & (error > APART) & ~grown)[:1]:
+            of = max(parts, key=lambda part: parts[part][world])
+            texts.append(_parted(steps, int(world), of, float(error[world]), back, finer))
     for text in texts:
         # In the name of who calls `Batch.vjp`.
         warnings.warn(GradientWarning(text), stacklevel=4)
     first = back.rows[:, 0]
     return Gradients(
         steps.rollout,
-        steps.tangents.gradient(steps.start["qpos"], first[:, :nv]),
+        steps.tangents.of_dofs(steps.start["qpos"], first[:, :nv], inverse=True),
         first[:, nv : 2 * nv],
         first[:, 2 * nv : 2 * nv + steps.batch.model.na],
         back.ctrl,
@@ -248,33 +248,6 @@ def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = Non
         back.sided,
         error,
     )
-
-
-def _error(
-    steps: Steps,
-    back: Adjoints,
-    halved: Steps,
-    finer: Adjoints,
-    asked: Floats,
-    told: NDArray[np.bool_],
-) -> tuple[Floats, list[str]]:
-    """How far a gradient is from that in steps half as long, and what is to be said of it.
-
-    told: worlds of whose gradient more was said.
-    """
-    parts = apart(back, finer, steps, asked)
-    error: Floats = np.max(list(parts.values()), axis=0)
-    failed = halved.batch.failures
-    texts = [
-        f"the gradient of world {world} has no error bar, as in steps half as long the rollout "
-        f"{checks.one_line(failed[world])}"
-        for world in list(failed)[:1]
-    ]
-    error[list(failed)] = np.inf
-    for world in np.flatnonzero(np.isfinite(error) & (error > APART) & ~told)[:1]:
-        of = max(parts, key=lambda part: parts[part][world])
-        texts.append(parted(steps, int(world), of, float(error[world]), back, finer))
-    return error, texts
 
 
 class Tape:
@@ -295,22 +268,18 @@ class Tape:
         ctrl: Floats,
         *values: Floats,
     ) -> None:
-        limit = f"of shape ({len(batch)},), a value for each world"
         labels, changed = list[str](), dict[str, Floats]()
         for name, value in zip(parameters, values, strict=True):
             if np.shape(value) != (len(batch),):
+                limit = f"of shape ({len(batch)},), a value for each world"
                 raise ValueError(f"parameters: {name} has shape {np.shape(value)}: must be {limit}")
             path, entry = split_entry(name)
             rows = changed.setdefault(path, np.array(batch.param[path]))
-            if rows.ndim > 1:
-                rows[:, entry or 0] = value
-                labels.append(f"{path}[{entry or 0}]")
-            else:
-                rows[:] = value
-                labels.append(path)
+            vector = rows.ndim > 1
+            rows[(slice(None), entry or 0) if vector else slice(None)] = value
+            labels.append(f"{path}[{entry or 0}]" if vector else path)
         self.labels, self.steps = labels, Steps(batch, ctrl, labels)
-        sizes = self.steps.sizes()
-        state = rows_of({"qpos": qpos, "qvel": qvel}, sizes)
+        state = rows_of({"qpos": qpos, "qvel": qvel}, self.steps.sizes())
         if changed:
             batch.param.update(changed)
         batch.qpos, batch.qvel = state["qpos"], state["qvel"]
@@ -378,7 +347,7 @@ class Adjoints(NamedTuple):
     after: by the state after each step, with what is asked of that itself, (n, steps, size of x).
     ctrl: by the controls, (n, steps, nu). values: by the parameters, (n, parameters).
     ctrl_terms: the sum of the sizes of what those by the controls are sums of, (n,).
-    sizes: of a row, (n, steps). factors: by how much each step makes it larger.
+    sizes: of a row, (n, steps).
     sided: (world, step, element) where a row is exactly at its switch.
     """
 
@@ -388,7 +357,6 @@ class Adjoints(NamedTuple):
     values: Floats
     ctrl_terms: Floats
     sizes: Floats
-    factors: Floats
     sided: list[tuple[int, int, str]]
 
 
@@ -420,20 +388,18 @@ def adjoints(steps: Steps, weights: Floats) -> Adjoints:
             ctrl_terms[own] += np.matmul(np.abs(each), np.abs(B)).sum(axis=(1, 2, 3))
             values[own] += np.matmul(each, P)[:, :, 0].sum(axis=1)
     sizes = np.linalg.norm(rows[:, :-1], axis=2)
-    asked = np.linalg.norm(after, axis=2)
-    factors = np.where(asked > 0, sizes / np.maximum(asked, TINY), 1.0)
     sided.sort(key=lambda one: one[:2])
-    return Adjoints(rows, after, ctrl, values, ctrl_terms, sizes, factors, sided)
+    return Adjoints(rows, after, ctrl, values, ctrl_terms, sizes, sided)
 
 
-def spread(rows: Floats) -> Floats:
+def _spread(rows: Floats) -> Floats:
     """What is asked of each state, asked after the second of two steps; (n, steps, …)."""
     out = np.zeros((rows.shape[0], 2 * rows.shape[1], *rows.shape[2:]))
     out[:, 1::2] = rows
     return out
 
 
-def apart(back: Adjoints, finer: Adjoints, steps: Steps, asked: Floats) -> dict[str, Floats]:
+def _apart(back: Adjoints, finer: Adjoints, steps: Steps, asked: Floats) -> dict[str, Floats]:
     """How far each part of a gradient is from that in steps half as long, as a share of it, (n,).
 
     Below these sizes a part is nothing: a share of what the gradient was by any state; of what the
@@ -461,56 +427,56 @@ def _distance(one: Floats, other: Floats, least: Floats | float = 0.0) -> Floats
     return off / np.maximum(np.maximum(*sizes), np.maximum(least, TINY))
 
 
-def grown(steps: Steps, world: int, growth: float, step: int) -> str:
-    """Say that a gradient has grown, most in this step, and name the contact that began there."""
-    time = steps.time + step * steps.batch.settings.dt
+def _grown(steps: Steps, world: int, growth: float, back: Adjoints) -> str:
+    """Say that a gradient has grown, in which step most, and which contact began there."""
+    sizes, asked = back.sizes[world], np.linalg.norm(back.after[world], axis=1)
+    step = int(np.where(asked > 0, sizes / np.maximum(asked, TINY), 1.0).argmax())
     return (
         f"the gradient of world {world} grows {growth:.0e} times over {steps.count} steps, most in "
-        f"step {step} [{time:.4g} s]{_impact(steps, world, step)}: before it, the gradient holds "
-        "only for changes that are as much smaller; begin after it, or sample instead"
+        f"{_at(steps, world, step)}: before it, the gradient holds only for changes that are as "
+        "much smaller; begin after it, or sample instead"
     )
 
 
-def parted(steps: Steps, world: int, of: str, error: float, back: Adjoints, finer: Adjoints) -> str:
+def _parted(
+    steps: Steps, world: int, of: str, error: float, back: Adjoints, finer: Adjoints
+) -> str:
     """Say where the gradient becomes another one than in steps half as long.
 
     of: the part that changes most.
     """
     each = _distance(back.rows[world], finer.rows[world, ::2])
-    time = steps.time + np.arange(steps.count + 1) * steps.batch.settings.dt
     # Before it the gradient by the states has parted, whatever it is asked by.
     parts = np.flatnonzero(each >= min(error, 1.0) / 2)
     where = ""
     if parts.size:
         step = min(int(parts[-1]), steps.count - 1)
-        where = (
-            f", from step {step} [{time[step]:.4g} s] on its way back{_impact(steps, world, step)}"
-        )
+        where = f", from {_at(steps, world, step, back=True)}"
     return (
         f"the gradient of world {world} by {of} changes by {100 * error:.0f} % in steps half as "
         f"long{where}: take shorter steps or a softer contact, or begin after it"
     )
 
 
-def _impact(steps: Steps, world: int, step: int) -> str:
-    """Name the contact that pushes most near where a step begins, with the time when it began."""
-    touches, dt = _touching(steps, world), steps.batch.settings.dt
+def _at(steps: Steps, world: int, step: int, back: bool = False) -> str:
+    """Return a step in words, with the contact that pushes most near where it begins."""
+    dt = steps.batch.settings.dt
+    words = f"step {step} [{steps.time + step * dt:.4g} s]" + " on its way back" * back
+    touches = _touching(steps, world)
     # In steps half as long an impact of few steps may be over before, or still to come.
-    near = sorted(
-        range(max(0, step - NEAR), min(step + NEAR, steps.count)), key=lambda k: abs(k - step)
-    )
-    for k in near:
-        if pairs := touches(k):
-            break
-    else:
-        return ""
-    pair, began = max(pairs, key=lambda names: pairs[names]), k
-    while began and pair in touches(began - 1):
-        began -= 1
-    known = "contact" if began == 0 else "impact"
+    near = range(max(0, step - NEAR), min(step + NEAR, steps.count))
+    k = next((k for k in sorted(near, key=lambda k: abs(k - step)) if touches(k)), None)
+    if k is None:
+        return words
+    forces = touches(k)
+    pair = max(forces, key=lambda names: forces[names])
+    while k and pair in touches(k - 1):
+        k -= 1
     names = " with ".join(f"`{checks.cut(name, 60)}`" for name in pair)
-    time = steps.time + began * dt
-    return f", at the {known} of {names}" + f" at {time:.4g} s" * (known == "impact")
+    # What touches from the beginning on had no impact.
+    return f"{words}, at the " + (
+        f"impact of {names} at {steps.time + k * dt:.4g} s" if k else f"contact of {names}"
+    )
 
 
 def _touching(steps: Steps, world: int) -> Callable[[int], dict[tuple[str, str], float]]:

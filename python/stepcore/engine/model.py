@@ -24,7 +24,7 @@ from stepcore.engine.arrays import (
     number_of,
     numbers,
 )
-from stepcore.engine.compilation import bare, compiled_once, compiled_scenes
+from stepcore.engine.compilation import bare, compiled_once, compiled_pickle
 from stepcore.engine.run_settings import in_metres
 from stepcore.engine.tables import ContactPair, Keyframe, Touches
 from stepcore.scene import gc_pause
@@ -120,7 +120,7 @@ class Model:
         >>> touches.dist[:, 0].round(12).tolist()
         [-0.1, 1.5]
         """
-        first, second = self._geom("geom1", geom1), self._geom("geom2", geom2)
+        first, second = self.index("geom", geom1), self.index("geom", geom2)
         positions = numbers("qpos", qpos)
         if positions.ndim == 0 or positions.shape[-1] != self.nq:
             raise ValueError(f"qpos has shape {positions.shape}: must be (…, {self.nq})")
@@ -133,22 +133,6 @@ class Model:
         how = precision + " lanes" * checks.flag_of("lanes", lanes)
         contacts = self._core.touches(first, second, flat, how)
         return Touches(*(array.reshape(leading + array.shape[1:]) for array in contacts))  # type: ignore[arg-type]
-
-    def _geom(self, field: str, geom: int | str) -> int:
-        names = self.geom_names
-        if isinstance(geom, str):
-            if not geom or geom not in names:
-                near = checks.nearest(geom, names)
-                raise ValueError(f"{field}: no geom {checks.quoted(geom)}{near}")
-            return names.index(geom)
-        try:
-            index = operator.index(geom)
-        except TypeError:
-            index = -1
-        if not 0 <= index < len(names):
-            limit = f"must be a geom's name or an index from 0 to {len(names) - 1}"
-            raise ValueError(f"{field} = {checks.shown(geom)}: {limit}")
-        return index
 
     @property
     def settings(self) -> Settings:
@@ -302,19 +286,15 @@ class Model:
                 return names.index(name)
             raise ValueError(self.scene._no_such(kind, name, names))
         try:
-            index = range(len(names))[operator.index(name)]
+            return range(len(names))[operator.index(name)]
         except (TypeError, IndexError):
+            limit = f"must be the name of a {kind} or an index below {len(names)}"
             if not names:
                 # Imported here because only errors need it.
                 from stepcore.report.units import plural
 
-                many = plural("keyframe" if kind == "key" else kind)
-                raise ValueError(
-                    f"{kind} = {checks.shown(name)}: the model has no {many}"
-                ) from None
-            limit = f"the name of a {kind} or an index below {len(names)}"
-            raise ValueError(f"{kind} = {checks.shown(name)}: must be {limit}") from None
-        return index
+                limit = f"the model has no {plural('keyframe' if kind == 'key' else kind)}"
+            raise ValueError(f"{kind} = {checks.shown(name)}: {limit}") from None
 
     # Arrays.
 
@@ -325,20 +305,14 @@ class Model:
         return {name: frozen(array) for name, array in (self._core.tables() | addresses).items()}
 
     @functools.cached_property
-    def _pair_arrays(self) -> dict[str, NDArray[Any]]:
+    def pair_geoms(self) -> NDArray[Any]:
+        """The two geoms of each pair that can ever collide, shape (npair, 2)."""
         if self.is_heap:
             raise ValueError(
                 f"pairs: this model is a heap, whose {self.npair} pairs of geoms that could meet "
                 "are not listed: contact_pair(index) tells of one, Sim.contacts which touch now"
             )
-        pairs = [self.contact_pair(index) for index in range(len(self._core.pairs()))]
-        arrays: dict[str, NDArray[Any]] = {
-            "pair_geoms": np.array([pair.geoms for pair in pairs], dtype=np.int32).reshape(-1, 2),
-            "pair_solref": np.array([pair.solref for pair in pairs], dtype=float).reshape(-1, 2),
-            "pair_friction": np.array([pair.friction for pair in pairs], dtype=float),
-            "pair_invweight0": np.array([pair.invweight0 for pair in pairs], dtype=float),
-        }
-        return {name: frozen(array) for name, array in arrays.items()}
+        return frozen(np.array(self._core.pairs(), dtype=np.int32).reshape(-1, 2))
 
     def contact_pair(self, index: int) -> ContactPair:
         """Return the two geoms of a contact pair, and the parameters that their contacts share.
@@ -409,19 +383,6 @@ class Model:
     actuator_forcerange = constant(
         "Range to which each force is clamped before the gear [N or N·m], ±inf without one, "
         "shape (nu, 2)."
-    )
-    pair_geoms = constant(
-        "The two geoms of each pair that can ever collide, shape (npair, 2).", "_pair_arrays"
-    )
-    pair_solref = constant(
-        "The solref that the geoms of each pair have together, (npair, 2).", "_pair_arrays"
-    )
-    pair_friction = constant(
-        "Coefficient of sliding friction of each pair, shape (npair,).", "_pair_arrays"
-    )
-    pair_invweight0 = constant(
-        "Sum of both bodies' mean inverse mass of each pair at qpos0 [1/kg], shape (npair,).",
-        "_pair_arrays",
     )
 
     @functools.cached_property
@@ -512,11 +473,9 @@ class Model:
         return other
 
     def __repr__(self) -> str:
-        fields = ("nq", "nv", "nu", "nbody", "ngeom", "npair")
-        counts = {name: getattr(self, name) for name in fields}
         name = f" {checks.quoted(self._scene.name)}" if self._scene.name else ""
-        shown = ", ".join(f"{key} {n}" for key, n in counts.items()).replace("npair", "pairs")
-        return f"<Model{name}: {shown}; {self._settings!r}>"
+        sizes = f"nq {self.nq}, nv {self.nv}, nu {self.nu}, nbody {self.nbody}, ngeom {self.ngeom}"
+        return f"<Model{name}: {sizes}, pairs {self.npair}; {self._settings!r}>"
 
     def _repr_html_(self) -> str | None:
         from stepcore.engine.sim import Sim
@@ -528,7 +487,7 @@ class Model:
 def _unpickled(pickled: bytes, settings: Settings) -> Model:
     model = object.__new__(Model)
     model._scene, model._settings = pickle.loads(zlib.decompress(pickled)), settings
-    model._core = compiled_scenes.get(pickled, model._scene)
+    model._core = compiled_pickle(pickled)
     model.__dict__["_pickled"] = pickled
     return model
 

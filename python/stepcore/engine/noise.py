@@ -132,7 +132,6 @@ class Noise:
         return chosen, (len(chosen), width)
 
     def _next(self, chosen: Chosen, shape: tuple[int, int], normal: bool) -> Floats:
-        """Draw normal numbers, or numbers strictly between 0 and 1, for some worlds."""
         drawn = self._drawn[chosen]
         numbers = _core.noise(self._keys[chosen], drawn, shape[1], normal)
         self._drawn[chosen] = drawn + np.uint64(shape[1])
@@ -178,13 +177,3 @@ def _mixed(words: Words) -> Words:
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     result: Words = z ^ (z >> np.uint64(31))
     return result
-
-
-def quantile(share: Floats) -> Floats:
-    """Return the quantile of the standard normal distribution, for shares between 0 and 1.
-
-    >>> import numpy as np
-    >>> quantile(np.array([0.025, 0.5, 0.975])).round(6).tolist()
-    [-1.959964, 0.0, 1.959964]
-    """
-    return _core.quantile(share)

@@ -98,10 +98,16 @@ def apart(a: Tracks, b: Tracks, matter: Matter) -> np.ndarray:
     Samples that a run has not reached are infinitely far.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        away = np.linalg.norm(a.com - b.com, axis=-1)
-        half = np.minimum(*(np.linalg.norm(a.quat - sign * b.quat, axis=-1) for sign in (1, -1)))
+        half = np.minimum(_length(a.quat - b.quat), _length(a.quat + b.quat))
         arc = 4 * np.arcsin(np.minimum(half / 2, 1.0))
-        return np.nan_to_num(np.hypot(away, matter.gyration * arc), nan=np.inf)
+        far = np.hypot(_length(a.com - b.com), matter.gyration * arc)
+    far[np.isnan(far)] = np.inf
+    return far
+
+
+def _length(vectors: np.ndarray) -> np.ndarray:
+    """Return what `numpy.linalg.norm` of the last axis does, in half the time for a few bodies."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
 
 
 def rms(far: np.ndarray, scored: np.ndarray | None = None) -> np.ndarray:

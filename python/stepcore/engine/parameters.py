@@ -153,17 +153,9 @@ class Parameters(Mapping[str, Floats]):
         """Restore the model's own values in all worlds."""
         self._take({})
 
-    def model_of(self, world: int) -> Model:
-        """Return the model of a world."""
-        return self._variants.model(world)
-
     def models(self) -> list[Model]:
         """Return the model of each world: the same list until a parameter is set."""
         return self._variants.by_world
-
-    def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
-        """Return the worlds whose initial arrays differ from the model's, with these arrays."""
-        return self._variants.initial()
 
     def columns(self) -> dict[str, Floats]:
         """Return the assigned arrays by path."""
@@ -197,25 +189,10 @@ class Parameters(Mapping[str, Floats]):
         return f"<Parameters of {self._n} worlds: {paths or 'none'}>"
 
 
-class Made:
-    """What a row of values is compiled to: the engine's model, or the error that refuses it."""
-
-    def __init__(self, core: _core.Model | ValueError) -> None:
-        self.core = core
-        self._initial: dict[str, Any] | None = None
-
-    def initial(self, base: dict[str, Any]) -> dict[str, Any]:
-        """Return the initial arrays, or nothing if they are those of the base model."""
-        if self._initial is None:
-            own = {} if isinstance(self.core, ValueError) else dict(self.core.initial())
-            self._initial = {} if own == base else own
-        return self._initial
-
-
 class Variants:
     """The models compiled for all distinct rows of a table of parameters.
 
-    models: the engine's models. model_of: for each world, the index in `models`.
+    model_of: for each world, the index of its row's model.
     before: another table, whose models serve where its rows are the same.
     """
 
@@ -230,29 +207,28 @@ class Variants:
         table = [np.zeros((n, 0)), *(column.reshape(n, -1) for column in columns.values())]
         rows = [row.tobytes() for row in np.concatenate(table, axis=1)]
         # By row, its first world.
-        first = dict(zip(reversed(rows), reversed(range(n)), strict=True))
-        first = {row: first[row] for row in dict.fromkeys(rows)}
-        kept: dict[bytes, Made] = {}
+        first: dict[bytes, int] = {}
+        for world, row in enumerate(rows):
+            first.setdefault(row, world)
+        self._layout = [(path, column.shape[1:]) for path, column in columns.items()]
+        kept: dict[bytes, _core.Model | ValueError] = {}
         self._variation: ModelVariation | None = None
+        # By row: the initial arrays that differ from the base model's.
+        self._initial: dict[bytes, dict[str, Any]] = {}
         if before is not None and before._layout == self._layout:
             kept, self._variation = before._made, before._variation
+            self._initial = {row: a for row, a in before._initial.items() if row in first}
         new = [row for row in first if row not in kept]
-        compiled = self._compiled([first[row] for row in new])
-        kept = kept | {row: Made(core) for row, core in zip(new, compiled, strict=True)}
-        self._made: dict[bytes, Made] = {row: kept[row] for row in first}
+        kept = kept | dict(zip(new, self._compiled([first[row] for row in new]), strict=True))
+        self._made: dict[bytes, _core.Model | ValueError] = {row: kept[row] for row in first}
         places = {row: place for place, row in enumerate(first)}
         self.model_of = [places[row] for row in rows]
         self._models: dict[int, Model] = {}
 
     @property
     def models(self) -> list[Any]:
-        """The engine's models."""
-        return [made.core for made in self._made.values()]
-
-    @property
-    def _layout(self) -> list[tuple[str, tuple[int, ...]]]:
-        """The paths and the shapes of their values, in the order of a row."""
-        return [(path, column.shape[1:]) for path, column in self._columns.items()]
+        """The engine's models, or the errors that refuse a row."""
+        return list(self._made.values())
 
     def _compiled(self, worlds: list[int]) -> list[_core.Model | ValueError]:
         """Compile the models of these worlds, several at a time."""
@@ -312,7 +288,11 @@ class Variants:
     def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
         """Return the worlds whose initial arrays differ from the model's, with these arrays."""
         base = dict(self._base.core.initial())
-        arrays = [made.initial(base) for made in self._made.values()]
+        for row, made in self._made.items():
+            if row not in self._initial:
+                own = base if isinstance(made, ValueError) else dict(made.initial())
+                self._initial[row] = {} if own == base else own
+        arrays = [self._initial[row] for row in self._made]
         worlds: dict[int, list[int]] = {k: [] for k, own in enumerate(arrays) if own}
         for world, index in enumerate(self.model_of if worlds else ()):
             if index in worlds:
@@ -406,18 +386,16 @@ def split_entry(name: str) -> tuple[str, int | None]:
     return (name, None) if match is None else (match[1], int(match[2]))
 
 
-def _expanded(model: Model, name: str) -> Iterator[str]:
-    """Yield the paths that a pattern such as "actuator/*/gain" stands for."""
+def _expanded(model: Model, name: str) -> list[str]:
+    """Return the paths that a pattern such as "actuator/*/gain" stands for."""
     parts = name.split("/")
     if "*" not in name or name in WHOLE or len(parts) < 3:
-        yield name
-        return
+        return [name]
     kind, pattern, field = parts[0], "/".join(parts[1:-1]), parts[-1]
     known = fnmatch.filter(filter(None, model.names.get(kind, ())), pattern)
     if not known:
         raise ValueError(f"parameters: no {kind} is named {checks.quoted(pattern)}")
-    for one in known:
-        yield f"{kind}/{one}/{field}"
+    return [f"{kind}/{one}/{field}" for one in known]
 
 
 def _is_impedance(path: str) -> bool:
@@ -427,18 +405,15 @@ def _is_impedance(path: str) -> bool:
 def _columns(model: Model, path: str) -> Iterator[Column]:
     path, wanted = split_entry(path)
     value = own_value(model, path)
-    if not value.ndim:
-        if wanted is not None:
-            raise ValueError(f"parameters: {path} is a number and has no entry [{wanted}]")
-        entries: list[int | None] = [None]
-    elif wanted is None:
+    if wanted is not None and wanted >= value.size * value.ndim:
+        has = f"has {value.size} entries, and no" if value.ndim else "is a number and has no entry"
+        raise ValueError(f"parameters: {path} {has} [{wanted}]")
+    if not value.ndim or wanted is not None:
+        entries = [wanted]
+    else:
         entries = [int(k) for k in np.flatnonzero(value)] or list(range(len(value)))
         if _is_impedance(path) and value[-1] in (1.0, 2.0):
             entries.remove(len(value) - 1)
-    elif wanted < len(value):
-        entries = [wanted]
-    else:
-        raise ValueError(f"parameters: {path} has {len(value)} entries, and no [{wanted}]")
     for entry in entries:
         yield Column(path, entry, float(value if entry is None else value[entry]))
 

@@ -70,11 +70,11 @@ def soft_pyramids(model: Model) -> Iterator[str]:
     gravity, found = float(np.linalg.norm(model.scene.gravity)), []
     for index, (geom, friction) in enumerate(zip(geoms, steep.tolist(), strict=True)):
         size = model.geom_size[index]
-        if friction <= 1 or geom.shape == "plane" or not model.body_mass[model.geom_body[index]]:
+        if friction <= 1 or geom.type == "plane" or not model.body_mass[model.geom_body[index]]:
             continue
         d, (time, ratio) = geom.solimp[1], geom.solref
         stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
-        soft = friction**2 * (1 + friction**2) / 2 / CONTACTS.get(geom.shape, FACE)
+        soft = friction**2 * (1 + friction**2) / 2 / CONTACTS.get(geom.type, FACE)
         depth, thin = (
             soft * (1 - d) * gravity / (stiffness * d**2),
             size[size > 0].min(initial=np.inf),

@@ -7,6 +7,7 @@ removing the entry saves.
 
 from __future__ import annotations
 
+import heapq
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,7 +20,7 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.element import NAMES
-from stepcore.engine.features import RemovableFeatures, Removal, is_belt, is_sticky, without
+from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.report.result import Result
 from stepcore.report.table import Table
@@ -29,8 +30,8 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
-# The number of costliest entries in the answer, and of entries in a table without --all.
-COSTLY, PRINTED = 3, 9
+# The number of entries in a table without --all.
+PRINTED = 9
 LEGEND = (
     "flops: floating-point operations of the entry's own stage, or those saved by removing the "
     "entry. They do not add up, because some work serves several entries."
@@ -124,7 +125,7 @@ class Plan(Result):
         sentences = [f"A step at {self.at} takes {self.flops:.0f} floating-point operations{time}."]
         costs = [(entry.flops, entry.name) for entry in self.used if entry.flops]
         if costs and self.flops > 0:
-            named = [f"{name} ({flops:.0f})" for flops, name in sorted(costs)[: -COSTLY - 1 : -1]]
+            named = [f"{name} ({flops:.0f})" for flops, name in heapq.nlargest(3, costs)]
             sentences.append(f"Most of it: {'; '.join(named)}.")
         pairs = [entry for entry in self.entries if entry.kind == "pair"]
         if pairs:
@@ -224,12 +225,6 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
     )
 
 
-def makes_rows(model: Model) -> bool:
-    """Return whether the model can make rows: contacts, limits, friction or equalities."""
-    listed = entries(model, model.settings, Counter())
-    return any(entry.kind == "row" and entry.used for entry, _ in listed)
-
-
 # By the beginning of an entry's name: the stages of `Sim.stage_flops` that are its own.
 OWN_STAGES = {
     "poses of bodies": ("place/kinematics",),
@@ -278,22 +273,20 @@ class _Listing:
         self.features = RemovableFeatures(model)
         self.plan = self.features.plan
         self.geom_names = model.called("geom")
-        # Geoms in the model's order.
-        self.geoms = [model.scene.geoms[i] for i in self.features.geom]
         self.tree_names = [model.called("body")[first] for first, *_ in self.plan["trees"]]
         self.removals = {removal.kind: removal for removal in self.features.terms()}
 
     def files(self) -> Iterator[Listed]:
         """Yield files that were read, and files and elements that were not."""
         source = self.scene._source
-        files = [file for file in (source.files if source else ()) if file != "<string>"]
-        unread = list(source.unread) if source else []
-        yield _entry("files", "files read", files, kind="file")
+        read = [file for file in (source.files if source else ()) if file != "<string>"]
+        unread = source.unread if source else ()
+        ignored = [line.rsplit(" (", 1)[0] for line in self.scene.ignored]
+        why = "only for drawing or sensing, or unused by every equation"
+        yield _entry("files", "files read", read, kind="file")
         yield _entry("files", "files not read", unread, "used for drawing only", kind="file")
         without = self.scene.without
         yield _entry("files", "left out on purpose", without, "left out by without=", kind="file")
-        ignored = [line.rsplit(" (", 1)[0] for line in self.scene.ignored]
-        why = "only for drawing or sensing, or unused by every equation"
         yield _entry("files", "elements of the file", ignored, why, kind="file")
 
     def engine(self) -> Iterator[Listed]:
@@ -306,21 +299,21 @@ class _Listing:
             number = self.row_count[rows] if rows is not None else None
             stages = _first(OWN_STAGES, name) or () if used else ()
             entry = PlanEntry(stage, kind, name, names, used, why, count, number, stages)
-            removal = self._removal(name, kind, elements, ways) if used else None
-            yield entry, removal
+            yield entry, self._removal(name, kind, elements, ways) if used else None
 
     def _names(self, of: str, elements: Sequence[int]) -> list[str]:
         if of == "pair":
-            names, pairs = self.geom_names, self.features.pairs
-            return [f"{names[a]}/{names[b]}" for a, b in _pick(pairs, elements)]
-        if of == "tree":
-            return _pick(self.tree_names, elements)
+            return self._pair_names(self.features.pairs[i] for i in elements)
         if of == "island":
             islands: dict[int, list[str]] = {}
             for island, name in zip(self.plan["islands"], self.tree_names, strict=True):
                 islands.setdefault(island, []).append(name)
             return ["+".join(islands[island]) for island in elements]
-        return _pick(self.model.called(of), elements)
+        names = self.tree_names if of == "tree" else self.model.called(of)
+        return [names[i] for i in elements]
+
+    def _pair_names(self, pairs: Iterable[Sequence[int]]) -> list[str]:
+        return [f"{self.geom_names[a]}/{self.geom_names[b]}" for a, b in pairs]
 
     def _removal(self, name: str, kind: str, elements: Sequence[int], ways: int) -> Removal | None:
         if kind == "pair":
@@ -337,43 +330,41 @@ class _Listing:
         """Yield the sites on the paths of tendons, and the others."""
         tendons = zip(self.scene.tendons, self.plan["tendons"], strict=True)
         passed = {id(e) for tendon, used in tendons if used for e in tendon.elements()}
-        sites = Layout(self.scene).sites
-        names = list(zip(self.model.called("site"), sites, strict=True))
-        name = "poses of sites"
-        yield _entry("place", name, [n for n, site in names if id(site) in passed])
-        left = [n for n, site in names if id(site) not in passed]
-        yield _entry("place", name, left, "no force acts there: computed when read")
+        every = list(zip(self.model.called("site"), Layout(self.scene).sites, strict=True))
+        left = [name for name, site in every if id(site) not in passed]
+        yield _entry("place", "poses of sites", [n for n, site in every if id(site) in passed])
+        yield _entry("place", "poses of sites", left, "no force acts there: computed when read")
 
     def unmet(self) -> Iterator[Listed]:
         """Yield the pairs that were not made candidates, by reason."""
         for why, count, examples in self.plan["unmet"]:
-            some = [f"{self.geom_names[a]}/{self.geom_names[b]}" for a, b in examples]
-            yield _entry("detect", "pairs", some, why, count=count, kind="pair")
+            entry, _ = _entry("detect", "pairs", self._pair_names(examples), why, kind="pair")
+            yield replace(entry, count=count), None
 
     def surfaces(self) -> Iterator[Listed]:
         """Yield moving and adhesive surfaces."""
-        called = dict(zip(map(id, self.geoms), self.geom_names, strict=True))
+        number = {id(self.scene.geoms[i]): k for k, i in enumerate(self.features.geom)}
         pairs = [pair for pair in self.scene.pairs if pair.adhesion > 0]
-        sticky = [f"{called[id(pair.geom1)]}/{called[id(pair.geom2)]}" for pair in pairs]
-        for name, kind, has, more in (
-            ("surfaces that move (by geom)", "moving surfaces", is_belt, []),
-            ("adhesion (by geom)", "adhesion", is_sticky, sticky),
+        sticky = self._pair_names((number[id(p.geom1)], number[id(p.geom2)]) for p in pairs)
+        for name, kind, feature, more in (
+            ("surfaces that move (by geom)", "moving surfaces", "belt", []),
+            ("adhesion (by geom)", "adhesion", "adhesion", sticky),
         ):
-            used, unused = (_pick(self.geom_names, own) for own in self.features.split(has))
-            yield _entry("solve", name, used + more, removal=self.removals.get(kind))
+            own = self.features.split(feature)
+            used, unused = ([self.geom_names[i] for i in some] for some in own)
+            entry, _ = _entry("solve", name, used + more)
+            yield entry, self.removals.get(kind)
             yield _entry("solve", name, unused, "they collide with nothing")
 
     def _excluding(self, indices: Sequence[int]) -> Removal | None:
         """Return the removal of these pairs; None if their bodies have further pairs."""
-        owner = self.model.geom_body.tolist()
-        pairs = _pick(self.features.pairs, indices)
+        owner, body = self.model.geom_body.tolist(), self.features.body
+        pairs = [self.features.pairs[i] for i in indices]
         bodies = {tuple(sorted((owner[a], owner[b]))) for a, b in pairs}
         own = self.features.body_pairs()
         if sum(len(own[pair]) for pair in bodies) != len(indices):
             return None
-        body = self.features.body
-        excluded = tuple((body[a], body[b]) for a, b in bodies)
-        return Removal("pairs", "", (("exclude", excluded),))
+        return Removal("pairs", "", (("exclude", tuple((body[a], body[b]) for a, b in bodies)),))
 
 
 def _has_friction(name: str) -> bool:
@@ -386,26 +377,14 @@ def _first(table: dict[str, Any], name: str) -> Any:
 
 
 def _entry(
-    stage: str,
-    name: str,
-    names: Iterable[str],
-    why: str = "",
-    *,
-    count: int | None = None,
-    kind: str = "term",
-    removal: Removal | None = None,
+    stage: str, name: str, names: Iterable[str], why: str = "", kind: str = "term"
 ) -> Listed:
     """Return an entry of these elements; why: the reason for which it is left out."""
     names = tuple(names)
-    number = len(names) if count is None else count
-    return PlanEntry(stage, kind, name, names, not why, why, number), removal
+    return PlanEntry(stage, kind, name, names, not why, why, len(names)), None
 
 
-def _pick(items: Sequence[Any], indices: Iterable[int]) -> list[Any]:
-    return [items[i] for i in indices]
-
-
-# Steps per timing, and timings per variant, interleaved with those of the complete model.
+# Steps of a timing, and timings, interleaved with those of the complete model.
 STEPS, ROUNDS = 20, 15
 
 
@@ -448,12 +427,11 @@ class StepCost:
         scene = self.model.scene.with_settings(self.settings)
         sim = unwatched(Sim(without(scene, [removal]).compile()))
         self._place(sim)
-        flops = self.flops - sim.count_flops()
-        micros = None
-        if self.time:
-            whole, reduced = self._timed(self.whole, sim)
-            micros = whole - reduced
-        return replace(entry, flops=flops, micros=micros)
+        entry = replace(entry, flops=self.flops - sim.count_flops())
+        if not self.time:
+            return entry
+        whole, reduced = self._timed(self.whole, sim)
+        return replace(entry, micros=whole - reduced)
 
     def _place(self, sim: Sim) -> None:
         """Put a variant, whose rows may differ, into the state."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import json
 import os
@@ -76,29 +77,27 @@ class Replay:
         sim.restore(self.state, None)
         own = dict(sim.arrays())
         changes = {step: arrays for step, *arrays in self.inputs}
-        time, energy, steps = [], [], []
-        for step in range(self.steps):
-            _put(own, changes.get(step))
-            try:
+        time, energy, steps = list[float](), list[float](), list[dict[Any, float]]()
+        # A replay that fails too early is not the same.
+        with contextlib.suppress(SimulationError):
+            for step in range(self.steps):
+                _put(own, changes.get(step))
                 before, after, injected = sim.taped_step()
-            except SimulationError:
-                # The replay fails too early, so `same` will be False.
-                break
-            energy += [before, after] if step == 0 else [after]
-            time.append(sim.time)
-            steps.append(dict(injected))
+                energy += [before, after] if step == 0 else [after]
+                time.append(sim.time)
+                steps.append(dict(injected))
         _put(own, changes.get(self.steps))
-        elements = sorted({element for injected in steps for element in injected})
+        work = {
+            model.element_name(*element): np.array([step.get(element, 0.0) for step in steps])
+            for element in sorted({element for injected in steps for element in injected})
+        }
         return PostMortem(
             name=self.name or "scene",
             replay=self,
             same=_fails(self, sim, own),
             time=np.array(time),
             energy=np.array(energy),
-            work={
-                model.element_name(*element): np.array([step.get(element, 0.0) for step in steps])
-                for element in elements
-            },
+            work=work,
         )
 
     def to_json(self) -> str:
@@ -156,7 +155,9 @@ class Replay:
 
 def _made(data: dict[str, Any]) -> Replay:
     """Create a replay from a file's checked data; raise ValueError or TypeError for a bad field."""
-    fields = _record("replay", "", data, BODY)
+    fields = _formed("replay", "", data, BODY)
+    if len(fields["happened"]["share_ids"]) != len(fields["happened"]["shares"]):
+        raise ValueError("happened.share_ids: must be one for each share")
     settings, scene = Settings(**fields.pop("settings")), _unpacked(fields.pop("scene"))
     return Replay(**fields, settings=settings, _scene=scene)
 
@@ -177,11 +178,6 @@ def _packed(array: Any) -> Any:
 def _check(body: dict[str, Any]) -> str:
     text = json.dumps(body, sort_keys=True, separators=(",", ":"), default=_packed)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-# The number of steps, and of elements, that are printed.
-PRINTED_STEPS = 12
-PRINTED_ELEMENTS = 5
 
 
 @dataclass(repr=False)
@@ -220,7 +216,6 @@ class PostMortem(Result):
 
     @property
     def settings(self) -> Settings:
-        """The settings of the run."""
         return self.replay.settings
 
     @property
@@ -236,17 +231,17 @@ class PostMortem(Result):
 
     @property
     def title(self) -> str:
-        """Title of the post-mortem."""
         return f"{self.name}: post-mortem"
 
     @property
     def sentences(self) -> list[str]:
         """The text of the error, and whether the replay reproduced the failure."""
-        text = self.paragraph
-        step = self.replay.happened["step"]
-        again = f"The replay fails again after {self.replay.steps} steps, with the same bits."
-        other = f"The replay does not fail in step {step} with the same bits as the run."
-        said = [text[:1].upper() + text[1:].removesuffix(".") + ".", again if self.same else other]
+        text, replay = self.paragraph, self.replay
+        again = f"The replay fails again after {replay.steps} steps, with the same bits."
+        if not self.same:
+            step = replay.happened["step"]
+            again = f"The replay does not fail in step {step} with the same bits as the run."
+        said = [text[:1].upper() + text[1:].removesuffix(".") + ".", again]
         if not len(self.time):
             said.append(
                 "With ledger=True in its settings a run records the steps before a failure."
@@ -262,8 +257,8 @@ class PostMortem(Result):
         """Return the last steps of the leading elements; `full`: all steps and elements."""
         if not len(self.time):
             return []
-        names = self.leading(len(self.work) if full else PRINTED_ELEMENTS)
-        table = self._steps(names, len(self.time) if full else PRINTED_STEPS)
+        most, count = (len(self.work), len(self.time)) if full else (5, 12)
+        table = self._steps(self.leading(most), count)
         table.heading = (
             "Kinetic and spring energy [J], and what each element injected in the step [J]"
         )
@@ -281,23 +276,16 @@ class PostMortem(Result):
 
     def details(self) -> dict[str, Any]:
         """Return the recorded steps as arrays, and the data of the failure."""
-        return {
-            "steps": self.replay.steps,
-            "same": self.same,
-            "happened": self.replay.happened,
-            "time": self.time,
-            "energy": self.energy,
-            "work": self.work,
-        }
+        steps = {"steps": self.replay.steps, "same": self.same, "happened": self.replay.happened}
+        return steps | {"time": self.time, "energy": self.energy, "work": self.work}
 
     def leading(self, most: int) -> list[str]:
         """Return the leading elements: by share, then by the largest energy moved in a step."""
-        moved = {
-            name: float(np.abs(work[np.isfinite(work)]).max(initial=0.0))
-            for name, work in self.work.items()
-        }
-        rest = sorted((name for name in moved if name not in self.shares), key=lambda n: -moved[n])
-        names = [name for name in self.shares if name in self.work]
+        shares, moved = list(self.shares), dict[str, float]()
+        for name, work in self.work.items():
+            moved[name] = float(np.abs(work[np.isfinite(work)]).max(initial=0.0))
+        rest = sorted((name for name in moved if name not in shares), key=lambda n: -moved[n])
+        names = [name for name in shares if name in moved]
         return (names + [name for name in rest if moved[name] > 0])[:most]
 
 
@@ -380,35 +368,57 @@ MOST_STEPS = 100_000
 # Array types in a scene: numbers, and indices of vertices.
 ARRAYS = ("<f8", "<i8", "<u8", "<i4", "<u4")
 
-whole = checks.whole(0, 2**63 - 1)
 
-
-def _float(owner: Any, name: str, value: object) -> float:
-    """Check a JSON number, which may be non-finite."""
+def _number(value: object) -> float | None:
+    """Return a JSON number, which may be non-finite; None for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise checks.refuse(owner, name, value, "a number")
+        return None
     try:
         return float(value)
     except OverflowError:
-        raise checks.refuse(owner, name, value, "a number below 1e308") from None
+        return None
 
 
+def _decoded(value: object) -> bytes | None:
+    try:
+        return base64.b64decode(value, validate=True) if isinstance(value, str) else None
+    except ValueError:
+        return None
+
+
+whole = checks.whole(0, 2**63 - 1)
+_float = checks.checked(_number, "a number below 1e308")
+_bytes = checks.checked(_decoded, "base64")
 _list = checks.checked(lambda value: value if isinstance(value, list) else None, "a list")
 _dict = checks.checked(lambda value: value if isinstance(value, dict) else None, "an object")
 
 
-def _each(check: checks.Check) -> checks.Check:
-    return lambda owner, name, value: [
-        check(owner, f"{name}[{k}]", entry) for k, entry in enumerate(_list(owner, name, value))
-    ]
+def _formed(owner: Any, name: str, value: object, form: Any) -> Any:
+    """Return a value of a form: a check, [the form of each entry], (one of each), or a record."""
+    if isinstance(form, list):
+        entries = enumerate(_list(owner, name, value))
+        return [_formed(owner, f"{name}[{k}]", entry, form[0]) for k, entry in entries]
+    if isinstance(form, tuple):
+        entries = _list(owner, name, value)
+        if len(entries) != len(form):
+            raise checks.refuse(owner, name, value, f"a list of {len(form)} entries")
+        each = enumerate(zip(entries, form, strict=True))
+        return tuple(_formed(owner, f"{name}[{k}]", *pair) for k, pair in each)
+    if not isinstance(form, dict):
+        return form(owner, name, value)
+    record, prefix = _dict(owner, name, value), f"{name}." if name else ""
+    for key in record:
+        if key not in form:
+            raise ValueError(f"{prefix}{checks.cut(key, 80)}: no such field")
+    for key in form:
+        if key not in record:
+            raise ValueError(f"{prefix}{key}: missing")
+    return {key: _formed(owner, prefix + key, record[key], own) for key, own in form.items()}
 
 
-def _id(owner: Any, name: str, value: object) -> tuple[str, int, int]:
-    entries = _list(owner, name, value)
-    if len(entries) != 3 or not isinstance(entries[0], str):
-        raise checks.refuse(owner, name, value, "(kind, index, part)")
-    index, part = (checks.whole(-1, 2**63 - 1)(owner, name, entry) for entry in entries[1:])
-    return entries[0], index, part
+def _id(owner: Any, name: str, value: object) -> Any:
+    """Check for kind, index and part of an element."""
+    return _formed(owner, name, value, (checks.text, *[checks.whole(-1, 2**63 - 1)] * 2))
 
 
 def _shares(owner: Any, name: str, value: object) -> dict[str, float]:
@@ -416,31 +426,12 @@ def _shares(owner: Any, name: str, value: object) -> dict[str, float]:
     return {key: _float(owner, f"{name}.{checks.cut(key, 80)}", shares[key]) for key in shares}
 
 
-def _state(owner: Any, name: str, value: object) -> bytes:
-    text = checks.text(owner, name, value)
-    try:
-        return base64.b64decode(text, validate=True)
-    except ValueError:
-        raise checks.refuse(owner, name, value, "base64") from None
+def _numbers(owner: Any, name: str, value: object) -> list[float]:
+    return list(checks.numbers(owner, name, value))
 
 
-def _input(owner: Any, name: str, value: object) -> tuple[Any, ...]:
-    entries, most = _list(owner, name, value), 1 + len(INPUTS)
-    if len(entries) != most:
-        raise checks.refuse(owner, name, value, f"a list of {most} entries")
-    arrays = (checks.numbers(owner, f"{name}[{k}]", entries[k]) for k in range(1, most))
-    return whole(owner, f"{name}[0]", entries[0]), *map(list, arrays)
-
-
-def _event(owner: Any, name: str, value: object) -> dict[str, Any]:
-    event = _record(owner, f"{name}.", _dict(owner, name, value), EVENT)
-    if len(event["share_ids"]) != len(event["shares"]):
-        raise checks.refuse(owner, f"{name}.share_ids", event["share_ids"], "one for each share")
-    return event
-
-
-# Attributes of the error in a replay; `EVENT` adds the error's text and the last state.
-ATTRIBUTES: dict[str, checks.Check] = {
+# Attributes of the error in a replay; the file has the error's text and the last state beside them.
+ATTRIBUTES: dict[str, Any] = {
     "step": whole,
     "time": _float,
     "world": whole,
@@ -450,51 +441,35 @@ ATTRIBUTES: dict[str, checks.Check] = {
     "element": checks.text,
     "element_id": checks.optional(_id),
     "shares": _shares,
-    "share_ids": _each(_id),
+    "share_ids": [_id],
 }
-EVENT = {**ATTRIBUTES, "text": checks.text, "state": checks.text}
 BODY = {
     "name": checks.text,
     "scene": _dict,
     "settings": _dict,
-    "state": _state,
-    "inputs": _each(_input),
+    "state": _bytes,
+    "inputs": [(whole, *[_numbers] * len(INPUTS))],
     "steps": checks.whole(0, MOST_STEPS),
-    "happened": _event,
+    "happened": {**ATTRIBUTES, "text": checks.text, "state": checks.text},
 }
 
 
-def _unpacked(data: Any) -> Any:
+def _unpacked(data: dict[str, Any]) -> Any:
     """Return plain data with packed arrays converted back to arrays."""
-    if isinstance(data, list):
-        return [_unpacked(entry) for entry in data]
-    if not isinstance(data, dict):
-        return data
-    if set(data) == {"array"}:
-        return _array(data["array"])
-    return {key: _unpacked(value) for key, value in data.items()}
+
+    def whole_or_array(own: dict[str, Any]) -> Any:
+        return _array(own["array"]) if set(own) == {"array"} else own
+
+    return json.loads(json.dumps(data), object_hook=whole_or_array)
 
 
 def _array(packed: object) -> Any:
-    entries = packed if isinstance(packed, list) and len(packed) == 3 else ["", "", ""]
-    if entries[0] not in ARRAYS:
-        limit = f"(type, shape, base64), of a type {', '.join(ARRAYS)}"
-        raise ValueError(f"array = {checks.shown(packed)}: must be {limit}")
     try:
-        shape = [whole("array", "shape", count) for count in _list("array", "shape", entries[1])]
-        numbers = np.frombuffer(_state("array", "bytes", entries[2]), entries[0]).reshape(shape)
-        return numbers.astype(numbers.dtype.newbyteorder("="))
+        kind, counts, text = _list("array", "entries", packed)
+        if kind not in ARRAYS:
+            raise ValueError(f"must be (type, shape, base64), of a type {', '.join(ARRAYS)}")
+        shape = [whole("array", "shape", count) for count in counts]
+        numbers = np.frombuffer(_bytes("array", "bytes", text), kind).reshape(shape)
     except (ValueError, TypeError) as error:
         raise ValueError(f"array = {checks.shown(packed)}: {checks.one_line(error)}") from None
-
-
-def _record(
-    owner: Any, prefix: str, data: dict[str, Any], fields: dict[str, checks.Check]
-) -> dict[str, Any]:
-    for name in data:
-        if name not in fields:
-            raise ValueError(f"{prefix}{checks.cut(name, 80)}: no such field")
-    for name in fields:
-        if name not in data:
-            raise ValueError(f"{prefix}{name}: missing")
-    return {name: check(owner, prefix + name, data[name]) for name, check in fields.items()}
+    return numbers.astype(numbers.dtype.newbyteorder("="))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings
-from stepcore.engine.arrays import Floats, kept, last_of, snapshot
+from stepcore.engine.arrays import Floats, kept, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.error_bar import ErrorBar, FinerRun
 from stepcore.engine.linearization import Linearization, Linearizations, linear_step
@@ -44,7 +44,7 @@ class Sim(World):
         (`Model.is_heap`); one thread does all other work.
     error_bar: whether a finer run goes beside this one, from which `error` is known: with a tenth
         of the ``accuracy``, or with a quarter of ``dt`` and rows solved to rounding. A run then
-        takes 3 to 8 times as long. The motion is the same.
+        takes 2 to 5 times as long, or 4 to 10 times. The motion is the same.
     fields: single fields of `Settings` to change, such as ``dt=0.005, solver="pgs"``.
 
     The state arrays (qpos, qvel, ctrl, qfrc_applied, xfrc_applied) can be written, in place or by
@@ -128,13 +128,6 @@ class Sim(World):
         >= 128. Raises SimulationError if the motion has more energy than is physically possible.
         """
         self._call(self._core.balance)
-
-    def forward(self) -> None:
-        """Compute poses, contacts and forces at the present state, without taking a step.
-
-        Raises the same errors as `step`.
-        """
-        self._call(self._core.forward)
 
     def linearize(self, parameters: Sequence[str] = ()) -> Linearization:
         """Linearise the next step about the present state, without taking the step.
@@ -225,7 +218,7 @@ class Sim(World):
 
         Raises ValueError for bytes that are no snapshot of this model; nothing changes then.
         """
-        self._core.restore(snapshot(state, state), last_of(state))
+        self._core.restore(*snapshot(state, state))
 
     def copy(self) -> Sim:
         """Return another Sim of the same model, settings and state; both continue bit-identically.
@@ -341,8 +334,7 @@ class Sim(World):
     def _judge(self) -> FinerRun:
         if self._finer is None:
             raise ValueError("error: not measured; ask for it with Sim(…, error_bar=True)")
-        self._finer.meet()
-        return self._finer
+        return self._finer.judged()
 
     # The last step or forward().
 

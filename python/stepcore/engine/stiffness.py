@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,8 +28,8 @@ if TYPE_CHECKING:
 
 # Shorter steps are not told [s].
 SHORTEST = 1e-6
-# Larger scenes are not compiled at load.
-MOST_BODIES = 1000
+# With more joints or geoms a scene is not compiled at load.
+LARGE = 1000
 
 
 class StiffnessWarning(UserWarning):
@@ -50,34 +49,19 @@ class StiffnessWarning(UserWarning):
     """
 
 
-@dataclass(frozen=True)
-class JointGain:
-    """The stiffness and damping that one element gives each dof of its joint.
-
-    kind: "spring", "damper" or "actuator". index: of the joint (spring, damper) or the actuator.
-    joint: the index of the joint. stiffness: [N·m/rad or N/m]. damping: [N·m·s/rad or N·s/m].
-    """
-
-    kind: str
-    index: int
-    joint: int
-    stiffness: float
-    damping: float
-
-
-def joint_gains(model: Model) -> Iterator[JointGain]:
-    """Yield the gains of every spring and damper, then of every actuator, including zeros.
+def joint_gains(model: Model) -> Iterator[tuple[str, int, int, float, float]]:
+    """Yield kind and index of each element on a joint, its joint, and its stiffness and damping.
 
     Polynomial springs and dampers count with their first coefficient, a servo with its feedback.
     """
     features = model.scene.features
     for j, joint in enumerate(Layout(model.scene).joints):
         record = joint.record()
-        yield JointGain("spring", j, j, features.spring * float(record["stiffness"][0]), 0.0)
-        yield JointGain("damper", j, j, 0.0, features.damper * float(record["damping"][0]))
+        yield "spring", j, j, features.spring * float(record["stiffness"][0]), 0.0
+        yield "damper", j, j, 0.0, features.damper * float(record["damping"][0])
     for own in actuators(model) if features.actuation else ():
         if own.joint is not None:
-            yield JointGain("actuator", own.index, own.joint, own.stiffness, own.damping)
+            yield "actuator", own.index, own.joint, own.stiffness, own.damping
 
 
 def oscillator_dt(square: float, implicit: float, explicit: float, integrator: str) -> float:
@@ -91,12 +75,9 @@ def oscillator_dt(square: float, implicit: float, explicit: float, integrator: s
     if integrator in ("explicit", "rk4"):
         fastest = rate / 2 + math.sqrt(max(rate**2 / 4 - square, 0.0))
         if integrator == "rk4":
-            # Its region of stability reaches to 2.785 on the real axis, 2.828 on the imaginary.
-            return (
-                2.785 / max(fastest, omega)
-                if rate > omega
-                else 2 * math.sqrt(2) / max(omega, 1e-300)
-            )
+            # Its region of stability reaches to 2.785 on the real axis, to 2√2 on the imaginary.
+            reach = 2.785 if rate > omega else 2 * math.sqrt(2)
+            return reach / max(fastest, omega, 1e-300)
         return 2 / fastest if rate > 2 * omega else rate / square if square else math.inf
     if integrator in STIFFNESS_IMPLICIT:
         square = 0.0
@@ -111,34 +92,30 @@ def stiffest(model: Model) -> tuple[float, Element | None]:
     """Return the least dt that a joint with what acts on it allows [s], and who is stiffest."""
     integrator = model.settings.integrator
     hidden = implicit_kinds(integrator, model.scene.features.eulerdamp)
-    found: dict[int, list[tuple[float, float, float, JointGain]]] = {}
-    for gain in joint_gains(model):
-        weight = float(model.dof_invweight0[model.jnt_dofadr[gain.joint]])
-        rate = weight * gain.damping
-        parts = (rate, 0.0) if gain.kind in hidden else (0.0, rate)
+    # By joint: ω², damping rates that are treated implicitly and explicitly, and whose they are.
+    found: dict[int, list[tuple[float, float, float, tuple[str, int]]]] = {}
+    for kind, index, joint, stiffness, damping in joint_gains(model):
+        weight = float(model.dof_invweight0[model.jnt_dofadr[joint]])
+        rates = (weight * damping, 0.0) if kind in hidden else (0.0, weight * damping)
         # A servo that pushes away from its target grows physically, at any dt.
-        found.setdefault(gain.joint, []).append((max(gain.stiffness, 0.0) * weight, *parts, gain))
+        part = (max(stiffness, 0.0) * weight, *rates, (kind, index))
+        found.setdefault(joint, []).append(part)
     least, who = math.inf, None
     for own in found.values():
         square, implicit, explicit = np.sum([part[:3] for part in own], axis=0).tolist()
         limit = oscillator_dt(square, implicit, explicit, integrator)
         if 0 < limit < least:
             alone = [oscillator_dt(part[0], implicit, part[2], integrator) for part in own]
-            gain = own[int(np.argmin(alone))][3]
-            least, who = limit, Element.of(model, gain.kind, gain.index)
+            least, who = limit, Element.of(model, *own[int(np.argmin(alone))][3])
     return least, who
 
 
 def estimate(scene: Scene) -> str:
     """Return the text of the warning, "" if there is none."""
-    moves = any(joint.sprung or joint.damped for joint in scene.joints)
-    if (
-        scene.settings.accuracy is not None
-        or len(scene.joints) > MOST_BODIES
-        or len(scene.geoms) > MOST_BODIES
-    ):
-        return ""
-    if not moves and all(actuator.type == "motor" for actuator in scene.actuators):
+    acts = any(joint.sprung or joint.damped for joint in scene.joints)
+    acts = acts or any(actuator.type != "motor" for actuator in scene.actuators)
+    large = max(len(scene.joints), len(scene.geoms)) > LARGE
+    if scene.settings.accuracy is not None or large or not acts:
         return ""
     model = scene.compile()
     settings, dt = model.settings, model.settings.dt
@@ -146,12 +123,12 @@ def estimate(scene: Scene) -> str:
         limit, element = stiffest(model)
     if element is None or limit >= dt:
         return ""
-    name = Elements([element]).name
-    cause = f"{name} alone limits dt to {seconds(limit)}"
+    cause = f"alone limits dt to {seconds(limit)}"
     if limit < SHORTEST:
-        cause = f"{name} alone makes every step unstable, down to {seconds(SHORTEST)}"
-    cause += " (run stepcore diagnose, which runs the motion)"
-    return f"dt {seconds(dt)} may be unstable under {settings.integrator}: {cause}"
+        cause = f"alone makes every step unstable, down to {seconds(SHORTEST)}"
+    cause = f"{Elements([element]).name} {cause}"
+    advice = "(run stepcore diagnose, which runs the motion)"
+    return f"dt {seconds(dt)} may be unstable under {settings.integrator}: {cause} {advice}"
 
 
 def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:

@@ -21,22 +21,20 @@ from stepcore.engine.arrays import STATE, Floats, numbers
 from stepcore.engine.axes import UNITS, Axis, axes_of
 from stepcore.engine.control import controls, not_finite
 from stepcore.engine.error_bar import driven, judged
-from stepcore.engine.snapshots import Snapshots, Taking
+from stepcore.engine.snapshots import RATE, Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
+from stepcore.engine.world import READINGS, World
 
 if TYPE_CHECKING:
     from stepcore import _core
-    from stepcore.engine.world import World
     from stepcore.viewing.frames import Replayed
     from stepcore.viewing.live import View
 
-SomeWorld = TypeVar("SomeWorld", bound="World")
+SomeWorld = TypeVar("SomeWorld", bound=World)
 # Controls over a run: a function of (time, sim), or a table with a row for each control period.
 Driven = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
 UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
-# With more snapshots than this (20 s of motion) a notebook shows no page.
-INLINE = 1200
 
 # Files: the version increases when the layout changes; the name of the column of times of a table;
 # and extensions of other formats, with which a file name would be misleading.
@@ -48,23 +46,10 @@ SAMPLED = {
     *("time", "qpos", "qvel", "act", "ctrl_history", "ctrl", "xpos", "xquat", "energy"),
     *("qacc", "actuator_force"),
 }
-RECORDED = (
-    *("qpos", "qvel", "act", "ctrl_history", "ctrl", "qfrc_applied", "xfrc_applied"),
-    *("eq_active", "mocap_pos", "mocap_quat"),
-    *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat"),
-    *("ten_length", "ten_velocity"),
-    *("subtree_com", "cinert", "cvel", "cacc", "cfrc_ext", "cfrc_int"),
-    *("energy", "momentum", "overlap", "bias", "passive", "qfrc_bias", "qfrc_passive"),
-    *("actuator_length", "actuator_velocity"),
-    "sensordata",
-    *("qacc", "residual", "constraint_force", "qfrc_constraint", "actuator_force"),
-    *("sweeps_done", "row_updates"),
-    "unrecovered_overlap",
-    *("error", "body_error"),
-)
-# Counts of a single Sim's solve, its error bar; and momentum, which is a pair of arrays.
-ONLY_OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum", "error", "body_error")
-OF_WORLDS = tuple(name for name in RECORDED if name not in ONLY_OF_ONE_WORLD)
+# What is recorded of one world only: counts of its solve, its error bar, and a pair of arrays.
+OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum", "error", "body_error")
+OF_WORLDS = (*READINGS, "energy", "overlap", "sensordata", "residual", "unrecovered_overlap")
+RECORDED = (*OF_WORLDS, *OF_ONE_WORLD)
 
 
 class Rollout(NamedTuple):
@@ -227,7 +212,7 @@ class Trajectory:
         """
         shown = checks.cut(source := files.path("path", path), 300)
         arrays = files.arrays(source, "a trajectory")
-        if "kind" not in arrays or str(arrays["kind"]) != KIND:
+        if str(arrays.get("kind")) != KIND:
             raise ValueError(f"{shown}: is no trajectory; `Trajectory.save` writes them")
         if str(arrays.get("version")) != str(VERSION):
             what = f"version {checks.cut(str(arrays.get('version')), 80)} of a trajectory"
@@ -377,8 +362,8 @@ class Trajectory:
         return replayed(self.snapshots, label)
 
     def _repr_html_(self) -> str | None:
-        """Return the page of `save_html` for a notebook, if the run is short."""
-        if self.snapshots is None or len(self.snapshots.states) > INLINE:
+        """Return the page of `save_html` for a notebook, if the run has at most 20 s."""
+        if self.snapshots is None or len(self.snapshots.states) > 20 * RATE:
             return None
         from stepcore.viewing.page import framed, page
 
@@ -411,15 +396,15 @@ def record_run(
         checks.function("time", "sim")("run", "control", control)
     elif control is not None:
         control = _table(sim, control)
-    names, arrays = judged(sim, recordable(record)), dict[str, NDArray[Any]]()
+    names = judged(sim, recordable(record))
     try:
-        for name in ("time", *names):
-            value = np.asarray(getattr(sim, name))
-            arrays[name] = np.empty((steps + 1, *value.shape), dtype=value.dtype)
-            arrays[name][0] = value
+        values = {name: np.asarray(getattr(sim, name)) for name in ("time", *names)}
+        arrays = {n: np.empty((steps + 1, *v.shape), dtype=v.dtype) for n, v in values.items()}
     except MemoryError:
         what = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
         raise ValueError(f"{what}; run shorter pieces, or record less") from None
+    for name, value in values.items():
+        arrays[name][0] = value
     residuals, stride, snapshots = Residuals(sim), max(1, steps // LOOKS), Taking(sim, steps)
     for done in pieces(sim, steps, control, period, arrays, (stride,), snapshots):
         if done and done % stride == 0:
@@ -491,7 +476,7 @@ def samples(
     """
     own = () if told is None else (told,)
     if _sampled(world, names):
-        made, _ = world._call(world._core.follow, every_step(names, steps), ctrl, *own)
+        made, _ = world._call(world._core.follow, asked(names, steps), ctrl, *own)
         if ctrl is None and "ctrl" in names:
             # As they were given, not as single precision has them.
             made[names.index("ctrl")][:] = world._arrays["ctrl"].reshape(len(made[0]), 1, -1)
@@ -555,12 +540,9 @@ def _table(sim: SomeWorld, control: ArrayLike) -> Floats:
         limit = f"of shape (n, {sim.model.nu}) with n > 0"
         raise ValueError(f"control has shape {table.shape}: must be {limit}")
     if bad := not_finite(sim, table):
-        (row, k), value = bad, table[bad]
-        name = sim.model.actuator_names[k]
-        where = (
-            f'actuator "{name}", in row {row} of control' if name else f"in row {row} of control"
-        )
-        limit = "finite in single precision" if sim.settings.precision == "f32" else "finite"
+        (row, k), value, name = bad, table[bad], sim.model.actuator_names[bad[1]]
+        where = f'actuator "{name}", ' * bool(name) + f"in row {row} of control"
+        limit = "finite" + " in single precision" * (sim.settings.precision == "f32")
         said = f"ctrl[{k}] = {'NaN' if np.isnan(value) else value}: must be {limit} ({where})"
         raise ValueError(f"{said}; the state was left as it is")
     return table
@@ -573,15 +555,22 @@ def sampled(names: Collection[str], settings: Settings) -> bool:
     return set(names) <= SAMPLED - solved
 
 
-def every_step(names: Sequence[str], steps: int) -> _core._Asked:
-    """Return what the engine is asked for: a sample of each step, under a row of controls each."""
+def asked(
+    names: Sequence[str],
+    steps: int,
+    every: int = 1,
+    hold: int = 1,
+    first: bool = False,
+    bound: float = np.inf,
+) -> _core._Asked:
+    """Return what the engine is asked for: samples of a run, the first at the start or not."""
     return {
         "names": list(names),
         "steps": steps,
-        "every": 1,
-        "hold": 1,
-        "first": False,
-        "bound": np.inf,
+        "every": every,
+        "hold": hold,
+        "first": first,
+        "bound": bound,
     }
 
 

@@ -18,13 +18,10 @@ if TYPE_CHECKING:
 
 # The threshold of a large residual without gravity [m/s].
 WEIGHTLESS = 0.05
-# Persistent: large in this share of the samples, with at least this number of samples.
-STAYS, FEWEST = 0.5, 16
-# The approximate number of samples of a run. A batch samples after 64, 128, 256, … steps and warns
-# of a world with this number of consecutive large residuals.
-LOOKS, IN_A_ROW = 64, 3
-# The most sweeps of ``sweeps="auto"``.
-MOST_SWEEPS = 10_000
+# The approximate number of samples of a run, and the fewest of which the median says something. A
+# batch samples after 64, 128, 256, … steps and warns of a world with this number of consecutive
+# large residuals.
+LOOKS, FEWEST, IN_A_ROW = 64, 16, 3
 
 
 class UnsolvedWarning(UserWarning):
@@ -49,7 +46,7 @@ class Residuals:
     @property
     def typical(self) -> float:
         """The median of the samples [m/s]; 0 if there are too few samples."""
-        return float(np.quantile(self.seen, 1 - STAYS)) if len(self.seen) >= FEWEST else 0.0
+        return float(np.median(self.seen)) if len(self.seen) >= FEWEST else 0.0
 
     def sentence(self, settings: Settings) -> str:
         """Return a sentence on unsolved rows and a remedy; "" if there are none."""
@@ -89,13 +86,13 @@ def unsolved(settings: Settings, row: str, residual: float) -> str:
     from stepcore.report.units import speed
 
     newton, auto = settings.solver == "newton", settings.sweeps == "auto"
-    count = MOST_SWEEPS if auto else settings.sweeps
-    noun = ("iteration" if newton else "sweep") + ("" if count == 1 else "s")
-    with_ = f"{count} {noun} of {settings.solver}"
+    noun = ("iteration" if newton else "sweep") + ("" if settings.sweeps == 1 else "s")
+    count = "the most" if auto else settings.sweeps
+    with_ = f"{count} {noun} of {settings.solver}" + " that auto makes" * auto
     cures = [] if auto else ['sweeps="auto"']
     if settings.law == "solref":
         cures += ['acceleration="momentum"'] if newton else ['solver="newton"']
-    cure = f"; {' or '.join(cures)} solves them" if cures else ", the most that auto makes"
+    cure = f"; {' or '.join(cures)} solves them" if cures else ""
     return f"rows stay unsolved: {row} misses its law by {speed(residual)} with {with_}{cure}"
 
 

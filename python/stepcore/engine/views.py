@@ -15,16 +15,10 @@ if TYPE_CHECKING:
 
 
 class Entry:
-    """The entry of a view's element in an array of its world.
+    """The entry of a view's element in an array of its world; `writable`: it can be assigned."""
 
-    axes: the number of array axes after the axis of the elements. writable: whether the entry can
-    be assigned.
-    """
-
-    def __init__(self, array: str, doc: str, *, axes: int = 1, writable: bool = False) -> None:
-        self.array, self.writable = array, writable
-        self.rest = (slice(None),) * axes
-        self.__doc__ = doc
+    def __init__(self, array: str, doc: str, writable: bool = False) -> None:
+        self.array, self.__doc__, self.writable = array, doc, writable
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
@@ -33,7 +27,7 @@ class Entry:
         if view is None:
             return self  # type: ignore[return-value]
         array: Floats = getattr(view._sim, self.array)
-        return array[(..., view._at(self.array), *self.rest)]
+        return array[(*view._sim._lead, view._at(self.array), ...)]
 
     def __set__(self, view: Any, value: ArrayLike) -> None:
         if not self.writable:
@@ -97,9 +91,7 @@ class BodyView(_Frame):
     _jacobian = "jacobian"
     xpos = Entry("xpos", "Position of the body's frame [m], shape (3,).")
     xquat = Entry("xquat", "Orientation of the body's frame as a quaternion w x y z, shape (4,).")
-    xmat = Entry(
-        "xmat", "Orientation of the body's frame as a rotation matrix, shape (3, 3).", axes=2
-    )
+    xmat = Entry("xmat", "Orientation of the body's frame as a rotation matrix, shape (3, 3).")
     subtree_com = Entry(
         "subtree_com", "Centre of mass of the body with all that hangs on it [m], shape (3,)."
     )
@@ -116,36 +108,28 @@ class BodyView(_Frame):
 
 
 class JointView(_View):
-    """One joint of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n).
-
-    qpos, qvel and qfrc_applied can be written.
-    """
+    """One joint; see `BodyView`. qpos, qvel and qfrc_applied can be written."""
 
     kind = "joint"
     qpos = Entry(
         "qpos",
         "Positions [m or rad]: 7 for a free joint, 4 for a ball, 1 for a slide or hinge.",
-        axes=0,
         writable=True,
     )
     qvel = Entry(
         "qvel",
         "Velocities [m/s or rad/s]: 6 for a free joint, 3 for a ball, 1 for a slide or hinge.",
-        axes=0,
         writable=True,
     )
-    qacc = Entry("qacc", "Accelerations of the last solve [m/s² or rad/s²].", axes=0)
-    qfrc_applied = Entry(
-        "qfrc_applied", "Applied forces on its dofs [N or N·m].", axes=0, writable=True
-    )
+    qacc = Entry("qacc", "Accelerations of the last solve [m/s² or rad/s²].")
+    qfrc_applied = Entry("qfrc_applied", "Applied forces on its dofs [N or N·m].", writable=True)
     constraint_force = Entry(
         "constraint_force",
         "Forces of all constraint rows on its dofs in the last solve [N or N·m].",
-        axes=0,
     )
-    qfrc_bias = Entry("bias", "Coriolis, centrifugal and gravity forces on its dofs.", axes=0)
-    qfrc_passive = Entry("passive", "Forces of springs and dampers on its dofs.", axes=0)
-    qfrc_constraint = Entry("constraint_force", "MuJoCo's name for `constraint_force`.", axes=0)
+    qfrc_bias = Entry("bias", "Coriolis, centrifugal and gravity forces on its dofs.")
+    qfrc_passive = Entry("passive", "Forces of springs and dampers on its dofs.")
+    qfrc_constraint = Entry("constraint_force", "MuJoCo's name for `constraint_force`.")
 
     @property
     def type(self) -> str:
@@ -153,47 +137,43 @@ class JointView(_View):
         return self._sim.model.jnt_type[self.index]
 
     def _at(self, array: str) -> slice:
-        model = self._sim.model
-        if array == "qpos":
-            start, count = int(model.jnt_qposadr[self.index]), QPOS[self.type]
-        else:
-            start, count = int(model.jnt_dofadr[self.index]), DOFS[self.type]
-        return slice(start, start + count)
+        model, position = self._sim.model, array == "qpos"
+        start = int((model.jnt_qposadr if position else model.jnt_dofadr)[self.index])
+        return slice(start, start + (QPOS if position else DOFS)[self.type])
 
 
 class GeomView(_View):
-    """One geom of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
+    """One geom; see `BodyView`."""
 
     kind = "geom"
     xpos = Entry("geom_xpos", "Position of the geom [m], shape (3,).")
-    xmat = Entry("geom_xmat", "Orientation of the geom as a rotation matrix, shape (3, 3).", axes=2)
+    xmat = Entry("geom_xmat", "Orientation of the geom as a rotation matrix, shape (3, 3).")
 
 
 class SiteView(_Frame):
-    """One site of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
+    """One site; see `BodyView`."""
 
     kind = "site"
     _jacobian = "site_jacobian"
     xpos = Entry("site_xpos", "Position of the site [m], shape (3,).")
-    xmat = Entry("site_xmat", "Orientation of the site as a rotation matrix, shape (3, 3).", axes=2)
+    xmat = Entry("site_xmat", "Orientation of the site as a rotation matrix, shape (3, 3).")
 
 
 class TendonView(_View):
-    """One tendon of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
+    """One tendon; see `BodyView`."""
 
     kind = "tendon"
-    length = Entry("ten_length", "Length [m, or the unit of its joints], shape ().", axes=0)
-    velocity = Entry("ten_velocity", "Rate of the length, shape ().", axes=0)
+    length = Entry("ten_length", "Length [m, or the unit of its joints], shape ().")
+    velocity = Entry("ten_velocity", "Rate of the length, shape ().")
     jacobian = Entry("ten_J", "Derivative of the length by the dofs, its moment arms, shape (nv,).")
     force = Entry(
         "ten_force",
         "Force of its spring and damper along it, positive where it lengthens it [N], shape ().",
-        axes=0,
     )
 
 
 class SensorView(_View):
-    """One sensor of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
+    """One sensor; see `BodyView`."""
 
     kind = "sensor"
 
@@ -211,21 +191,14 @@ class SensorView(_View):
 
 
 class ActuatorView(_View):
-    """One actuator of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n).
-
-    ctrl and act can be written.
-    """
+    """One actuator; see `BodyView`. ctrl and act can be written."""
 
     kind = "actuator"
-    ctrl = Entry("ctrl", "Control, shape (1,).", axes=0, writable=True)
-    act = Entry("act", "Activation, shape (1,), or (0,) without one.", axes=0, writable=True)
-    length = Entry(
-        "actuator_length", "Length along which it pulls, times its gear [m or rad].", axes=0
-    )
-    velocity = Entry(
-        "actuator_velocity", "Rate of its length, times its gear [m/s or rad/s].", axes=0
-    )
-    force = Entry("actuator_force", "Force of the last solve, before the gear [N or N·m].", axes=0)
+    ctrl = Entry("ctrl", "Control, shape (1,).", writable=True)
+    act = Entry("act", "Activation, shape (1,), or (0,) without one.", writable=True)
+    length = Entry("actuator_length", "Length along which it pulls, times its gear [m or rad].")
+    velocity = Entry("actuator_velocity", "Rate of its length, times its gear [m/s or rad/s].")
+    force = Entry("actuator_force", "Force of the last solve, before the gear [N or N·m].")
 
     def _at(self, array: str) -> int | slice:
         if array == "act":

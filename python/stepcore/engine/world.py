@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from stepcore import _core, checks
 from stepcore._core import SimulationError
-from stepcore.engine.arrays import Floats, StateArray, numbers, readout
+from stepcore.engine.arrays import Floats, ReadOnly, StateArray, numbers, readout
 from stepcore.engine.tables import RayHits
 from stepcore.engine.views import (
     ActuatorView,
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
 
-# Groups of geoms.
-GROUPS = 6
 # The arrays of a keyframe, in the order of its fields.
 OF_KEYS = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat")
 
@@ -146,6 +144,8 @@ class World(checks.KnownNames, ABC):
     )
     actuator_force = readout("Force of each actuator before its gear [N or N·m], shape (nu,).")
 
+    # The index of all worlds in front of that of an element.
+    _lead: tuple[slice, ...] = ()
     _core: Any
     _model: Model
 
@@ -182,6 +182,13 @@ class World(checks.KnownNames, ABC):
     def time(self, value: float) -> None:
         self._core.time = value
 
+    def forward(self) -> None:
+        """Compute poses, contacts and forces at the present state, without taking a step.
+
+        Raises the same errors as `step`.
+        """
+        self._call(self._core.forward)
+
     def mass_matrix(self) -> Floats:
         """Return the mass matrix of the present state, armature included, shape (nv, nv)."""
         matrix: Floats = self._core.readout("mass_matrix")
@@ -198,14 +205,15 @@ class World(checks.KnownNames, ABC):
         site is an attribute of `Sim.site`.
         """
         index = self.model.index("body", body)
-        if point is None:
-            jacobian: Floats = self._core.jacobian(index)
-            return jacobian
-        place = numbers("point", point)
-        if place.shape != (3,) or not np.isfinite(place).all():
+        place = None if point is None else numbers("point", point)
+        if place is not None and (place.shape != (3,) or not np.isfinite(place).all()):
             raise ValueError(f"point = {checks.shown(point)}: must be 3 finite numbers")
-        at_point: Floats = self._core.point_jacobian(index, place.tolist())
-        return at_point
+        jacobian: Floats = (
+            self._core.jacobian(index)
+            if place is None
+            else self._core.point_jacobian(index, place.tolist())
+        )
+        return jacobian
 
     def inverse(self, qacc: ArrayLike | None = None) -> Floats:
         """Compute the forces that cause an acceleration at the present state, shape (nv,).
@@ -227,16 +235,8 @@ class World(checks.KnownNames, ABC):
         >>> Sim(scene).inverse([1.0]).round(2).tolist()
         [21.62]
         """
-        shape = self._arrays["qvel"].shape
-        if qacc is None:
-            own: Floats = self._core.inverse()
-            return own
-        table = numbers("qacc", qacc)
-        if table.shape != shape:
-            raise ValueError(f"qacc has shape {table.shape}: must be {shape}")
-        if not np.isfinite(table).all():
-            raise ValueError("qacc: must be finite")
-        forces: Floats = self._core.inverse(table.ravel())
+        given = () if qacc is None else (self._table("qacc", qacc, self._arrays["qvel"].shape),)
+        forces: Floats = self._core.inverse(*(table.ravel() for table in given))
         return forces
 
     def ray(
@@ -277,20 +277,18 @@ class World(checks.KnownNames, ABC):
         ends = [_vectors("origin", origin), _vectors("direction", direction)]
         if not ends[1].any(axis=-1).all():
             raise ValueError("direction = (0, 0, 0): must have a length")
+        # The axes of rays after that of the worlds.
+        further = (1,) * max(max(end.ndim for end in ends) - 1, 1)
         try:
-            # The axes of rays after that of the worlds.
-            further = (1,) * max(max(end.ndim for end in ends) - 1, 1)
-            shape = np.broadcast_shapes(*(end.shape for end in ends), (*worlds, *further))
+            *lead, _ = np.broadcast_shapes(*(end.shape for end in ends), (*worlds, *further))
         except ValueError:
             shapes = " and ".join(str(end.shape) for end in ends)
-            limit = f"shapes that broadcast{f', with {worlds[0]} worlds first' if worlds else ''}"
-            said = f"origin and direction have shapes {shapes}: must have {limit}"
-            raise ValueError(said) from None
-        lead = shape[:-1]
+            first = f", with {worlds[0]} worlds first" if worlds else ""
+            limit = f"must have shapes that broadcast{first}"
+            raise ValueError(f"origin and direction have shapes {shapes}: {limit}") from None
         rays = np.concatenate([np.broadcast_to(end, (*lead, 3)) for end in ends], axis=-1)
         fixed = not checks.flag("ray", "static", static)
-        found = self._core.rays(rays.ravel(), excluded, _groups(groups), fixed)
-        distance, geom, normal = found
+        distance, geom, normal = self._core.rays(rays.ravel(), excluded, _groups(groups), fixed)
         met = np.array(geom, dtype=np.int64).reshape(lead)
         return RayHits(distance.reshape(lead), met, normal.reshape((*lead, 3)))
 
@@ -357,11 +355,11 @@ class World(checks.KnownNames, ABC):
 
     def _initial(self, key: str | int | None) -> tuple[dict[str, Sequence[float] | Floats], float]:
         """Return the arrays of one world after a reset, and the time."""
-        state = None if key is None else self._model.keys[self._model.index("key", key)]
         given: dict[str, Sequence[float] | Floats] = dict(self._model.core.initial())
-        if state is not None:
-            given |= zip(OF_KEYS, state[2:], strict=True)
-        return given, 0.0 if state is None else state.time
+        if key is None:
+            return given, 0.0
+        state = self._model.keys[self._model.index("key", key)]
+        return given | dict(zip(OF_KEYS, state[2:], strict=True)), state.time
 
     def _write(
         self, values: dict[str, Sequence[float] | Floats], worlds: Any = slice(None)
@@ -391,6 +389,22 @@ class World(checks.KnownNames, ABC):
     def _model_of(self, world: int) -> Model:
         return self._model
 
+    def _table(self, name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Floats:
+        """Return an argument as a table of finite numbers, of one of these shapes."""
+        table = numbers(name, value)
+        if table.shape not in shapes:
+            limit = " or ".join(map(str, shapes))
+            raise ValueError(f"{name} has shape {table.shape}: must be {limit}")
+        if not np.isfinite(table).all():
+            raise ValueError(f"{name}: must be finite")
+        return table
+
+
+# The arrays that can be recorded: the state, the inputs and the readouts.
+READINGS = tuple(
+    name for name, own in vars(World).items() if isinstance(own, StateArray | ReadOnly)
+)
+
 
 def _vectors(name: str, value: ArrayLike) -> Floats:
     table = numbers(name, value)
@@ -405,9 +419,7 @@ def _groups(groups: Sequence[int] | None) -> list[bool] | None:
     """Return, for each group of geoms, whether it can be hit; None for all."""
     if groups is None:
         return None
-    seen = [False] * GROUPS
-    for group in checks.listed(groups) or [None]:
-        if isinstance(group, bool) or group not in range(GROUPS):
-            raise checks.refuse("ray", "groups", groups, f"integers from 0 to {GROUPS - 1}")
-        seen[group] = True
-    return seen
+    seen = checks.listed(groups) or [None]
+    if any(isinstance(group, bool) or group not in range(6) for group in seen):
+        raise checks.refuse("ray", "groups", groups, "integers from 0 to 5")
+    return [group in seen for group in range(6)]

@@ -48,10 +48,7 @@ class Loop:
         self.reset()
 
     def reset(self, key: str = "start") -> None:
-        """Set the positions to those of a keyframe, and the velocities to 0.
-
-        key: the name of the keyframe.
-        """
+        """Set the positions to those of a keyframe, and the velocities to 0."""
         self.qpos = np.array(self.scene.key(key).qpos, dtype=float)
         self.qvel = np.zeros_like(self.qpos)
         self.qacc = np.zeros_like(self.qpos)
@@ -65,8 +62,7 @@ class Loop:
     def step(self, count: int = 1) -> None:
         """Make `count` steps."""
         for _ in range(count):
-            mean, last = self.forward()
-            self.commit(mean, last)
+            self.commit(*self.forward())
 
     def forward(self) -> tuple[Array, Array]:
         """Place, detect and solve; return the mean and the final velocity of the step [m/s]."""
@@ -103,10 +99,7 @@ class Loop:
         raise ValueError(f"integrator = '{integrator}': the numpy loop does not have it")
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """Return M⁻¹ f [m/s²] of gravity, springs, dampers and, under `penalty`, contacts.
-
-        q: positions [m]. v: velocities [m/s].
-        """
+        """Return M⁻¹ f [m/s²] of gravity, springs, dampers and, under `penalty`, contacts."""
         force = self.weight - self.stiffness * q - self.damping * v
         if self.settings.law == "penalty":
             k, ratio = self.settings.penalty_stiffness, self.settings.penalty_damping_ratio

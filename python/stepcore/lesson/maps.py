@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -83,11 +82,9 @@ def largest_stable_dt(
     if fastest == 0.0:
         return np.inf
     steps = np.geomspace(2e-2, 1e3, 200) / fastest
-    if grows(steps[0]):
-        return 0.0
     first = next((k for k, dt in enumerate(steps) if grows(dt)), None)
-    if first is None:
-        return np.inf
+    if not first:
+        return 0.0 if first == 0 else np.inf
     low, high = steps[first - 1], steps[first]
     while high - low > 1e-9 * high:
         middle = (low + high) / 2
@@ -112,17 +109,14 @@ def divisors(period: float, dts: np.ndarray) -> list[float]:
 def spring() -> MapCase:
     """Return the lesson's map of a mass on a spring: stiffness against dt, by integrator."""
 
-    def boundary(integrator: str, values: Sequence[float]) -> list[float]:
+    def boundary(stiffness: float, integrator: str) -> float:
         one, none = np.eye(1), np.zeros((1, 1))
-        return [largest_stable_dt(integrator, one, value * one, none, none) for value in values]
+        return largest_stable_dt(integrator, one, stiffness * one, none, none)
 
-    def beyond(integrator: str) -> str:
-        return f"{GROWS} ω dt = {PHASE[integrator]}" if integrator in PHASE else GROWS
-
-    settings = [
-        MapSetting(name, {"integrator": name}, partial(boundary, name), beyond(name))
-        for name in INTEGRATORS
-    ]
+    settings = []
+    for name in INTEGRATORS:
+        beyond = f"{GROWS} ω dt = {PHASE[name]}" if name in PHASE else GROWS
+        settings.append(MapSetting(name, {"integrator": name}, _each(boundary, name), beyond))
     return MapCase(
         model=scenes.spring().compile(),
         path="joint/spring/stiffness",
@@ -138,11 +132,10 @@ def spring() -> MapCase:
     )
 
 
-PENALTY = 1e6  # [N/m]
-RATIO = 0.1
+PENALTY, RATIO = 1e6, 0.1  # of the contact springs: stiffness [N/m], and damping
+BETA: float = scenes.PLAIN["beta"]
 # Errors of the stack are relative to a tenth of its balls' radius [m].
 SMALL = RADIUS / 10
-BETA = 0.2
 SINKS = "sinks too deep at rest beyond"
 BOUNCES = "warm-started impulses grow beyond"
 
@@ -160,28 +153,19 @@ def stack(depth: float) -> MapCase:
     scene.options = {"integrator": "semi-implicit", "solver": "pgs", "tolerance": 0.0}
     model = scene.compile()
     rest = {"law": "rigid", "beta": BETA, "acceleration": "none"}
-    penalty = {
-        "law": "penalty",
-        "penalty_stiffness": PENALTY,
-        "penalty_damping_ratio": RATIO,
-    }
+    cold, warm = rest | {"warm_start": False}, rest | {"warm_start": True, "sweeps": 4}
+    penalty = {"penalty_stiffness": PENALTY, "penalty_damping_ratio": RATIO}
     settings = [
-        MapSetting(f"penalty, {PENALTY:.0e} N/m", penalty, penalised, GROWS),
+        MapSetting(
+            f"penalty, {PENALTY:.0e} N/m", {"law": "penalty", **penalty}, _each(penalised), GROWS
+        ),
         *(
             MapSetting(
-                f"rows, {sweeps} sweeps, cold",
-                rest | {"sweeps": sweeps, "warm_start": False},
-                partial(_each, partial(sinking, sweeps=sweeps, depth=depth)),
-                SINKS,
+                f"rows, {n} sweeps, cold", cold | {"sweeps": n}, _each(sinking, n, depth), SINKS
             )
-            for sweeps in (4, 64)
+            for n in (4, 64)
         ),
-        MapSetting(
-            "rows, 4 sweeps, warm",
-            rest | {"sweeps": 4, "warm_start": True},
-            partial(_each, partial(warm_starting, sweeps=4)),
-            BOUNCES,
-        ),
+        MapSetting("rows, 4 sweeps, warm", warm, _each(warm_starting, 4), BOUNCES),
     ]
     return MapCase(
         model,
@@ -199,26 +183,22 @@ def stack(depth: float) -> MapCase:
     )
 
 
-def penalised(values: Sequence[float]) -> list[float]:
+def penalised(ratio: float) -> float:
     """Return the largest stable dt of two balls on contact springs, if both contacts are closed.
 
     Each contact has a stiffness k and an explicit damping 2 ratio √(k / A), A = J M⁻¹ Jᵀ
     (docs/method.md).
     """
-    rows = np.array([[1.0, 0.0], [-1.0, 1.0]])
-    limits = []
-    for ratio in values:
-        mass = np.diag([1.0, ratio])
-        easy = np.diag(rows @ np.linalg.inv(mass) @ rows.T)
-        damping = rows.T @ np.diag(2 * RATIO * np.sqrt(PENALTY / easy)) @ rows
-        stiffness = PENALTY * rows.T @ rows
-        none = np.zeros((2, 2))
-        limits.append(largest_stable_dt("semi-implicit", mass, stiffness, damping, none))
-    return limits
+    rows, mass = np.array([[1.0, 0.0], [-1.0, 1.0]]), np.diag([1.0, ratio])
+    easy = np.diag(rows @ np.linalg.inv(mass) @ rows.T)
+    damping = rows.T @ np.diag(2 * RATIO * np.sqrt(PENALTY / easy)) @ rows
+    stiffness = PENALTY * rows.T @ rows
+    return largest_stable_dt("semi-implicit", mass, stiffness, damping, np.zeros((2, 2)))
 
 
-def _each(limit: Callable[[float], float], values: Sequence[float]) -> list[float]:
-    return [limit(value) for value in values]
+def _each(limit: Callable[..., float], *further: Any) -> Boundary:
+    """Return the boundary of a limit, a function of one value and further arguments."""
+    return lambda values: [limit(value, *further) for value in values]
 
 
 def _sweeps(ratio: float, sweeps: int) -> tuple[np.ndarray, np.ndarray]:
