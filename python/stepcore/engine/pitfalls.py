@@ -94,7 +94,10 @@ def soft_pyramids(model: Model) -> Iterator[str]:
 def _steepest(geoms: Sequence[Geom]) -> np.ndarray:
     """Return the largest friction that each geom meets, its own or that of another; 0 for none."""
     own = np.array([geom.friction[0] for geom in geoms])
-    types, others = (np.array([getattr(g, n) for g in geoms]) for n in ("contype", "conaffinity"))
+    types, others = (
+        np.array([getattr(geom, name) for geom in geoms], dtype=np.int64)
+        for name in ("contype", "conaffinity")
+    )
     meets = (types[:, None] & others) | (others[:, None] & types)
     np.fill_diagonal(meets, 0)
     both = np.maximum(own[:, None], own)
