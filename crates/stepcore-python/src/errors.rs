@@ -156,7 +156,9 @@ fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> 
     error.setattr("growth", post.growth.map(|growth| growth / post.dt))?;
     let stable = match post.stable {
         Stable::Springs { dt, .. } | Stable::Halved { dt } => Some(dt),
-        Stable::Unknown | Stable::Never { .. } | Stable::AfterStages { .. } | Stable::NotFound => None,
+        Stable::Unknown | Stable::Never { .. } | Stable::AfterStages { .. } | Stable::NotFound => {
+            None
+        }
     };
     error.setattr("stable_dt", stable)?;
     let (start, inputs) = (&post.start, &post.inputs);
