@@ -49,6 +49,20 @@ def test_it_is_the_true_error(integrator, fields):
     assert sim.predictable_until == math.inf
 
 
+@pytest.mark.parametrize("integrator", ["euler", "semi-implicit", "implicitfast", "rk4"])
+@pytest.mark.parametrize("seed", range(4))
+def test_it_is_no_smaller_than_the_true_error(integrator, seed):
+    """Of first order to a tenth; of a higher order it may be a third larger."""
+    angle, dt = np.random.default_rng(seed).uniform([0.5, 0.005], [2.5, 0.02])
+    model = sc.loads(PENDULUM.format(integrator=integrator)).compile()
+    sim = at(model, angle, error_bar=True, dt=dt)
+    true = at(model, angle, dt=dt / 64, integrator="rk4")
+    sim.step(40)
+    true.step(40 * 64)
+    far = abs(sim.qpos[0] - true.qpos[0]) * np.hypot(1.0, 0.05 * math.sqrt(0.6))
+    assert 0.9 * far <= sim.error.largest <= (1.5 if integrator == "rk4" else 1.1) * far
+
+
 def test_the_motion_is_that_without_it():
     plain, judged = (sc.Sim(sc.loads(BALL), error_bar=bar) for bar in (False, True))
     plain.step(400)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.sim import Sim
 
-# The finer run: a share of the accuracy, or of the time step. Its own error is a quarter of the
-# first or less, so that the distance is 3/4 of the error or more.
+# The finer run: a share of the accuracy, or of the time step. Of first order its own error is that
+# share of the run's, and the distance the rest; of a higher order the distance is nearly all of it.
 ACCURACY, STEP = 1 / 10, 4
 # The runs have parted when a body is so far off, as a share of the scene's lengths, and are
 # together again below the second share: two runs that have parted can meet by chance.
@@ -56,6 +56,8 @@ class FinerRun:
         self.of, self.sim = sim, type(sim)(model, own)
         self.sim._core.unwatch()
         self.steps = round(model.settings.dt / own.dt)
+        # The distance over the error, at least.
+        self.seen = 1 - (1 / STEP if sim.settings.accuracy is None else ACCURACY)
         self.block = max(1, round(LOOK / model.settings.dt))
         self.matter = Matter.of(model)
         reach = longest(model, self.matter)
@@ -148,7 +150,7 @@ class FinerRun:
         """Return the error of each body [m], (nbody,); inf where it is not known."""
         errors = np.zeros(self.of.model.nbody)
         known = not np.isfinite(self.until)
-        errors[self.matter.moving] = self._distances() if known else np.inf
+        errors[self.matter.moving] = self._distances() / self.seen if known else np.inf
         return errors
 
     @property

@@ -364,7 +364,10 @@ class World(checks.KnownNames, ABC):
     def _write(
         self, values: dict[str, Sequence[float] | Floats], worlds: Any = slice(None)
     ) -> None:
-        """Write one world's arrays into all worlds, or into some worlds."""
+        """Write one world's arrays into all worlds, or into some worlds; all of them or none."""
+        locked = [name for name in values if not self._arrays[name].flags.writeable]
+        if locked:
+            raise ValueError(f"{locked[0]} is read-only: its flags.writeable must be True")
         for name, row in values.items():
             if len(row):
                 self._arrays[name].reshape(-1, len(row))[worlds] = row
