@@ -14,7 +14,6 @@ INTEGRATORS = ("explicit", "semi-implicit", "midpoint", "rk4")
 def apart(scene, lift, steps=400):
     """The largest distance of the positions of both, and how far they moved [m]."""
     engine, loop = maker("rust")(scene), Loop(scene)
-    # Off the edge at which a row appears: there rounding decides.
     start = np.array(engine.qpos) + lift * (1 + np.arange(len(engine.qpos)))
     engine.qpos[:] = loop.qpos[:] = start
     far, gone = 0.0, 0.0
@@ -31,6 +30,13 @@ def test_a_stack_under_every_law(law):
     scene = scenes.stack(4, law, (1.0, 3.0, 2.0), penalty_stiffness=1e5)
     far, gone = apart(scene, -3e-4, steps=100)
     assert far < 1e-12 and gone > 1e-5
+
+
+@pytest.mark.parametrize("law", ["lesson", "relaxed", "rigid"])
+def test_a_stack_that_just_touches(law):
+    """Whether the guess overlaps is rounding there: both have the rows of what is near."""
+    far, _ = apart(scenes.stack(4, law, (1.0, 3.0, 2.0)), 0.0, steps=300)
+    assert far < 1e-12
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5])

@@ -16,6 +16,8 @@ from stepcore.scene.elements.field_types import SOLIMP, SOLREF
 from stepcore.scene.scene import Scene
 
 Array = NDArray[np.float64]
+# Nearer than this share of the smaller radius, bodies touch: the engine's `NEAR`.
+NEAR = 1 / 1024
 
 
 class Loop:
@@ -45,6 +47,8 @@ class Loop:
         # Gap i lies below ball i, above the floor or ball i - 1.
         n = len(bodies)
         self.J = (np.eye(n) - np.eye(n, k=-1))[: n if scene.geoms else 0]
+        balls = [geom.size[0] for geom in scene.geoms if id(geom.body) in mass]
+        self.near = NEAR * np.minimum(balls, [np.inf, *balls[:-1]]) if balls else np.zeros(0)
         self.reset()
 
     def reset(self, key: str = "start") -> None:
@@ -122,16 +126,28 @@ class Loop:
             exists = phi < 0
             target, c = self.solref(phi, A)
         elif law == "rigid":
-            exists = phi + dt * self.J @ guess < 0
+            exists, far = self.meets(phi, guess)
             push = -beta * np.minimum(phi + self.settings.slop, 0) / dt
             bounce = -self.settings.restitution * (self.J @ self.qvel)
             arrive = (phi > 0) & (self.settings.restitution == 0)
-            target, c = np.where(arrive, -phi / dt, np.maximum(bounce, push)), 0 * phi
+            target, c = np.where(arrive | far, -phi / dt, np.maximum(bounce, push)), 0 * phi
         else:  # lesson, relaxed; penalty has no rows
-            exists = (phi + dt * self.J @ guess < 0) & (law != "penalty")
-            target, c = -beta * np.minimum(phi, 0) / dt, np.full_like(phi, soft * (law == "lesson"))
+            exists, far = self.meets(phi, guess)
+            exists &= law != "penalty"
+            push = -beta * np.minimum(phi, 0) / dt - far * np.maximum(phi, 0) / dt
+            target, c = push, np.full_like(phi, soft * (law == "lesson"))
         s = A + (soft if law == "relaxed" else c)
         return self.J[exists], target[exists], c[exists], s[exists]
+
+    def meets(self, phi: Array, guess: Array) -> tuple[Array, Array]:
+        """Return which rows exist under a law on velocities, and which of these are only near.
+
+        Rows exist where the guess overlaps, or where bodies are so near that it may for what other
+        rows do: whether the guess of bodies at rest on each other overlaps is rounding. A row that
+        is only near asks that they do no more than meet.
+        """
+        closes = phi + self.settings.dt * self.J @ guess < 0
+        return closes | (phi <= self.near), ~closes
 
     def solref(self, phi: Array, A: Array) -> tuple[Array, Array]:
         """Return t = J v + dt a_ref and c = R of MuJoCo's contacts, with default solref and solimp.
