@@ -16,7 +16,6 @@ from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.arguments import Source
 from stepcore.loading import find_model
 from stepcore.measure.identification.certainty import Certainty, certainty
-from stepcore.measure.identification.delays import DELAY, is_delay, late_entries, within
 from stepcore.measure.identification.doubts import (
     fit_findings,
     gap_findings,
@@ -24,10 +23,18 @@ from stepcore.measure.identification.doubts import (
     predictable,
     unit_findings,
 )
-from stepcore.measure.identification.log import Log, MeasuredLog, read_log
-from stepcore.measure.identification.predictions import Arrays, Predictions
+from stepcore.measure.identification.log import (
+    DELAY,
+    Log,
+    MeasuredLog,
+    is_delay,
+    late_entries,
+    read_log,
+    within,
+)
+from stepcore.measure.identification.predictions import Predictions
+from stepcore.measure.identification.readings import check_smooth
 from stepcore.measure.identification.result import FINER, Curve, Identification
-from stepcore.measure.identification.sensors import check_smooth
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import counted, seconds
@@ -98,13 +105,13 @@ def identify(
     read = [within(compiled, log, bounds) for log in _read(compiled, logs)]
     labels = list(bounds)
     fit = Predictions(compiled, read, labels)
-    check_smooth(compiled, [q.entry for q in fit.quantities if q.array == "sensordata"])
+    check_smooth(compiled, {part.entry for part in fit.parts if part.array == "sensordata"})
     findings = [*unit_findings(compiled, read), *gap_findings(read)]
     start = np.concatenate([guess, np.zeros(fit.free)])
     most = checks.count("most", most)
     with Progress("iterations at most", most, progress) as bar:
         x, jacobian, settled = _fitted(fit, bounds, start, most, bar)
-    sure = certainty(jacobian, fit.residual(x), fit.kinds(), labels)
+    sure = certainty(jacobian, fit.residual(x), fit.kinds[fit.known], labels)
     result = _result(fit, bounds, start, x, sure, findings)
     if not settled:
         result.unfinished = f"The search was cut off by most = {most}: the values may still change."
@@ -235,7 +242,7 @@ def _residual(fit: Predictions, x: np.ndarray) -> np.ndarray:
     try:
         return fit.residual(x)
     except SimulationError:
-        return np.full(len(fit.kinds()), np.nan)
+        return np.full(int(fit.known.sum()), np.nan)
 
 
 def _cost(fit: Predictions, x: np.ndarray) -> float:
@@ -259,7 +266,7 @@ def _result(
     sure: Certainty,
     findings: Sequence[Finding],
 ) -> Identification:
-    labels, ends = fit.labels, predictable(fit, fit.sensitivities(x))
+    labels, ends = fit.labels, predictable(fit, x)
     after, first = fit.predicted(x), fit.predicted(start)
     finer = fit.predicted(x, FINER)
     # One step of Gauss and Newton from the estimates, by what shorter steps change.
@@ -301,14 +308,10 @@ def _named(labels: Sequence[str], values: np.ndarray) -> dict[str, float]:
     return dict(zip(labels, values.tolist(), strict=False))
 
 
-def _curves(fit: Predictions, before: Sequence[Arrays], after: Sequence[Arrays]) -> list[Curve]:
-    return [
-        Curve(nth, label, log.measured[key].times, log.measured[key].values[:, entry], *made)
-        for nth, log in enumerate(fit.logs)
-        for key, entry, label in fit.quantities
-        if key in log.measured
-        for made in [(before[nth][key][:, entry], after[nth][key][:, entry])]
-    ]
+def _curves(fit: Predictions, before: np.ndarray, after: np.ndarray) -> list[Curve]:
+    ends = np.cumsum([len(part.times) for part in fit.parts])[:-1]
+    both = zip(fit.parts, np.split(before, ends), np.split(after, ends), strict=True)
+    return [Curve(p.log, p.label, p.times, p.values, *made) for p, *made in both]
 
 
 def _unread(logs: Sequence[MeasuredLog]) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.experiment.predictable import GROWTH
 from stepcore.measure.identification.log import MeasuredLog, Series
-from stepcore.measure.identification.predictions import Arrays, Predictions
+from stepcore.measure.identification.predictions import Predictions
 from stepcore.measure.monitors.finding import Finding, named
 from stepcore.report.units import seconds, times
 
@@ -86,18 +86,15 @@ def _near(ratio: float, unit: float) -> bool:
     return abs(ratio / unit - 1) < NEAR
 
 
-def fit_findings(fit: Predictions, predicted: Sequence[Arrays]) -> list[Finding]:
+def fit_findings(fit: Predictions, predicted: np.ndarray) -> list[Finding]:
     """Return findings on quantities whose prediction fits when it is in another unit.
 
     predicted: with the first guess, which the fit has not bent to these units.
     """
     found = []
-    for quantity in fit.quantities:
-        both = zip(predicted, fit.measured, strict=True)
-        key, entry, label = quantity
-        pairs = [(a[key][:, entry], b[key][:, entry]) for a, b in both if key in b]
-        made, known = (np.concatenate(each) for each in zip(*pairs, strict=True))
-        made, known = made[np.isfinite(known)], known[np.isfinite(known)]
+    for kind, label in enumerate(fit.quantities):
+        own = fit.known & (fit.kinds == kind)
+        made, known = predicted[own], fit.measured[own]
         if not made @ made > 0:
             continue
         ratio = float(known @ made / (made @ made))
@@ -116,18 +113,17 @@ def gap_findings(logs: Sequence[MeasuredLog]) -> list[Finding]:
     return [Finding("gap", "warning", gap, cure) for log in logs for gap in log.gaps]
 
 
-def predictable(fit: Predictions, slopes: Sequence[np.ndarray]) -> list[float]:
+def predictable(fit: Predictions, x: np.ndarray) -> list[float]:
     """Return until when each log can be predicted [s]; inf to its end.
 
     Until an error of the first positions has grown a thousand times in the positions, as in
     `stepcore.predict`.
     """
-    ends, nv = [], fit.base.nv
-    for own in slopes:
-        first = len(fit.labels)
-        growth = np.linalg.norm(own[:, :nv, first : first + nv], 2, axis=(1, 2))
+    ends, nv, first = [], fit.base.nv, len(fit.labels)
+    for run in fit.runs(x):
+        growth = np.linalg.norm(run.slopes[:, :nv, first : first + nv], 2, axis=(1, 2))
         late = np.flatnonzero(~(growth <= GROWTH))
-        ends.append(float(late[0] * fit.base.settings.dt) if len(late) else np.inf)
+        ends.append(float(late[0] * run.dt) if len(late) else np.inf)
     return ends
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.measure.identification.delays import DELAY, is_delay
+from stepcore.measure.identification.log import DELAY, is_delay
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.result import Result
 from stepcore.report.table import Table
