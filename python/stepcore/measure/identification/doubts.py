@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,7 +18,7 @@ DEGREES = 180 / np.pi
 NEAR = 0.2
 # A measured number this many times outside a joint's range is in another unit.
 OUTSIDE = 3.0
-# Scaled by a ratio of units, a prediction fits this much better if the unit is the cause.
+# Scaled by a ratio of units, what is predicted is off by at most this share of what it was.
 BETTER = 0.5
 RATIOS = {
     DEGREES: "degrees",
@@ -26,43 +26,44 @@ RATIOS = {
     1e3: "mm",
     1e-3: "mm in the model",
 }
+# A gap of the controls is this many times as long as most of their rows are apart.
+GAP = 10
 
 
 def unit_findings(model: Model, logs: Sequence[MeasuredLog]) -> list[Finding]:
     """Return findings on units that the logs alone show."""
-    return [finding for log in logs for finding in _of_log(model, log)]
+    found = []
+    for log in logs:
+        for joint in [k for k, kind in enumerate(model.jnt_type) if kind == "hinge"]:
+            what, value, cure = _unit_of(model, log, joint)
+            if what:
+                element = named(model, "joint", [joint])
+                problem = f"{element[0].name}: in {log.name} {what}"
+                found.append(Finding("units", "error", problem, cure, element, value))
+    return found
 
 
-def _of_log(model: Model, log: MeasuredLog) -> Iterator[Finding]:
+def _unit_of(model: Model, log: MeasuredLog, joint: int) -> tuple[str, float, str]:
+    """Return what of a hinge's numbers is in another unit, by which number, and which."""
     qpos, qvel = log.measured["qpos"], log.measured.get("qvel")
-    for joint, kind in enumerate(model.jnt_type):
-        if kind != "hinge":
-            continue
-        q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        low, high = model.jnt_range[joint]
-        largest, limit = np.nanmax(np.abs(qpos.values[:, q])), max(abs(low), abs(high))
-        ratio = _ratio(qpos, q, qvel, v) if qvel is not None else None
-        if limit > 0 and OUTSIDE * limit < largest < OUTSIDE * DEGREES * limit:
-            what = f"reaches {largest:.3g} rad, its range {limit:.3g} rad"
-            yield _degrees(model, joint, log, f"position {what}", largest)
-        elif ratio is not None and _near(ratio, DEGREES):
-            yield _degrees(
-                model, joint, log, f"position changes {times(ratio)} its velocity", ratio
-            )
-        elif ratio is not None and _near(ratio, 1 / DEGREES):
-            what = f"velocity is {times(1 / ratio)} the change of its position"
-            yield _degrees(model, joint, log, what, ratio)
-        elif ratio is not None and (_near(ratio, 1e-3) or _near(ratio, 1e3)):
-            cure = "times must be in seconds"
-            problem = f"in {log.name} the position changes {times(ratio)} the measured velocity"
-            element = named(model, "joint", [joint])
-            yield Finding("units", "error", f"{element[0].name}: {problem}", cure, element, ratio)
-
-
-def _degrees(model: Model, joint: int, log: MeasuredLog, what: str, value: float) -> Finding:
-    element = named(model, "joint", [joint])
-    problem = f"{element[0].name}: in {log.name} its {what}"
-    return Finding("units", "error", problem, "it looks like degrees", element, float(value))
+    q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    largest = float(np.nanmax(np.abs(qpos.values[:, q])))
+    limit, degrees = float(np.abs(model.jnt_range[joint]).max()), "it looks like degrees"
+    if limit > 0 and OUTSIDE * limit < largest < OUTSIDE * DEGREES * limit:
+        what = f"its position reaches {largest:.3g} rad, its range {limit:.3g} rad"
+        return what, largest, degrees
+    ratio = None if qvel is None else _ratio(qpos, q, qvel, v)
+    if ratio is None:
+        return "", 0.0, ""
+    if _near(ratio, DEGREES):
+        return f"its position changes {times(ratio)} its velocity", ratio, degrees
+    if _near(ratio, 1 / DEGREES):
+        what = f"its velocity is {times(1 / ratio)} the change of its position"
+        return what, ratio, degrees
+    if _near(ratio, 1e-3) or _near(ratio, 1e3):
+        what = f"the position changes {times(ratio)} the measured velocity"
+        return what, ratio, "times must be in seconds"
+    return "", 0.0, ""
 
 
 def _ratio(qpos: Series, q: int, qvel: Series, v: int) -> float | None:
@@ -109,8 +110,14 @@ def fit_findings(fit: Predictions, predicted: np.ndarray) -> list[Finding]:
 
 def gap_findings(logs: Sequence[MeasuredLog]) -> list[Finding]:
     """Return findings on controls that are missing for long."""
-    cure = "the last ones before it were held; split the log there if they were not"
-    return [Finding("gap", "warning", gap, cure) for log in logs for gap in log.gaps]
+    cure, found = "the last ones before it were held; split the log there if they were not", []
+    for log in logs:
+        times = log.controls.times
+        apart = np.diff(times)
+        for k in np.flatnonzero(apart > GAP * np.median(apart)) if len(apart) else ():
+            gap = f"{log.name} has no controls for {seconds(apart[k])} from {seconds(times[k])} on"
+            found.append(Finding("gap", "warning", gap, cure))
+    return found
 
 
 def predictable(fit: Predictions, x: np.ndarray) -> list[float]:

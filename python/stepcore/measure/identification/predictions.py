@@ -147,7 +147,7 @@ class Run:
         batch.qvel = self.log.start[1] + self.off[1]
         count = self.log.steps(self.dt)
         # Those of one more step, which sensors at the end read.
-        self.ctrl = self.log.ctrl(self.dt, count + 1, self.delay)
+        self.ctrl = self.log.controls.steps(-self.delay, self.dt, count + 1)
         self.steps = Steps(batch, self.ctrl[None, :-1], fit.paths).roll()
         fit.steps += count
 
@@ -157,8 +157,8 @@ class Run:
         labels = self.fit.labels
         pushes = np.zeros((*self.ctrl.shape, len(labels) + 2 * self.model.nv))
         if DELAY in labels:
-            slopes = self.log.ctrl_slopes(self.dt, len(self.ctrl), self.delay)
-            pushes[..., labels.index(DELAY)] = slopes
+            slopes = self.log.controls.slopes(-self.delay, self.dt, len(self.ctrl))
+            pushes[..., labels.index(DELAY)] = -slopes
         return pushes
 
     @cached_property
