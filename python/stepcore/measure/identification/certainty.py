@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,8 +12,6 @@ import numpy as np
 ALIKE = 0.99
 # Directions of which a log says less than this share of what it says of the best known.
 WEAK = 1e-6
-# A parameter has a part in such a direction from this share on.
-PART = 0.1
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,8 @@ def certainty(
     with np.errstate(divide="ignore", invalid="ignore"):
         related = np.nan_to_num(covariance / np.outer(spread, spread))
     np.fill_diagonal(related, 1.0)
-    ways = np.abs(turns[weak][:, :count]) > PART
+    # A part of this size leaves a correlation as large.
+    ways = np.abs(turns[weak][:, :count]) > math.sqrt(1 - ALIKE)
     alike = [tuple(labels[int(k)] for k in np.flatnonzero(way)) for way in ways if way.any()]
     for i in range(count):
         for k in range(i):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Unpack
 
@@ -63,18 +63,14 @@ class Tuning(Result):
     @property
     def sentences(self) -> list[str]:
         """The proposals, each with what the run shows."""
-        return list(self._said())
-
-    def _said(self) -> Iterator[str]:
-        reached = sum(tuned.reached for tuned in self.found)
-        if self.found:
-            yield f"{reached} of {len(self.found)} reached, each run as it is printed:"
-        for tuned in self.found:
-            yield f"- {tuned.sentence}"
-            if tuned.reached:
-                yield from (f"  {line}" for line in tuned.lines)
         if not self.found:
-            yield "There is nothing to tune: no position servo, and nothing that rests."
+            return ["There is nothing to tune: no position servo, and nothing that rests."]
+        reached = sum(tuned.reached for tuned in self.found)
+        said = [f"{reached} of {len(self.found)} reached, each run as it is printed:"]
+        for tuned in self.found:
+            said.append(f"- {tuned.sentence}")
+            said += [f"  {line}" for line in tuned.lines] if tuned.reached else []
+        return said
 
     @property
     def table(self) -> Table:
@@ -144,8 +140,9 @@ def tune(
     (goal,) = goals
     if servo is not None and geom is not None:
         raise ValueError("servo and geom are both given: tune one kind at a time")
-    _match("servo", servo, goal, SERVO)
-    _match("geom", geom, goal, CONTACT)
+    for kind, names, fit in (("servo", servo, SERVO), ("geom", geom, CONTACT)):
+        if names is not None and goal.name not in fit:
+            raise ValueError(f"{kind} and {goal.name} do not go together: give {', '.join(fit)}")
     setup = set_up(tune, model, None, fields, missing="nothing to tune")
     compiled, motion, workers = setup.model, setup.motion, setup.workers
     if dt is not None:
@@ -185,8 +182,3 @@ def _value(name: str, value: Any) -> float:
 
 def _names(value: str | Sequence[str] | None) -> list[str] | None:
     return None if value is None else [value] if isinstance(value, str) else list(value)
-
-
-def _match(kind: str, given: Any, goal: Goal, goals: Sequence[str]) -> None:
-    if given is not None and goal.name not in goals:
-        raise ValueError(f"{kind} and {goal.name} do not go together: give {', '.join(goals)}")
