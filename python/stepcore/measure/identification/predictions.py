@@ -72,8 +72,8 @@ class Predictions:
         self.measured = np.concatenate([part.values for part in self.parts])
         self.known = np.isfinite(self.measured)
         self._units = np.repeat([self.scales[part.label] for part in self.parts], counts)
-        # After a step that is refused, the method goes back to the one before.
-        self._runs = lru_cache(2)(lambda key: self._made(np.frombuffer(key)))
+        # The first one, and the last, to which the method goes back from a step that is refused.
+        self._runs = lru_cache(3)(lambda key: self._made(np.frombuffer(key)))
 
     def until(self, share: float) -> Predictions:
         """Return the predictions of the beginning of each log, in the same units."""

@@ -16,6 +16,7 @@ from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import AROUND, SHARE, Column, models_around
 from stepcore.engine.run_settings import converged_settings
+from stepcore.experiment.change import Change
 
 # Readings that no change of state or of a parameter moves smoothly.
 STEPPED = ("contact", "insidesite", "user", "clock")
@@ -36,8 +37,8 @@ class Readings:
         self.count = len(states["qpos"])
         solved = converged_settings(model.settings, tolerance=1e-14, sleep=False)
         worlds = min(WORLDS, len(AROUND) * self.count)
-        settings = model.with_settings(solved)
-        self.batch = unwatched(Batch(settings, worlds, threads=1, on_failure="go on"))
+        own = Change.between(solved, model.settings).of(model)
+        self.batch = unwatched(Batch(own, worlds, threads=1, on_failure="go on"))
 
     def values(self) -> Floats:
         """Return the readings at each state, shape (n, m)."""

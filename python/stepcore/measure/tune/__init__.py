@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Unpack
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
+from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import scene_in_words, start_in_words
 from stepcore.experiment.schedule import home
@@ -146,7 +147,7 @@ def tune(
     setup = set_up(tune, model, None, fields, missing="nothing to tune")
     compiled, motion, workers = setup.model, setup.motion, setup.workers
     if dt is not None:
-        compiled = compiled.with_settings(dt=units.time("dt", dt))
+        compiled = Change(dt=units.time("dt", dt)).of(compiled)
     at, found, ran = At(*home(compiled, motion.key)), list[Tuned](), "nothing was run"
     is_servo = goal.name in SERVO and geom is None
     servos = servos_of(compiled, at.start, _names(servo)) if is_servo else []

@@ -197,7 +197,7 @@ class Servos:
 
     def holds_longer(self, model: Model, omega: float) -> bool:
         """Return whether all servos settle after a step of the target in longer time steps."""
-        longer = model.with_settings(dt=MARGIN * model.settings.dt)
+        longer = Change(dt=MARGIN * model.settings.dt).of(model)
         step = Goal("settling", SETTLES / omega)
         return bool(np.isfinite(shown(longer, self.at, self.servos, step, omega)[0]).all())
 
