@@ -150,7 +150,7 @@ def tune(
         compiled = Change(dt=units.time("dt", dt)).of(compiled)
     at, found, ran = At(*home(compiled, motion.key)), list[Tuned](), "nothing was run"
     is_servo = goal.name in SERVO and geom is None
-    servos = servos_of(compiled, at.start, _names(servo)) if is_servo else []
+    servos = servos_of(compiled, _names(servo)) if is_servo else []
     if servos:
         found, ran = tuned_servos(compiled, at, servos, goal), "the servos hold the pose"
     elif goal.name in CONTACT:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from stepcore.engine.actuator import SERVO, Actuator, actuators, loads
 from stepcore.engine.follow import follow
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import least
 from stepcore.measure.tune.goal import (
@@ -42,84 +41,33 @@ WIDTH = 0.1
 MARGIN = 2.0
 
 
-@dataclass(frozen=True)
-class Servo:
-    """A position servo on a hinge or slide.
-
-    drive: the actuator. name: its name. unit: of its joint. inertia: that it moves while the other
-    joints are held. damping: of the joint. load: the force of the servo that the pose needs at rest
-    [N or N·m].
-    """
-
-    drive: Actuator
-    name: str
-    unit: str
-    inertia: float
-    damping: float
-    load: float
-
-    def omega(self, goal: str, value: float) -> float:
-        """Return the frequency at which the closed form has a value of a goal [rad/s]."""
-        if goal == "sag":
-            return math.sqrt(abs(self.load * self.drive.gear) / (value * self.inertia))
-        return 2 * math.pi * value / PASSES if goal == "bandwidth" else SETTLES / value
-
-    def kp(self, omega: float) -> float:
-        """Return the kp of a frequency [rad/s]."""
-        return rounded(self.inertia * omega**2 / self.drive.gear**2)
-
-    def frequency(self, kp: float) -> float:
-        """Return the frequency of the servo alone, the other joints held [rad/s]."""
-        return abs(self.drive.gear) * math.sqrt(kp / self.inertia)
-
-    def values(self, model: Model, omega: float) -> dict[str, Any]:
-        """Return the values of the model, by path, with a critically damped servo."""
-        kp, gear, path = self.kp(omega), self.drive.gear, f"actuator/#{self.drive.index}"
-        kv = rounded(max(0.0, 2 * self.inertia * omega - self.damping) / gear**2)
-        actuator = model.scene.actuators[self.drive.index]
-        if actuator.type == "general":
-            bias = self.drive.offset, -kp, -kv
-            return {f"{path}/gainprm": (kp,), f"{path}/biasprm": bias}
-        ratio = {} if actuator.dampratio is None else {f"{path}/dampratio": None}
-        return {f"{path}/kp": kp, f"{path}/kv": kv} | ratio
-
-
-def servos_of(model: Model, start: Start, names: Sequence[str] | None) -> list[Servo]:
-    """Return the position servos of a model, or those with the given names.
+def servos_of(model: Model, names: Sequence[str] | None) -> list[Actuator]:
+    """Return the position servos on hinges and slides, or those with the given names.
 
     Raises ValueError for a name that is no position servo.
     """
-    sim = Sim(model)
-    start.put(sim)
-    sim.forward()
-    mass, need, called = sim.mass_matrix(), loads(sim), model.called("actuator")
-    joints, found = Layout(model.scene).joints, []
-    for drive in actuators(model):
-        if drive.kind == SERVO and drive.joint is not None and drive.gain > 0:
-            joint, dof = joints[drive.joint], drive.dof
-            unit = "m" if joint.type == "slide" else "rad"
-            own = float(mass[dof, dof]), float(np.ravel(joint.damping)[0])
-            found.append(Servo(drive, called[drive.index], unit, *own, need[dof] / drive.gear))
-    known = [servo.name for servo in found]
+    called = model.called("actuator")
+    drives = [drive for drive in actuators(model) if drive.kind == SERVO and drive.gain > 0]
+    found = {called[drive.index]: drive for drive in drives if drive.joint is not None}
     for name in names or ():
-        if name not in known:
+        if name not in found:
             model.index("actuator", name)
             raise ValueError(f"servo = {name!r}: is no position servo on a hinge or slide")
-    return [servo for servo in found if names is None or servo.name in names]
+    return list(found.values() if names is None else map(found.__getitem__, dict.fromkeys(names)))
 
 
 def shown(
-    model: Model, at: At, servos: Sequence[Servo], goal: Goal, omega: float
+    model: Model, at: At, indices: Sequence[int], goal: Goal, omega: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Try all servos of a model, each by a motion of its own target while the others hold.
+    """Try some servos of a model, each by a motion of its own target while the others hold.
 
     The motion is a sine of the wanted bandwidth, else a step. omega: the slowest frequency [rad/s].
 
     Return for each servo the value of the goal, nan if it does not come to rest; how far from its
     target it rests [rad or m]; and how wide the motion is [rad or m].
     """
-    own = actuators(model)
-    drives, dt = [own[servo.drive.index] for servo in servos], model.settings.dt
+    own, dt = actuators(model), model.settings.dt
+    drives = [own[index] for index in indices]
     values, off, widths = np.full((3, len(drives)), math.nan)
     steps = steps_of(model, omega)
     states = at.states(model, steps)
@@ -178,40 +126,73 @@ def passed(path: np.ndarray, frequency: float, width: float) -> float:
     return PASSES / math.sqrt(max(1 / gain - 1, (PASSES / 4) ** 2))
 
 
-@dataclass
 class Servos:
-    """Servos that are changed together, and their runs.
+    """Position servos that are changed together, and their runs.
 
-    margin: whether steps twice as long hold, too. Other elements may leave none, which gains do not
-    give back. change, off, widths: of the last run; see `shown`.
+    drives: the servos. inertia: that each moves while the other joints are held. damping: of its
+    joint. load: its force that the pose needs at rest [N or N·m].
+    change, off, widths: of the last run; see `shown`.
     """
 
-    model: Model
-    at: At
-    servos: Sequence[Servo]
-    margin: bool = True
+    def __init__(self, model: Model, at: At, drives: Sequence[Actuator]) -> None:
+        self.model, self.at, self.drives = model, at, drives
+        sim, joints = Sim(model), Layout(model.scene).joints
+        at.start.put(sim)
+        sim.forward()
+        dofs, own = [drive.dof for drive in drives], [joints[drive.joint or 0] for drive in drives]
+        self.gear = np.array([drive.gear for drive in drives])
+        self.inertia = sim.mass_matrix()[dofs, dofs]
+        self.damping = np.array([float(np.ravel(joint.damping)[0]) for joint in own])
+        self.load = loads(sim)[dofs] / self.gear
+        self.units = ["m" if joint.type == "slide" else "rad" for joint in own]
 
-    def __post_init__(self) -> None:
-        slowest = min(servo.frequency(servo.drive.kp) for servo in self.servos)
-        self.margin = self.holds_longer(self.model, slowest)
+    def omegas(self, goal: str, asked: np.ndarray) -> np.ndarray:
+        """Return the frequencies at which the closed form has these values of a goal [rad/s]."""
+        if goal == "sag":
+            return np.sqrt(np.abs(self.load * self.gear) / (asked * self.inertia))
+        return 2 * np.pi * asked / PASSES if goal == "bandwidth" else SETTLES / asked
+
+    def gains(self, omegas: np.ndarray) -> list[tuple[float, float]]:
+        """Return kp and kv of critically damped servos."""
+        kp = self.inertia * omegas**2 / self.gear**2
+        kv = np.maximum(0.0, 2 * self.inertia * omegas - self.damping) / self.gear**2
+        return [(rounded(p), rounded(v)) for p, v in zip(kp, kv, strict=True)]
+
+    def values(self, k: int, kp: float, kv: float) -> dict[str, Any]:
+        """Return gains of a servo as values of the model, by path."""
+        drive, path = self.drives[k], f"actuator/#{self.drives[k].index}"
+        actuator = self.model.scene.actuators[drive.index]
+        if actuator.type == "general":
+            return {f"{path}/gainprm": (kp,), f"{path}/biasprm": (drive.offset, -kp, -kv)}
+        ratio = {} if actuator.dampratio is None else {f"{path}/dampratio": None}
+        return {f"{path}/kp": kp, f"{path}/kv": kv} | ratio
+
+    def shown(self, model: Model, goal: Goal, omega: float) -> tuple[np.ndarray, ...]:
+        """Try the servos; see the function `shown`."""
+        return shown(model, self.at, [drive.index for drive in self.drives], goal, omega)
 
     def holds_longer(self, model: Model, omega: float) -> bool:
         """Return whether all servos settle after a step of the target in longer time steps."""
         longer = Change(dt=MARGIN * model.settings.dt).of(model)
         step = Goal("settling", SETTLES / omega)
-        return bool(np.isfinite(shown(longer, self.at, self.servos, step, omega)[0]).all())
+        return bool(np.isfinite(self.shown(longer, step, omega)[0]).all())
+
+    @cached_property
+    def margin(self) -> bool:
+        """Whether longer steps hold as shipped. Other elements may leave no margin, which gains do
+        not give back."""
+        own = np.array([drive.stiffness for drive in self.drives]) / self.inertia
+        return self.holds_longer(self.model, math.sqrt(own.min()))
 
     def run(self, goal: Goal, asked: np.ndarray, **settings: Any) -> np.ndarray:
         """Return the values of a goal with the gains of what is asked; nan without a margin."""
-        values, slowest = dict[str, Any](), math.inf
-        for servo, value in zip(self.servos, asked, strict=True):
-            omega = servo.omega(goal.name, value)
-            values |= servo.values(self.model, omega)
-            slowest = min(slowest, omega)
-        self.change = Change(values)
+        omegas, values = self.omegas(goal.name, asked), dict[str, Any]()
+        for k, gains in enumerate(self.gains(omegas)):
+            values |= self.values(k, *gains)
+        self.change, slowest = Change(values), float(omegas.min())
         model = self.change.also(Change(**settings)).of(self.model)
-        found, self.off, self.widths = shown(model, self.at, self.servos, goal, slowest)
-        if self.margin and np.isfinite(found).all() and not self.holds_longer(model, slowest):
+        found, self.off, self.widths = self.shown(model, goal, slowest)
+        if np.isfinite(found).all() and self.margin and not self.holds_longer(model, slowest):
             return np.full(len(found), math.nan)
         return found
 
@@ -223,7 +204,7 @@ class Servos:
             return Goal(goal.name, goal.value * (percent / 100) ** way)
 
         def holds(percent: int, **other: Any) -> bool:
-            asked = np.full(len(self.servos), wanted(percent).value)
+            asked = np.full(len(self.drives), wanted(percent).value)
             return bool(np.isfinite(self.run(wanted(percent), asked, **other)).all())
 
         parts = range(100, 12_801)
@@ -232,7 +213,7 @@ class Servos:
             return (
                 "The pose does not come to rest, so nothing can be verified: try another keyframe"
             )
-        limit = goal.words(wanted(held).value, self.servos[0].unit)
+        limit = goal.words(wanted(held).value, self.units[0])
         said = f"{seconds(settings.dt)} under {settings.integrator} holds about {limit}"
         if settings.integrator != "implicitfast":
             does = "holds" if holds(100, integrator="implicitfast") else "does not hold"
@@ -240,27 +221,31 @@ class Servos:
         return said
 
 
-def tuned_servos(model: Model, at: At, servos: Sequence[Servo], goal: Goal) -> list[Tuned]:
+def tuned_servos(model: Model, at: At, drives: Sequence[Actuator], goal: Goal) -> list[Tuned]:
     """Return gains for each servo. All servos are changed together, and verified together."""
-    # A thousandth of the largest load is none.
-    whole = 1e-3 * max(abs(servo.load) for servo in servos) if goal.name == "sag" else -1.0
-    why = "It carries no load in this pose; its gains are left as they are"
-    idle = [Tuned("servo", s.name, goal, s.unit, why=why) for s in servos if abs(s.load) <= whole]
-    servos = [servo for servo in servos if abs(servo.load) > whole]
-    if not servos:
-        return idle
-    tried = Servos(model, at, servos)
-    asked, values = goal.corrected(len(servos), lambda asked: tried.run(goal, asked))
-    change, off, widths = tried.change, tried.off, tried.widths
-    limit = "" if np.isfinite(values).all() else tried.limit(goal)
-    found = []
-    for k, servo in enumerate(servos):
-        omega = servo.omega(goal.name, asked[k])
-        kp, reached, unit = servo.kp(omega), goal.near(values[k]), servo.unit
+    called, servos, idle = model.called("actuator"), Servos(model, at, drives), list[Tuned]()
+    if goal.name == "sag":
+        # A thousandth of the largest load is none.
+        bears = np.abs(servos.load) > 1e-3 * np.abs(servos.load).max()
+        why = "It carries no load in this pose; its gains are left as they are"
+        idle = [
+            Tuned("servo", called[drives[k].index], goal, servos.units[k], why=why)
+            for k in np.flatnonzero(~bears).tolist()
+        ]
+        servos = Servos(model, at, [drives[k] for k in np.flatnonzero(bears).tolist()])
+        if not servos.drives:
+            return idle
+    count = len(servos.drives)
+    asked, values = goal.corrected(count, lambda asked: servos.run(goal, asked))
+    change, off, widths = servos.change, servos.off, servos.widths
+    limit = "" if np.isfinite(values).all() else servos.limit(goal)
+    found, gains = [], servos.gains(servos.omegas(goal.name, asked))
+    for k, (drive, unit) in enumerate(zip(servos.drives, servos.units, strict=True)):
+        (kp, kv), reached, also = gains[k], goal.near(values[k]), ""
         why = limit or f"The run shows {goal.words(values[k], unit)} with kp={kp:g}"
-        if goal.name == "sag" and kp * goal.value * abs(servo.drive.gear) > servo.drive.bound:
-            why = f"The pose needs more than its forcerange of {servo.drive.bound:g}"
-        full, also = share_of_range(servo.drive) / abs(servo.drive.gear), ""
+        if goal.name == "sag" and kp * goal.value * abs(drive.gear) > drive.bound:
+            why = f"The pose needs more than its forcerange of {drive.bound:g}"
+        full = share_of_range(drive) / abs(drive.gear)
         far, width = (Goal("sag", x).words(x, unit) for x in (off[k], widths[k]))
         if goal.name != "sag" and reached and off[k] > full:
             reached = False
@@ -270,16 +255,11 @@ def tuned_servos(model: Model, at: At, servos: Sequence[Servo], goal: Goal) -> l
             )
         elif goal.name != "sag" and widths[k] < full:
             also = f", of a motion of {width}, for which half of the force is left"
-        tuned = Tuned("servo", servo.name, goal, unit if goal.name == "sag" else "", change)
         found.append(
-            replace(
-                tuned,
-                lines=pasted(model, servo.values(model, omega)),
-                expected=float(asked[k]),
-                measured=float(values[k]),
-                reached=reached,
-                why=why,
-                also=also,
+            Tuned(
+                *("servo", called[drive.index], goal, unit if goal.name == "sag" else "", change),
+                *(pasted(model, servos.values(k, kp, kv)), float(asked[k]), float(values[k])),
+                *(reached, why, also),
             )
         )
     return [*idle, *found]
