@@ -17,8 +17,9 @@ from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.arguments import Source
 from stepcore.experiment.change import Change
 from stepcore.loading import find_model
-from stepcore.measure.identification.certainty import Certainty, certainty
 from stepcore.measure.identification.doubts import (
+    Certainty,
+    certainty,
     fit_findings,
     gap_findings,
     horizon_findings,
