@@ -131,7 +131,7 @@ def tune(
     ... <geom type="capsule" size=".03" fromto="0 0 0 0 0 -.5" mass="1"/></body></worldbody>
     ... <actuator><position name="hip" joint="hip"/></actuator></mujoco>''')
     >>> tune(arm, bandwidth=3.0).mjcf
-    '<position name="hip" kp="70.9" kv="4.97"/>'
+    '<position name="hip" kp="79" kv="5.25"/>'
     """
     given = {"bandwidth": bandwidth, "settling": settling, "sag": sag}
     given |= {"stiffness": stiffness, "depth": depth, "noise": noise}
