@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from statistics import NormalDist
 
 import numpy as np
 
@@ -14,28 +15,37 @@ from stepcore.engine.model import Model
 from stepcore.engine.parameters import Column, named_columns, own_value
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.arguments import Source
+from stepcore.experiment.change import Change
 from stepcore.loading import find_model
-from stepcore.measure.identification.certainty import Certainty, certainty
-from stepcore.measure.identification.delays import DELAY, is_delay, late_entries, within
 from stepcore.measure.identification.doubts import (
+    Certainty,
+    certainty,
     fit_findings,
     gap_findings,
     horizon_findings,
     predictable,
     unit_findings,
 )
-from stepcore.measure.identification.log import Log, MeasuredLog, read_log
-from stepcore.measure.identification.predictions import Arrays, Predictions
+from stepcore.measure.identification.log import (
+    DELAY,
+    Log,
+    MeasuredLog,
+    is_delay,
+    late_entries,
+    read_log,
+    within,
+)
+from stepcore.measure.identification.predictions import Predictions
+from stepcore.measure.identification.readings import check_smooth
 from stepcore.measure.identification.result import FINER, Curve, Identification
-from stepcore.measure.identification.sensors import check_smooth
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import counted, seconds
 
 __all__ = ["Identification", "identify"]
 
-# Of a normal distribution, 95 %.
-SIGMAS = 1.96
+# Of a normal distribution, 95 % are within so many standard errors.
+SIGMAS = NormalDist().inv_cdf(0.975)
 # A long log is fitted to its beginning first, which costs little and can be predicted from a poor
 # guess: this share of it, if that is as many steps.
 BEGINNING, ENOUGH = 1 / 8, 40
@@ -90,7 +100,7 @@ def identify(
     90.0
     """
     checks.progress("identify", progress)
-    given = find_model(model).with_settings(precision="f64")
+    given = Change(precision="f64").of(find_model(model))
     if any(actuator.delay > 0 for actuator in given.scene.actuators):
         limit = 'without delays of actuators: make these 0, and "delay" a parameter'
         raise ValueError(f"model: must be {limit}")
@@ -98,13 +108,18 @@ def identify(
     read = [within(compiled, log, bounds) for log in _read(compiled, logs)]
     labels = list(bounds)
     fit = Predictions(compiled, read, labels)
-    check_smooth(compiled, [q.entry for q in fit.quantities if q.array == "sensordata"])
+    check_smooth(compiled, {part.entry for part in fit.parts if part.array == "sensordata"})
     findings = [*unit_findings(compiled, read), *gap_findings(read)]
     start = np.concatenate([guess, np.zeros(fit.free)])
     most = checks.count("most", most)
     with Progress("iterations at most", most, progress) as bar:
-        x, jacobian, settled = _fitted(fit, bounds, start, most, bar)
-    sure = certainty(jacobian, fit.residual(x), fit.kinds(), labels)
+        try:
+            fit.residual(start)
+        except SimulationError as error:
+            limit = "must be values with which the logs can be run"
+            raise ValueError(f"model: {checks.one_line(error)}: {limit}") from None
+        x, settled = _fitted(fit, bounds, start, most, bar)
+    sure = certainty(fit.jacobian(x), fit.residual(x), fit.kinds[fit.known], labels)
     result = _result(fit, bounds, start, x, sure, findings)
     if not settled:
         result.unfinished = f"The search was cut off by most = {most}: the values may still change."
@@ -166,7 +181,7 @@ def _begun(model: Model, path: str, low: float, high: float) -> tuple[Model, Col
         middle = math.copysign(math.sqrt(abs(low)) * math.sqrt(abs(high)), low)
         value[() if column.entry is None else column.entry] = middle
         try:
-            model = model.with_values({column.path: value.tolist()})
+            model = Change({column.path: value.tolist()}).of(model)
         except ValueError as error:
             shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
             raise ValueError(f"{shown}: must be a range of values: {error}") from None
@@ -181,8 +196,8 @@ def _fitted(
     start: np.ndarray,
     most: int,
     bar: Progress,
-) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return the values x that fit best, the Jacobian there, and whether the search had ended."""
+) -> tuple[np.ndarray, bool]:
+    """Return the values x that fit best, and whether the search had ended."""
     try:
         from scipy.optimize import least_squares
     except ImportError:
@@ -191,13 +206,13 @@ def _fitted(
     # Estimates in units of their range; then what the first states are off.
     units = np.concatenate([high - low, np.ones(fit.free)])
     origin = np.concatenate([low, np.zeros(fit.free)])
-    least = np.concatenate([np.zeros(len(low)), np.full(fit.free, -np.inf)])
-    most_of = np.concatenate([np.ones(len(low)), np.full(fit.free, np.inf)])
+    free = np.full(fit.free, np.inf)
+    ends = np.concatenate([0 * low, -free]), np.concatenate([0 * low + 1, free])
 
     def solve(
-        part: Predictions, begin: np.ndarray, ends: Mapping[str, float]
+        part: Predictions, begin: np.ndarray, when: Mapping[str, float]
     ) -> tuple[np.ndarray, bool]:
-        first = np.clip((begin - origin) / units, least + 1e-9, most_of - 1e-9)
+        first = np.clip((begin - origin) / units, ends[0] + 1e-9, ends[1] - 1e-9)
 
         def at(y: np.ndarray) -> np.ndarray:
             # The run of the first is known.
@@ -207,27 +222,25 @@ def _fitted(
             bar.advance()
             return part.jacobian(at(y)) * units
 
-        result = least_squares(
+        found = least_squares(
             lambda y: _residual(part, at(y)),
             first,
             jac=slopes,
-            bounds=(least, most_of),
+            bounds=ends,
             x_scale="jac",
             max_nfev=most,
-            **ends,
+            **when,
         )
-        return at(result.x), result.status > 0
+        return at(found.x), found.status > 0
 
     x = start
-    _check_runs(fit, x)
     if all(BEGINNING * log.steps(fit.base.settings.dt) >= ENOUGH for log in fit.logs):
         part = fit.until(BEGINNING)
         near, _ = solve(part, x, ROUGH)
         fit.steps, fit.linearised = fit.steps + part.steps, fit.linearised + part.linearised
-        costs = [_cost(fit, each) for each in (x, near)]
-        x = near if costs[1] < costs[0] else x
-    x, settled = solve(fit, x, FINE)
-    return x, fit.jacobian(x), settled
+        before, after = (np.sum(_residual(fit, each) ** 2) for each in (x, near))
+        x = near if after < before else x
+    return solve(fit, x, FINE)
 
 
 def _residual(fit: Predictions, x: np.ndarray) -> np.ndarray:
@@ -235,20 +248,7 @@ def _residual(fit: Predictions, x: np.ndarray) -> np.ndarray:
     try:
         return fit.residual(x)
     except SimulationError:
-        return np.full(len(fit.kinds()), np.nan)
-
-
-def _cost(fit: Predictions, x: np.ndarray) -> float:
-    cost = float(np.sum(_residual(fit, x) ** 2))
-    return cost if np.isfinite(cost) else np.inf
-
-
-def _check_runs(fit: Predictions, x: np.ndarray) -> None:
-    try:
-        fit.residual(x)
-    except SimulationError as error:
-        limit = "must be values with which the logs can be run"
-        raise ValueError(f"model: {checks.one_line(error)}: {limit}") from None
+        return np.full(int(fit.known.sum()), np.nan)
 
 
 def _result(
@@ -259,61 +259,50 @@ def _result(
     sure: Certainty,
     findings: Sequence[Finding],
 ) -> Identification:
-    labels, ends = fit.labels, predictable(fit, fit.sensitivities(x))
-    after, first = fit.predicted(x), fit.predicted(start)
+    ends, after, first = predictable(fit, x), fit.predicted(x), fit.predicted(start)
     finer = fit.predicted(x, FINER)
     # One step of Gauss and Newton from the estimates, by what shorter steps change.
-    changed = fit.residual_of(finer) - fit.residual_of(after)
-    moved = x - sure.inverse @ changed
+    moved = x - sure.inverse @ (fit.residual_of(finer) - fit.residual_of(after))
     low, high = np.array(list(bounds.values())).T
-    own = fit.model(x)
+    half = SIGMAS * sure.errors
+    ranges = zip((x[: len(half)] - half).tolist(), (x[: len(half)] + half).tolist(), strict=True)
+
+    def named(values: np.ndarray) -> dict[str, float]:
+        return dict(zip(fit.labels, values.tolist(), strict=False))
+
     return Identification(
         name=fit.base.scene.name or "scene",
         settings=fit.base.settings,
         logs=len(fit.logs),
-        samples=len(changed),
-        values=_named(labels, x),
-        start=_named(labels, start),
+        samples=int(fit.known.sum()),
+        values=named(x),
+        start=named(start),
         bounds=dict(bounds),
-        intervals={
-            label: (float(value - SIGMAS * error), float(value + SIGMAS * error))
-            for label, value, error in zip(labels, x, sure.errors, strict=False)
-        },
+        intervals=dict(zip(fit.labels, ranges, strict=True)),
         alike=sure.alike,
         correlations=sure.correlations,
         residuals=fit.rms(fit.measured, after),
         before=fit.rms(fit.measured, first),
         integration=fit.rms(after, finer),
-        finer=_named(labels, np.clip(moved[: len(labels)], low, high)),
+        finer=named(np.clip(moved[: len(low)], low, high)),
         predictable=ends,
         findings=[*findings, *fit_findings(fit, first), *horizon_findings(fit.logs, ends)],
         curves=_curves(fit, first, after),
-        model=own,
+        model=fit.model(x),
         steps=fit.steps,
         linearised=fit.linearised,
         ran=f"{counted(len(fit.logs), 'log')} of {seconds(sum(log.duration for log in fit.logs))} "
         "in all",
-        notes=_unread(fit.logs),
+        notes=[
+            f"{log.name} has columns that are nothing of the model: "
+            f"{checks.cut(', '.join(log.unread), 120)}"
+            for log in fit.logs
+            if log.unread
+        ],
     )
 
 
-def _named(labels: Sequence[str], values: np.ndarray) -> dict[str, float]:
-    return dict(zip(labels, values.tolist(), strict=False))
-
-
-def _curves(fit: Predictions, before: Sequence[Arrays], after: Sequence[Arrays]) -> list[Curve]:
-    return [
-        Curve(nth, label, log.measured[key].times, log.measured[key].values[:, entry], *made)
-        for nth, log in enumerate(fit.logs)
-        for key, entry, label in fit.quantities
-        if key in log.measured
-        for made in [(before[nth][key][:, entry], after[nth][key][:, entry])]
-    ]
-
-
-def _unread(logs: Sequence[MeasuredLog]) -> list[str]:
-    return [
-        f"{log.name} has columns that are nothing of the model: {checks.cut(words, 120)}"
-        for log in logs
-        if (words := ", ".join(log.unread))
-    ]
+def _curves(fit: Predictions, before: np.ndarray, after: np.ndarray) -> list[Curve]:
+    ends = np.cumsum([len(part.times) for part in fit.parts])[:-1]
+    both = zip(fit.parts, np.split(before, ends), np.split(after, ends), strict=True)
+    return [Curve(p.log, p.label, p.times, p.values, *made) for p, *made in both]

@@ -1,15 +1,18 @@
-"""What is doubtful about logs: units, gaps, and motions that cannot be predicted to their end."""
+"""What is doubtful: units and gaps of logs, motions that cannot be predicted to their end, and
+estimates: their errors, correlations, and what cannot be told apart."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.experiment.predictable import GROWTH
 from stepcore.measure.identification.log import MeasuredLog, Series
-from stepcore.measure.identification.predictions import Arrays, Predictions
+from stepcore.measure.identification.predictions import Predictions
 from stepcore.measure.monitors.finding import Finding, named
 from stepcore.report.units import seconds, times
 
@@ -18,7 +21,7 @@ DEGREES = 180 / np.pi
 NEAR = 0.2
 # A measured number this many times outside a joint's range is in another unit.
 OUTSIDE = 3.0
-# Scaled by a ratio of units, a prediction fits this much better if the unit is the cause.
+# Scaled by a ratio of units, what is predicted is off by at most this share of what it was.
 BETTER = 0.5
 RATIOS = {
     DEGREES: "degrees",
@@ -26,43 +29,48 @@ RATIOS = {
     1e3: "mm",
     1e-3: "mm in the model",
 }
+# Estimates whose correlation is above this cannot be told apart.
+ALIKE = 0.99
+# Directions of which a log says less than this share of what it says of the best known.
+WEAK = 1e-6
+# A gap of the controls is this many times as long as most of their rows are apart.
+GAP = 10
 
 
 def unit_findings(model: Model, logs: Sequence[MeasuredLog]) -> list[Finding]:
     """Return findings on units that the logs alone show."""
-    return [finding for log in logs for finding in _of_log(model, log)]
+    found = []
+    for log in logs:
+        for joint in [k for k, kind in enumerate(model.jnt_type) if kind == "hinge"]:
+            what, value, cure = _unit_of(model, log, joint)
+            if what:
+                element = named(model, "joint", [joint])
+                problem = f"{element[0].name}: in {log.name} {what}"
+                found.append(Finding("units", "error", problem, cure, element, value))
+    return found
 
 
-def _of_log(model: Model, log: MeasuredLog) -> Iterator[Finding]:
+def _unit_of(model: Model, log: MeasuredLog, joint: int) -> tuple[str, float, str]:
+    """Return what of a hinge's numbers is in another unit, by which number, and which."""
     qpos, qvel = log.measured["qpos"], log.measured.get("qvel")
-    for joint, kind in enumerate(model.jnt_type):
-        if kind != "hinge":
-            continue
-        q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        low, high = model.jnt_range[joint]
-        largest, limit = np.nanmax(np.abs(qpos.values[:, q])), max(abs(low), abs(high))
-        ratio = _ratio(qpos, q, qvel, v) if qvel is not None else None
-        if limit > 0 and OUTSIDE * limit < largest < OUTSIDE * DEGREES * limit:
-            what = f"reaches {largest:.3g} rad, its range {limit:.3g} rad"
-            yield _degrees(model, joint, log, f"position {what}", largest)
-        elif ratio is not None and _near(ratio, DEGREES):
-            yield _degrees(
-                model, joint, log, f"position changes {times(ratio)} its velocity", ratio
-            )
-        elif ratio is not None and _near(ratio, 1 / DEGREES):
-            what = f"velocity is {times(1 / ratio)} the change of its position"
-            yield _degrees(model, joint, log, what, ratio)
-        elif ratio is not None and (_near(ratio, 1e-3) or _near(ratio, 1e3)):
-            cure = "times must be in seconds"
-            problem = f"in {log.name} the position changes {times(ratio)} the measured velocity"
-            element = named(model, "joint", [joint])
-            yield Finding("units", "error", f"{element[0].name}: {problem}", cure, element, ratio)
-
-
-def _degrees(model: Model, joint: int, log: MeasuredLog, what: str, value: float) -> Finding:
-    element = named(model, "joint", [joint])
-    problem = f"{element[0].name}: in {log.name} its {what}"
-    return Finding("units", "error", problem, "it looks like degrees", element, float(value))
+    q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    largest = float(np.nanmax(np.abs(qpos.values[:, q])))
+    limit, degrees = float(np.abs(model.jnt_range[joint]).max()), "it looks like degrees"
+    if limit > 0 and OUTSIDE * limit < largest < OUTSIDE * DEGREES * limit:
+        what = f"its position reaches {largest:.3g} rad, its range {limit:.3g} rad"
+        return what, largest, degrees
+    ratio = None if qvel is None else _ratio(qpos, q, qvel, v)
+    if ratio is None:
+        return "", 0.0, ""
+    if _near(ratio, DEGREES):
+        return f"its position changes {times(ratio)} its velocity", ratio, degrees
+    if _near(ratio, 1 / DEGREES):
+        what = f"its velocity is {times(1 / ratio)} the change of its position"
+        return what, ratio, degrees
+    if _near(ratio, 1e-3) or _near(ratio, 1e3):
+        what = f"the position changes {times(ratio)} the measured velocity"
+        return what, ratio, "times must be in seconds"
+    return "", 0.0, ""
 
 
 def _ratio(qpos: Series, q: int, qvel: Series, v: int) -> float | None:
@@ -86,18 +94,15 @@ def _near(ratio: float, unit: float) -> bool:
     return abs(ratio / unit - 1) < NEAR
 
 
-def fit_findings(fit: Predictions, predicted: Sequence[Arrays]) -> list[Finding]:
+def fit_findings(fit: Predictions, predicted: np.ndarray) -> list[Finding]:
     """Return findings on quantities whose prediction fits when it is in another unit.
 
     predicted: with the first guess, which the fit has not bent to these units.
     """
     found = []
-    for quantity in fit.quantities:
-        both = zip(predicted, fit.measured, strict=True)
-        key, entry, label = quantity
-        pairs = [(a[key][:, entry], b[key][:, entry]) for a, b in both if key in b]
-        made, known = (np.concatenate(each) for each in zip(*pairs, strict=True))
-        made, known = made[np.isfinite(known)], known[np.isfinite(known)]
+    for kind, label in enumerate(fit.quantities):
+        own = fit.known & (fit.kinds == kind)
+        made, known = predicted[own], fit.measured[own]
         if not made @ made > 0:
             continue
         ratio = float(known @ made / (made @ made))
@@ -112,22 +117,27 @@ def fit_findings(fit: Predictions, predicted: Sequence[Arrays]) -> list[Finding]
 
 def gap_findings(logs: Sequence[MeasuredLog]) -> list[Finding]:
     """Return findings on controls that are missing for long."""
-    cure = "the last ones before it were held; split the log there if they were not"
-    return [Finding("gap", "warning", gap, cure) for log in logs for gap in log.gaps]
+    cure, found = "the last ones before it were held; split the log there if they were not", []
+    for log in logs:
+        times = log.controls.times
+        apart = np.diff(times)
+        for k in np.flatnonzero(apart > GAP * np.median(apart)) if len(apart) else ():
+            gap = f"{log.name} has no controls for {seconds(apart[k])} from {seconds(times[k])} on"
+            found.append(Finding("gap", "warning", gap, cure))
+    return found
 
 
-def predictable(fit: Predictions, slopes: Sequence[np.ndarray]) -> list[float]:
+def predictable(fit: Predictions, x: np.ndarray) -> list[float]:
     """Return until when each log can be predicted [s]; inf to its end.
 
     Until an error of the first positions has grown a thousand times in the positions, as in
     `stepcore.predict`.
     """
-    ends, nv = [], fit.base.nv
-    for own in slopes:
-        first = len(fit.labels)
-        growth = np.linalg.norm(own[:, :nv, first : first + nv], 2, axis=(1, 2))
+    ends, nv, first = [], fit.base.nv, len(fit.labels)
+    for run in fit.runs(x):
+        growth = np.linalg.norm(run.slopes[:, :nv, first : first + nv], 2, axis=(1, 2))
         late = np.flatnonzero(~(growth <= GROWTH))
-        ends.append(float(late[0] * fit.base.settings.dt) if len(late) else np.inf)
+        ends.append(float(late[0] * run.dt) if len(late) else np.inf)
     return ends
 
 
@@ -143,3 +153,65 @@ def horizon_findings(logs: Sequence[MeasuredLog], ends: Sequence[float]) -> list
             cure = f"cut it into pieces of {seconds(end)} or less, and give them as a list"
             found.append(Finding("horizon", "warning", problem, cure, (), end, "s"))
     return found
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """What the logs say of the estimates.
+
+    errors: the standard error of each; inf where the logs say nothing.
+    correlations: between each two, shape (n, n).
+    alike: sets of parameters that cannot be told apart.
+    inverse: J⁺: times a residual, by how much all values are too large for it; 0 where nothing is
+        known.
+    """
+
+    errors: np.ndarray
+    correlations: np.ndarray
+    alike: list[tuple[str, ...]]
+    inverse: np.ndarray
+
+
+def certainty(
+    jacobian: np.ndarray, residual: np.ndarray, kinds: np.ndarray, labels: Sequence[str]
+) -> Certainty:
+    """Return the certainty of estimates from the Jacobian of the residuals.
+
+    jacobian: shape (n, all), of which the first columns are of the parameters `labels`.
+    residual: shape (n,). kinds: the quantity of each residual, whose variance is its own.
+
+    The estimates are off by J⁺ e, whose covariance is J⁺ V J⁺ᵀ with the variances V of e.
+    """
+    spare = max(1, len(residual) - jacobian.shape[1]) / len(residual)
+    variances = np.array(
+        [np.mean(residual[kinds == kind] ** 2) / spare for kind in range(kinds.max() + 1)]
+    )
+    inverse, turns, weak = _inverse(jacobian)
+    count = len(labels)
+    own = inverse[:count]
+    covariance = (own * variances[kinds]) @ own.T
+    unknown = (np.abs(turns[weak][:, :count]) > WEAK).any(axis=0)
+    spread = np.sqrt(np.diag(covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        related = np.nan_to_num(covariance / np.outer(spread, spread))
+    np.fill_diagonal(related, 1.0)
+    # A part of this size leaves a correlation as large.
+    ways = np.abs(turns[weak][:, :count]) > math.sqrt(1 - ALIKE)
+    alike = [tuple(labels[int(k)] for k in np.flatnonzero(way)) for way in ways if way.any()]
+    for i in range(count):
+        for k in range(i):
+            pair = (labels[k], labels[i])
+            known = any(set(pair) <= set(names) for names in alike)
+            if abs(related[i, k]) > ALIKE and not known:
+                alike.append(pair)
+    return Certainty(np.where(unknown, np.inf, spread), related, alike, inverse)
+
+
+def _inverse(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the pseudo-inverse; directions in units of the columns' sizes, and the weak ones."""
+    sizes = np.linalg.norm(jacobian, axis=0)
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    left, singular, turns = np.linalg.svd(jacobian / sizes, full_matrices=False)
+    weak = singular <= WEAK * max(singular.max(initial=0.0), 1e-300)
+    inverse = (turns[~weak].T / singular[~weak]) @ left[:, ~weak].T
+    return inverse / sizes[:, None], turns, weak

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -26,13 +26,14 @@ from stepcore.report.units import counted, seconds
 # What a log can tell of a state and of the sensors, and its controls.
 MEASURED = ("qpos", "qvel", "sensordata")
 ARRAYS = (*MEASURED, "ctrl")
-# A gap of the controls is this many times as long as most of their rows are apart.
-GAP = 10
 # Other words for an array in the name of a column: "knee.position", "position[knee]".
 WORDS = {"position": "qpos", "velocity": "qvel", "sensor": "sensordata", "control": "ctrl"}
 COLUMN = re.compile(r"(?P<array>\w+)\[(?P<entry>.+)\]|(?P<name>.+)[./](?P<word>\w+)")
-# Times are in milliseconds if rows are so far apart [s], and so many steps, over so many in all.
-SLOW, SPARSE, LONG = 0.5, 100, 20_000
+# Times are in milliseconds if rows are so far apart [s], and last so many steps in all.
+SLOW, LONG = 0.5, 20_000
+# The time by which controls act later than their rows say [s]. Behind a slash follows what was
+# measured so much earlier than its rows say: an array or a sensor.
+DELAY = "delay"
 KINDS = 'a Trajectory, a DataFrame, a file or a dict with "time"'
 
 Log = Trajectory | Mapping[str, Any] | str | os.PathLike[str] | Any
@@ -55,7 +56,7 @@ class MeasuredLog:
 
     name: str
     measured: Mapping[str, Series]
-    controls: ControlLog | None
+    controls: ControlLog
     start: tuple[np.ndarray, np.ndarray]
     unread: tuple[str, ...] = ()
 
@@ -72,19 +73,6 @@ class MeasuredLog:
         """Return how many steps of dt [s] the log lasts."""
         return int(np.ceil(self.duration / dt - 1e-9))
 
-    def ctrl(self, dt: float, steps: int, delay: float) -> np.ndarray:
-        """Return the controls of the steps, shape (steps, nu): their means, `delay` [s] later."""
-        if self.controls is None:
-            return np.zeros((steps, 0))
-        return self.controls.steps(-delay, dt, steps)
-
-    def ctrl_slopes(self, dt: float, steps: int, delay: float) -> np.ndarray:
-        """Return the derivatives of `ctrl` by the delay, shape (steps, nu)."""
-        if self.controls is None:
-            return np.zeros((steps, 0))
-        slopes: np.ndarray = -self.controls.slopes(-delay, dt, steps)
-        return slopes
-
     def until(self, end: float) -> MeasuredLog:
         """Return the beginning of this log, to a time [s]."""
         cut = {}
@@ -93,19 +81,6 @@ class MeasuredLog:
             if np.isfinite(series.values[early]).any():
                 cut[name] = Series(series.times[early], series.values[early])
         return MeasuredLog(self.name, cut, self.controls, self.start)
-
-    @property
-    def gaps(self) -> list[str]:
-        """Where controls are missing for long, in sentences."""
-        if self.controls is None or len(self.controls.times) < 3:
-            return []
-        times = self.controls.times
-        apart = np.diff(times)
-        long = np.flatnonzero(apart > GAP * np.median(apart))
-        return [
-            f"{self.name} has no controls for {seconds(apart[k])} from {seconds(times[k])} on"
-            for k in long
-        ]
 
 
 def read_log(model: Model, log: Log, name: str) -> MeasuredLog:
@@ -126,13 +101,13 @@ def read_log(model: Model, log: Log, name: str) -> MeasuredLog:
         raise ValueError(f"{name}: the first row of qpos must be whole: the run begins there")
     origin = tables["qpos"].times[0]
     moved = {key: Series(times - origin, values) for key, (times, values) in tables.items()}
-    controls = moved.pop("ctrl", None)
+    controls = moved.pop("ctrl", Series(np.zeros(1), np.zeros((1, model.nu))))
     measured = {key: series for key, series in moved.items() if np.isfinite(series.values).any()}
     _check_times(name, model, measured)
     return MeasuredLog(
         name,
         measured,
-        None if controls is None else ControlLog(*_complete(model, name, controls)),
+        ControlLog(*_complete(model, name, controls)),
         (first, _velocity(model, name, moved)),
         tuple(unread),
     )
@@ -142,7 +117,7 @@ def _check_times(name: str, model: Model, measured: Mapping[str, Series]) -> Non
     """Refuse times that look like milliseconds, a thousand times as long as they are."""
     times, dt = measured["qpos"].times, model.settings.dt
     apart = float(np.median(np.diff(times)))
-    if apart >= SLOW and apart >= SPARSE * dt and times[-1] >= LONG * dt:
+    if apart >= SLOW and times[-1] >= LONG * dt:
         raise ValueError(
             f"{name}: time: rows are {apart:g} s apart, {apart / dt:g} steps of {seconds(dt)}: "
             "must be in seconds; these look like milliseconds"
@@ -181,43 +156,32 @@ def _velocity(model: Model, name: str, measured: Mapping[str, Series]) -> np.nda
 
 def _tables(model: Model, log: Log, name: str) -> tuple[dict[str, Series], list[str]]:
     """Return the series of a log by array, and its columns that are nothing of the model."""
-    if isinstance(log, Mapping) and log and set(map(str, log)) <= set(ARRAYS):
-        # Each from a source of its own, with times of its own.
-        tables: dict[str, Series] = {}
-        for key, source in log.items():
-            tables[key] = _alone(model, source, name, key)
-        return tables, []
-    return _source(model, log, name, ARRAYS)
-
-
-def _alone(model: Model, source: Any, name: str, array: str) -> Series:
-    """Return an array from a source of its own."""
-    if array == "ctrl":
-        table = control_table(source)
-        if table.times is None:
-            raise ValueError(f"{name}: ctrl: {table.source} has no times")
-        held = table.log(model, np.full(model.nu, np.nan), 1.0)
-        return Series(table.times, held.rows)
-    if is_messages(source):
-        times, rows, columns = mcap_rows(os.fsdecode(source), array)
-        return Series(times, _Names(model, (array,)).table(name, array, rows, columns))
-    found, _ = _source(model, source, name, (array,))
-    if array not in found:
-        raise ValueError(f"{name}: {array}: {checks.shown(source)} has no {array}")
-    return found[array]
-
-
-def is_messages(source: Any) -> bool:
-    """Return whether a source is the path of a log of messages (.mcap)."""
-    path = os.fsdecode(source) if isinstance(source, (str, os.PathLike)) else ""
-    return MCAP.fullmatch(path) is not None
+    if not (isinstance(log, Mapping) and log and set(map(str, log)) <= set(ARRAYS)):
+        return _source(model, log, name, ARRAYS)
+    # Each from a source of its own, with times of its own.
+    tables: dict[str, Series] = {}
+    for key, source in log.items():
+        if key == "ctrl":
+            # Columns by joint drive its actuator.
+            table = control_table(source)
+            if table.times is None:
+                raise ValueError(f"{name}: ctrl: {table.source} has no times")
+            rows = table.log(model, np.full(model.nu, np.nan), 1.0).rows
+            found = {key: Series(table.times, rows)}
+        else:
+            found, _ = _source(model, source, name, (key,))
+        if key not in found:
+            raise ValueError(f"{name}: {key}: {checks.shown(source)} has no {key}")
+        tables[key] = found[key]
+    return tables, []
 
 
 def _source(
     model: Model, log: Log, name: str, arrays: Sequence[str]
 ) -> tuple[dict[str, Series], list[str]]:
-    if is_messages(log):
-        return dict(_messages(model, str(log), arrays, name)), []
+    """Return some arrays of a log of one source, and its columns that are none of these."""
+    if isinstance(log, (str, os.PathLike)) and MCAP.fullmatch(os.fsdecode(log)):
+        return dict(_messages(model, os.fsdecode(log), arrays, name)), []
     source, content = read_table(log, name)
     if isinstance(content, Trajectory):
         content = {"time": content.time, **content.data}
@@ -243,71 +207,50 @@ def _source(
 def _arranged(
     model: Model, name: str, content: Mapping[str, Any], rows: int, arrays: Sequence[str]
 ) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Return the arrays, whole or put together from columns."""
-    names, tables, unread = _Names(model, arrays), dict[str, np.ndarray](), []
+    """Return the arrays, whole or put together from columns, and the columns that are none."""
+    entries, tables, unread = _entries(model, arrays), dict[str, np.ndarray](), []
     for column, given in content.items():
-        if column in arrays:
-            table = numbers_of(f"{name}: {column}", given)
-            shape = (rows, len(names.entries[column]))
-            table = table[:, None] if table.shape == (rows,) and shape[1] == 1 else table
-            if table.shape != shape:
-                raise ValueError(f"{name}: {column} has shape {table.shape}: must be {shape}")
-            tables[column] = np.array(table)
-    for column, given in content.items():
-        place = None if column in arrays else names.place(name, str(column))
-        if place is None or place[0] in content:
-            unread += [] if column in arrays else [str(column)]
+        whole = column in arrays
+        array, entry = (column, -1) if whole else _place(entries, name, str(column))
+        if not array or (not whole and array in content):
+            unread.append(str(column))
             continue
-        array, entry = place
-        values = numbers_of(f"{name}: {column}", given)
-        if values.shape != (rows,):
-            raise ValueError(f"{name}: {column} has shape {values.shape}: must be ({rows},)")
-        shape = (rows, len(names.entries[array]))
-        tables.setdefault(array, np.full(shape, np.nan))[:, entry] = values
+        values, width = numbers_of(f"{name}: {column}", given), len(entries[array])
+        if whole and width == 1 and values.ndim == 1:
+            values = values[:, None]
+        shape = (rows, width) if whole else (rows,)
+        if values.shape != shape:
+            raise ValueError(f"{name}: {column} has shape {values.shape}: must be {shape}")
+        if whole:
+            tables[array] = np.array(values)
+        else:
+            tables.setdefault(array, np.full((rows, width), np.nan))[:, entry] = values
     return tables, unread
 
 
-class _Names:
-    """The entries of a model's arrays, and what the names of columns stand for."""
+def _entries(model: Model, arrays: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return the names of the entries of arrays."""
+    sizes = {"qpos": model.nq, "qvel": model.nv, "ctrl": model.nu}
+    sizes["sensordata"] = int(np.sum(model.sensor_dim))
+    return {key: entries_of(model, key, sizes[key]) for key in arrays}
 
-    def __init__(self, model: Model, arrays: Sequence[str]) -> None:
-        sizes = {"qpos": model.nq, "qvel": model.nv, "ctrl": model.nu}
-        sizes["sensordata"] = int(np.sum(model.sensor_dim))
-        self.entries = {key: entries_of(model, key, sizes[key]) for key in arrays}
 
-    def place(self, log: str, column: str) -> tuple[str, int] | None:
-        """Return the array and the entry of a column; None if it is none of these arrays.
+def _place(entries: Mapping[str, Sequence[str]], log: str, column: str) -> tuple[str, int]:
+    """Return the array and the entry of a column; "" if it is none of these arrays.
 
-        A name alone is an actuator's, a sensor's, or a joint's, whose position it is.
-        """
-        match = COLUMN.fullmatch(column)
-        if match is not None:
-            word, entry = match["array"] or match["word"], match["entry"] or match["name"]
-            array = WORDS.get(word, word)
-            if array in self.entries and entry in self.entries[array]:
-                return array, self.entries[array].index(entry)
-        alone = ("qpos", "sensordata", "ctrl")
-        found = [key for key in alone if column in self.entries.get(key, ())]
-        if len(found) > 1:
-            words = " or ".join(f"{column}.{word}" for word, key in WORDS.items() if key in found)
-            raise ValueError(f"{log}: column {checks.quoted(column)}: must be {words}")
-        return (found[0], self.entries[found[0]].index(column)) if found else None
-
-    def table(
-        self, log: str, array: str, rows: np.ndarray, columns: Sequence[str] | None
-    ) -> np.ndarray:
-        """Return the rows of these columns as those of all entries; None: they are all."""
-        entries = self.entries[array]
-        if columns is None:
-            if rows.shape[1] != len(entries):
-                limit = f"must be {(len(rows), len(entries))}"
-                raise ValueError(f"{log}: {array} has shape {rows.shape}: {limit}")
-            return rows
-        table = np.full((len(rows), len(entries)), np.nan)
-        for name, values in zip(columns, rows.T, strict=True):
-            if name in entries:
-                table[:, entries.index(name)] = values
-        return table
+    A name alone is an actuator's, a sensor's, or a joint's, whose position it is.
+    """
+    match = COLUMN.fullmatch(column)
+    if match is not None:
+        word, entry = match["array"] or match["word"], match["entry"] or match["name"]
+        array = WORDS.get(word, word)
+        if entry in entries.get(array, ()):
+            return array, entries[array].index(entry)
+    found = [key for key in ("qpos", "sensordata", "ctrl") if column in entries.get(key, ())]
+    if len(found) > 1:
+        words = " or ".join(f"{column}.{word}" for word, key in WORDS.items() if key in found)
+        raise ValueError(f"{log}: column {checks.quoted(column)}: must be {words}")
+    return (found[0], entries[found[0]].index(column)) if found else ("", -1)
 
 
 def entries_of(model: Model, array: str, size: int) -> tuple[str, ...]:
@@ -319,12 +262,12 @@ def _messages(
     model: Model, path: str, arrays: Sequence[str], name: str
 ) -> Iterator[tuple[str, Series]]:
     """Yield the arrays of a log of messages: of a recorded run all, else of joints their states."""
-    try:
-        mcap_rows(f"{path}:{OWN}", arrays[0])
-        path = f"{path}:{OWN}"
-    except ValueError:
-        arrays = [key for key in arrays if key in ("qpos", "qvel")]
-    names = _Names(model, arrays)
+    if len(arrays) > 1:
+        try:
+            mcap_rows(f"{path}:{OWN}", arrays[0])
+            path = f"{path}:{OWN}"
+        except ValueError:
+            arrays = [key for key in arrays if key in ("qpos", "qvel")]
     for array in arrays:
         try:
             times, rows, columns = mcap_rows(path, array)
@@ -332,4 +275,59 @@ def _messages(
             if array == arrays[0]:
                 raise
             continue
-        yield array, Series(times, names.table(name, array, rows, columns))
+        content: dict[str, Any] = {array: rows}
+        if columns is not None:
+            names = [f"{array}[{column}]" for column in columns]
+            content = dict(zip(names, rows.T, strict=True))
+        tables, _ = _arranged(model, name, content, len(times), (array,))
+        if array in tables:
+            yield array, Series(times, tables[array])
+
+
+def is_delay(label: str) -> bool:
+    """Whether a parameter is a time, and no value of the model."""
+    return label == DELAY or label.startswith(f"{DELAY}/")
+
+
+def late_entries(model: Model, label: str) -> tuple[str, Sequence[int]]:
+    """Return the array that is late by a delay such as "delay/qpos", and which of its entries.
+
+    Raises ValueError for what is neither an array of a log nor a sensor.
+    """
+    name = label.partition("/")[2]
+    if name not in MEASURED:
+        try:
+            sensor = model.index("sensor", name)
+        except ValueError as error:
+            limit = f"{', '.join(MEASURED)} or a sensor: {error}"
+            raise ValueError(f"parameters: {label}: must be of {limit}") from None
+        owners = np.repeat(np.arange(len(model.sensor_dim)), model.sensor_dim)
+        return "sensordata", [int(entry) for entry in np.flatnonzero(owners == sensor)]
+    widths = {"qpos": model.nq, "qvel": model.nv, "sensordata": sum(model.sensor_dim)}
+    return name, range(widths[name])
+
+
+def within(
+    model: Model, log: MeasuredLog, bounds: Mapping[str, tuple[float, float]]
+) -> MeasuredLog:
+    """Return a log without the rows that, within these bounds of delays, may be from before its
+    first state or from after its end.
+
+    Raises ValueError if of an array or a sensor nothing is left.
+    """
+    measured = dict(log.measured)
+    for label, (low, high) in bounds.items():
+        if not is_delay(label) or label == DELAY:
+            continue
+        array, entries = late_entries(model, label)
+        if array not in measured:
+            continue
+        times, values = measured[array]
+        outside = (times < high) | (times > log.duration + low)
+        values = np.array(values)
+        values[np.ix_(outside, np.array(entries))] = np.nan
+        if not np.isfinite(values[:, entries]).any():
+            limit = f"a range that {log.name} outlasts, which ends at {log.duration:g} s"
+            raise ValueError(f"parameters['{label}'] = ({low:g}, {high:g}): must be {limit}")
+        measured[array] = Series(times, values)
+    return replace(log, measured=measured)

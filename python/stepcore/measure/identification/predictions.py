@@ -3,40 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from stepcore.engine.arrays import STATE
+from stepcore.engine.arrays import STATE, Floats
 from stepcore.engine.batch import Batch, unwatched
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.gradients import Steps, sensitivities
 from stepcore.engine.model import Model
-from stepcore.engine.parameters import own_value, split_entry
-from stepcore.measure.identification.delays import DELAY, is_delay, late_entries
-from stepcore.measure.identification.log import MEASURED, MeasuredLog, entries_of
-from stepcore.measure.identification.sensors import Readings
+from stepcore.engine.parameters import columns, own_value, split_entry
+from stepcore.experiment.change import Change
+from stepcore.measure.identification.log import (
+    DELAY,
+    MEASURED,
+    MeasuredLog,
+    entries_of,
+    is_delay,
+    late_entries,
+)
+from stepcore.measure.identification.readings import Readings
 
-# As many runs are kept.
-KEPT = 3
-# Arrays over the times of a log, each of shape (T, n).
-Arrays = Mapping[str, np.ndarray]
 
+class Part(NamedTuple):
+    """A measured number of a log over time.
 
-class Quantity(NamedTuple):
-    """A measured number over time. array, entry: its place. label: such as "qpos[knee]"."""
+    log: its number. array, entry: what it is. label: such as "qpos[knee]". times: of the rows [s].
+    values: NaN where it was not measured. late: the numbers of the parameters by which it is late.
+    """
 
+    log: int
     array: str
     entry: int
     label: str
+    times: np.ndarray
+    values: np.ndarray
+    late: tuple[int, ...]
 
 
 class Predictions:
     """Runs of a model over logs, under values x: those of the parameters, then what the first state
     of each log is off, a position and a velocity a dof.
 
-    labels: the parameters, in this order. quantities: what was measured. steps: time steps made in
-    all. linearised: of these, how many were linearised too.
+    labels: the parameters, in this order. parts: what was measured. measured: all of its numbers,
+    one part after another, as predictions have them; known: which of them are no NaN. kinds: the
+    number in `quantities` of each. steps: time steps made in all. linearised: of these, how many
+    were linearised too.
     """
 
     def __init__(
@@ -48,19 +61,19 @@ class Predictions:
     ) -> None:
         self.base, self.logs, self.labels = model, logs, tuple(labels)
         self.paths = [label for label in labels if not is_delay(label)]
-        # By array and entry: the numbers of the parameters by which its rows are late.
-        self.late: dict[tuple[str, int], tuple[int, ...]] = {}
-        for k, label in enumerate(labels):
-            if is_delay(label) and label != DELAY:
-                array, entries = late_entries(model, label)
-                for entry in entries:
-                    self.late[array, entry] = (*self.late.get((array, entry), ()), k)
         self.free = 2 * model.nv * len(logs)
         self.steps = self.linearised = 0
-        self.quantities = _quantities(model, logs)
-        self.scales = _scales(logs, self.quantities) if scales is None else scales
-        self._kept: dict[bytes, tuple[list[Steps], list[dict[str, np.ndarray]]]] = {}
-        self._slopes: tuple[bytes, list[np.ndarray]] | None = None
+        self.parts = _parts(model, logs, labels)
+        self.quantities = list(dict.fromkeys(part.label for part in self.parts))
+        self.scales = _scales(self.parts) if scales is None else scales
+        counts = [len(part.times) for part in self.parts]
+        kinds = [self.quantities.index(part.label) for part in self.parts]
+        self.kinds = np.repeat(kinds, counts)
+        self.measured = np.concatenate([part.values for part in self.parts])
+        self.known = np.isfinite(self.measured)
+        self._units = np.repeat([self.scales[part.label] for part in self.parts], counts)
+        # The first one, and the last, to which the method goes back from a step that is refused.
+        self._runs = lru_cache(3)(lambda key: self._made(np.frombuffer(key)))
 
     def until(self, share: float) -> Predictions:
         """Return the predictions of the beginning of each log, in the same units."""
@@ -75,294 +88,203 @@ class Predictions:
                 path, entry = split_entry(label)
                 own = changed.setdefault(path, own_value(self.base, path))
                 own[() if entry is None else entry] = value
-        return self.base.with_values({path: value.tolist() for path, value in changed.items()})
+        return Change({path: value.tolist() for path, value in changed.items()}).of(self.base)
 
-    def delay(self, x: np.ndarray) -> float:
-        """Return the delay of controls [s]."""
-        return float(x[self.labels.index(DELAY)]) if DELAY in self.labels else 0.0
+    def runs(self, x: np.ndarray) -> list[Run]:
+        """Return the runs of all logs; the last ones are kept."""
+        return self._runs(np.asarray(x, float).tobytes())
 
-    def _run(self, model: Model, x: np.ndarray, nth: int) -> Steps:
-        """Run a log under a model with these values."""
-        log, nv, dt = self.logs[nth], model.nv, model.settings.dt
-        batch = unwatched(Batch(model, 1, threads=1))
-        off = x[len(self.labels) :].reshape(-1, 2, nv)[nth]
-        batch.qpos = Coordinates(model).nudged(log.start[0], off[0])
-        batch.qvel = log.start[1] + off[1]
-        ctrl = log.ctrl(dt, log.steps(dt), self.delay(x))[None]
-        self.steps += ctrl.shape[1]
-        return Steps(batch, ctrl, self.paths).roll()
-
-    def _all(self, x: np.ndarray) -> tuple[list[Steps], list[dict[str, np.ndarray]]]:
-        """Return the runs of all logs with the predictions of them; the last few are kept."""
-        key = x.tobytes()
-        if key not in self._kept:
-            model = self.model(x)
-            runs = [self._run(model, x, nth) for nth in range(len(self.logs))]
-            self._kept[key] = runs, self._of_runs(x, runs)
-            for old in list(self._kept)[:-KEPT]:
-                del self._kept[old]
-        return self._kept[key]
-
-    def _of_runs(self, x: np.ndarray, runs: Sequence[Steps]) -> list[dict[str, np.ndarray]]:
-        """Return the predicted arrays at the times of each log."""
-        made = []
-        for steps, log in zip(runs, self.logs, strict=True):
-            arrays = {key: np.empty_like(series.values) for key, series in log.measured.items()}
-            for key, rows in arrays.items():
-                for between, entries, _ in self._parts(x, steps, log, key):
-                    near = self._rows(x, steps, log, key, between)
-                    rows[:, entries] = between(near)[:, entries]
-            made.append(arrays)
-        return made
-
-    def _parts(
-        self, x: np.ndarray, steps: Steps, log: MeasuredLog, key: str
-    ) -> list[tuple[_Between, list[int], tuple[int, ...]]]:
-        """Return where an array's rows are in a run: entries that are alike late, and by what."""
-        times, values = log.measured[key]
-        groups: dict[tuple[int, ...], list[int]] = {}
-        for entry in range(values.shape[1]):
-            groups.setdefault(self.late.get((key, entry), ()), []).append(entry)
-        return [
-            (_Between(steps, times - sum(x[k] for k in late), bool(late)), entries, late)
-            for late, entries in groups.items()
-        ]
-
-    def _rows(
-        self, x: np.ndarray, steps: Steps, log: MeasuredLog, key: str, between: _Between
-    ) -> np.ndarray:
-        """Return an array of the states near."""
-        if key != "sensordata":
-            return between.rows(steps, key)
-        states = between.states(steps, self._ctrl(x, steps, log))
-        return Readings(steps.models[0], ()).at(states)
-
-    def _ctrl(self, x: np.ndarray, steps: Steps, log: MeasuredLog) -> np.ndarray:
-        """Return the controls of the steps and of one more, which sensors at the end read."""
-        return log.ctrl(steps.models[0].settings.dt, steps.count + 1, self.delay(x))
-
-    def predicted(self, x: np.ndarray, finer: int = 1) -> list[dict[str, np.ndarray]]:
-        """Return the predictions of each log by array; finer: by so many steps for one."""
-        if finer == 1:
-            return self._all(x)[1]
+    def _made(self, x: np.ndarray, finer: int = 1) -> list[Run]:
         model = self.model(x)
-        short = model.with_settings(dt=model.settings.dt / finer)
-        return self._of_runs(x, [self._run(short, x, nth) for nth in range(len(self.logs))])
+        short = Change(dt=model.settings.dt / finer).of(model)
+        return [Run(self, short, x, nth) for nth in range(len(self.logs))]
 
-    @property
-    def measured(self) -> list[Arrays]:
-        """What was measured, in arrays as those of the predictions."""
-        return [{key: s.values for key, s in log.measured.items()} for log in self.logs]
+    def predicted(self, x: np.ndarray, finer: int = 1) -> np.ndarray:
+        """Return the predictions of all parts; finer: by so many steps for one."""
+        runs = self.runs(x) if finer == 1 else self._made(x, finer)
+        return np.concatenate([runs[part.log].shown(part) for part in self.parts])
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """Return prediction less measurement of all that was measured, in units of the scales."""
         return self.residual_of(self.predicted(x))
 
-    def residual_of(self, predicted: Sequence[Arrays]) -> np.ndarray:
+    def residual_of(self, predicted: np.ndarray) -> np.ndarray:
         """Return the residual of predictions."""
-        parts = []
-        for log, made in zip(self.logs, predicted, strict=True):
-            for quantity, known in _measured(log, self.quantities):
-                off = made[quantity.array] - log.measured[quantity.array].values
-                parts.append(off[known, quantity.entry] / self.scales[quantity.label])
-        return np.concatenate(parts)
-
-    def kinds(self) -> np.ndarray:
-        """Return the number of the quantity of each residual."""
-        number = {quantity.label: k for k, quantity in enumerate(self.quantities)}
-        parts = [
-            np.full(int(known.sum()), number[quantity.label])
-            for log in self.logs
-            for quantity, known in _measured(log, self.quantities)
-        ]
-        return np.concatenate(parts)
+        return ((predicted - self.measured) / self._units)[self.known]
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivative of the residuals by x."""
-        parts, runs = [], self._all(x)[0]
-        count, nv = len(self.labels), self.base.nv
-        for nth, (log, slopes) in enumerate(zip(self.logs, self.sensitivities(x), strict=True)):
-            steps, place = runs[nth], count + 2 * nv * nth
-            moved = {key: self._moved(x, nth, steps, slopes, key) for key in log.measured}
-            for quantity, known in _measured(log, self.quantities):
-                own = moved[quantity.array][known, quantity.entry] / self.scales[quantity.label]
-                rows = np.zeros((len(own), count + self.free))
-                rows[:, :count], rows[:, place : place + 2 * nv] = own[:, :count], own[:, count:]
-                parts.append(rows)
-        return np.concatenate(parts)
-
-    def slopes(self, x: np.ndarray, nth: int, steps: Steps) -> np.ndarray:
-        """Return the derivatives of a log's states by the parameters and its first state.
-
-        Shape (steps + 1, size of x, parameters + 2 nv).
-        """
-        late, nv, first = int(DELAY in self.labels), self.base.nv, len(self.labels)
-        self.steps += steps.count
-        self.linearised += steps.count
-        found = sensitivities(steps, 0, self._pushes(x, nth)[:-1, :, None][..., :late])
-        own = len(self.paths) + late
-        slopes = np.zeros((*found.shape[:2], first + 2 * nv))
-        slopes[..., first:] = found[..., own : own + 2 * nv]
-        for k, label in enumerate(self.labels):
-            if label in self.paths:
-                slopes[..., k] = found[..., self.paths.index(label)]
-            elif label == DELAY:
-                slopes[..., k] = found[..., len(self.paths)]
-        # What the first position is off turns a quaternion from that of the log on, not from where
-        # it has come to.
-        turns, off = steps.tangents, x[first:].reshape(-1, 2, nv)[nth, 0]
-        start = np.tile(self.logs[nth].start[0], (nv, 1))
-        here = start + turns.of_dofs(start, np.tile(off, (nv, 1)))
-        turned = turns.changed(here, turns.of_dofs(start, np.eye(nv)))
-        slopes[..., first : first + nv] = slopes[..., first : first + nv] @ turned.T
-        return slopes
-
-    def _pushes(self, x: np.ndarray, nth: int) -> np.ndarray:
-        """Return the derivatives of a log's controls by the delay, shape (steps + 1, nu)."""
-        log, dt = self.logs[nth], self.base.settings.dt
-        return log.ctrl_slopes(dt, log.steps(dt) + 1, self.delay(x))
-
-    def _moved(
-        self, x: np.ndarray, nth: int, steps: Steps, slopes: np.ndarray, key: str
-    ) -> np.ndarray:
-        """Return the derivatives of an array at a log's times, (T, entries, parameters + 2 nv).
-
-        slopes: those of the states.
-        """
-        log = self.logs[nth]
-        whole = np.zeros((*log.measured[key].values.shape, slopes.shape[2]))
-        for between, entries, late in self._parts(x, steps, log, key):
-            near = self._moved_near(x, nth, steps, slopes, key, between)
-            whole[:, entries] = between(near)[:, entries]
-            if late:
-                rates = between.rates(self._rows(x, steps, log, key, between))
-            for k in late:
-                whole[:, entries, k] -= rates[:, entries]
+        runs, count, nv, parts = self.runs(x), len(self.labels), self.base.nv, []
+        for part in self.parts:
+            own, place = runs[part.log].moved(part), count + 2 * nv * part.log
+            rows = np.zeros((len(own), count + self.free))
+            rows[:, :count], rows[:, place : place + 2 * nv] = own[:, :count], own[:, count:]
+            parts.append(rows)
+        whole: np.ndarray = (np.concatenate(parts) / self._units[:, None])[self.known]
         return whole
 
-    def _moved_near(
-        self,
-        x: np.ndarray,
-        nth: int,
-        steps: Steps,
-        slopes: np.ndarray,
-        key: str,
-        between: _Between,
-    ) -> np.ndarray:
-        """Return the derivatives of an array of the states near."""
-        near, nv = slopes[between.near], self.base.nv
-        if key == "qvel":
-            return near[:, nv : 2 * nv]
-        if key == "qpos":
-            qpos = between.rows(steps, "qpos")
-            ways = np.moveaxis(near[:, :nv], -1, 0)
-            return np.stack([steps.tangents.of_dofs(qpos, way) for way in ways], axis=-1)
-        readings, pushes = Readings(steps.models[0], self.paths), self._pushes(x, nth)
-        ctrl = self._ctrl(x, steps, self.logs[nth])
-        by_x, by_values, by_push = readings.slopes(
-            between.states(steps, ctrl), pushes[between.near]
-        )
-        # Sensors do not read past controls.
-        whole: np.ndarray = by_x @ near[:, : by_x.shape[2]]
-        for k, label in enumerate(self.labels):
-            if label in self.paths:
-                whole[..., k] += by_values[..., self.paths.index(label)]
-            elif label == DELAY:
-                whole[..., k] += by_push
-        return whole
-
-    def rms(self, first: Sequence[Arrays], second: Sequence[Arrays]) -> dict[str, float]:
-        """Return the RMS difference of each quantity in two sets of arrays of all logs."""
-        out = {}
-        for key, entry, label in self.quantities:
-            pairs = [(a[key], b[key]) for a, b in zip(first, second, strict=True) if key in a]
-            every = np.concatenate([(b - a)[:, entry] for a, b in pairs])
-            out[label] = float(np.sqrt(np.nanmean(every**2)))
-        return out
-
-    def sensitivities(self, x: np.ndarray) -> list[np.ndarray]:
-        """Return the derivatives of the states of each log; those of the last Jacobian are kept."""
-        runs = self._all(x)[0]
-        if self._slopes is None or self._slopes[0] != x.tobytes():
-            made = [self.slopes(x, nth, steps) for nth, steps in enumerate(runs)]
-            self._slopes = x.tobytes(), made
-        return self._slopes[1]
+    def rms(self, first: np.ndarray, second: np.ndarray) -> dict[str, float]:
+        """Return the RMS difference of each quantity in two predictions, where it was measured."""
+        squares = np.where(self.known, (second - first) ** 2, 0.0)
+        means = np.bincount(self.kinds, squares) / np.bincount(self.kinds, self.known)
+        return dict(zip(self.quantities, np.sqrt(means).tolist(), strict=True))
 
 
-class _Between:
-    """Linear interpolation between the states of a run, of which only the near ones are needed.
+class Run:
+    """A log's run under values x of its `Predictions`, and the derivatives by these.
 
-    late: the times move with a parameter, so that they are between states everywhere.
+    Derivatives are by the parameters and by the first state of this log: size parameters + 2 nv.
     """
 
-    def __init__(self, steps: Steps, times: np.ndarray, late: bool = False) -> None:
-        self.dt = steps.models[0].settings.dt
-        grid = np.arange(steps.count + 1) * self.dt
-        before = np.clip(np.searchsorted(grid, times, "right") - 1, 0, steps.count - 1)
-        share = (times - grid[before]) / (grid[before + 1] - grid[before])
-        self.within = (share >= 0) & (share <= 1)
-        share = np.clip(share, 0.0, 1.0)
-        if not late:
-            share[np.abs(share) < 1e-9] = 0.0
-            share[np.abs(share - 1) < 1e-9] = 1.0
-        first = before + (0 if late else share == 1)
-        second = before + (1 if late else share > 0)
-        self.near, places = np.unique([first, second], return_inverse=True)
-        self.before, self.after = places.reshape(2, -1)
-        self.share = np.where(first == second, 0.0, share)
+    def __init__(self, fit: Predictions, model: Model, x: np.ndarray, nth: int) -> None:
+        self.fit, self.x, self.log, self.model = fit, x, fit.logs[nth], model
+        self.dt, nv = model.settings.dt, model.nv
+        # What the first position and velocity are off.
+        self.off = x[len(fit.labels) :].reshape(-1, 2, nv)[nth]
+        self.delay = float(x[fit.labels.index(DELAY)]) if DELAY in fit.labels else 0.0
+        batch = unwatched(Batch(model, 1, threads=1))
+        batch.qpos = Coordinates(model).nudged(self.log.start[0], self.off[0])
+        batch.qvel = self.log.start[1] + self.off[1]
+        count = self.log.steps(self.dt)
+        # Those of one more step, which sensors at the end read.
+        self.ctrl = self.log.controls.steps(-self.delay, self.dt, count + 1)
+        self.steps = Steps(batch, self.ctrl[None, :-1], fit.paths).roll()
+        fit.steps += count
 
-    def rates(self, rows: np.ndarray) -> np.ndarray:
-        """Return how what is between rows of the states near changes by time [1/s]."""
-        rates = (rows[self.after] - rows[self.before]) / self.dt
-        return np.where(self.within[:, None], rates, 0.0)
+    @cached_property
+    def _pushes(self) -> Floats:
+        """The derivatives of the controls, (steps + 1, nu, size): the delay moves them."""
+        labels = self.fit.labels
+        pushes = np.zeros((*self.ctrl.shape, len(labels) + 2 * self.model.nv))
+        if DELAY in labels:
+            slopes = self.log.controls.slopes(-self.delay, self.dt, len(self.ctrl))
+            pushes[..., labels.index(DELAY)] = -slopes
+        return pushes
 
-    def rows(self, steps: Steps, key: str) -> np.ndarray:
-        """Return an array of the states near."""
-        found: np.ndarray = steps.states[key][0, self.near]
+    @cached_property
+    def slopes(self) -> Floats:
+        """The derivatives of the states, shape (steps + 1, size of x, parameters + 2 nv)."""
+        fit, steps, nv = self.fit, self.steps, self.model.nv
+        fit.steps += steps.count
+        fit.linearised += steps.count
+        count, late = len(fit.labels), [k for k, name in enumerate(fit.labels) if name == DELAY]
+        found = sensitivities(steps, 0, self._pushes[:-1][..., late])
+        own = [*map(fit.labels.index, fit.paths), *late]
+        slopes = np.zeros((*found.shape[:2], count + 2 * nv))
+        slopes[..., own] = found[..., : len(own)]
+        slopes[..., count:] = found[..., len(own) : len(own) + 2 * nv]
+        # What the first position is off turns a quaternion from that of the log on, not from where
+        # it has come to.
+        turns, start = steps.tangents, np.tile(self.log.start[0], (nv, 1))
+        here = start + turns.of_dofs(start, np.tile(self.off[0], (nv, 1)))
+        turned = turns.changed(here, turns.of_dofs(start, np.eye(nv)))
+        slopes[..., count : count + nv] = slopes[..., count : count + nv] @ turned.T
+        return slopes
+
+    def _between(self, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the states before and after each row of a part, and where between them it is.
+
+        A row at a state needs no other one, if no parameter moves it.
+        """
+        times, late = (part.times - sum(self.x[k] for k in part.late)) / self.dt, bool(part.late)
+        before = np.clip(np.floor(times + 1e-9).astype(int), 0, self.steps.count - late)
+        share = times - before
+        after = before + (late | (share > 1e-9))
+        return before, np.minimum(after, self.steps.count), share
+
+    def _interpolated(self, rows: np.ndarray, part: Part) -> np.ndarray:
+        """Return what is at the rows of a part, of what is at the states."""
+        before, after, share = self._between(part)
+        share = np.clip(share, 0.0, 1.0).reshape(-1, *[1] * (rows.ndim - 1))
+        found: np.ndarray = rows[before] + share * (rows[after] - rows[before])
         return found
 
-    def states(self, steps: Steps, ctrl: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the states near, with their controls of these, shape (steps + 1, nu)."""
-        states = {key: self.rows(steps, key) for key in STATE}
-        return states | {"ctrl": ctrl[self.near]}
+    def shown(self, part: Part) -> np.ndarray:
+        """Return the predictions of a part, shape (T,)."""
+        return self._interpolated(self._table(part.array)[:, part.entry], part)
 
-    def __call__(self, rows: np.ndarray) -> np.ndarray:
-        """Return what is between rows of the states near."""
-        share = self.share.reshape(-1, *[1] * (rows.ndim - 1))
-        found: np.ndarray = rows[self.before] + share * (rows[self.after] - rows[self.before])
+    def moved(self, part: Part) -> np.ndarray:
+        """Return the derivatives of the predictions of a part, shape (T, parameters + 2 nv)."""
+        found = self._interpolated(self._moved(part.array)[:, part.entry], part)
+        if part.late:
+            (before, after, share), rows = self._between(part), self._table(part.array)
+            rates = (rows[after] - rows[before])[:, part.entry] / self.dt
+            found[:, part.late] -= np.where((share >= 0) & (share <= 1), rates, 0.0)[:, None]
         return found
 
+    def _table(self, array: str) -> Floats:
+        """Return an array at the states of the run."""
+        return self._sensed if array == "sensordata" else self.steps.states[array][0]
 
-def _quantities(model: Model, logs: Sequence[MeasuredLog]) -> list[Quantity]:
-    found = []
-    for key in MEASURED:
-        tables = [log.measured[key].values for log in logs if key in log.measured]
-        for entry in range(tables[0].shape[1] if tables else 0):
-            if any(np.isfinite(table[:, entry]).any() for table in tables):
-                name = entries_of(model, key, tables[0].shape[1])[entry]
-                found.append(Quantity(key, entry, f"{key}[{name}]"))
-    return found
+    def _moved(self, array: str) -> Floats:
+        """Return the derivatives of an array at the states of the run."""
+        nv = self.model.nv
+        if array == "qvel":
+            return self.slopes[:, nv : 2 * nv]
+        return self._moved_qpos if array == "qpos" else self._moved_sensed
+
+    @cached_property
+    def _moved_qpos(self) -> Floats:
+        ways = np.moveaxis(self.slopes[:, : self.model.nv], -1, 0)
+        qpos = self.steps.states["qpos"][0]
+        return np.stack([self.steps.tangents.of_dofs(qpos, way) for way in ways], axis=-1)
+
+    @cached_property
+    def _near(self) -> np.ndarray:
+        """The states between which sensors were read."""
+        own = [part for part in self.fit.parts if self.fit.logs[part.log] is self.log]
+        sensed = [self._between(part)[:2] for part in own if part.array == "sensordata"]
+        return np.unique(np.concatenate([np.concatenate(each) for each in sensed]))
+
+    @cached_property
+    def _readings(self) -> Readings:
+        states = {name: self.steps.states[name][0, self._near] for name in STATE}
+        return Readings(self.model, states | {"ctrl": self.ctrl[self._near]})
+
+    @cached_property
+    def _sensed(self) -> Floats:
+        """What sensors read at the states near; NaN elsewhere."""
+        values = self._readings.values()
+        table = np.full((self.steps.count + 1, values.shape[1]), np.nan)
+        table[self._near] = values
+        return table
+
+    @cached_property
+    def _moved_sensed(self) -> Floats:
+        labels, near = self.fit.labels, self._near
+        by = [None if is_delay(label) else columns(self.model, [label])[0] for label in labels]
+        # Sensors do not read past controls.
+        ways = self.slopes[near, : 2 * self.model.nv + self.model.na]
+        own = self._readings.slopes(ways, self._pushes[near], [*by, *[None] * 2 * self.model.nv])
+        table = np.full((self.steps.count + 1, *own.shape[1:]), np.nan)
+        table[near] = own
+        return table
 
 
-def _measured(
-    log: MeasuredLog, quantities: Sequence[Quantity]
-) -> list[tuple[Quantity, np.ndarray]]:
-    """Return the quantities of a log, with the rows in which they were measured."""
-    own = [quantity for quantity in quantities if quantity.array in log.measured]
-    return [(q, np.isfinite(log.measured[q.array].values[:, q.entry])) for q in own]
+def _parts(model: Model, logs: Sequence[MeasuredLog], labels: Sequence[str]) -> list[Part]:
+    """Return what was measured, log by log."""
+    late: dict[tuple[str, int], tuple[int, ...]] = {}
+    for k, label in enumerate(labels):
+        if is_delay(label) and label != DELAY:
+            array, entries = late_entries(model, label)
+            for entry in entries:
+                late[array, entry] = (*late.get((array, entry), ()), k)
+    return [
+        Part(nth, array, k, f"{array}[{name}]", times, values[:, k], late.get((array, k), ()))
+        for nth, log in enumerate(logs)
+        for array in MEASURED
+        if array in log.measured
+        for times, values in [log.measured[array]]
+        for k, name in enumerate(entries_of(model, array, values.shape[1]))
+        if np.isfinite(values[:, k]).any()
+    ]
 
 
-def _scales(logs: Sequence[MeasuredLog], quantities: Sequence[Quantity]) -> dict[str, float]:
+def _scales(parts: Sequence[Part]) -> dict[str, float]:
     """Return the unit of each quantity: how much it moves; of positions the one that moves most."""
-    spread = {}
-    for quantity in quantities:
-        tables = [log.measured[quantity.array] for log in logs if quantity.array in log.measured]
-        columns = [table.values[:, quantity.entry] for table in tables]
-        known = [column[np.isfinite(column)] for column in columns]
-        spread[quantity.label] = max(float(np.std(column)) for column in known if len(column))
-    scales = {}
-    for quantity in quantities:
-        alike = [q.label for q in quantities if q.array == quantity.array]
-        own = [quantity.label] if quantity.array == "sensordata" else alike
-        scales[quantity.label] = max(spread[label] for label in own) or 1.0
-    return scales
+    spread: dict[str, float] = {}
+    group = {part.label: part.label if part.array == "sensordata" else part.array for part in parts}
+    for part in parts:
+        key = group[part.label]
+        spread[key] = max(spread.get(key, 0.0), float(np.nanstd(part.values)))
+    return {label: spread[key] or 1.0 for label, key in group.items()}

@@ -10,21 +10,17 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.measure.identification.delays import DELAY, is_delay
+from stepcore.measure.identification.log import DELAY, is_delay
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted
 from stepcore.scene.value_paths import WHOLE
 
-# An estimate whose interval is wider than this share of its range is not known from the logs.
-WIDE = 0.5
 # The step whose integration error is looked at is this many times shorter.
 FINER = 4
 # The columns of estimates that are numbers.
 NUMBERS = ("value", "low", "high", "before", "finer")
-# A finer step changes an estimate if it moves it by more than its interval and this share of it.
-CHANGED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -134,19 +130,19 @@ class Identification(Result):
     def _estimates(self) -> Iterator[str]:
         for path, value in self.values.items():
             low, high = self.intervals[path]
-            interval = f"95 %: {low:.6g} to {high:.6g}"
-            if not np.isfinite(high - low):
-                interval = "no interval"
+            known = np.isfinite(high - low)
+            interval = f"95 %: {low:.6g} to {high:.6g}" if known else "no interval"
             yield f"{path} = {value:.6g} ({interval}; it was {self.start[path]:.6g})."
 
     def _doubts(self) -> Iterator[str]:
         yield from (finding.text for finding in self.findings)
         for paths in self.alike:
-            names = [in_words(path) for path in paths]
-            if len(names) == 1:
-                yield f"The logs say nothing of the {names[0]}."
-            else:
-                yield f"The logs cannot tell apart {', '.join(names[:-1])} and {names[-1]}."
+            *others, last = map(in_words, paths)
+            yield (
+                f"The logs cannot tell apart {', '.join(others)} and {last}."
+                if others
+                else f"The logs say nothing of the {last}."
+            )
         told = {path for paths in self.alike for path in paths}
         for path in self.unknown:
             if path not in told:
@@ -157,10 +153,9 @@ class Identification(Result):
 
     def _remains(self) -> Iterator[str]:
         """Yield what is left unexplained, and how much of it the step makes."""
-        shares = {
-            key: self.integration[key] / (left or 1.0) for key, left in self.residuals.items()
-        }
-        worst = max(shares, key=lambda key: shares[key])
+        worst = max(
+            self.residuals, key=lambda key: self.integration[key] / (self.residuals[key] or 1.0)
+        )
         after, step = self.residuals[worst], self.integration[worst]
         yield (
             f"The residual of {worst} is {after:.3g} RMS ({self.before[worst]:.3g} before); steps "
@@ -168,23 +163,21 @@ class Identification(Result):
             "their residuals" + (": take shorter steps." if step > after / 2 else ".")
         )
         for path, value in self.values.items():
-            low, high = self.intervals[path]
-            moved = abs(self.finer[path] - value)
-            if moved > (high - low) / 2 and moved > CHANGED * abs(value):
+            (low, high), finer = self.intervals[path], self.finer[path]
+            # Of noiseless logs, whose intervals are nothing, in four digits.
+            if abs(finer - value) > (high - low) / 2 and f"{finer:.4g}" != f"{value:.4g}":
                 yield (
-                    f"With steps {FINER} times shorter the estimate of {path} is "
-                    f"{self.finer[path]:.6g}: outside of the interval."
+                    f"With steps {FINER} times shorter the estimate of {path} is {finer:.6g}: "
+                    "outside of the interval."
                 )
 
     @property
     def unknown(self) -> list[str]:
-        """The parameters of which the logs say little."""
-        unknown = []
-        for path, (low, high) in self.intervals.items():
-            first, last = self.bounds[path]
-            if not high - low < WIDE * (last - first):
-                unknown.append(path)
-        return unknown
+        """The parameters of which the logs say little: the interval is half of the range."""
+        spans = {
+            path: (np.ptp(self.intervals[path]), np.ptp(own)) for path, own in self.bounds.items()
+        }
+        return [path for path, (interval, whole) in spans.items() if not interval < whole / 2]
 
     @property
     def rows(self) -> list[Estimate]:
@@ -204,14 +197,10 @@ class Identification(Result):
     @property
     def residual_table(self) -> Table:
         """A row for each measured quantity, RMS."""
+        columns = {"residual": self.residuals, "before": self.before, "finer": self.integration}
         rows = [
-            {
-                "quantity": key,
-                "residual": after,
-                "before": self.before[key],
-                "finer": self.integration[key],
-            }
-            for key, after in self.residuals.items()
+            {"quantity": key, **{name: column[key] for name, column in columns.items()}}
+            for key in self.residuals
         ]
         heading = (
             "RMS residual of each quantity; finer: what shorter steps change of its prediction"
@@ -235,19 +224,13 @@ class Identification(Result):
 
     def details(self) -> dict[str, Any]:
         """Return further numbers of the result."""
+        names = ("values", "intervals", "alike", "residuals", "integration", "finer")
+        more = ("predictable", "steps", "linearised")
         return {
-            "values": self.values,
-            "intervals": self.intervals,
-            "alike": self.alike,
+            **{name: getattr(self, name) for name in (*names, *more)},
             "correlations": self.correlations.tolist(),
-            "residuals": self.residuals,
             "residuals_before": self.before,
-            "integration": self.integration,
-            "finer": self.finer,
-            "predictable": self.predictable,
             "findings": [finding.record() for finding in self.findings],
-            "steps": self.steps,
-            "linearised": self.linearised,
         }
 
 

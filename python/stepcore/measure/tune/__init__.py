@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Unpack
 
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
+from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import scene_in_words, start_in_words
 from stepcore.experiment.schedule import home
@@ -63,18 +64,14 @@ class Tuning(Result):
     @property
     def sentences(self) -> list[str]:
         """The proposals, each with what the run shows."""
-        return list(self._said())
-
-    def _said(self) -> Iterator[str]:
-        reached = sum(tuned.reached for tuned in self.found)
-        if self.found:
-            yield f"{reached} of {len(self.found)} reached, each run as it is printed:"
-        for tuned in self.found:
-            yield f"- {tuned.sentence}"
-            if tuned.reached:
-                yield from (f"  {line}" for line in tuned.lines)
         if not self.found:
-            yield "There is nothing to tune: no position servo, and nothing that rests."
+            return ["There is nothing to tune: no position servo, and nothing that rests."]
+        reached = sum(tuned.reached for tuned in self.found)
+        said = [f"{reached} of {len(self.found)} reached, each run as it is printed:"]
+        for tuned in self.found:
+            said.append(f"- {tuned.sentence}")
+            said += [f"  {line}" for line in tuned.lines] if tuned.reached else []
+        return said
 
     @property
     def table(self) -> Table:
@@ -134,7 +131,7 @@ def tune(
     ... <geom type="capsule" size=".03" fromto="0 0 0 0 0 -.5" mass="1"/></body></worldbody>
     ... <actuator><position name="hip" joint="hip"/></actuator></mujoco>''')
     >>> tune(arm, bandwidth=3.0).mjcf
-    '<position name="hip" kp="70.9" kv="4.97"/>'
+    '<position name="hip" kp="79" kv="5.25"/>'
     """
     given = {"bandwidth": bandwidth, "settling": settling, "sag": sag}
     given |= {"stiffness": stiffness, "depth": depth, "noise": noise}
@@ -144,15 +141,16 @@ def tune(
     (goal,) = goals
     if servo is not None and geom is not None:
         raise ValueError("servo and geom are both given: tune one kind at a time")
-    _match("servo", servo, goal, SERVO)
-    _match("geom", geom, goal, CONTACT)
+    for kind, names, fit in (("servo", servo, SERVO), ("geom", geom, CONTACT)):
+        if names is not None and goal.name not in fit:
+            raise ValueError(f"{kind} and {goal.name} do not go together: give {', '.join(fit)}")
     setup = set_up(tune, model, None, fields, missing="nothing to tune")
     compiled, motion, workers = setup.model, setup.motion, setup.workers
     if dt is not None:
-        compiled = compiled.with_settings(dt=units.time("dt", dt))
+        compiled = Change(dt=units.time("dt", dt)).of(compiled)
     at, found, ran = At(*home(compiled, motion.key)), list[Tuned](), "nothing was run"
     is_servo = goal.name in SERVO and geom is None
-    servos = servos_of(compiled, at.start, _names(servo)) if is_servo else []
+    servos = servos_of(compiled, _names(servo)) if is_servo else []
     if servos:
         found, ran = tuned_servos(compiled, at, servos, goal), "the servos hold the pose"
     elif goal.name in CONTACT:
@@ -185,8 +183,3 @@ def _value(name: str, value: Any) -> float:
 
 def _names(value: str | Sequence[str] | None) -> list[str] | None:
     return None if value is None else [value] if isinstance(value, str) else list(value)
-
-
-def _match(kind: str, given: Any, goal: Goal, goals: Sequence[str]) -> None:
-    if given is not None and goal.name not in goals:
-        raise ValueError(f"{kind} and {goal.name} do not go together: give {', '.join(goals)}")

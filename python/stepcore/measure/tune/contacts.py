@@ -10,48 +10,38 @@ S = Σ 1/T. The depth settles as a critically damped oscillator of frequency 1/t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stepcore._core import SimulationError
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.engine.trajectory import pieces
+from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.measure.tune.goal import ROUNDS, SETTLES, WITHIN, At, Goal, Tuned, pasted, settling
+from stepcore.experiment.choose import least
+from stepcore.measure.tune.goal import SETTLES, At, Goal, Tuned, pasted, settling, steps_of
 from stepcore.report.units import rounded, seconds
 
 # The impedance of the proposals, and the largest that the engine takes.
 USUAL, HARDEST = 0.95, 0.9999
-# The time in which bodies come to rest, and the time over which forces and depths are averaged [s].
-REST, LOOKED = 2.0, 0.5
-# The factor by which tc grows until the noise is as wanted, and how often.
-SOFTER, SOFTEST = 1.4, 16
-# The push that shows the settling, as a share of the force at rest, and its length in units of tc.
-PUSHED, RESPONSE = 0.1, 15.0
+# The time in which bodies come to rest [s]; in its last quarter, forces and depths are averaged.
+REST = 2.0
 
 
 class Resting(NamedTuple):
     """What a run shows of a geom's contacts at rest.
 
-    force: the normal force of all [N]. depth: their mean depth [m]. noise: RMS deviation of the
-        force from its mean [N]. sim: at the end.
+    stiffness: normal force over depth [N/m]. depth: their mean depth [m]. noise: RMS deviation of
+    the normal force from its mean [N]. force: the normal force of all [N]. state: at the end.
     """
 
-    force: float
+    stiffness: float
     depth: float
     noise: float
-    sim: Sim
-
-    @property
-    def stiffness(self) -> float:
-        return self.force / self.depth
-
-    def of(self, goal: Goal) -> float:
-        return float(getattr(self, goal.name))
+    force: float
+    state: Start
 
 
 @dataclass(frozen=True)
@@ -65,83 +55,66 @@ class Touching:
     @property
     def least(self) -> float:
         """The least tc that the step takes [s]."""
-        dt = self.model.settings.dt
-        return 2 * dt if self.model.settings.refsafe else dt
+        return self.model.settings.dt * (2 if self.model.settings.refsafe else 1)
 
-    def values(self, tc: float, d: float) -> dict[str, object]:
+    def values(self, tc: float, d: float) -> dict[str, Any]:
         """Return parameters as values by path. The geom of the highest priority sets them alone."""
         path, d = f"geom/#{self.geom}", rounded(d, 6)
         priority = 1 + max(geom.priority for geom in self.model.scene.geoms)
-        return {
-            f"{path}/solref": (tc, 1.0),
-            f"{path}/solimp": (d, d, 0.001),
-            f"{path}/priority": priority,
-        }
+        solimp = (d, d, 0.001)
+        return {f"{path}/solref": (tc, 1.0), f"{path}/solimp": solimp, f"{path}/priority": priority}
 
-    def rested(self, values: dict[str, object]) -> Resting | None:
+    def rested(self, values: dict[str, Any]) -> Resting | None:
         """Return what is seen of the contacts at rest; None if they bear nothing, or it fails."""
         model = Change(values).of(self.model)
-        rest = self.at.after(model, REST)
-        if rest is None:
+        steps = math.ceil(REST / model.settings.dt)
+        states = self.at.states(model, steps)
+        if states is None:
             return None
-        sim = unwatched(Sim(model))
-        rest.put(sim)
-        sim.ctrl = self.at.ctrl
-        seen = self.looked(sim, max(10, round(LOOKED / model.settings.dt)))
+        force, depths = self.seen(model, states[-max(10, steps // 4) :])
         weight = 9.81 * float(model.body_mass.sum())
         # Not on its own weight: what joints carry touches without a force.
-        if seen is None or seen[0].mean() <= 1e-6 * weight or seen[1].mean() <= 0:
+        if force.mean() <= 1e-6 * weight or depths.mean() <= 0:
             return None
-        force, depths = seen
-        return Resting(float(force.mean()), float(depths.mean()), float(force.std()), sim)
+        stiffness = float(force.mean() / depths.mean())
+        means = float(depths.mean()), float(force.std()), float(force.mean())
+        return Resting(stiffness, *means, states[-1])
 
-    def looked(self, sim: Sim, steps: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return force and mean depth of the contacts after each step; None if the run fails."""
-        looks = []
-        try:
-            for done in pieces(sim, steps, pauses=(1,)):
-                own = self.contacts(sim)
-                if done:
-                    depth = -float(own["dist"].mean()) if len(own) else 0.0
-                    looks.append((float(own["force"][:, 2].sum()), depth))
-        except (SimulationError, ValueError):
-            return None
+    def seen(self, model: Model, states: Iterable[Start]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the normal force and the mean depth of the contacts in each state."""
+        sim, looks = unwatched(Sim(model)), []
+        for state in states:
+            own = self.own(self.at.contacts(sim, state))
+            depth = -float(own["dist"].mean()) if len(own) else 0.0
+            looks.append((float(own["force"][:, 2].sum()), depth))
         force, depths = np.array(looks).T
         return force, depths
 
-    def contacts(self, sim: Sim) -> np.ndarray:
-        contacts = sim.contacts
-        own: np.ndarray = contacts[
+    def own(self, contacts: np.ndarray) -> np.ndarray:
+        """Return those of some contacts that are the geom's."""
+        found: np.ndarray = contacts[
             (contacts["geom1"] == self.geom) | (contacts["geom2"] == self.geom)
         ]
-        return own
+        return found
 
-    def inverses(self, sim: Sim) -> float:
-        """Return Σ 1/T over the rows of the geom's contacts, from a Sim at rest."""
-        d = 0.9
-        other = Sim(Change(self.values(0.02, d)).of(self.model))
-        other.qpos, other.qvel = sim.qpos, sim.qvel
-        other.forward()
-        pairs = {(int(c["index"]), int(c["part"])) for c in self.contacts(other)}
-        own = [r for r in other.rows if (int(r["index"]), int(r["part"])) in pairs]
-        own = [r for r in own if r["kind"] == "contact"]
-        if self.model.settings.cone != "pyramidal":
-            own = [row for row in own if row["lo"] == 0]
-        return sum((1 - d) / (d * float(row["regulariser"])) for row in own)
-
-    def settling(self, rest: Resting, tc: float) -> float:
-        """Return how long the depth takes to settle after a step of the force [s]."""
-        own, sim = self.contacts(rest.sim), rest.sim
+    def settling(self, rest: Resting, values: dict[str, Any]) -> float:
+        """Return how long the depth takes to settle after a tenth more force [s]; nan without."""
+        model = Change(values).of(self.model)
+        own = self.own(self.at.contacts(Sim(model), rest.state))
         if not len(own):
             return math.nan
-        side = -1.0 if own["geom2"][0] == self.geom else 1.0
-        push = side * PUSHED * rest.force * np.array(own["normal"])[0]
-        sim.xfrc_applied[int(self.model.geom_body[self.geom]), :3] = push
-        seen = self.looked(sim, max(20, round(RESPONSE * tc / sim.settings.dt)))
-        if seen is None:
+        side = -0.1 if own["geom2"][0] == self.geom else 0.1
+        push, body = side * rest.force * np.array(own["normal"])[0], model.geom_body[self.geom]
+
+        def pushed(time: float, sim: Sim) -> np.ndarray:
+            sim.xfrc_applied[int(body), :3] = push
+            return self.at.ctrl
+
+        steps = steps_of(model, 1 / values[f"geom/#{self.geom}/solref"][0])
+        states = self.at._replace(start=rest.state).states(model, steps, control=pushed, hold=steps)
+        if states is None:
             return math.nan
-        path = seen[1] - rest.depth
-        return settling(path / path[-1], sim.settings.dt)
+        return settling(self.seen(model, states)[1], model.settings.dt)
 
 
 def resting_geoms(model: Model, at: At, names: Sequence[str] | None) -> list[int]:
@@ -151,13 +124,9 @@ def resting_geoms(model: Model, at: At, names: Sequence[str] | None) -> list[int
     """
     if names is not None:
         return [model.index("geom", name) for name in names]
-    rest, found = at.after(model, REST), dict[int, None]()
-    if rest is not None:
-        sim = Sim(model)
-        rest.put(sim)
-        sim.ctrl = at.ctrl
-        sim.forward()
-        for contact in sim.contacts:
+    states, found = at.states(model, math.ceil(REST / model.settings.dt)), dict[int, None]()
+    if states is not None:
+        for contact in at.contacts(Sim(model), states[-1]):
             both = int(contact["geom1"]), int(contact["geom2"])
             bodies = [int(model.geom_body[geom]) for geom in both]
             if contact["force"][2] > 0:
@@ -170,14 +139,19 @@ def tuned_contact(model: Model, at: At, geom: int, goal: Goal) -> Tuned:
     touching, none = Touching(model, at, geom), Tuned("geom", model.called("geom")[geom], goal)
     rest = touching.rested({})
     if rest is None:
-        none.why = "It does not rest on anything at the end of the run"
-        return none
-    return (_quiet if goal.name == "noise" else _reached)(touching, rest, none)
+        return replace(none, why="It does not rest on anything at the end of the run")
+    return _quiet(touching, rest, none) if goal.name == "noise" else _reached(touching, none)
 
 
-def _reached(touching: Touching, rest: Resting, none: Tuned) -> Tuned:
+def _reached(touching: Touching, none: Tuned) -> Tuned:
     """Reach a stiffness, a depth or a settling time."""
-    goal, least, inverses = none.goal, touching.least, touching.inverses(rest.sim)
+    goal, least = none.goal, touching.least
+    # MuJoCo's default tc, for the number of contacts and their inertia.
+    usual = max(0.02, least)
+    rest = touching.rested(touching.values(usual, USUAL))
+    if rest is None:
+        return replace(none, why=f"The run does not come to rest with a solref of {usual:g} s")
+    inverses = rest.stiffness * (1 - USUAL) * usual**2
 
     def law(tc: float, d: float) -> float:
         """Return the goal by the closed form; a depth falls with the stiffness."""
@@ -186,61 +160,60 @@ def _reached(touching: Touching, rest: Resting, none: Tuned) -> Tuned:
         stiffness = inverses / ((1 - d) * tc**2)
         return rest.force / stiffness if goal.name == "depth" else stiffness
 
-    target, measured, d = goal.value, math.nan, USUAL
-    for _ in range(ROUNDS):
-        tc = target / SETTLES
-        if goal.name != "settling":
-            stiffness = rest.force / target if goal.name == "depth" else target
-            tc = math.sqrt(inverses / ((1 - USUAL) * stiffness))
-        tc = rounded(max(tc, least))
-        if goal.name != "settling":
-            d = min(1 - inverses / (stiffness * tc**2), HARDEST)
-        seen = touching.rested(touching.values(tc, d))
+    def proposal(asked: float) -> tuple[float, float]:
+        """Return tc and d by the closed form."""
+        if goal.name == "settling":
+            return rounded(max(asked / SETTLES, least)), USUAL
+        stiffness = rest.force / asked if goal.name == "depth" else asked
+        tc = rounded(max(math.sqrt(inverses / ((1 - USUAL) * stiffness)), least))
+        return tc, min(1 - inverses / (stiffness * tc**2), HARDEST)
+
+    def run(asked: np.ndarray) -> np.ndarray:
+        values = touching.values(*proposal(asked[0]))
+        seen = touching.rested(values)
         if seen is None:
-            measured = math.nan
-            break
-        measured = touching.settling(seen, tc) if goal.name == "settling" else seen.of(goal)
-        if not measured > 0 or goal.near(measured, WITHIN / 4):
-            break
-        target *= min(4.0, max(0.25, goal.value / measured))
+            return np.array([math.nan])
+        settles = goal.name == "settling"
+        return np.array([touching.settling(seen, values) if settles else getattr(seen, goal.name)])
+
+    (asked,), (measured,) = goal.corrected(1, run)
+    tc, d = proposal(asked)
     why = "The run does not come to rest with these values"
     if math.isfinite(measured):
         why = f"{goal.words(measured)} in the run, whose contacts change with the softness"
         if tc <= least and (d >= HARDEST or goal.name == "settling"):
-            step, word = (
-                seconds(touching.model.settings.dt),
-                "most" if goal.name == "stiffness" else "least",
-            )
+            step = seconds(touching.model.settings.dt)
+            word = "most" if goal.name == "stiffness" else "least"
             limit = goal.words(law(least, HARDEST))
             why = f"{goal.words(measured)} in the run; {step} allows {limit} at the {word}"
-    return replace(
-        _proposed(touching, none, tc, d, measured),
-        expected=law(tc, d),
-        reached=goal.near(measured),
-        why=why,
-    )
+    found = _proposed(touching, none, tc, d, float(measured))
+    return replace(found, expected=law(tc, d), reached=bool(goal.near(measured)), why=why)
 
 
 def _quiet(touching: Touching, rest: Resting, none: Tuned) -> Tuned:
-    """Soften a contact until its force is quiet enough."""
-    goal, tc, noise = none.goal, touching.least, rest.noise
-    if noise <= goal.value:
-        return replace(none, measured=noise, reached=True, also=", as it is")
-    for _ in range(SOFTEST):
-        tc = rounded(tc * SOFTER)
-        seen = touching.rested(touching.values(tc, USUAL))
-        noise = math.nan if seen is None else seen.noise
-        if noise <= goal.value:
-            break
+    """Soften a contact until its force is quiet enough, by a tc of up to 256 times the least."""
+    goal = none.goal
+    if rest.noise <= goal.value:
+        return replace(none, measured=rest.noise, reached=True, also=", as it is")
+    noises = dict[int, float]()
+
+    def noise(rung: int) -> float:
+        seen = touching.rested(touching.values(rounded(touching.least * rung / 2), USUAL))
+        noises[rung] = math.inf if seen is None else seen.noise
+        return noises[rung]
+
+    rung = least(range(3, 512), noise, goal.value, 3, ratio=1.4, cliff=True)
+    quietest = rung if rung is not None else min(noises, key=lambda rung: noises[rung])
+    tc = rounded(touching.least * quietest / 2)
     return replace(
-        _proposed(touching, none, tc, USUAL, noise),
-        reached=noise <= goal.value,
-        why=f"At solref {tc:g} s the noise is still {goal.words(noise)} RMS",
+        _proposed(touching, none, tc, USUAL, noises[quietest]),
+        reached=rung is not None,
+        why=f"At solref {tc:g} s the noise is still {goal.words(noises[quietest])} RMS",
         also=f" ({goal.words(rest.noise)} before)",
     )
 
 
 def _proposed(touching: Touching, none: Tuned, tc: float, d: float, measured: float) -> Tuned:
     values = touching.values(tc, d)
-    lines = tuple(pasted(touching.model, values))
+    lines = pasted(touching.model, values)
     return replace(none, change=Change(values), lines=lines, measured=measured)

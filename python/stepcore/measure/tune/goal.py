@@ -1,9 +1,9 @@
-"""What `tune` reaches for, how it corrects a proposal by its run, and what it found."""
+"""What `tune` reaches for, how it corrects a proposal by its runs, and what it found."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -11,18 +11,33 @@ import numpy as np
 
 from stepcore.engine.follow import follow
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
 from stepcore.report.units import FREQUENCIES, Units, metres, quantity, seconds
 
-# A goal is reached within this share of it; corrections by the run end at a quarter of it.
+# A goal is reached within this share of it. Corrections end at a quarter of it, or after so many.
 WITHIN, ROUNDS = 0.1, 5
-# A critically damped oscillator of frequency ω [rad/s] settles within 2 % at SETTLES/ω (the root of
-# (1 + x) exp(-x) = 0.02), rises from 10 to 90 % in RISES/ω, and has a gain of 1/√2 at PASSES ω.
-SETTLED, SETTLES, RISES, PASSES = 0.02, 5.834, 3.358, 0.6436
+# A step response has settled when it stays this close to its end.
+SETTLED = 0.02
+# The fewest steps that show whether a pose is held: an instability of each step grows a millionfold
+# in them if it grows by 15 %.
+FEWEST = 100
 STIFFNESSES: Units = (("MN/m", 1e6), ("kN/m", 1e3), ("N/m", 1.0))
 SHIPPED = Change()
 NOISES: Units = (("kN", 1e3), ("N", 1.0), ("mN", 1e-3), ("µN", 1e-6), ("nN", 1e-9))
+
+
+def settles() -> float:
+    """Return x = ωt from which a critically damped step response is settled: (1 + x) e⁻ˣ = 0.02."""
+    x = 1.0
+    for _ in range(30):
+        x = math.log((1 + x) / SETTLED)
+    return x
+
+
+# Such an oscillator settles in SETTLES/ω, and has a gain of 1/√2 at PASSES ω.
+SETTLES, PASSES = settles(), math.sqrt(math.sqrt(2) - 1)
 
 
 class Goal(NamedTuple):
@@ -33,58 +48,41 @@ class Goal(NamedTuple):
 
     def words(self, value: float, unit: str = "") -> str:
         """Return a value of this goal with its unit; unit: of a sag, "rad" or "m"."""
-        if self.name == "settling":
-            return seconds(value)
-        if self.name == "depth":
-            return metres(value)
-        units: dict[str, Units] = {
-            "bandwidth": FREQUENCIES,
-            "sag": ((unit, 1.0), (f"m{unit}", 1e-3), (f"µ{unit}", 1e-6)),
-            "stiffness": STIFFNESSES,
-            "noise": NOISES,
-        }
+        if self.name in ("settling", "depth"):
+            return seconds(value) if self.name == "settling" else metres(value)
+        sags: Units = ((unit, 1.0), (f"m{unit}", 1e-3), (f"µ{unit}", 1e-6))
+        units = {"bandwidth": FREQUENCIES, "sag": sags, "stiffness": STIFFNESSES, "noise": NOISES}
         return quantity(value, units[self.name])
 
     def near(self, value: float, share: float = WITHIN) -> bool:
         """Return whether a value is the wanted one, within a share of it."""
-        return abs(value / self.value - 1) < share
+        return bool(abs(value / self.value - 1) < share)
 
+    def corrected(
+        self, count: int, run: Callable[[np.ndarray], np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return what closed forms are to be asked so that runs show this goal, and what they show.
 
-class At(NamedTuple):
-    """Where runs begin: the state, and the controls that are held."""
+        Contacts, other joints and the time step change what a closed form says of an element: what
+        is shown goes as a power of what is asked, of which two runs tell the exponent.
 
-    start: Start
-    ctrl: np.ndarray
-
-    def after(self, model: Model, time: float) -> Start | None:
-        """Return the state after some time [s], or None if the run fails."""
-        steps, names = max(1, math.ceil(time / model.settings.dt - 1e-9)), ("qpos", "qvel", "act")
-        held = self.ctrl[None, None]
-        ran = follow(model, [self.start], steps, steps, ctrl=held, record=names)
-        if ran.failures:
-            return None
-        qpos, qvel, act = (ran[name][0, -1] for name in names)
-        return Start(qpos, qvel, act, self.start.mocap)
-
-
-def settling(share: np.ndarray, dt: float) -> float:
-    """Return when a step response stays within 2 % of its end [s]; dt: between its values [s]."""
-    outside = np.flatnonzero(~(np.abs(share - 1) <= SETTLED))
-    return (int(outside[-1]) + 1 if len(outside) else 0) * dt
-
-
-def pasted(model: Model, values: Mapping[str, Any]) -> list[str]:
-    """Return values, by paths such as "actuator/#3/kp", as MJCF to paste: an element a line."""
-    lines = dict[str, str]()
-    for path, value in values.items():
-        kind, index, field = path.split("/")
-        k = int(index[1:])
-        name, tag = model.called(kind)[k], kind
-        tag = model.scene.actuators[k].type if kind == "actuator" else kind
-        head = f'{tag} name="{name}"' if model.names[kind][k] else tag
-        text = " ".join(f"{number:.6g}" for number in np.atleast_1d(value)) if value else ""
-        lines[head] = lines.get(head, "") + (f' {field}="{text}"' if value is not None else "")
-    return [f"<{head}{fields}/>" for head, fields in lines.items()]
+        count: of elements. run: returns what a run shows of each, for what is asked of each; nan if
+        it shows nothing.
+        """
+        goal, power, before = math.log(self.value), np.ones(count), None
+        x = np.full(count, goal)
+        for last in reversed(range(ROUNDS)):
+            shown = run(np.exp(x))
+            off = np.log(np.where(shown > 0, shown, self.value)) - goal
+            if not last or np.abs(off).max() <= WITHIN / 4:
+                break
+            if before is not None:
+                moved = x - before[0]
+                rise = (off - before[1]) / np.where(moved == 0, 1.0, moved)
+                power = np.where(moved == 0, power, np.clip(rise, 0.5, 4))
+            before = x, off
+            x = x - np.clip(off / power, -1.0, 1.0)
+        return np.exp(x), shown
 
 
 @dataclass
@@ -95,7 +93,8 @@ class Tuned:
     change: of the model, as it was run. lines: the MJCF to paste.
     expected: the value by the closed form. measured: the value in the run with these lines; nan if
         that run did not come to rest.
-    reached: whether the measured value is the wanted one within 10 %.
+    reached: whether the wanted motion was run with these lines and met: the measured value is the
+        wanted one within 10 %, and a servo is nearer to its target than the motion is wide.
     why: why it is not reached. also: to append to the sentence of one that is reached.
     """
 
@@ -129,13 +128,56 @@ class Tuned:
         return self.goal.words(self.measured, self.unit) if known else "not reached"
 
     def record(self) -> dict[str, Any]:
-        return {
-            "kind": self.kind,
-            "name": self.name,
-            "goal": self.goal.name,
-            "wanted": self.goal.value,
-            "measured": self.measured,
-            "expected": self.expected,
-            "reached": self.reached,
-            "mjcf": " ".join(self.lines),
-        }
+        """Return the proposal as plain data."""
+        names = ("kind", "name", "measured", "expected", "reached")
+        goal = {"goal": self.goal.name, "wanted": self.goal.value, "mjcf": " ".join(self.lines)}
+        return {name: getattr(self, name) for name in names} | goal
+
+
+class At(NamedTuple):
+    """Where runs begin: the state, and the controls that are held."""
+
+    start: Start
+    ctrl: np.ndarray
+
+    def states(self, model: Model, steps: int, **drive: Any) -> list[Start] | None:
+        """Return the states before and after each step, or None if the run fails.
+
+        drive: of `follow`, instead of the controls that are held.
+        """
+        drive, names = drive or {"ctrl": self.ctrl[None, None]}, ("qpos", "qvel", "act")
+        ran = follow(model, [self.start], steps, record=names, **drive)
+        rows = zip(*(ran[name][0] for name in names), strict=True)
+        return None if ran.failures else [Start(q, v, act, self.start.mocap) for q, v, act in rows]
+
+    def contacts(self, sim: Sim, state: Start) -> np.ndarray:
+        """Return the contacts in a state."""
+        state.put(sim)
+        sim.ctrl = self.ctrl
+        sim.forward()
+        found: np.ndarray = sim.contacts
+        return found
+
+
+def steps_of(model: Model, omega: float) -> int:
+    """Return the steps in which an oscillator of frequency ω [rad/s] comes to rest, and stays."""
+    return max(FEWEST, math.ceil(5 * SETTLES / omega / model.settings.dt))
+
+
+def settling(path: np.ndarray, dt: float) -> float:
+    """Return when a step response stays within 2 % of its end [s]; dt: between its values [s]."""
+    outside = np.flatnonzero(~(np.abs(path - path[-1]) <= SETTLED * abs(path[-1] - path[0])))
+    return float(outside[-1]) * dt if len(outside) else 0.0
+
+
+def pasted(model: Model, values: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return values, by paths such as "actuator/#3/kp", as MJCF to paste: an element a line."""
+    lines = dict[str, str]()
+    for path, value in values.items():
+        kind, index, field = path.split("/")
+        k = int(index[1:])
+        tag = model.scene.actuators[k].type if kind == "actuator" else kind
+        head = f'{tag} name="{model.called(kind)[k]}"' if model.names[kind][k] else tag
+        text = " ".join(f"{number:.6g}" for number in np.atleast_1d(value)) if value else ""
+        lines[head] = lines.get(head, "") + (f' {field}="{text}"' if value is not None else "")
+    return tuple(f"<{head}{fields}/>" for head, fields in lines.items())

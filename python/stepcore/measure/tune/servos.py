@@ -1,11 +1,15 @@
-"""Gains of position servos for a wanted bandwidth, settling time or sag, verified by steps."""
+"""Gains of position servos for a wanted bandwidth, settling time or sag, verified by runs.
+
+Alone, a servo on the inertia I with critical damping has the frequency ω = √(kp/I). Its gain falls
+to 1/√2 at PASSES ω, its steps settle in SETTLES/ω, and under a load F it sags by F/kp.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -13,278 +17,249 @@ from stepcore.engine.actuator import SERVO, Actuator, actuators, loads
 from stepcore.engine.follow import follow
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import least
 from stepcore.measure.tune.goal import (
+    FEWEST,
     PASSES,
-    RISES,
-    ROUNDS,
     SETTLED,
     SETTLES,
-    SHIPPED,
     WITHIN,
     At,
     Goal,
     Tuned,
     pasted,
     settling,
+    steps_of,
 )
 from stepcore.report.units import rounded, seconds
 from stepcore.scene.layout import Layout
 
-# The size of a step of the target [rad or m]; of its range, the same share.
-STEP = 0.05
-# The time that holding the pose and a step of the target get, in units of 1/ω, within bounds [s].
-HELD, RESPONSE, LEAST, LONGEST = 30.0, 25.0, 0.2, 10.0
+# The width of the motion with which gains are tried [rad or m]; of a range, the same share.
+WIDTH = 0.1
 # Gains hold at this multiple of the time step too: the margin without a warning at load.
 MARGIN = 2.0
-# The largest ω dt of a servo with armature.
-SLOW = 0.1
-# A value of the goal is proportional to this power of ω.
-POWERS = {"bandwidth": 1, "settling": -1, "sag": -2}
 
 
-class Gains(NamedTuple):
-    """kp, kv, and the armature to add to the joint [kg·m² or kg]."""
-
-    kp: float
-    kv: float
-    armature: float = 0.0
-
-
-class Response(NamedTuple):
-    """What a run shows of a servo. rise, settling: of a step of its target [s]. sag: [rad or m]."""
-
-    rise: float = math.nan
-    settling: float = math.nan
-    sag: float = math.nan
-
-    def of(self, goal: Goal) -> float:
-        """Return the measured value of a goal; nan if the servo did not settle."""
-        if goal.name == "bandwidth":
-            return PASSES * RISES / (2 * math.pi * self.rise)
-        return self.settling if goal.name == "settling" else self.sag
-
-
-@dataclass(frozen=True)
-class Servo:
-    """A position servo on a hinge or slide.
-
-    drive: the actuator. name: its name. unit: of its joint. inertia: that it moves while the other
-    joints are held. damping, armature: of the joint. load: the force of the servo that the pose
-    needs at rest [N or N·m].
-    """
-
-    drive: Actuator
-    name: str
-    unit: str
-    inertia: float
-    damping: float
-    armature: float
-    load: float
-
-    def gains(self, omega: float, most: float = math.inf) -> Gains:
-        """Return the gains of a critically damped servo of frequency ω [rad/s].
-
-        most: the highest frequency, to which armature lowers that of the servo with these gains.
-        """
-        more, gear = 0.0, self.drive.gear
-        kp = rounded(self.inertia * omega**2 / gear**2)
-        if omega > most:
-            more = rounded(self.inertia * ((self.frequency(kp) / most) ** 2 - 1))
-        kv = 2 * (self.inertia + more) * min(omega, most) - self.damping
-        return Gains(kp, rounded(max(0.0, kv) / gear**2), more)
-
-    def frequency(self, kp: float) -> float:
-        """Return the frequency of the servo alone, the other joints held [rad/s]."""
-        return abs(self.drive.gear) * math.sqrt(kp / self.inertia)
-
-    def first(self, goal: Goal) -> float:
-        """Return the frequency at which the closed form has a goal's value [rad/s]."""
-        if goal.name == "sag":
-            return self.frequency(abs(self.load) / (goal.value * abs(self.drive.gear)))
-        return (
-            2 * math.pi * goal.value / PASSES if goal.name == "bandwidth" else SETTLES / goal.value
-        )
-
-    def value(self, goal: Goal, omega: float) -> float:
-        """Return the goal's value at a frequency by the closed form."""
-        return goal.value * (omega / self.first(goal)) ** POWERS[goal.name]
-
-    def values(self, model: Model, gains: Gains) -> dict[str, Any]:
-        """Return gains as values of the model by path."""
-        path = f"actuator/#{self.drive.index}"
-        actuator, (kp, kv, more) = model.scene.actuators[self.drive.index], gains
-        if actuator.type == "general":
-            bias = self.drive.offset, -kp, -kv
-            values: dict[str, Any] = {f"{path}/gainprm": (kp,), f"{path}/biasprm": bias}
-        else:
-            values = {f"{path}/kp": kp, f"{path}/kv": kv}
-            values |= {} if actuator.dampratio is None else {f"{path}/dampratio": None}
-        if more:
-            values[f"joint/#{self.drive.joint}/armature"] = self.armature + more
-        return values
-
-
-def servos_of(model: Model, start: Start, names: Sequence[str] | None) -> list[Servo]:
-    """Return the position servos of a model, or those with the given names.
+def servos_of(model: Model, names: Sequence[str] | None) -> list[Actuator]:
+    """Return the position servos on hinges and slides, or those with the given names.
 
     Raises ValueError for a name that is no position servo.
     """
-    sim = Sim(model)
-    start.put(sim)
-    sim.forward()
-    mass, need, called = sim.mass_matrix(), loads(sim), model.called("actuator")
-    joints, found = Layout(model.scene).joints, []
-    for drive in actuators(model):
-        if drive.kind == SERVO and drive.joint is not None and drive.gain > 0:
-            joint, dof = joints[drive.joint], drive.dof
-            unit = "m" if joint.type == "slide" else "rad"
-            damping = float(np.ravel(joint.damping)[0])
-            own = float(mass[dof, dof]), damping, float(joint.armature)
-            found.append(Servo(drive, called[drive.index], unit, *own, need[dof] / drive.gear))
-    known = [servo.name for servo in found]
+    called = model.called("actuator")
+    drives = [drive for drive in actuators(model) if drive.kind == SERVO and drive.gain > 0]
+    found = {called[drive.index]: drive for drive in drives if drive.joint is not None}
     for name in names or ():
-        if name not in known:
+        if name not in found:
             model.index("actuator", name)
             raise ValueError(f"servo = {name!r}: is no position servo on a hinge or slide")
-    return [servo for servo in found if names is None or servo.name in names]
+    return list(found.values() if names is None else map(found.__getitem__, dict.fromkeys(names)))
 
 
-def responses(
-    model: Model, at: At, gains: Mapping[Servo, Gains], longer: float = 1.0
-) -> list[Response]:
-    """Return the response of each servo to a step of its own target, the others holding.
+def shown(
+    model: Model, at: At, indices: Sequence[int], goal: Goal, omega: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Try some servos of a model, each by a motion of its own target while the others hold.
 
-    All servos have their gains. longer: multiplies the time step.
+    The motion is a sine of the wanted bandwidth, else a step. omega: the slowest frequency [rad/s].
+
+    Return for each servo the value of the goal, nan if it does not come to rest; how far from its
+    target it rests [rad or m]; and how wide the motion is [rad or m].
     """
-    values = {k: v for servo, own in gains.items() for k, v in servo.values(model, own).items()}
-    omega = min(servo.frequency(own.kp) for servo, own in gains.items())
-    model = Change(values, dt=longer * model.settings.dt).of(model)
-    rest = at.after(model, min(max(LEAST, HELD / omega), LONGEST))
-    if rest is None:
-        return [Response()] * len(gains)
-    dt, ctrl = model.settings.dt, np.tile(at.ctrl, (len(gains), 1, 1))
-    sizes, sags = [], []
-    for row, (servo, (kp, _, _)) in zip(ctrl[:, 0], gains.items(), strict=True):
-        drive = servo.drive
-        gear, k = abs(drive.gear), drive.index
-        sag = abs(row[k] + drive.offset / kp - drive.gear * rest.qpos[drive.qposadr]) / gear
+    own, dt = actuators(model), model.settings.dt
+    drives = [own[index] for index in indices]
+    values, off, widths = np.full((3, len(drives)), math.nan)
+    steps = steps_of(model, omega)
+    states = at.states(model, steps)
+    if states is None:
+        return values, off, widths
+    rest, wave = states[-1], np.ones(steps)
+    if goal.name == "bandwidth":
+        count = max(FEWEST, math.ceil(4 / goal.value / dt))
+        wave = np.sin(2 * np.pi * goal.value * dt * (np.arange(count) + 0.5))
+    ctrl = np.tile(at.ctrl, (len(drives), len(wave), 1))
+    for n, drive in enumerate(drives):
+        k, gear = drive.index, abs(drive.gear)
+        asked = ctrl[n, 0, k]
+        far = abs(float(drive.target(asked)) - drive.gear * rest.qpos[drive.qposadr])
         # At most a share of the range, and half of the force that is left.
-        size, left = STEP * min(gear, np.ptp(drive.ctrlrange)), drive.bound - kp * sag * gear
-        size = min(size, left / 2 / kp) if left > 0 else size
-        row[k] += size if row[k] + 2 * size <= drive.ctrlrange[1] else -size
-        sizes.append(size)
-        sags.append(sag)
-    steps = math.ceil(min(max(LEAST, RESPONSE / omega), LONGEST) / dt)
-    ran, made = follow(model, [rest] * len(gains), steps, ctrl=ctrl, record=("qpos",)), []
-    for k, (servo, size, sag) in enumerate(zip(gains, sizes, sags, strict=True)):
-        path = servo.drive.gear * ran["qpos"][k, :, servo.drive.qposadr]
-        way = path[-1] - path[0]
-        share = (path - path[0]) / (way or math.nan)
-        settled = np.abs(share[-(steps // 5) :] - 1).max() <= SETTLED
-        if settled and abs(abs(way) / size - 1) <= 0.5:
-            rise = (_crossing(share, 0.9) - _crossing(share, 0.1)) * dt
-            made.append(Response(rise, settling(share[1:], dt), sag))
-        else:
-            made.append(Response())
-    return made
+        left, width = drive.bound - drive.kp * far, share_of_range(drive)
+        width = min(width, left / 2 / drive.kp) if left > 0 else width
+        ctrl[n, :, k] += wave * (width if asked + 2 * width <= drive.ctrlrange[1] else -width)
+        off[n], widths[n] = far / gear, width / gear
+    ran = follow(model, [rest] * len(drives), len(wave), ctrl=ctrl, record=("qpos",))
+    for n, drive in enumerate(drives):
+        path = ran["qpos"][n, :, drive.qposadr]
+        if goal.name == "bandwidth":
+            values[n] = goal.value * passed(path, goal.value * dt, widths[n])
+        elif is_settled(path, widths[n]):
+            values[n] = settling(path, dt) if goal.name == "settling" else off[n]
+    return values, off, widths
 
 
-def tuned_servos(model: Model, at: At, servos: Sequence[Servo], goal: Goal) -> list[Tuned]:
+def share_of_range(drive: Actuator) -> float:
+    """Return how wide the motion of a servo is, before the gear, if its force allows it."""
+    return WIDTH * float(min(abs(drive.gear), np.ptp(drive.ctrlrange)))
+
+
+def is_settled(path: np.ndarray, width: float) -> bool:
+    """Return whether a step response of about this width has settled in four fifths of its time."""
+    way, late = abs(path[-1] - path[0]), path[-(len(path) // 5) :]
+    return bool(abs(way / width - 1) <= 0.5 and np.ptp(late) <= 2 * SETTLED * way)
+
+
+def passed(path: np.ndarray, frequency: float, width: float) -> float:
+    """Return the bandwidth that a response to a sine shows, as a multiple of the sine's frequency.
+
+    It is that of the critically damped oscillator with the same gain, 1/(1 + (ω/ω₀)²), and four at
+    most; nan if the response is no sine. frequency: periods in a step. width: of the sine.
+    """
+    late = path[-(len(path) // 4) :]
+    phase = 2 * np.pi * frequency * np.arange(len(late))
+    sines = np.stack([np.sin(phase), np.cos(phase), np.ones(len(late))], axis=1)
+    if not np.isfinite(late).all():
+        return math.nan
+    size, *_ = np.linalg.lstsq(sines, late, rcond=None)
+    gain = math.hypot(size[0], size[1]) / width
+    if np.std(late - sines @ size) > WITHIN * gain * width:
+        return math.nan
+    return PASSES / math.sqrt(max(1 / gain - 1, (PASSES / 4) ** 2))
+
+
+class Servos:
+    """Position servos that are changed together, and their runs.
+
+    drives: the servos. inertia: that each moves while the other joints are held. damping: of its
+    joint. load: its force that the pose needs at rest [N or N·m].
+    change, off, widths: of the last run; see `shown`.
+    """
+
+    def __init__(self, model: Model, at: At, drives: Sequence[Actuator]) -> None:
+        self.model, self.at, self.drives = model, at, drives
+        sim, joints = Sim(model), Layout(model.scene).joints
+        at.start.put(sim)
+        sim.forward()
+        dofs, own = [drive.dof for drive in drives], [joints[drive.joint or 0] for drive in drives]
+        self.gear = np.array([drive.gear for drive in drives])
+        self.inertia = sim.mass_matrix()[dofs, dofs]
+        self.damping = np.array([float(np.ravel(joint.damping)[0]) for joint in own])
+        self.load = loads(sim)[dofs] / self.gear
+        self.units = ["m" if joint.type == "slide" else "rad" for joint in own]
+
+    def omegas(self, goal: str, asked: np.ndarray) -> np.ndarray:
+        """Return the frequencies at which the closed form has these values of a goal [rad/s]."""
+        if goal == "sag":
+            return np.sqrt(np.abs(self.load * self.gear) / (asked * self.inertia))
+        return 2 * np.pi * asked / PASSES if goal == "bandwidth" else SETTLES / asked
+
+    def gains(self, omegas: np.ndarray) -> list[tuple[float, float]]:
+        """Return kp and kv of critically damped servos."""
+        kp = self.inertia * omegas**2 / self.gear**2
+        kv = np.maximum(0.0, 2 * self.inertia * omegas - self.damping) / self.gear**2
+        return [(rounded(p), rounded(v)) for p, v in zip(kp, kv, strict=True)]
+
+    def values(self, k: int, kp: float, kv: float) -> dict[str, Any]:
+        """Return gains of a servo as values of the model, by path."""
+        drive, path = self.drives[k], f"actuator/#{self.drives[k].index}"
+        actuator = self.model.scene.actuators[drive.index]
+        if actuator.type == "general":
+            return {f"{path}/gainprm": (kp,), f"{path}/biasprm": (drive.offset, -kp, -kv)}
+        ratio = {} if actuator.dampratio is None else {f"{path}/dampratio": None}
+        return {f"{path}/kp": kp, f"{path}/kv": kv} | ratio
+
+    def shown(self, model: Model, goal: Goal, omega: float) -> tuple[np.ndarray, ...]:
+        """Try the servos; see the function `shown`."""
+        return shown(model, self.at, [drive.index for drive in self.drives], goal, omega)
+
+    def holds_longer(self, model: Model, omega: float) -> bool:
+        """Return whether all servos settle after a step of the target in longer time steps."""
+        longer = Change(dt=MARGIN * model.settings.dt).of(model)
+        step = Goal("settling", SETTLES / omega)
+        return bool(np.isfinite(self.shown(longer, step, omega)[0]).all())
+
+    @cached_property
+    def margin(self) -> bool:
+        """Whether longer steps hold as shipped. Other elements may leave no margin, which gains do
+        not give back."""
+        own = np.array([drive.stiffness for drive in self.drives]) / self.inertia
+        return self.holds_longer(self.model, math.sqrt(own.min()))
+
+    def run(self, goal: Goal, asked: np.ndarray, **settings: Any) -> np.ndarray:
+        """Return the values of a goal with the gains of what is asked; nan without a margin."""
+        omegas, values = self.omegas(goal.name, asked), dict[str, Any]()
+        for k, gains in enumerate(self.gains(omegas)):
+            values |= self.values(k, *gains)
+        self.change, slowest = Change(values), float(omegas.min())
+        model = self.change.also(Change(**settings)).of(self.model)
+        found, self.off, self.widths = self.shown(model, goal, slowest)
+        if np.isfinite(found).all() and self.margin and not self.holds_longer(model, slowest):
+            return np.full(len(found), math.nan)
+        return found
+
+    def limit(self, goal: Goal) -> str:
+        """Return in words what the time step holds: the goal that comes nearest, which was run."""
+        settings, way = self.model.settings, -1 if goal.name == "bandwidth" else 1
+
+        def wanted(percent: int) -> Goal:
+            return Goal(goal.name, goal.value * (percent / 100) ** way)
+
+        def holds(percent: int, **other: Any) -> bool:
+            asked = np.full(len(self.drives), wanted(percent).value)
+            return bool(np.isfinite(self.run(wanted(percent), asked, **other)).all())
+
+        parts = range(100, 12_801)
+        held = least(parts, lambda part: float(not holds(part)), 0.5, 200, ratio=1.05, cliff=True)
+        if held is None:
+            return (
+                "The pose does not come to rest, so nothing can be verified: try another keyframe"
+            )
+        limit = goal.words(wanted(held).value, self.units[0])
+        said = f"{seconds(settings.dt)} under {settings.integrator} holds about {limit}"
+        if settings.integrator != "implicitfast":
+            does = "holds" if holds(100, integrator="implicitfast") else "does not hold"
+            said += f"; implicitfast {does} it"
+        return said
+
+
+def tuned_servos(model: Model, at: At, drives: Sequence[Actuator], goal: Goal) -> list[Tuned]:
     """Return gains for each servo. All servos are changed together, and verified together."""
-    # A thousandth of the largest load is none.
-    whole = 1e-3 * max(abs(servo.load) for servo in servos) if goal.name == "sag" else -1.0
-    why = "It carries no load in this pose; its gains are left as they are"
-    idle = [Tuned("servo", s.name, goal, s.unit, why=why) for s in servos if abs(s.load) <= whole]
-    servos = [servo for servo in servos if abs(servo.load) > whole]
-    if not servos:
-        return idle
-    own = {servo: Gains(servo.drive.kp, servo.drive.kv) for servo in servos}
-    # Other elements may leave no margin, which gains do not give back.
-    spare = _settle(responses(model, at, own, MARGIN))
-
-    def tried(model: Model, gains: Mapping[Servo, Gains]) -> dict[Servo, Response]:
-        made = responses(model, at, gains)
-        if spare and _settle(made) and not _settle(responses(model, at, gains, MARGIN)):
-            made = [Response()] * len(made)
-        return dict(zip(gains, made, strict=True))
-
-    most, omega = math.inf, {servo: servo.first(goal) for servo in servos}
-    for _ in range(ROUNDS):
-        gains = {servo: servo.gains(omega[servo], most) for servo in servos}
-        made = tried(model, gains)
-        known = {s: value / goal.value for s in servos if math.isfinite(value := made[s].of(goal))}
-        if not known and goal.name == "sag":
-            # Armature slows servos that the step cannot resolve.
-            most = SLOW / model.settings.dt
-        near = [abs(ratio - 1) < WITHIN / 4 for ratio in known.values()]
-        if sum(near) == len(servos) or (len(known) < len(servos) and goal.name != "sag"):
-            break
-        # Contacts, and the other joints, change what the closed form says.
-        for servo, ratio in known.items():
-            omega[servo] *= min(3.0, max(0.3, ratio ** (-1 / POWERS[goal.name])))
-    found = [_told(model, goal, servo, gains[servo], made[servo]) for servo in servos]
-    for entry in found:
-        entry.change = Change({k: v for s in servos for k, v in s.values(model, gains[s]).items()})
-    quick = model.with_settings(integrator="implicitfast")
-    other = model.settings.integrator != "implicitfast"
-    if goal.name == "sag" and math.isfinite(most) and other:
-        plain = tried(quick, {servo: servo.gains(omega[servo]) for servo in servos})
-        if all(goal.near(response.sag) for response in plain.values()):
-            for entry in found:
-                entry.also = "; implicitfast needs no armature"
-    elif goal.name != "sag" and not _settle(made.values()):
-
-        def holds(model: Model, omega: float) -> bool:
-            return _settle(tried(model, {s: s.gains(omega) for s in servos}).values())
-
-        first = servos[0].first(goal)
-        # Parts of it, for the highest frequency that holds.
-        parts, n = range(100, 12_801), None
-        n = least(
-            parts,
-            lambda n: 0.0 if holds(model, first * 100 / n) else math.inf,
-            0.5,
-            200,
-            ratio=1.05,
-            cliff=True,
+    called, servos, idle = model.called("actuator"), Servos(model, at, drives), list[Tuned]()
+    if goal.name == "sag":
+        # A thousandth of the largest load is none.
+        bears = np.abs(servos.load) > 1e-3 * np.abs(servos.load).max()
+        why = "It carries no load in this pose; its gains are left as they are"
+        idle = [
+            Tuned("servo", called[drives[k].index], goal, servos.units[k], why=why)
+            for k in np.flatnonzero(~bears).tolist()
+        ]
+        servos = Servos(model, at, [drives[k] for k in np.flatnonzero(bears).tolist()])
+        if not servos.drives:
+            return idle
+    count = len(servos.drives)
+    asked, values = goal.corrected(count, lambda asked: servos.run(goal, asked))
+    change, off, widths = servos.change, servos.off, servos.widths
+    limit = "" if np.isfinite(values).all() else servos.limit(goal)
+    found, gains = [], servos.gains(servos.omegas(goal.name, asked))
+    for k, (drive, unit) in enumerate(zip(servos.drives, servos.units, strict=True)):
+        (kp, kv), reached, also = gains[k], goal.near(values[k]), ""
+        why = limit or f"The run shows {goal.words(values[k], unit)} with kp={kp:g}"
+        if goal.name == "sag" and kp * goal.value * abs(drive.gear) > drive.bound:
+            why = f"The pose needs more than its forcerange of {drive.bound:g}"
+        full = share_of_range(drive) / abs(drive.gear)
+        far, width = (Goal("sag", x).words(x, unit) for x in (off[k], widths[k]))
+        if goal.name != "sag" and reached and off[k] > full:
+            reached = False
+            why = (
+                f"With kp={kp:g} it rests {far} from its target, further than it was moved: ask "
+                "for a smaller sag first"
+            )
+        elif goal.name != "sag" and widths[k] < full:
+            also = f", of a motion of {width}, for which half of the force is left"
+        found.append(
+            Tuned(
+                *("servo", called[drive.index], goal, unit if goal.name == "sag" else "", change),
+                *(pasted(model, servos.values(k, kp, kv)), float(asked[k]), float(values[k])),
+                *(reached, why, also),
+            )
         )
-        said = "The pose does not come to rest, so nothing can be verified: try another keyframe"
-        if n is not None:
-            limit = goal.words(servos[0].value(goal, first * 100 / n))
-            step = f"{seconds(model.settings.dt)} under {model.settings.integrator}"
-            said = f"{step} holds about {limit}"
-            if other:
-                said += f"; implicitfast {'holds' if holds(quick, first) else 'does not hold'} it"
-        for entry in found:
-            entry.why = said
     return [*idle, *found]
-
-
-def _settle(made: Any) -> bool:
-    return all(math.isfinite(response.settling) for response in made)
-
-
-def _told(model: Model, goal: Goal, servo: Servo, gains: Gains, response: Response) -> Tuned:
-    """Return a proposal, and why it is not reached if it is not."""
-    measured, drive, (kp, kv, _) = response.of(goal), servo.drive, gains
-    unit = servo.unit if goal.name == "sag" else ""
-    why = f"The run shows {goal.words(measured, unit)} with kp={kp:g} and kv={kv:g}"
-    if goal.name == "sag" and not math.isfinite(measured):
-        step = f"{seconds(model.settings.dt)} under {model.settings.integrator}"
-        why = f"{step} does not rest in the pose with kp={kp:g} and a stability margin of 2"
-    if goal.name == "sag" and kp * goal.value * abs(drive.gear) > drive.bound:
-        why = f"The pose needs more than its forcerange of {drive.bound:g}"
-    lines = tuple(pasted(model, servo.values(model, gains)))
-    expected = servo.value(goal, servo.frequency(kp))
-    told = Tuned("servo", servo.name, goal, unit, SHIPPED, lines, expected, measured, why=why)
-    told.reached = goal.near(measured)
-    return told
-
-
-def _crossing(share: np.ndarray, level: float) -> float:
-    """Return after how many steps a response first reaches a level, interpolated."""
-    k = int(np.argmax(share >= level))
-    return k - 1 + float((level - share[k - 1]) / (share[k] - share[k - 1])) if k else 0.0
