@@ -18,15 +18,14 @@ from stepcore.experiment.schedule import HORIZON, STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.measure.monitors import monitored
 from stepcore.measure.trade.result import Trade
-from stepcore.measure.trade.search import Search, proven, settled
+from stepcore.measure.trade.search import UNSURE, Search, proven, settled
 from stepcore.report import units
 from stepcore.report.units import counted, metres, rounded
 
 __all__ = ["Trade", "trade"]
 
-# An error can be verified if the converged motion is known to this share of it. The largest error
-# that replaces one which cannot be, as a share of the displacement.
-UNSURE, USEFUL = 0.3, 0.5
+# The largest error that replaces one which cannot be verified, as a share of the displacement.
+USEFUL = 0.5
 # Without a request: errors that a search looks for, relative to that of the shipped settings.
 LESS = (1.0, 0.5, 0.1)
 # The shares of the time (`seconds`) at which the search and the test on untouched starts end.
@@ -195,7 +194,6 @@ def _searched(result: Trade, search: Search, further: int) -> None:
         if truth.error <= result.target or result.verified is not None:
             result.chosen = settled(search, result.asked, further)
             if result.chosen is not None:
-                search.sharpen(result.chosen.error / 2)
                 search.cheapest(result.chosen.error / 2)
 
 

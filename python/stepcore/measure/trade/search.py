@@ -26,6 +26,8 @@ from stepcore.report.units import metres, times
 
 # The search keeps to this share of the error, because starts that were not run may be harder.
 MARGIN = 0.9
+# An error can be told if the converged motion is known to this share of it.
+UNSURE = 0.3
 # The price relative to the best so far that another family must promise.
 BETTER = 0.95
 # The most steps in a control period, relative to the shipped ones.
@@ -42,7 +44,7 @@ KNOWING, SEARCHING, SETTLING = 0.3, 0.5, 0.75
 ROUNDS, JOIN = 8, 3
 # The truth of further starts is first known to this multiple of what the search needs. Where that
 # leaves open whether a start holds, it is made finer, so often, down to this share of the error.
-COARSE, CLEARER, FINEST_TRUTH = 3.0, 3, 0.02
+COARSE, CLEARER, FINEST_TRUTH = 3.0, 3, 0.01
 
 
 @dataclass
@@ -92,11 +94,19 @@ class Search:
         same = math.isclose(dt, shipped, rel_tol=1e-9)
         return family if same else family.also(Change(dt=dt))
 
-    def trial(self, change: Change) -> Trial:
-        """Run a change from the starts of the search."""
-        (tracks,) = self.study.tracks([change], self.truth.starts)
-        self.trials[change] = self.study.score(change, tracks, self.truth)
-        return self.trials[change]
+    def trial(self, change: Change, error: float | None = None) -> Trial:
+        """Run a change from the starts of the search.
+
+        error: [m]; the truth is made finer where it does not tell whether the change holds it.
+        """
+        study, starts = self.study, self.truth.starts
+        (tracks,) = study.tracks([change], starts)
+        trial = study.score(change, tracks, self.truth)
+        if error is not None and not trial.refuted(error) and cleared(study, trial, error, UNSURE):
+            self.truth = study.truth(self.truth.goal / SHARE, starts)
+            trial = study.score(change, tracks, self.truth)
+        self.trials[change] = trial
+        return trial
 
     def join(self, starts: Sequence[int], error: float) -> None:
         """Let further starts join; what was tried from fewer starts no longer holds an error."""
@@ -165,20 +175,20 @@ class Search:
         self, family: Change, ladder: Sequence[int], error: float, first: int
     ) -> Trial | None:
         """Return the trial of a family with the fewest steps that hold, or None."""
-        found, truth = dict[int, Trial](), self.truth
+        found = dict[int, Trial]()
 
         def wrong(steps: int) -> float:
             change = self.at(family, steps)
-            if not self.study.affords(change, len(truth.starts)):
+            if not self.study.affords(change, len(self.truth.starts)):
                 self.ended = True
                 return math.inf
-            if len(truth.starts) > 1:
+            if len(self.truth.starts) > 1:
                 # One hard start refuses most of what does not hold.
                 (alone,) = self.study.tracks([change], [self.hard])
-                one = self.study.score(change, alone, truth.part([self.hard]))
-                if one.bound > error:
+                one = self.study.score(change, alone, self.truth.part([self.hard]))
+                if one.refuted(error):
                     return one.bound
-            found[steps] = self.trial(change)
+            found[steps] = self.trial(change, error)
             if not found[steps].failure and not found[steps].within(error):
                 self.hard = found[steps].worst
             return found[steps].bound
@@ -280,17 +290,27 @@ def tested(
         (tracks,) = study.tracks([change], some)
         trial = study.score(change, tracks, study.truth(COARSE * error, some))
         for _ in range(CLEARER):
-            gap = np.abs(trial.errors - error)
-            unclear = [s for s, far in zip(some, gap <= trial.unsure, strict=True) if far]
-            if trial.failure or not unclear:
+            if not cleared(study, trial, error, FINEST_TRUTH):
                 break
-            finer = max(float(gap.min()), FINEST_TRUTH * error)
-            study.truth(finer / SHARE / 2, unclear)
             trial = study.score(change, tracks, study.truth(COARSE * error, some))
         parts.append(trial)
         if early and trial.misses(error):
             break
     return Trial.joined(parts)
+
+
+def cleared(study: Study, trial: Trial, error: float, finest: float) -> bool:
+    """Make the truth finer where it does not tell whether a trial holds an error [m].
+
+    finest: the share of the error to which it is made sure, at most. Return whether that was
+    anywhere.
+    """
+    gap = np.abs(trial.errors - error)
+    unclear = [s for s, far in zip(trial.starts, gap <= trial.unsure, strict=True) if far]
+    if trial.failure or not unclear:
+        return False
+    study.truth(max(float(gap.min()) / 2, finest * error) / SHARE, unclear)
+    return True
 
 
 def proven(study: Study, change: Change, error: float, further: int) -> Proof | None:
