@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -154,6 +154,10 @@ class Proof:
         Starts that cannot be told count as misses.
         """
         return share_of(self.missed + self.unclear, self.starts)
+
+    def record(self) -> dict[str, Any]:
+        """Return the proof as plain data."""
+        return {"starts": self.starts, "missed": self.missed, "share": self.share}
 
     @property
     def words(self) -> str:

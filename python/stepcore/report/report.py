@@ -102,9 +102,12 @@ def _notes(notes: Sequence[str], size: int, room: float) -> Iterator[str]:
         room, left = room - len(lines), left - 1
     if left:
         more = "more note" if left < len(notes) else "note"
-        yield from _wrapped(
-            f"Not shown: {counted(left, more)} (--all; in Python text(full=True)).", size
-        )
+        yield from _wrapped(not_shown(counted(left, more)), size)
+
+
+def not_shown(what: str) -> str:
+    """Return how to see what a short report leaves out, as a sentence."""
+    return f"Not shown: {what} (--all; in Python text(full=True))."
 
 
 def _note(note: str) -> str:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Unpack
 
@@ -33,19 +31,14 @@ from stepcore.report.units import metres
 
 __all__ = ["Convergence", "ResidualHistory", "RowForce", "Split", "converge"]
 
-# Sweeps in a period of equal work, and how they are split into steps × sweeps.
-WORK = 64
+# Equal work, split into steps × sweeps.
 SPLITS = ((64, 1), (16, 4), (4, 16), (1, 64))
 # Time steps tried at the shipped sweeps, relative to the shipped one.
 FACTORS = (4, 2, 1, 1 / 2, 1 / 4, 1 / 8)
-# Least number of control periods in a motion.
-PERIODS = 4
-# The number of sweeps assumed for a solver that has none.
-USUAL = 16
-# Default number of starts.
-STARTS = 3
-# The shares of the time (`seconds`) at which the runs and the measurement of sweeps end.
-RUN, MEASURED = 0.7, 0.95
+# The fewest control periods in a motion, and the default number of starts.
+FEWEST, STARTS = 4, 3
+# The share of the time (`seconds`) at which the runs end.
+RUN = 0.7
 
 
 @measurement()
@@ -97,46 +90,49 @@ def converge(
     motion = dataclasses.replace(motion, horizon=far.length if far.words else motion.horizon)
     frame, period = periods(shipped, motion.period(shipped.dt), far.length)
     study = Study(motion=motion, engine=setup.engine, period=period, workers=workers)
-    some = Candidates.of(study, frame)
-    truth = study.truth()
+    dts, splits, more = other_steps(study), equal_work(frame), four_times(shipped)
+    solved, truth = converged_forces(study), study.truth()
+    every = list(dict.fromkeys([SHIPPED, solved, *dts, *splits.values(), *more]))
     # The answer needs two of the settings, which come first.
-    two = study.run([SHIPPED, some.solved], bar="runs")
+    two = study.run([SHIPPED, solved], bar="runs")
     said = f"as shipped the error is {metres(two[0].error)}, with converged forces "
     said += f"{metres(two[1].error)}, ± {metres(truth.error)}; other settings are run now"
     workers.deadline.so_far(said)
 
-    def left_out() -> str:
-        return f"{len(some.all) - len(_done(study, some.all))} of {len(some.all)} settings"
+    def done() -> list[Change]:
+        return [c for c in every if all(study.ran(c, start) for start in study.starts)]
 
-    with workers.deadline.stage(left_out, RUN):
-        study.tracks(some.all, study.starts, "runs")
+    with workers.deadline.stage(
+        lambda: f"{len(every) - len(done())} of {len(every)} settings", RUN
+    ):
+        study.tracks(every, study.starts, "runs")
     with workers.deadline.closing():
-        trials = {trial.change: trial for trial in study.run(_done(study, some.all))}
+        trials = {trial.change: trial for trial in study.run(done())}
     histories, findings = list[ResidualHistory](), list[Finding]()
     if engine == "stepcore":
-        with workers.deadline.stage("the residual by sweeps", MEASURED):
-            chosen = row_states(setup.model, study.schedule, states, study.starts)
-            job = partial(residual_history, setup.model, shipped)
-            histories = workers.each(job, chosen, "sweeps")
         with workers.deadline.stage("the findings on the shipped settings"):
             found = monitored(setup.model, study.schedule)[0]
             # The residual is already reported by this measurement.
             findings = [one for one in found if one.kind != "residual"]
+        with workers.deadline.stage("the residual by sweeps"):
+            chosen = row_states(setup.model, study.schedule, states, study.starts)
+            job = partial(residual_history, setup.model, shipped)
+            histories = workers.each(job, chosen, "sweeps")
     return Convergence(
         name=setup.name,
         settings=shipped,
         motion=dataclasses.replace(motion, horizon=study.schedule.horizon),
         horizon=study.schedule.horizon,
         shipped=trials[SHIPPED],
-        solved=trials[some.solved],
-        dts=[trials[change] for change in some.dts if change in trials],
-        splits=[Split(n, k, trials[c]) for (n, k), c in some.splits.items() if c in trials],
-        more=trials.get(some.more) if some.more is not None else None,
+        solved=trials[solved],
+        dts=[trials[change] for change in dts if change in trials],
+        splits=[Split(*at, trials[change]) for at, change in splits.items() if change in trials],
+        more=next((trials[change] for change in more if change in trials), None),
         histories=histories,
         has_rows=study.engine.has_rows(study.schedule),
         reference=truth,
         size=study.size,
-        ending=_ending(study, trials[SHIPPED], trials[some.solved], truth),
+        ending=_ending(study, trials[SHIPPED], trials[solved], truth),
         notes=[*(setup.model.scene.notes if setup.engine.known else ()), *study.schedule.notes],
         findings=findings,
         ran=far.after(study.motion_ran),
@@ -146,84 +142,66 @@ def converge(
 def periods(shipped: Any, control: float | None, horizon: float) -> tuple[float, float]:
     """Return the time over which equal work is split, and the control period [s].
 
-    One of the splits has the shipped time step, with the nearest of 1, 4, 16 and 64 sweeps.
+    One of the splits has the shipped time step, with the number of sweeps nearest to the shipped
+    one; of a solver without such a number the third split has it.
 
     control: the control period of the motion [s]; None if it has none.
     """
     known = shipped.solver == "pgs" and shipped.sweeps != "auto"
-    sweeps = max(1, int(shipped.sweeps)) if known else USUAL
-    frame = shipped.dt * WORK / min((1, 4, 16, 64), key=lambda n: abs(math.log(n / sweeps)))
+    sweeps = max(1, int(shipped.sweeps)) if known else SPLITS[2][1]
+    frame = shipped.dt * min(SPLITS, key=lambda split: abs(math.log(split[1] / sweeps)))[0]
     if control is not None:
         return control / max(1, round(control / frame)), control
-    period = max(frame, 4 * shipped.dt)
-    while period > horizon / PERIODS * (1 + 1e-9) and period > shipped.dt:
+    period = max(frame, FACTORS[0] * shipped.dt)
+    while period > horizon / FEWEST * (1 + 1e-9) and period > shipped.dt:
         period /= 2
     return min(frame, period), period
 
 
-@dataclass(frozen=True)
-class Candidates:
-    """The changes of settings that are run.
-
-    solved: the shipped settings with converged forces. dts: the shipped settings at other steps.
-    splits: equal work, by steps and sweeps. more: four times the sweeps; None where there is no
-    number of sweeps.
-    """
-
-    solved: Change
-    dts: list[Change]
-    splits: dict[tuple[int, int], Change]
-    more: Change | None
-
-    @classmethod
-    def of(cls, study: Study, frame: float) -> Candidates:
-        """Return the changes of a study; frame: the time over which equal work is split [s]."""
-        shipped, period = study.engine.settings(SHIPPED), study.schedule.period
-        # Forces are converged as in the converged motion, and the rest is as shipped.
-        exact = study.engine.ways(study.schedule, 1.0)[0].at(0)
-        own = {name: getattr(shipped, name) for name in ("dt", "integrator", "refsafe", "sleep")}
-        lengths = [(f, shipped.dt * f) for f in FACTORS]
-        plain = Change(solver="pgs", tolerance=0.0, cost_tolerance=0.0)
-        fixed = shipped.solver == "pgs" and shipped.sweeps != "auto" and shipped.sweeps > 0
-        return cls(
-            solved=Change.between(study.engine.settings(exact.also(Change(**own))), shipped),
-            dts=[
-                SHIPPED if f == 1 else Change(dt=dt)
-                for f, dt in lengths
-                if dt <= period * (1 + 1e-9) and divides(dt, period)
-            ],
-            splits={(n, k): plain.also(Change(dt=frame / n, sweeps=k)) for n, k in SPLITS},
-            more=Change(sweeps=4 * shipped.sweeps, cost_tolerance=0.0) if fixed else None,
-        )
-
-    @property
-    def all(self) -> list[Change]:
-        """All changes, without repetition."""
-        some = [SHIPPED, self.solved, *self.dts, *self.splits.values(), self.more]
-        return list(dict.fromkeys(change for change in some if change is not None))
+def converged_forces(study: Study) -> Change:
+    """Return the change to converged forces, as in the converged motion; the rest is as shipped."""
+    engine = study.engine
+    shipped, exact = engine.settings(SHIPPED), engine.ways(study.schedule, 1.0)[0].at(0)
+    own = {name: getattr(shipped, name) for name in ("dt", "integrator", "refsafe", "sleep")}
+    return Change.between(engine.settings(exact.also(Change(**own))), shipped)
 
 
-def _done(study: Study, changes: Sequence[Change]) -> list[Change]:
-    return [c for c in changes if all(study.ran(c, start) for start in study.starts)]
+def other_steps(study: Study) -> list[Change]:
+    """Return the shipped settings at all time steps that divide the control period."""
+    period, shipped = study.schedule.period, study.engine.dt
+    steps = {f: f * shipped for f in FACTORS if f * shipped <= period * (1 + 1e-9)}
+    own = {f: dt for f, dt in steps.items() if divides(dt, period)}
+    return [SHIPPED if f == 1 else Change(dt=dt) for f, dt in own.items()]
+
+
+def equal_work(frame: float) -> dict[tuple[int, int], Change]:
+    """Return equal numbers of row updates in a time [s], by steps and sweeps."""
+    plain = Change(solver="pgs", tolerance=0.0, cost_tolerance=0.0)
+    return {(n, k): plain.also(Change(dt=frame / n, sweeps=k)) for n, k in SPLITS}
+
+
+def four_times(shipped: Any) -> list[Change]:
+    """Return four times the shipped sweeps; empty for settings without a number of sweeps."""
+    if shipped.solver != "pgs" or shipped.sweeps in ("auto", 0):
+        return []
+    return [Change(sweeps=4 * shipped.sweeps, cost_tolerance=0.0)]
 
 
 def _ending(study: Study, shipped: Trial, solved: Trial, truth: Truth) -> Ending | None:
     """Compare the ends of both motions in the start where converged forces matter most."""
-    if shipped.failure or solved.failure or shipped.tracks is None or solved.tracks is None:
+    a, b = shipped.tracks, solved.tracks
+    if a is None or b is None or shipped.failure or solved.failure:
         return None
-    both = np.stack([shipped.tracks.com, solved.tracks.com])
-    over = rms(apart(shipped.tracks, solved.tracks, study.engine.matter), truth.scored)
-    gap = np.linalg.norm(both[0, :, -1] - both[1, :, -1], axis=-1)
+    over = rms(apart(a, b, study.engine.matter), truth.scored)
+    gap = np.linalg.norm(a.com[:, -1] - b.com[:, -1], axis=-1)
     start, body = map(int, np.unravel_index(gap.argmax(), gap.shape))
+    # The speed over the last tenth of the motion.
     times = study.schedule.times
-    last = max(1, len(times) // 10)
-    speeds = np.full(2, np.nan)
-    if len(times) > last:
-        moved = both[:, start, -1, body] - both[:, start, -1 - last, body]
-        speeds = np.linalg.norm(moved, axis=-1) / (times[-1] - times[-1 - last])
+    first = max(0, len(times) - 1 - max(1, len(times) // 10))
+    with np.errstate(invalid="ignore"):
+        moved = a.com[start, -1, body] - a.com[start, first, body]
+        speed = float(np.linalg.norm(moved) / (times[-1] - times[first]))
     index = study.engine.matter.moving[body]
     known = study.engine.known
     name = study.model.element_name("body", index) if known else f"body {index}"
-    return Ending(
-        start, name, float(gap.max()), float(speeds[0]), float(speeds[1]), float(over.max())
-    )
+    return Ending(start, name, float(gap.max()), speed, float(over.max()))

@@ -12,25 +12,20 @@ import numpy as np
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import Truth
-from stepcore.measure.convergence.sweeps import SWEEPS, ResidualHistory, RowForce
+from stepcore.measure.convergence.sweeps import ROUNDING, SWEEPS, ResidualHistory, RowForce
 from stepcore.measure.monitors import Finding
+from stepcore.report.report import not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, metres, seconds, speed
 
 # Distances below this share of the scene's size do not make a motion under-solved: iterative
-# solvers stop at tolerances that leave as much.
-NOTABLE = 1e-5
-# Errors that differ by less than this factor count as equal.
-ALIKE = 1.2
-# A body at rest moves less than this share of the distance during the whole motion.
-STILL = 0.1
-# Residuals below this share of the largest, and rates below this, are rounding.
-ROUNDING = 1e-12
-# Number of rows printed; number of rows named in a sentence; and the least missing share of force,
-# relative to the largest, of a named row.
-PRINTED, NAMED, LACKING = 5, 3, 0.1
+# solvers stop at tolerances that leave as much. Errors that differ by less than the factor count as
+# equal. A body at rest moves less than the last share of the distance during the whole motion.
+NOTABLE, ALIKE, STILL = 1e-5, 1.2, 0.1
+# The number of rows in a short table, and of those that a sentence names.
+PRINTED, NAMED = 5, 3
 
 
 class Split(NamedTuple):
@@ -47,7 +42,7 @@ class Ending:
 
     start, body: the start and the body for which the distance is largest.
     apart: that distance [m].
-    speed, solved_speed: the body's mean speed over the last tenth of both motions [m/s].
+    speed: the body's mean speed over the last tenth of the motion as shipped [m/s].
     solver: RMS distance over the whole motion in the worst start [m].
     """
 
@@ -55,7 +50,6 @@ class Ending:
     body: str
     apart: float
     speed: float
-    solved_speed: float
     solver: float
 
 
@@ -99,8 +93,6 @@ class Convergence(Result):
     ending: Ending | None
     findings: list[Finding] = field(default_factory=list)
 
-    # --- the questions ---------------------------------------------------------------------------
-
     @property
     def verdict(self) -> str:
         """ "diverging", "under-solved", "no rows" or "solved"."""
@@ -135,25 +127,15 @@ class Convergence(Result):
         return min(steps, default=math.inf), min(sweeps, default=math.inf)
 
     @property
-    def slowest(self) -> ResidualHistory | None:
-        """The state at which sweeps converge slowest."""
-        known = [history for history in self.histories if history.contraction is not None]
-        return max(known, key=lambda history: history.contraction or 0.0, default=None)
+    def quarter(self) -> Trial | None:
+        """The shipped settings at a quarter of their time step; None if not tried."""
+        return next((t for t in self.dts if math.isclose(t.dt, self.shipped.dt / 4)), None)
 
     @property
     def contraction(self) -> float | None:
-        """The share of the error that each sweep leaves in the end, measured at `slowest`."""
-        return self.slowest.contraction if self.slowest else None
-
-    def residual(self, sweeps: int, warm: bool = False) -> float:
-        """Return the median residual of the states after a number of sweeps [m/s].
-
-        sweeps: one of `ResidualHistory.sweeps`.
-        warm: whether the sweeps start from the impulses of the previous step rather than from zero.
-        """
-        place = SWEEPS.index(sweeps)
-        values = [(one.warm if warm else one.cold)[place] for one in self.histories]
-        return float(np.median(values)) if values else math.nan
+        """The share of the error that each sweep leaves in the end, at the slowest state."""
+        known = (history.contraction for history in self.histories)
+        return max((share for share in known if share is not None), default=None)
 
     @property
     def rows(self) -> list[RowForce]:
@@ -193,7 +175,7 @@ class Convergence(Result):
             heading="Rows after the shipped sweeps, the largest missing impulse first",
             legend=(
                 "missing: missing impulse as a speed [m/s]; force reached and converged force "
-                "(solved) [N or N·m]; states: number of states in which it has rows"
+                "(solved) [N or N·m]; states: number of states in which it has rows."
             ),
         )
 
@@ -223,7 +205,7 @@ class Convergence(Result):
     @property
     def work(self) -> Table:
         """Equal row updates as steps × sweeps, under pgs, and four times the shipped work."""
-        named = [(f"{s.steps}x{s.sweeps}", s.trial) for s in self.splits]
+        named = [(f"{steps}x{sweeps}", trial) for steps, sweeps, trial in self.splits]
         named.append(("shipped", self.shipped))
         named += [("shipped, 4 x sweeps", self.more)] if self.more else []
         named += [("shipped, 1/4 dt", self.quarter)] if self.quarter else []
@@ -231,40 +213,20 @@ class Convergence(Result):
         heading = "Equal row updates, steps x sweeps under pgs, and the shipped settings"
         return _table("steps x sweeps", named, heading)
 
-    @property
-    def quarter(self) -> Trial | None:
-        """The shipped settings at a quarter of their time step; None if not tried."""
-        return next((t for t in self.dts if math.isclose(t.dt, self.shipped.dt / 4)), None)
-
-    @property
-    def _sweeps_made(self) -> bool:
-        """Whether the shipped solver makes sweeps; Newton and conjugate gradients make none."""
-        return self.settings.solver == "pgs"
-
     def tables(self, full: bool) -> list[Table]:
-        """Return the tables of rows and time steps.
-
-        Rows that Newton has solved are printed with `full` alone.
+        """Return the tables of rows and time steps; rows that Newton has solved only with `full`.
 
         full: whether to include every row, equal work and residuals by sweeps.
         """
-        solved = self.verdict == "solved" and not self._sweeps_made
-        if not full and (solved or not self.histories):
+        rows, known = self.table, bool(self.histories)
+        if full:
+            return [rows, self.steps, self.work, self.sweeps] if known else [self.steps, self.work]
+        if not known or (self.verdict == "solved" and self.settings.solver != "pgs"):
             return [self.steps]
-        rows, sweeps = self.table, self.sweeps
-        if not full and len(rows) > PRINTED:
-            more = f"{counted(len(rows) - PRINTED, 'row')} (--all; in Python text(full=True))"
-            legend = f"{rows.legend}. Not shown: {more}"
-            rows = rows[:PRINTED]
-            rows.legend = legend
-        if not full:
-            return [rows, self.steps]
-        if not self.histories:
-            return [self.steps, self.work]
-        # Show residuals until they are rounding.
-        worst = [max(r["cold worst"], r["warm worst"]) for r in sweeps]
-        done = [k for k, value in enumerate(worst) if value <= ROUNDING * max(worst)]
-        return [rows, self.steps, self.work, sweeps[: done[0] + 1] if done else sweeps]
+        few = rows[:PRINTED]
+        if len(rows) > PRINTED:
+            few.legend += f" {not_shown(counted(len(rows) - PRINTED, 'row'))}"
+        return [few, self.steps]
 
     def details(self) -> dict[str, Any]:
         """Return the verdict, the contraction and the other tables."""
@@ -272,7 +234,6 @@ class Convergence(Result):
             "verdict": self.verdict,
             "better": self.better,
             "contraction": self.contraction,
-            "slowest_time": self.slowest.time if self.slowest else None,
             "reference": self.reference.settings.as_dict(),
             "reference_error": self.reference.error,
             "size": self.size,
@@ -291,43 +252,33 @@ class Convergence(Result):
     @property
     def sentences(self) -> list[str]:
         """The verdict, the cause, the convergence of sweeps, and what would gain more accuracy."""
-        said = [self._verdict()]
+        said = [self._diverging() if self.ending is None else self._verdict(self.ending)]
         if self.has_rows:
             said += [self._forces(), self._convergence(), self._equal_work(), self._four_times()]
         said += [finding.text for finding in self.findings]
         return [sentence for sentence in said if sentence]
 
-    def _verdict(self) -> str:
-        if self.ending is None:
-            return self._diverging()
+    def _verdict(self, ending: Ending) -> str:
         if not self.has_rows:
             return "No contact, limit or other row was ever active, so sweeps have no effect."
-        solver, size = self.ending.solver, self.size
-        starts = len(self.shipped.starts)
+        solver, starts = ending.solver, len(self.shipped.starts)
         worst = f" in the worst of {counted(starts, 'start')}" if starts > 1 else ""
         error = f"{metres(self.solved.error)}{worst}"
         apart = f"{metres(solver)} (RMS) from the motion with converged forces"
         if self.verdict == "under-solved":
-            where = self._where_it_ends(self.ending)
-            step = f"The time step itself causes an error of {error}."
-            return f"Under-solved: {where} Over the motion it is {apart}. {step}"
-        fine = "the solver is fine." if solver < 1e-9 * size else f"the motion is {apart}."
+            where, step = self._where_it_ends(ending), "The time step itself causes an error of"
+            return f"Under-solved: {where} Over the motion it is {apart}. {step} {error}."
+        fine = "the solver is fine." if solver < 1e-9 * self.size else f"the motion is {apart}."
         return f"Solved: {fine} The time step causes an error of {error}; reduce dt to lower it."
 
     def _where_it_ends(self, ending: Ending) -> str:
         """Describe where an under-solved motion ends."""
         apart = f"{metres(ending.apart)} from where converged forces take it"
-        slow = STILL * ending.apart / self.horizon
         if ending.apart <= NOTABLE * self.size:
             return "the motion differs on the way, but ends in the same place."
-        if ending.speed <= slow:
+        if ending.speed <= STILL * ending.apart / self.horizon:
             return f"{ending.body} settles at a wrong fixed point, {apart}."
-        if ending.solved_speed <= max(slow, STILL * ending.speed):
-            return (
-                f"{ending.body} still moves at {speed(ending.speed)} where converged forces hold "
-                f"it, and ends {apart}."
-            )
-        return f"{ending.body} ends {apart}."
+        return f"{ending.body} ends {apart}, at {speed(ending.speed)}."
 
     def _diverging(self) -> str:
         if not self.shipped.failure:
@@ -349,22 +300,19 @@ class Convergence(Result):
 
     def _forces(self) -> str:
         """Describe the rows that are furthest from their converged force."""
-        rows = [row for row in self.rows if row.missing > 0]
+        rows = [row for row in self.rows if row.missing > 0][:NAMED]
         if not rows or self.verdict == "solved":
             return ""
-        most = max(abs(row.solved - row.force) for row in rows)
-        limiting = [
+        said = [
             f"{row.name} ({row.force:.3g} of {row.solved:.3g}; {compact(row.missing)} m/s missing)"
             for row in rows
-            if row.missing >= LACKING * rows[0].missing
-            or abs(row.solved - row.force) >= LACKING * most
         ]
-        return f"Force reached, of the converged force: {', '.join(limiting[:NAMED])}."
+        return f"Force reached, of the converged force: {', '.join(said)}."
 
     def _convergence(self) -> str:
         """Describe how fast sweeps converge; Newton makes no sweeps."""
         rate = self.contraction
-        if not self._sweeps_made or not self.histories:
+        if self.settings.solver != "pgs" or not self.histories:
             return ""
         if rate is None:
             return "No two rows act at once, so one sweep solves them."
@@ -376,31 +324,30 @@ class Convergence(Result):
         digits = 4 if rate < 0.99 else 2 + math.ceil(-math.log10(1 - rate))
         tenfold = math.log(10) / -math.log(rate)
         share = f"{rate:.1e}" if rate < 1e-3 else f"{rate:.{digits}f}"
-        return (
-            f"Each sweep leaves {share} of the solver's error ({tenfold:.3g} sweeps reduce it "
-            "tenfold)."
-        )
+        gains = f"({tenfold:.3g} sweeps reduce it tenfold)"
+        return f"Each sweep leaves {share} of the solver's error {gains}."
 
     def _equal_work(self) -> str:
         if not self.splits:
             return ""
         errors = [
-            f"{counted(split.steps, 'step')} of {counted(split.sweeps, 'sweep')} "
-            + ("fails" if split.trial.failure else metres(split.trial.error))
-            for split in self.splits
+            f"{counted(steps, 'step')} of {counted(sweeps, 'sweep')} "
+            + ("fails" if trial.failure else metres(trial.error))
+            for steps, sweeps, trial in self.splits
         ]
-        steps, sweeps = map(math.isfinite, self.at_equal_work)
         answer = {
-            "smaller steps": "smaller steps are more accurate than more sweeps",
-            "more sweeps": "more sweeps are more accurate than smaller steps",
-            "neither": "smaller steps and more sweeps are equally accurate",
-        }[_better(*self.at_equal_work)]
-        if not (steps and sweeps):
-            answer = f"only {'smaller steps' if steps else 'more sweeps'} do not fail"
-        if not (steps or sweeps):
-            answer = "both smaller steps and more sweeps fail"
-        begin = "At" if self._sweeps_made else "Under pgs, at"
-        return f"{begin} equal work (row updates) {answer}: {', '.join(errors)}."
+            (True, True): {
+                "smaller steps": "smaller steps are more accurate than more sweeps",
+                "more sweeps": "more sweeps are more accurate than smaller steps",
+                "neither": "smaller steps and more sweeps are equally accurate",
+            }[_better(*self.at_equal_work)],
+            (True, False): "only smaller steps do not fail",
+            (False, True): "only more sweeps do not fail",
+            (False, False): "both smaller steps and more sweeps fail",
+        }
+        steps, sweeps = map(math.isfinite, self.at_equal_work)
+        begin = "At" if self.settings.solver == "pgs" else "Under pgs, at"
+        return f"{begin} equal work (row updates) {answer[steps, sweeps]}: {', '.join(errors)}."
 
     def _four_times(self) -> str:
         """Describe the gain from four times the work."""

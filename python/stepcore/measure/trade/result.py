@@ -639,10 +639,6 @@ class Trade(Result):
         named = f"dt {seconds(row.settings.dt)}, {row.settings.integrator}"
         return view(self.seen(row), labels=["converged", named], host=host, port=port, wait=wait)
 
-    def to_pandas(self) -> Any:
-        """Return the table as a pandas DataFrame."""
-        return self.table.to_pandas()
-
     def __repr__(self) -> str:
         failed = len(self.failures)
         return f"<Trade of {self.name}: {len(self.rows)} settings, {failed} failed>"
