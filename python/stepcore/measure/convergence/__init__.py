@@ -15,7 +15,7 @@ from stepcore.experiment.arguments import MeasurementFields, Source, measurement
 from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import Horizon, affordable, horizon_of
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.schedule import HORIZON, divides
+from stepcore.experiment.schedule import HORIZON, divides, often
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import Truth
@@ -35,8 +35,8 @@ __all__ = ["Convergence", "ResidualHistory", "RowForce", "Split", "converge"]
 SPLITS = ((64, 1), (16, 4), (4, 16), (1, 64))
 # Time steps tried at the shipped sweeps, relative to the shipped one.
 FACTORS = (4, 2, 1, 1 / 2, 1 / 4, 1 / 8)
-# The fewest control periods in a motion, and the default number of starts.
-FEWEST, STARTS = 4, 3
+# The default number of starts.
+STARTS = 3
 # The share of the time (`seconds`) at which the runs end.
 RUN = 0.7
 
@@ -152,9 +152,7 @@ def periods(shipped: Any, control: float | None, horizon: float) -> tuple[float,
     frame = shipped.dt * min(SPLITS, key=lambda split: abs(math.log(split[1] / sweeps)))[0]
     if control is not None:
         return control / max(1, round(control / frame)), control
-    period = max(frame, FACTORS[0] * shipped.dt)
-    while period > horizon / FEWEST * (1 + 1e-9) and period > shipped.dt:
-        period /= 2
+    period = often(max(frame, FACTORS[0] * shipped.dt), shipped.dt, horizon)
     return min(frame, period), period
 
 

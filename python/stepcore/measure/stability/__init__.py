@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from stepcore.experiment.engines import FAR, Engine, Stepcore, run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
 from stepcore.experiment.mujoco_engine import engine_of
-from stepcore.experiment.schedule import divides, home
+from stepcore.experiment.schedule import divides, home, often
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import Truth
 from stepcore.lesson import maps
@@ -48,12 +48,8 @@ STEPS = 25
 WHOLE = 20
 # The share of the time (`seconds`) at which the runs of the true motions end.
 TRUE = 0.6
-# Largest number of steps of all cells: more than half an hour of the smallest scene.
-MOST_STEPS = 1e10
 # Motion fields that a map does not accept: every cell starts at the keyframe with its controls.
 WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt", "interpolation", "kind", "follow")
-# The fewest times at which a cell is compared with the true motion, where steps allow.
-LOOKS = 4
 # Kinds of elements in the linear system of a scene.
 LINEAR = ("spring", "damper", "actuator")
 
@@ -124,22 +120,16 @@ def stability_map(
     units.length("stability_map", "deviation", deviation, 1.0)
     lesson = _lesson(model, path, deviation) if engine == "stepcore" else None
     source: Source = "lesson:spring" if model is None else model
-    setup = set_up(
-        stability_map,
-        source if lesson is None or lesson.model is None else lesson.model,
-        motion,
-        fields,
-        missing="no motion to map",
-        engine=engine,
-    )
+    if lesson is not None and lesson.model is not None:
+        source = lesson.model
+    missing = "no motion to map"
+    setup = set_up(stability_map, source, motion, fields, missing=missing, engine=engine)
     names = None if integrators is None else _integrators(setup.engine, integrators)
     kept = _accuracies(setup.engine, accuracies, dts)
-    if kept and lesson is not None:
-        raise ValueError("accuracies: the lesson's maps are over dt; name a value to map it")
     if lesson is None:
         case = _case(setup, path, values, names)
     else:
-        case = _narrowed(lesson, names, setup.motion.key)
+        case = _narrowed(lesson, names, setup.motion.key, kept)
     if values is not None:
         case.values = _ascending("values", values)
     if dts is not None:
@@ -148,10 +138,9 @@ def stability_map(
         case.dts, case.horizon = _ascending("dts", steps), None
     if kept:
         case.dts = [setup.engine.dt]
-        for setting in case.settings:
-            setting.boundary = None
     horizon = setup.motion.horizon or case.horizon or max(1.0, STEPS * max(case.dts))
-    _check_steps(case, horizon)
+    if horizon < max(case.dts):
+        raise ValueError(f"horizon = {horizon:g}: must be >= the largest dt")
     runs = _Runs(setup, case, horizon, kept, deviation)
     runs.make()
     panels = [runs.panel(setting) for setting in case.settings]
@@ -173,17 +162,17 @@ def stability_map(
     )
 
 
-def _lesson(model: Any, path: str | None, deviation: float | str) -> MapCase | None:
-    """Return the lesson's map that is asked for, or None."""
-    if path is not None or model not in (None, "lesson:spring", "lesson:stack"):
-        return None
-    if model == "lesson:stack":
-        return maps.stack(units.length("stability_map", "deviation", deviation, maps.SMALL))
-    return maps.spring()
+class _Cell(NamedTuple):
+    """A cell to run. step: its time step [s], or the error that it asks for [m]."""
+
+    value: float
+    step: float
+    study: Study
+    change: Change
 
 
 class _Runs:
-    """The runs of a map: a Study for each scene that panels make, and for each time grid.
+    """The runs of a map: a Study for each time grid.
 
     accuracies: asked for over the horizon [m], in place of time steps; or none.
     deviation: the error above which a cell is inaccurate [m].
@@ -199,69 +188,52 @@ class _Runs:
         deviation: float | str,
     ) -> None:
         self.engine, self.workers, self.case = setup.engine, setup.workers, case
+        if case.truth is not None:
+            # The true motion of all panels is that of other settings.
+            self.engine = engine_of(setup.model.with_settings(**case.truth), "stepcore")
         self.horizon, self.accuracies = horizon, accuracies
-        self.size = case.size or setup.engine.size
+        self.size = case.size or self.engine.size
         self.deviation = units.length("stability_map", "deviation", deviation, self.size)
-        self.studies: dict[tuple[str, float], Study] = {}
-        self.truths: dict[tuple[Study, float], Truth | None] = {}
-        self.spins: dict[tuple[Study, Change], float] = {}
         held: dict[str, Any] = {"kind": "hold"}
-        if setup.engine.known:
-            ctrl = home(setup.model, case.key)[1]
+        if self.engine.known:
+            ctrl = home(self.engine.model, case.key)[1]
             held = {"ctrl": ctrl[None]} if len(ctrl) else {}
         self.motion = Motion(horizon=horizon, key=case.key, starts=1, **held)
-        self.cells = {
-            setting.label: [
-                (value, step, self.study(setting.settings, step), self.change(setting, value, step))
-                for value in case.values
-                for step in (accuracies or case.dts)
-            ]
-            for setting in case.settings
-        }
+        self.studies: dict[float, Study] = {}
+        self.truths: dict[tuple[Study, float], Truth | None] = {}
+        self.cells = {setting.label: [*self._of(setting)] for setting in case.settings}
 
-    def study(self, settings: Mapping[str, Any], step: float) -> Study:
-        """Return the Study of a panel's scene for a step.
+    def _of(self, setting: MapSetting) -> Iterator[_Cell]:
+        """Yield the cells of one panel, values outermost."""
+        adapts = self.engine.settings(SHIPPED).accuracy is not None
+        for value in self.case.values:
+            for step in self.accuracies or self.case.dts:
+                fields: dict[str, Any] = {"dt": step} | ({"accuracy": None} if adapts else {})
+                if self.accuracies:
+                    fields = {"dt": self.engine.dt, "accuracy": step / self.horizon}
+                change = Change({self.case.path: value}, **setting.settings, **fields)
+                yield _Cell(value, step, self.study(fields["dt"]), change)
+
+    def study(self, dt: float) -> Study:
+        """Return the Study for a time step.
 
         Time steps share a Study if they divide its period; any other has one of its own, whose true
         motion is sampled at its times.
         """
         own = self.engine.dt
-        dt = own if self.accuracies else step
         period = own if self.accuracies else self.case.period or WHOLE * own
-        while period > self.horizon / LOOKS and period > own:
-            period /= 2
+        period = often(period, own, self.horizon)
         if not divides(dt, period):
             period = dt * max(1, round(own / dt))
-        law = {name: value for name, value in settings.items() if name != "integrator"}
-        key = str(sorted(law.items())), period
-        if key not in self.studies:
-            engine = self.engine
-            if law:
-                engine = engine_of(engine.model.with_settings(**law), "stepcore")
-            self.studies[key] = Study(
-                motion=self.motion, engine=engine, period=period, workers=self.workers
-            )
-        return self.studies[key]
-
-    def change(self, setting: MapSetting, value: float, step: float) -> Change:
-        """Return the change that a cell runs."""
-        fields: dict[str, Any] = {"dt": step}
-        if self.accuracies:
-            fields = {"dt": self.engine.dt, "accuracy": step / self.horizon}
-        elif self.engine.settings(SHIPPED).accuracy is not None:
-            fields["accuracy"] = None
-        if "integrator" in setting.settings:
-            fields["integrator"] = setting.settings["integrator"]
-        return Change({self.case.path: value}, **fields)
-
-    def true(self, study: Study, step: float) -> Study:
-        """Return the Study whose converged motion is the true one of a cell."""
-        return study if self.case.truth is None else self.study(self.case.truth, step)
+        if period not in self.studies:
+            how: dict[str, Any] = {"period": period, "workers": self.workers}
+            self.studies[period] = Study(motion=self.motion, engine=self.engine, **how)
+        return self.studies[period]
 
     def make(self) -> None:
         """Make the true motions, and then all cells, as far as the time allows."""
         every = [cell for cells in self.cells.values() for cell in cells]
-        wanted = dict.fromkeys((self.true(study, step), v) for v, step, study, _ in every)
+        wanted = dict.fromkeys((cell.study, cell.value) for cell in every)
         deadline = self.workers.deadline
         finest = min(self.accuracies, default=self.deviation)
         with (
@@ -277,30 +249,33 @@ class _Runs:
                 bar.advance()
         for label, cells in self.cells.items():
 
-            def left_out(label: str = label, cells: Sequence[Any] = cells) -> str:
-                left = sum(not study.ran(change, 0) for *_, study, change in cells)
+            def left_out(label: str = label, cells: Sequence[_Cell] = cells) -> str:
+                left = sum(not cell.study.ran(cell.change, 0) for cell in cells)
                 return f"{left} of {len(cells)} cells of {label}"
 
             with deadline.stage(left_out):
-                for study in dict.fromkeys(study for *_, study, _ in cells):
-                    own = [change for *_, other, change in cells if other is study]
+                for study in dict.fromkeys(cell.study for cell in cells):
+                    own = [cell.change for cell in cells if cell.study is study]
                     study.tracks(own, study.starts, label)
 
     def panel(self, setting: MapSetting) -> MapPanel:
         """Judge the cells of one setting."""
-        cells = [self.judged(*cell) for cell in self.cells[setting.label]]
-        boundary = setting.boundary(self.case.values) if setting.boundary else None
-        if boundary is not None and all(np.isnan(limit) for limit in boundary):
-            boundary = None
-        return MapPanel(setting.label, cells, boundary, setting.beyond if boundary else "")
+        cells = [self.judged(cell) for cell in self.cells[setting.label]]
+        boundary = None
+        if setting.boundary is not None and not self.accuracies:
+            boundary = setting.boundary(self.case.values)
+        if boundary is None or all(np.isnan(limit) for limit in boundary):
+            return MapPanel(setting.label, cells)
+        return MapPanel(setting.label, cells, boundary, setting.beyond)
 
-    def judged(self, value: float, step: float, study: Study, change: Change) -> MapCell:
+    def judged(self, own: _Cell) -> MapCell:
         """Return one cell with its state; see `stability_map`."""
-        key, asked = (self.true(study, step), value), step if self.accuracies else None
-        cell = MapCell(value, study.engine.dt if self.accuracies else step, UNTRIED, asked=asked)
-        if key not in self.truths or not study.ran(change, 0):
+        study, asked = own.study, own.step if self.accuracies else None
+        dt = self.engine.dt if self.accuracies else own.step
+        cell = MapCell(own.value, dt, UNTRIED, asked=asked)
+        if (study, own.value) not in self.truths or not study.ran(own.change, 0):
             return cell
-        (tracks,), truth = study.tracks([change], study.starts), self.truths[key]
+        (tracks,), truth = study.tracks([own.change], study.starts), self.truths[study, own.value]
         if tracks.failure:
             reason = tracks.failure.removeprefix("start 0: ")
             return dataclasses.replace(cell, state=EXPLODED, reason=reason)
@@ -309,9 +284,8 @@ class _Runs:
         far = apart(tracks, truth.tracks, study.engine.matter)
         error, most = (float(norm(far, truth.scored)[0]) for norm in (rms, largest))
         bound = asked or self.deviation
-        true = self.true(study, step)
         if most > FAR * self.size or (
-            error > bound and self.spin(study, change) > FAR * self.spin(true, truth.change)
+            error > bound and self.spin(study, own.change) > FAR * self.spin(study, truth.change)
         ):
             return dataclasses.replace(cell, state=EXPLODED, error=error)
         # Within what the true motion is unsure of, a cell cannot be judged.
@@ -327,31 +301,11 @@ class _Runs:
         least, engine = 2 * np.pi / self.horizon, study.engine
         if not isinstance(engine, Stepcore):
             return least
-        if (study, change) not in self.spins:
-            model = engine.model
-            hinges = [j for j, kind in enumerate(model.jnt_type) if kind == "hinge"]
-            speeds = run(engine.of(change), study.schedule, [0], record=("qvel",))["qvel"]
-            fastest = np.abs(speeds[0][:, model.jnt_dofadr[hinges]]).max(initial=0.0)
-            self.spins[study, change] = max(least, float(fastest))
-        return self.spins[study, change]
-
-
-def _accuracies(
-    engine: Engine, given: Sequence[float | str] | None, dts: Sequence[float | str] | None
-) -> list[float]:
-    """Return the accuracies of a map over them [m], ascending; empty of a map over dt."""
-    own = engine.settings(SHIPPED).accuracy
-    if given is None:
-        return [] if own is None or dts is not None else (own * np.geomspace(0.1, 100, 7)).tolist()
-    if dts is not None:
-        raise ValueError("accuracies and dts: give one of them, because steps choose their length")
-    if engine.name != "stepcore":
-        raise ValueError("accuracies: must be None, because MuJoCo's steps have a fixed length")
-    lengths = [
-        units.length("stability_map", f"accuracies[{k}]", value, engine.size)
-        for k, value in enumerate(checks.several("accuracies", given))
-    ]
-    return _ascending("accuracies", lengths)
+        model = engine.model
+        hinges = [j for j, kind in enumerate(model.jnt_type) if kind == "hinge"]
+        speeds = run(engine.of(change), study.schedule, [0], record=("qvel",))["qvel"]
+        fastest = np.abs(speeds[0][:, model.jnt_dofadr[hinges]]).max(initial=0.0)
+        return max(least, float(fastest))
 
 
 def _ran(engine: Engine, case: MapCase, horizon: float) -> str:
@@ -366,20 +320,32 @@ def _ran(engine: Engine, case: MapCase, horizon: float) -> str:
     return f"{seconds(horizon)} from {begin}; {drive}{law}{without_in_words(model)}"
 
 
-def _narrowed(case: MapCase, names: list[str] | None, key: str | int | None) -> MapCase:
+# --- what is mapped -------------------------------------------------------------------------------
+
+
+def _lesson(model: Any, path: str | None, deviation: float | str) -> MapCase | None:
+    """Return the lesson's map that is asked for, or None."""
+    if path is not None or model not in (None, "lesson:spring", "lesson:stack"):
+        return None
+    if model == "lesson:stack":
+        return maps.stack(units.length("stability_map", "deviation", deviation, maps.SMALL))
+    return maps.spring()
+
+
+def _narrowed(
+    case: MapCase, names: list[str] | None, key: str | int | None, accuracies: Sequence[float]
+) -> MapCase:
     """Return a map of the lesson, reduced to the named integrators."""
+    if accuracies:
+        raise ValueError("accuracies: the lesson's maps are over dt; name a value to map it")
     if key is not None:
-        raise ValueError(
-            f"key = {checks.shown(key)}: must be None, because the lesson's maps have their own "
-            "start"
-        )
+        text = "must be None, because the lesson's maps have their own start"
+        raise ValueError(f"key = {checks.shown(key)}: {text}")
     if names is None:
         return case
     if case.truth is not None:
-        raise ValueError(
-            f"integrators = {checks.shown(names)}: must be None, because the map of the stack is "
-            "by law and sweeps; name a value to map it by integrator"
-        )
+        text = "the map of the stack is by law and sweeps; name a value to map it by integrator"
+        raise ValueError(f"integrators = {checks.shown(names)}: must be None, because {text}")
     chosen = [setting for setting in case.settings if setting.label in names]
     return dataclasses.replace(case, settings=chosen)
 
@@ -388,31 +354,30 @@ def _case(
     setup: Setup, path: str | None, values: Sequence[float] | None, names: list[str] | None
 ) -> MapCase:
     """Return the map of a scene over a parameter, with one panel for each integrator."""
-    engine, key, model = setup.engine, setup.motion.key, None
+    engine, key = setup.engine, setup.motion.key
     if path is None:
         raise ValueError('path = None: must name the value to vary, as "joint/knee/stiffness"')
     names = names or [str(engine.settings(SHIPPED).integrator)]
-    present: object = None
+    model, present = None, None
     if engine.known:
         model = setup.model
-        element, field = find(model.scene, path)
-        present = getattr(element, field)
-        if key is None:
-            key = 0 if model.keys else None
-        else:
+        present = getattr(*find(model.scene, path))
+        if key is not None:
             model.index("key", key)
+        elif model.keys:
+            key = 0
     number = checks.number(present)
     if values is None and (number is None or number <= 0):
-        shown = checks.shown(present) if engine.known else "not known to stepcore"
-        raise ValueError(f"values = None: must be given, because {path} is {shown}")
-    boundaries = {} if model is None else {n: partial(_linear, model, path, key, n) for n in names}
+        known = checks.shown(present) if engine.known else "not known to stepcore"
+        raise ValueError(f"values = None: must be given, because {path} is {known}")
+    theory = {} if model is None else {n: partial(_linear, model, path, key, n) for n in names}
     return MapCase(
         model,
         path=path,
         axis=path,
         values=(np.geomspace(0.01, 100.0, 13) * (number or 1.0)).tolist(),
         dts=divisors(WHOLE * engine.dt, engine.dt * np.geomspace(0.1, 10.0, 13)),
-        settings=[MapSetting(n, {"integrator": n}, boundaries.get(n), GROWS) for n in names],
+        settings=[MapSetting(n, {"integrator": n}, theory.get(n), GROWS) for n in names],
         key=key,
     )
 
@@ -443,14 +408,22 @@ def limit_of_springs(model: Model, key: str | int | None, integrator: str) -> fl
     return largest_stable_dt(integrator, sim.mass_matrix(), stiffness, damping, late)
 
 
-def _check_steps(case: MapCase, horizon: float) -> None:
-    """Raise ValueError for a map that would take days."""
-    if horizon < max(case.dts):
-        raise ValueError(f"horizon = {horizon:g}: must be >= the largest dt")
-    finest, rows = min(case.dts), len(case.values) * len(case.settings)
-    runs = rows * sum(finest / dt for dt in case.dts)
-    words = f"in {rows * len(case.dts)} cells of which the finest have steps"
-    checks.steps(horizon, finest, runs, words, MOST_STEPS)
+def _accuracies(
+    engine: Engine, given: Sequence[float | str] | None, dts: Sequence[float | str] | None
+) -> list[float]:
+    """Return the accuracies of a map over them [m], ascending; empty of a map over dt."""
+    own = engine.settings(SHIPPED).accuracy
+    if given is None:
+        return [] if own is None or dts is not None else (own * np.geomspace(0.1, 100, 7)).tolist()
+    if dts is not None:
+        raise ValueError("accuracies and dts: give one of them, because steps choose their length")
+    if engine.name != "stepcore":
+        raise ValueError("accuracies: must be None, because MuJoCo's steps have a fixed length")
+    said = [
+        units.length("stability_map", f"accuracies[{k}]", value, engine.size)
+        for k, value in enumerate(checks.several("accuracies", given))
+    ]
+    return _ascending("accuracies", said)
 
 
 def _integrators(engine: Engine, asked: str | Sequence[str]) -> list[str]:
@@ -465,13 +438,11 @@ def _integrators(engine: Engine, asked: str | Sequence[str]) -> list[str]:
 
 def _ascending(name: str, values: Sequence[float]) -> list[float]:
     """Return positive numbers in ascending order, without repetition."""
-    some = list[float]()
-    for k, value in enumerate(checks.several(name, values)):
-        number = checks.number(value)
+    numbers = [checks.number(value) for value in checks.several(name, values)]
+    for k, number in enumerate(numbers):
         if number is None or number <= 0:
-            shown = checks.shown(value)
+            shown = checks.shown(values[k])
             raise ValueError(f"{name}[{k}] = {shown}: must be a finite number > 0")
-        some.append(number)
-    if len(set(some)) < len(some):
+    if len(set(numbers)) < len(numbers):
         raise ValueError(f"{name}: contains the same number twice")
-    return sorted(some)
+    return sorted(number for number in numbers if number is not None)
