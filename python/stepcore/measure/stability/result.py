@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 from stepcore.experiment.engines import FAR
 from stepcore.experiment.motion import Motion
+from stepcore.report.report import not_shown
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, metres, seconds
@@ -82,13 +83,7 @@ class StabilityMap(Result):
     """
 
     kind = "stability"
-    units: ClassVar = {
-        "dt": "s",
-        "error": "m",
-        "theory": "s",
-        "asked": "m",
-        "delivered over asked": "1",
-    }
+    units: ClassVar = {"dt": "s", "theory": "s"} | dict.fromkeys(("error", "asked"), "m")
 
     settings: Any
     motion: Motion
@@ -112,9 +107,8 @@ class StabilityMap(Result):
     @property
     def title(self) -> str:
         """The quantity measured, in a few words."""
-        if self.accuracies:
-            return f"{self.name}: error delivered over asked × {self.axis}"
-        return f"{self.name}: stability and accuracy over dt × {self.axis}"
+        what = "error delivered over asked" if self.accuracies else "stability and accuracy over dt"
+        return f"{self.name}: {what} × {self.axis}"
 
     @property
     def setup(self) -> str:
@@ -156,22 +150,17 @@ class StabilityMap(Result):
     @property
     def table(self) -> Table:
         """One row for each cell; theory: the largest stable dt of the cell's value [s]."""
-        return Table(
-            {
-                "setting": panel.label,
-                "value": cell.value,
-                "dt": cell.dt,
-                "state": cell.state,
-                "error": cell.error,
-                "theory": dict(zip(self.values, panel.boundary or [], strict=False)).get(
-                    cell.value
-                ),
-                "reason": cell.reason,
-            }
-            | ({"asked": cell.asked, "delivered over asked": cell.over} if cell.asked else {})
-            for panel in self.panels
-            for cell in panel.cells
-        )
+        rows: list[dict[str, Any]] = []
+        for panel in self.panels:
+            theory = dict(zip(self.values, panel.boundary or [], strict=False))
+            for cell in panel.cells:
+                row = {"setting": panel.label, "value": cell.value, "dt": cell.dt}
+                row |= {"state": cell.state, "error": cell.error, "theory": theory.get(cell.value)}
+                row["reason"] = cell.reason
+                if cell.asked:
+                    row |= {"asked": cell.asked, "delivered over asked": cell.over}
+                rows.append(row)
+        return Table(rows)
 
     def tables(self, full: bool) -> list[Table]:
         """Return the panels with one row for each value and one mark for each dt.
@@ -180,9 +169,8 @@ class StabilityMap(Result):
         """
         if full or len(self.panels) == 1:
             return [self._table(panel) for panel in self.panels]
-        table = self._table(self._first)
-        left = counted(len(self.panels) - 1, "other setting")
-        table.legend = f"Not shown: the maps of {left} (--all; in Python text(full=True))."
+        table, left = self._table(self._first), len(self.panels) - 1
+        table.legend = not_shown(f"the maps of {counted(left, 'other setting')}")
         return [table]
 
     @property
@@ -198,18 +186,15 @@ class StabilityMap(Result):
         rows: list[dict[str, Any]] = []
         for k, value in enumerate(self.values):
             cells = panel.at(value)
-            marks = "".join(SYMBOLS[cell.state] for cell in cells)
+            row = {"value": value, across: "".join(SYMBOLS[cell.state] for cell in cells)}
             if self.accuracies:
-                shares = " ".join("?" if math.isnan(c.over) else f"{c.over:.1g}" for c in cells)
-                rows.append({"value": value, across: marks, "delivered over asked": shares})
-                continue
-            good = [cell.dt for cell in cells if cell.state == ACCURATE]
-            unknown = not good and any(cell.state == FINITE for cell in cells)
-            row = {
-                "value": value,
-                across: marks,
-                "largest accurate": "unknown" if unknown else _dt(max(good, default=0.0)),
-            }
+                shares = ("?" if math.isnan(c.over) else f"{c.over:.1g}" for c in cells)
+                row["delivered over asked"] = " ".join(shares)
+            else:
+                good = [cell.dt for cell in cells if cell.state == ACCURATE]
+                unknown = not good and any(cell.state == FINITE for cell in cells)
+                most = _dt(max(good, default=0.0))
+                row["largest accurate"] = "unknown" if unknown else most
             if panel.boundary is not None:
                 row[panel.beyond] = _dt(panel.boundary[k])
             rows.append(row)
@@ -225,12 +210,8 @@ class StabilityMap(Result):
             "accuracies": list(self.accuracies),
             "deviation": self.deviation,
             "panels": [
-                {
-                    "setting": panel.label,
-                    "theory": panel.beyond or None,
-                    "boundary": panel.boundary,
-                }
-                for panel in self.panels
+                {"setting": p.label, "theory": p.beyond or None, "boundary": p.boundary}
+                for p in self.panels
             ],
         }
 
