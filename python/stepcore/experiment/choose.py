@@ -18,6 +18,8 @@ from stepcore.report.units import counted, metres
 
 T = TypeVar("T")
 
+# How often starts on which a choice fails may join it, and how many of them at a time.
+ROUNDS, JOIN = 8, 3
 # The confidence with which the bound of a proof holds.
 CONFIDENCE = 0.95
 

@@ -14,10 +14,9 @@ from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal, wi
 from stepcore.engine.norm import apart, largest, rms
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
-from stepcore.experiment.choose import Proof, greedy
+from stepcore.experiment.choose import JOIN, ROUNDS, Proof, greedy
 from stepcore.experiment.engines import visits
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import FLAGS
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.trial import Trial
@@ -28,16 +27,13 @@ from stepcore.report.units import metres
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
 
-# Readings of contacts and limits in a start, at most.
-READINGS = 500
 # Every feature first runs from so many starts; only features within the tolerance run from the
 # others.
 SCREENED = 2
-# How often starts that refuse the smallest model may join the choice, and how many at a time.
-ROUNDS, JOIN = 8, 3
-# The shares of the time (`seconds`) at which the converged motion, the features alone, the choice
-# and the tests on other starts end.
-CONVERGED, ALONE, CHOSEN, PROVEN = 0.4, 0.7, 0.85, 0.95
+# Flags of MJCF that say how is computed, and not what is modelled.
+METHOD = ("clampctrl", "filterparent", "eulerdamp")
+# The shares of the time (`seconds`) at which the converged motion is known, and the choice made.
+CONVERGED, CHOSEN = 0.4, 0.85
 
 
 @measurement()
@@ -83,32 +79,26 @@ def ablate(
     further = checks.count("further", further, least=0)
     setup = set_up(ablate, model, motion, fields, missing="no motion to keep", engine=engine)
     study = Study(motion=setup.motion, engine=setup.engine, workers=setup.workers)
-    time, known = setup.workers.deadline, setup.engine.known
+    time = setup.workers.deadline
     tolerance = units.length("ablate", "added", added, study.size)
     truth, notes = None, list[str]()
     with time.stage("the converged motion, and errors against it", CONVERGED):
         truth, notes = _truth(study, tolerance)
-    choice = Choice(study, tolerance, truth)
-    complete = False
-    with time.stage("some of the features", ALONE):
+    choice, complete, proof = Choice(study, tolerance, truth), False, None
+    with time.stage("some of the features, and the search for the smallest model", CHOSEN):
         choice.begin()
-    with time.stage("the whole search for the smallest model", CHOSEN):
         choice.choose()
         choice.settle(further)
         complete = True
-    proof = None
-    with time.stage(f"the test on {further} untouched starts", PROVEN):
+    with time.stage(f"the test on {further} untouched starts"):
         if further and choice.removed:
-            trial = choice.trial(choice.removed, study.fresh(further))
-            proof = Proof.of(trial, tolerance)
-    every = [Change(without=[one]) for one in choice.alone]
-    smallest = Change(without=choice.removed)
+            proof = Proof.of(choice.trial(choice.removed, study.fresh(further)), tolerance)
     times = dict[Change, float]()
     with time.closing(), time.stage("all timing"):
-        times = study.times([SHIPPED, *every, smallest])
-    cut = [one for one in choice.alone.values() if len(one.starts) < len(choice.starts)]
-    if cut:
-        notes.append(_screened(len(cut), len(choice.starts)))
+        every = [SHIPPED, *(trial.change for trial in choice.alone.values()), choice.best.change]
+        times = study.times(every)
+    if cut := sum(len(one.starts) < len(choice.starts) for one in choice.alone.values()):
+        notes.append(_screened(cut, len(choice.starts)))
 
     def effect(removal: Removal, trial: Trial) -> FeatureEffect:
         off = None if truth is None else choice.off(trial.change, truth)
@@ -118,16 +108,12 @@ def ablate(
     if engine == "stepcore":
         own = setup.model.scene.with_settings(setup.model.settings)
         scene = without(own, choice.removed)
-    ran = f"{study.schedule.drive or 'the controls given'}; in MuJoCo alone"
-    if known:
-        ran = motion_in_words(setup.model, setup.motion, study.schedule.part(0, len(study.starts)))
+    horizon, starts = study.schedule.horizon, len(study.starts)
     return Ablation(
         name=setup.name,
         settings=study.engine.settings(SHIPPED),
-        motion=dataclasses.replace(
-            setup.motion, horizon=study.schedule.horizon, starts=len(study.starts)
-        ),
-        horizon=study.schedule.horizon,
+        motion=dataclasses.replace(setup.motion, horizon=horizon, starts=starts),
+        horizon=horizon,
         starts=len(choice.starts),
         tolerance=tolerance,
         whole=effect(Removal("whole model", "", ()), choice.whole),
@@ -138,13 +124,13 @@ def ablate(
         smallest=scene,
         reference=None if truth is None else truth.error,
         notes=[*notes, *study.schedule.notes],
-        ran=ran,
+        ran=study.motion_ran,
         complete=complete,
     )
 
 
 def _truth(study: Study, tolerance: float) -> tuple[Truth | None, list[str]]:
-    """Return the converged motion of the whole model, or None and a note with the reason."""
+    """Return the converged motion of the whole model, or None, and what is to be said of it."""
     try:
         truth = study.truth(tolerance)
     except ValueError as error:
@@ -222,7 +208,7 @@ class Choice:
         """Return all features, grouped by what the motion from these starts uses."""
         engine = self.study.engine
         if engine.name == "mujoco":
-            return [Removal(flag, "", (("feature", flag),)) for flag in FLAGS if _acts(flag)]
+            return [Removal(flag, "", (("feature", flag),)) for flag in FLAGS if flag not in METHOD]
         features = RemovableFeatures(engine.model)
         return features.removals(usage_of(self.study, self.starts), engine.model.settings)
 
@@ -283,19 +269,11 @@ class Choice:
         return f"{said}; the search for the smallest model goes on"
 
 
-def _acts(flag: str) -> bool:
-    """Return whether a flag of MJCF stands for what is modelled, not for how it is computed."""
-    return flag not in ("clampctrl", "filterparent", "eulerdamp")
-
-
 def usage_of(study: Study, starts: Sequence[int]) -> MotionUsage:
     """Return which pairs of bodies touch and which joints reach a limit in the whole model."""
-    own = study.schedule
-    parts = [n for n in range(1, own.every + 1) if own.every % n == 0]
-    often = next((n for n in parts if own.periods // n <= READINGS), own.every)
     model = study.engine.model
     owner, touched, limited = model.geom_body.tolist(), set[tuple[int, int]](), set[int]()
-    for _, _, sim in visits(model, own, starts, often):
+    for _, _, sim in visits(model, study.schedule, starts, 1):
         contacts, rows = sim.contacts, sim.rows
         pairs = zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True)
         for bodies in ((owner[a], owner[b]) for a, b in pairs):

@@ -10,6 +10,7 @@ from stepcore.engine.features import Removal
 from stepcore.experiment.choose import Proof
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.trial import Trial
+from stepcore.report.report import not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
@@ -20,13 +21,13 @@ from stepcore.scene.scene import Scene
 UNUSED = ("colliders", "collider", "collider group", "self-collision", "limits", "limit")
 # Number of features printed in the short table.
 PRINTED = 10
-# Errors below this are rounding, amplified by the motion [m].
-MEASURABLE = 1e-9
+# Errors below this share of the tolerance are rounding, amplified by the motion.
+MEASURABLE = 1e-6
 LEGEND = (
     "saved: share of the floating-point operations per simulated second, negative if the variant "
     "costs more; µs: computing time saved per simulated second, as measured here; added: RMS "
     "position error added to the motion in the worst start [m]; max: the largest error added to "
-    "any body [m]; error: RMS position error against the converged motion in the worst start [m]"
+    "any body [m]; error: RMS position error against the converged motion in the worst start [m]."
 )
 # A measured saving below this share of the time is noise of the clock: least of five runs that take
 # turns, of one model under two names, differed by up to 4 % on half_cheetah and Go2.
@@ -71,15 +72,9 @@ class Ablation(Result):
     """
 
     kind = "ablation"
-    units: ClassVar = {
-        "saved": "1",
-        "flops": "1/s",
-        "cost": "µs/s",
-        "added": "m",
-        "added_median": "m",
-        "added_max": "m",
-        "error": "m",
-    }
+    units: ClassVar = {"saved": "1", "flops": "1/s", "cost": "µs/s"} | dict.fromkeys(
+        ("added", "added_median", "added_max", "error"), "m"
+    )
 
     settings: Any
     motion: Motion
@@ -103,24 +98,19 @@ class Ablation(Result):
     @property
     def setup(self) -> str:
         """The runs that were made."""
-        known = ""
-        if self.reference is not None:
-            known = f"; the uncertainty of the reference is {metres(self.reference)}"
-        features = counted(len(self.rows), "feature")
-        return f"{features} under {label(self.settings)}{known}."
+        said = f"{counted(len(self.rows), 'feature')} under {label(self.settings)}"
+        if self.reference is None:
+            return f"{said}."
+        return f"{said}; the uncertainty of the reference is {metres(self.reference)}."
 
     def saved(self, row: FeatureEffect) -> float:
         """Return the share of the whole model's operations that a row saves; NaN if it fails."""
         whole = self.whole.trial.work
         return math.nan if row.trial.failure else (whole - row.trial.work) / whole
 
-    def time_saved(self, row: FeatureEffect) -> float:
-        """Return the share of the measured computing time that a row saves; NaN if not timed."""
-        return (self.whole.cost - row.cost) / self.whole.cost
-
     def measurable(self, row: FeatureEffect) -> bool:
         """Return whether the error that a row adds is more than rounding."""
-        return row.trial.error >= MEASURABLE
+        return row.trial.error >= MEASURABLE * self.tolerance
 
     @property
     def in_file(self) -> str:
@@ -128,55 +118,46 @@ class Ablation(Result):
         flags = " ".join(f'{removal.kind}="disable"' for removal in self.removed)
         return f"<option><flag {flags}/></option>" if flags else ""
 
+    def sorted(self) -> list[FeatureEffect]:
+        """Return the rows, largest saving first, failures last."""
+        return sorted(self.rows, key=lambda row: (bool(row.trial.failure), -self.saved(row)))
+
     @property
     def table(self) -> Table:
         """Each feature removed alone; units as in `FeatureEffect` and `Trial`."""
         return Table(self.record(row) for row in self.rows)
 
-    def sorted(self) -> list[FeatureEffect]:
-        """Return the rows, largest saving first, failures last."""
-        shares = [(self.saved(row), i) for i, row in enumerate(self.rows)]
-        order = sorted((math.isnan(share), -share, i) for share, i in shares)
-        return [self.rows[i] for *_, i in order]
-
     def record(self, row: FeatureEffect) -> dict[str, Any]:
         """Return one row as plain data."""
-        trial = row.trial
-        failed = bool(trial.failure)
+        trial, own = row.trial, row.trial.record()
         return {
             "feature": row.removal.kind,
             "name": row.removal.name,
             "saved": self.saved(row),
-            "flops": None if failed else trial.work,
+            "flops": None if trial.failure else trial.work,
             "cost": row.cost,
-            "added": None if failed else trial.error,
-            "added_median": None if failed else trial.median,
-            "added_max": None if failed else float(trial.largest.max()),
+            "added": own["error"],
+            "added_median": own["median"],
+            "added_max": own["largest"],
             "error": row.error,
             "left_out": row.removal in self.removed,
-            "failure": trial.failure or None,
+            "failure": own["failure"],
         }
 
     def details(self) -> dict[str, Any]:
         """Return the tolerance, the whole model and the smallest as plain data."""
         proof = self.proof
+        known = None if proof is None else proof.record() | {"added": proof.trial.error}
+        smallest = self.record(self.best) | {
+            "without": [removal.label for removal in self.removed],
+            "proof": known,
+            "mjcf": self.in_file if self.smallest is None else self.smallest.to_mjcf(),
+        }
         return {
             "tolerance": self.tolerance,
             "reference_error": self.reference,
             "whole": self.record(self.whole),
-            "smallest": {
-                **self.record(self.best),
-                "without": [removal.label for removal in self.removed],
-                "proof": None
-                if proof is None
-                else {
-                    "starts": proof.starts,
-                    "missed": proof.missed,
-                    "share": proof.share,
-                    "added": proof.trial.error,
-                },
-                "mjcf": self.in_file if self.smallest is None else self.smallest.to_mjcf(),
-            },
+            "smallest": smallest,
         }
 
     def tables(self, full: bool) -> list[Table]:
@@ -187,57 +168,50 @@ class Ablation(Result):
         full: whether to include every feature; otherwise only the removed features and the largest
             savings.
         """
-        features = self.sorted()
+        features, legend = self.sorted(), LEGEND
         if not full and len(features) > PRINTED + 1:
-            first = [row.removal in self.removed for row in features]
-            order = sorted(range(len(features)), key=lambda k: (not first[k], k))
-            features = [features[k] for k in sorted(order[:PRINTED])]
-        rows = [self.whole, *features, self.best]
+            first = sorted(features, key=lambda row: row.removal not in self.removed)[:PRINTED]
+            legend += f" {not_shown(counted(len(features) - PRINTED, 'feature'))}"
+            features = [row for row in features if row in first]
+        cells = [self._cells(row) for row in (self.whole, *features, self.best)]
         formats = dict.fromkeys(("saved", "µs", "added", "max", "error"), "")
-        legend = LEGEND
-        left = len(self.rows) - len(features)
-        if left:
-            legend += f". Not shown: {counted(left, 'feature')} (--all; in Python text(full=True))"
-        return [Table([self._cells(row) for row in rows], formats=formats, legend=legend)]
+        return [Table(cells, formats=formats, legend=legend)]
 
     def _cells(self, row: FeatureEffect) -> dict[str, Any]:
-        trial, share = row.trial, self.saved(row)
-        mark = "*" if row.removal in self.removed else ""
-        cells: dict[str, Any] = {"": mark, "without": row.removal.label}
-        if row is self.whole:
-            cells |= {"without": "nothing (the whole model)", "saved": "", "µs": ""}
-        else:
-            if row is self.best:
-                cells["without"] = "all marked *"
-            cells["saved"] = "failed" if math.isnan(share) else percent(share)
-            cells["µs"] = "" if math.isnan(row.cost) else f"{self.whole.cost - row.cost:.0f}"
-        cells["added"] = "" if trial.failure else _rounded(trial.error)
-        cells["max"] = "" if trial.failure else _rounded(float(trial.largest.max()))
-        cells["error"] = "" if row.error is None else compact(row.error)
-        return cells
+        trial, names = row.trial, {id(self.whole): "nothing (the whole model)"}
+        names[id(self.best)] = "all marked *"
+        saved = "failed" if trial.failure else percent(self.saved(row))
+        spared = "" if math.isnan(row.cost) else f"{self.whole.cost - row.cost:.0f}"
+        least = MEASURABLE * self.tolerance
+        added = ["0" if a < least else compact(a) for a in (trial.error, trial.largest.max())]
+        return {
+            "": "*" if row.removal in self.removed else "",
+            "without": names.get(id(row), row.removal.label),
+            "saved": "" if row is self.whole else saved,
+            "µs": "" if row is self.whole else spared,
+            "added": "" if trial.failure else added[0],
+            "max": "" if trial.failure else added[1],
+            "error": "" if row.error is None else compact(row.error),
+        }
 
     @property
     def sentences(self) -> list[str]:
         """The smallest model, features without effect, the largest effect, and failures."""
-        sentences = self._smallest()
-        whole = self.whole.trial.work
-        unused = [
-            row.removal.label
-            for row in self.rows
-            if row.trial.error == 0.0 and row.trial.work < whole
-        ]
-        if unused:
-            sentences.append(f"The motion is bit-identical without: {'; '.join(unused)}.")
+        said, whole = self._smallest(), self.whole.trial.work
+        alike = [r for r in self.rows if r.trial.error == 0.0 and r.trial.work < whole]
+        if alike:
+            labels = "; ".join(row.removal.label for row in alike)
+            said.append(f"The motion is bit-identical without: {labels}.")
         ran = [row for row in self.rows if not row.trial.failure]
         largest = max(ran, key=lambda row: row.trial.error, default=None)
         if largest is not None and largest.trial.error > self.tolerance:
-            sentences.append(
+            said.append(
                 f"The largest effect: without {largest.removal.label} the error in the worst start "
                 f"is {metres(largest.trial.error)}."
             )
         failed = [row for row in self.rows if row.trial.failure]
-        return sentences + [
-            f"Without {row.removal.label} the run fails: {row.trial.failure}." for row in failed
+        return said + [
+            f"Without {r.removal.label} the run fails: {r.trial.failure}." for r in failed
         ]
 
     def _smallest(self) -> list[str]:
@@ -246,50 +220,37 @@ class Ablation(Result):
         if not self.removed and not self.complete:
             return [f"A smaller model within {within} has not been found so far."]
         if not self.removed:
-            return [
-                f"No feature can be removed within {within}: removing any that costs work adds a "
-                "larger error."
-            ]
+            text = "removing any that costs work adds a larger error"
+            return [f"No feature can be removed within {within}: {text}."]
+        starts = counted(self.starts, "start")
+        added = f"It adds an error of {metres(self.best.trial.error)} in the worst of {starts}."
+        if not self.measurable(self.best):
+            added = f"It adds no measurable error from {starts}."
         listed = "; ".join(removal.label for removal in self.removed)
-        sentences = [self._gain(within), f"It leaves out {listed}.", self._added()]
-        sentences += [] if self.proof is None else [self.proof.words]
-        if self.smallest is None:
-            sentences.append(f"In the file: {self.in_file}")
+        said = [self._gain(within), f"It leaves out {listed}.", added]
+        said += [] if self.proof is None else [self.proof.words]
+        said += [f"In the file: {self.in_file}"] if self.smallest is None else []
         if any(removal.kind in UNUSED for removal in self.removed):
-            sentences.append(
+            said.append(
                 "What this motion never touches or reaches, another may: give your own motion "
                 "before you remove it."
             )
-        return sentences
+        return said
 
     def _gain(self, within: str) -> str:
         """Describe the work and the time that the smallest model saves."""
-        share, quicker = percent(self.saved(self.best)), self.time_saved(self.best)
+        share = percent(self.saved(self.best))
         saves = f"he smallest model within {within} saves {share} of the floating-point operations"
+        quicker = (self.whole.cost - self.best.cost) / self.whole.cost
         if math.isnan(quicker):
             return f"T{saves}."
         if quicker > NOISE:
             return f"T{saves}, and {100 * quicker:.0f} % of the computing time as measured here."
         if quicker < -NOISE:
-            return (
-                f"No gain: t{saves}, but takes {-100 * quicker:.0f} % more time as measured here."
-            )
+            more = f"{-100 * quicker:.0f} % more time as measured here"
+            return f"No gain: t{saves}, but takes {more}."
         return f"No measurable gain in speed: t{saves}, and takes about the same time here."
 
-    def _added(self) -> str:
-        """Describe the error of the smallest model on the starts of the choice."""
-        starts = counted(self.starts, "start")
-        if not self.measurable(self.best):
-            return f"It adds no measurable error from {starts}."
-        return f"It adds an error of {metres(self.best.trial.error)} in the worst of {starts}."
-
     def __repr__(self) -> str:
-        return (
-            f"<Ablation {self.name}: {len(self.rows)} features, {len(self.removed)} removed "
-            f"within {metres(self.tolerance)}>"
-        )
-
-
-def _rounded(added: float) -> str:
-    """Return an error for the table; errors that are rounding are 0."""
-    return "0" if added < MEASURABLE else compact(added)
+        left_out = f"{len(self.removed)} removed within {metres(self.tolerance)}"
+        return f"<Ablation {self.name}: {len(self.rows)} features, {left_out}>"

@@ -18,7 +18,7 @@ import numpy as np
 from stepcore.deadline import OutOfTime
 from stepcore.engine.norm import Tracks, apart, rms
 from stepcore.experiment.change import Change
-from stepcore.experiment.choose import Proof, least
+from stepcore.experiment.choose import JOIN, ROUNDS, Proof, least
 from stepcore.experiment.study import SHIPPED, TOGETHER, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Truth
@@ -40,8 +40,6 @@ REFINED, ROUNDING = 3, 1e-11
 # choice is made, and when the last one is. Of 72 starts whose converged motion is computed, 8 are
 # those of the search, and 32 those of each test.
 KNOWING, SEARCHING, SETTLING = 0.3, 0.5, 0.75
-# How often starts on which a choice fails may join the search, and how many of them at a time.
-ROUNDS, JOIN = 8, 3
 # The truth of further starts is first known to this multiple of what the search needs. Where that
 # leaves open whether a start holds, it is made finer, so often, down to this share of the error.
 COARSE, CLEARER, FINEST_TRUTH = 3.0, 3, 0.01
