@@ -13,7 +13,6 @@ from stepcore.experiment.arguments import MeasurementFields, Source, measurement
 from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import Horizon, affordable, horizon_of
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.schedule import HORIZON, STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.measure.monitors import monitored
@@ -30,8 +29,6 @@ USEFUL = 0.5
 LESS = (1.0, 0.5, 0.1)
 # The shares of the time (`seconds`) at which the search and the test on untouched starts end.
 SEARCHED, PROVEN = 0.7, 0.9
-# Newton's method where the scene ships another.
-NEWTON = {"sweeps": 100}
 
 
 @measurement()
@@ -125,14 +122,11 @@ def trade(
     held = motion.period(shipped.dt)
     steps, period = time_steps(shipped.dt, dts, held, far.length)
     study = Study(motion=motion, engine=runs, period=period, effort=effort, by=by, workers=workers)
-    ran = f"{study.schedule.drive or 'the controls given'}; in MuJoCo alone"
-    if runs.known:
-        ran = motion_in_words(setup.model, motion, study.schedule)
     target = None if error is None else units.length("trade", "error", error, study.size)
     result = Trade(
         name=setup.name,
         motion=motion,
-        ran=far.after(ran),
+        ran=far.after(study.motion_ran),
         model=setup.model if runs.known else None,
         engine=engine,
         schedule=study.schedule,
@@ -229,32 +223,24 @@ def grid(
     Unless precisions are given, single precision is tried with only one number of sweeps.
     """
     shipped, families = study.engine.settings(SHIPPED), study.engine.families(study.schedule)
-    used = (dict(f.settings).get("integrator", shipped.integrator) for f in families)
-    names = integrators or list(dict.fromkeys(used))
+    own = {"integrator": shipped.integrator, "solver": shipped.solver, "sweeps": shipped.sweeps}
+    used = [own, *(own | {k: v for k, v in f.settings if k in own} for f in families)]
     methods = list[dict[str, Any]]()
-    own = list(dict.fromkeys([shipped.solver, *(dict(f.settings).get("solver") for f in families)]))
-    for solver in solvers or [name for name in own if name]:
-        if solver == "newton":
-            methods.append({"solver": "newton"} | ({} if shipped.solver == solver else NEWTON))
-        else:
-            known = [dict(f.settings).get("sweeps") for f in families if _is_pgs(f)]
-            mine = [shipped.sweeps] if shipped.solver == "pgs" else []
-            counts = sweeps or list(dict.fromkeys([*mine, *filter(None, known)])) or [1]
-            methods += [{"solver": "pgs", "sweeps": count} for count in counts]
+    for solver in solvers or dict.fromkeys(one["solver"] for one in used):
+        counts = list(dict.fromkeys(one["sweeps"] for one in used if one["solver"] == solver))
+        counts = list(sweeps or counts) if solver == "pgs" else counts[:1]
+        methods += [{"solver": solver, "sweeps": n} for n in counts or [shipped.sweeps]]
     if precisions is None:
         single = {m["solver"]: m | {"precision": "f32"} for m in methods}
         methods = [m | {"precision": "f64"} for m in methods]
         methods += list(single.values()) if study.engine.name == "stepcore" else []
     else:
         methods = [m | {"precision": p} for p in precisions for m in methods]
+    names = integrators or dict.fromkeys(one["integrator"] for one in used)
     return [
         Change.between(shipped.replace(accuracy=None, dt=dt, integrator=name, **method), shipped)
         for dt, name, method in itertools.product(dts, names, methods)
     ]
-
-
-def _is_pgs(family: Change) -> bool:
-    return dict(family.settings).get("solver") == "pgs"
 
 
 def within(study: Study, accuracies: Sequence[float | str] | None) -> list[Change]:
