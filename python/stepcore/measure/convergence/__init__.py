@@ -13,9 +13,9 @@ from stepcore import checks
 from stepcore.engine.norm import apart, rms
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
-from stepcore.experiment.horizon import Horizon, affordable, horizon_of
+from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.schedule import HORIZON, divides, often
+from stepcore.experiment.schedule import divides, often
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import Truth
@@ -83,11 +83,9 @@ def converge(
     if motion.control_dt is not None and not divides(shipped.dt, motion.control_dt):
         limit = f"must be a whole number of steps of {shipped.dt:g} s"
         raise ValueError(f"control_dt = {motion.control_dt:g}: {limit}")
-    motion = dataclasses.replace(motion, starts=motion.starts or STARTS)
-    far = Horizon(motion.horizon or HORIZON)
-    if setup.engine.known:
-        far = horizon_of(setup.model, motion, cost=affordable(EFFORT, motion.starts or STARTS))
-    motion = dataclasses.replace(motion, horizon=far.length if far.words else motion.horizon)
+    starts = motion.starts or STARTS
+    motion = dataclasses.replace(motion, starts=starts)
+    motion, far = settled_motion(setup.engine, motion, starts, EFFORT)
     frame, period = periods(shipped, motion.period(shipped.dt), far.length)
     study = Study(motion=motion, engine=setup.engine, period=period, workers=workers)
     dts, splits, more = other_steps(study), equal_work(frame), four_times(shipped)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
@@ -11,15 +10,15 @@ from stepcore import checks
 from stepcore._core import Settings
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
-from stepcore.experiment.horizon import Horizon, affordable, horizon_of
+from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.schedule import HORIZON, STARTS, time_steps
+from stepcore.experiment.schedule import STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.measure.monitors import monitored
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.search import UNSURE, Search, proven, settled
 from stepcore.report import units
-from stepcore.report.units import counted, metres, rounded
+from stepcore.report.units import counted, rounded
 
 __all__ = ["Trade", "trade"]
 
@@ -110,24 +109,21 @@ def trade(
     if mujoco and engine == "mujoco":
         raise ValueError("mujoco = True: must be False where the engine is MuJoCo already")
     setup = set_up(trade, model, motion, fields, missing="no motion to trade", engine=engine)
-    runs, motion, workers = setup
-    shipped = runs.settings(SHIPPED)
+    shipped, workers = setup.engine.settings(SHIPPED), setup.workers
     limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
-    starts = motion.starts or STARTS
-    far = Horizon(motion.horizon or HORIZON)
-    if runs.known:
-        far = horizon_of(setup.model, motion, cost=affordable(effort, starts))
-    if far.words:
-        motion = dataclasses.replace(motion, horizon=far.length)
-    held = motion.period(shipped.dt)
+    starts = setup.motion.starts or STARTS
+    ran, far = settled_motion(setup.engine, setup.motion, starts, effort)
+    held = ran.period(shipped.dt)
     steps, period = time_steps(shipped.dt, dts, held, far.length)
-    study = Study(motion=motion, engine=runs, period=period, effort=effort, by=by, workers=workers)
+    how: dict[str, Any] = {"period": period, "effort": effort, "by": by, "workers": workers}
+    study = Study(motion=ran, engine=setup.engine, **how)
     target = None if error is None else units.length("trade", "error", error, study.size)
+    known = setup.engine.known
     result = Trade(
         name=setup.name,
-        motion=motion,
+        motion=ran,
         ran=far.after(study.motion_ran),
-        model=setup.model if runs.known else None,
+        model=setup.model if known else None,
         engine=engine,
         schedule=study.schedule,
         target=target,
@@ -135,12 +131,11 @@ def trade(
         by=by,
         effort=effort,
         size=study.size,
-        notes=[*study.schedule.notes, *(setup.model.scene.notes if runs.known else ())],
+        notes=[*study.schedule.notes, *(setup.model.scene.notes if known else ())],
     )
     search_ = Search.of(study, None if full else target, held=held is not None)
     result.reference, result.shipped = search_.truth, search_.shipped
-    wrong = metres(search_.shipped.error)
-    workers.deadline.so_far(f"error as shipped {wrong}, ± {metres(search_.truth.error)}")
+    workers.deadline.so_far(search_.so_far())
     if full:
         with workers.deadline.stage("some of the settings", SEARCHED):
             search_.grid([*grid(study, steps, **axes), *within(study, accuracies)])
@@ -148,47 +143,52 @@ def trade(
         with workers.deadline.stage("the rest of the search", SEARCHED):
             _searched(result, search_, further)
     result.take(search_)
-    result.ended = search_.ended
-    if further and not full and result.chosen is not None and target is not None:
-        said = search_.so_far(result.chosen)
-        workers.deadline.so_far(f"{said}; {counted(further, 'untouched start')} are to prove it")
-        with workers.deadline.stage(f"the test on {further} untouched starts", PROVEN):
-            result.proof = proven(study, result.chosen.change, result.asked, further)
-    result.runs = study.runs
-    if by == "time":
-        with workers.deadline.closing(), workers.deadline.stage("all timing"):
-            named = [result.shipped, *result.named]
-            result.times = study.times([trial.change for trial in named if not trial.failure])
-    if engine == "stepcore":
-        with workers.deadline.stage("the findings on the shipped settings"):
-            result.findings = monitored(setup.model, study.schedule)[0]
+    _proven_and_timed(result, search_, 0 if full or target is None else further)
     if mujoco:
         with workers.deadline.stage("the same trade in MuJoCo"):
             own: Any = {"threads": fields.get("threads"), "executor": fields.get("executor")}
             asked: Any = {"error": error, "budget": budget, "by": by, "effort": effort}
-            again = trade(model, motion, engine="mujoco", further=0, **asked, **own, progress=False)
+            again = trade(model, ran, engine="mujoco", further=0, **asked, **own, progress=False)
             result.compare(again)
     return result
 
 
+def _proven_and_timed(result: Trade, search: Search, further: int) -> None:
+    """Test the choice on untouched starts, measure times, and look for findings."""
+    study, deadline = search.study, search.study.workers.deadline
+    if further and result.chosen is not None:
+        test = f"{counted(further, 'untouched start')}"
+        deadline.so_far(f"{search.so_far(result.chosen)}; {test} are to prove it")
+        with deadline.stage(f"the test on {further} untouched starts", PROVEN):
+            result.proof = proven(study, result.chosen.change, result.asked, further)
+    result.runs = study.runs
+    if result.by == "time":
+        with deadline.closing(), deadline.stage("all timing"):
+            named = [result.shipped, *result.named]
+            result.times = study.times([trial.change for trial in named if not trial.failure])
+    if result.engine == "stepcore":
+        with deadline.stage("the findings on the shipped settings"):
+            result.findings = monitored(study.model, study.schedule)[0]
+
+
 def _searched(result: Trade, search: Search, further: int) -> None:
     """Search for what was asked: an error, a budget, or what less error would cost."""
-    truth = search.truth
+    unsure, target = search.truth.error, result.target
     if result.budget is not None:
         result.chosen = search.most_accurate(result.budget)
-    elif result.target is None:
+        return
+    if target is None:
         for share in LESS:
             search.cheapest(share * search.shipped.error)
-    else:
-        if truth.error > UNSURE * result.target:
-            # What the converged motion is known to, an error can be found within.
-            least = rounded(truth.error / UNSURE, 2, up=True)
-            useful = least <= USEFUL * search.moved
-            result.verified = least if useful else None
-        if truth.error <= result.target or result.verified is not None:
-            result.chosen = settled(search, result.asked, further)
-            if result.chosen is not None:
-                search.cheapest(result.chosen.error / 2)
+        return
+    if unsure > UNSURE * target:
+        # What the converged motion is known to, an error can be found within.
+        least = rounded(unsure / UNSURE, 2, up=True)
+        result.verified = least if least <= USEFUL * search.moved else None
+    if unsure <= target or result.verified is not None:
+        result.chosen = settled(search, result.asked, further)
+        if result.chosen is not None:
+            search.cheapest(result.chosen.error / 2)
 
 
 def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None], engine: str) -> bool:

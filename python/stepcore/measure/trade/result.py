@@ -123,7 +123,7 @@ class Trade(Result):
         """Take over what a search has tried, without the poses of all bodies."""
         if self.starts == len(search.truth.starts):
             self.reference, self.shipped = search.truth, search.shipped
-        self.moved = search.moved
+        self.moved, self.ended = search.moved, search.ended
         light = [dataclasses.replace(trial, tracks=None) for trial in search.trials.values()]
         self.rows = sorted(light, key=lambda trial: (-trial.dt, trial.cost))
         if self.chosen is None and self.target is not None:

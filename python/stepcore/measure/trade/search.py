@@ -150,14 +150,15 @@ class Search:
                 self.study.workers.deadline.so_far(self.so_far(best))
         return self._adaptive(error, best)
 
-    def so_far(self, best: Trial) -> str:
+    def so_far(self, best: Trial | None = None) -> str:
         """Return what is known of the shipped and of the best settings so far, in words."""
         shipped = self.shipped
+        said = f"error as shipped {metres(shipped.error)}, ± {metres(self.truth.error)}"
+        if best is None:
+            return said
+        cost = f"{times(best.cost / shipped.cost)} the shipped cost"
         named = best.change.label(shipped.settings)
-        return (
-            f"error as shipped {metres(shipped.error)}, ± {metres(self.truth.error)}; best "
-            f"{named}: {metres(best.error)} at {times(best.cost / shipped.cost)} the shipped cost"
-        )
+        return f"{said}; best {named}: {metres(best.error)} at {cost}"
 
     @cached_property
     def families(self) -> list[Change]:
