@@ -21,6 +21,7 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import PositionTable
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import begin_in_words, scene_in_words
+from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.single_run import Push, SingleRun, drive_of
 from stepcore.loading import find_model
 from stepcore.measure.monitors import Finding, Recording, shown, verified
@@ -34,8 +35,6 @@ from stepcore.report.units import computing, counted, seconds, times
 if TYPE_CHECKING:
     from typing import Unpack
 
-# The default horizon [s].
-HORIZON = 1.0
 # The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
 # The number of rows of the final state that are printed by default.

@@ -23,6 +23,8 @@ from stepcore.report.units import NAMES, counted
 NARROWEST, PROSE = 20, 100
 # The maximum number of lines of a short report; further notes are only counted.
 SCREEN = 40
+# Rows of a short table.
+SHORT = 10
 # The prefix of a sentence that is a list item below the preceding sentence.
 ITEM = "- "
 # A number and its unit are joined by this space, to keep both on one line.

@@ -10,6 +10,7 @@ from typing import Unpack
 import numpy as np
 
 from stepcore import checks
+from stepcore.deadline import PROVEN
 from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal, without
 from stepcore.engine.norm import apart, largest, rms
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
@@ -32,8 +33,8 @@ __all__ = ["Ablation", "FeatureEffect", "ablate"]
 SCREENED = 2
 # Flags of MJCF that say how is computed, and not what is modelled.
 METHOD = ("clampctrl", "filterparent", "eulerdamp")
-# The shares of the time (`seconds`) at which the converged motion is known, and the choice made.
-CONVERGED, CHOSEN = 0.4, 0.85
+# The share of the time (`seconds`) at which the converged motion is known.
+CONVERGED = 0.4
 
 
 @measurement()
@@ -85,7 +86,7 @@ def ablate(
     with time.stage("the converged motion, and errors against it", CONVERGED):
         truth, notes = _truth(study, tolerance)
     choice, complete, proof = Choice(study, tolerance, truth), False, None
-    with time.stage("some of the features, and the search for the smallest model", CHOSEN):
+    with time.stage("some of the features, and the search for the smallest model", PROVEN):
         choice.begin()
         choice.choose()
         choice.settle(further)

@@ -10,7 +10,7 @@ from stepcore.engine.features import Removal
 from stepcore.experiment.choose import Proof
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.trial import Trial
-from stepcore.report.report import not_shown
+from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
@@ -19,8 +19,6 @@ from stepcore.scene.scene import Scene
 
 # Kinds of features that a motion may merely not use.
 UNUSED = ("colliders", "collider", "collider group", "self-collision", "limits", "limit")
-# Number of features printed in the short table.
-PRINTED = 10
 # Errors below this share of the tolerance are rounding, amplified by the motion.
 MEASURABLE = 1e-6
 LEGEND = (
@@ -169,9 +167,9 @@ class Ablation(Result):
             savings.
         """
         features, legend = self.sorted(), LEGEND
-        if not full and len(features) > PRINTED + 1:
-            first = sorted(features, key=lambda row: row.removal not in self.removed)[:PRINTED]
-            legend += f" {not_shown(counted(len(features) - PRINTED, 'feature'))}"
+        if not full and len(features) > SHORT + 1:
+            first = sorted(features, key=lambda row: row.removal not in self.removed)[:SHORT]
+            legend += f" {not_shown(counted(len(features) - SHORT, 'feature'))}"
             features = [row for row in features if row in first]
         cells = [self._cells(row) for row in (self.whole, *features, self.best)]
         formats = dict.fromkeys(("saved", "µs", "added", "max", "error"), "")
@@ -183,14 +181,15 @@ class Ablation(Result):
         saved = "failed" if trial.failure else percent(self.saved(row))
         spared = "" if math.isnan(row.cost) else f"{self.whole.cost - row.cost:.0f}"
         least = MEASURABLE * self.tolerance
-        added = ["0" if a < least else compact(a) for a in (trial.error, trial.largest.max())]
+        wrong = [] if trial.failure else [trial.error, float(trial.largest.max())]
+        added = ["0" if far < least else compact(far) for far in wrong] or ["", ""]
         return {
             "": "*" if row.removal in self.removed else "",
             "without": names.get(id(row), row.removal.label),
             "saved": "" if row is self.whole else saved,
             "µs": "" if row is self.whole else spared,
-            "added": "" if trial.failure else added[0],
-            "max": "" if trial.failure else added[1],
+            "added": added[0],
+            "max": added[1],
             "error": "" if row.error is None else compact(row.error),
         }
 

@@ -10,6 +10,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from stepcore import checks
+from stepcore.deadline import SEARCHED
 from stepcore.engine.norm import apart, rms
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
@@ -37,8 +38,6 @@ SPLITS = ((64, 1), (16, 4), (4, 16), (1, 64))
 FACTORS = (4, 2, 1, 1 / 2, 1 / 4, 1 / 8)
 # The default number of starts.
 STARTS = 3
-# The share of the time (`seconds`) at which the runs end.
-RUN = 0.7
 
 
 @measurement()
@@ -100,9 +99,10 @@ def converge(
     def done() -> list[Change]:
         return [c for c in every if all(study.ran(c, start) for start in study.starts)]
 
-    with workers.deadline.stage(
-        lambda: f"{len(every) - len(done())} of {len(every)} settings", RUN
-    ):
+    def left_out() -> str:
+        return f"{len(every) - len(done())} of {len(every)} settings"
+
+    with workers.deadline.stage(left_out, SEARCHED):
         study.tracks(every, study.starts, "runs")
     with workers.deadline.closing():
         trials = {trial.change: trial for trial in study.run(done())}

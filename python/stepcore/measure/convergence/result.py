@@ -14,7 +14,7 @@ from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import Truth
 from stepcore.measure.convergence.sweeps import ROUNDING, SWEEPS, ResidualHistory, RowForce
 from stepcore.measure.monitors import Finding
-from stepcore.report.report import not_shown
+from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
@@ -24,8 +24,8 @@ from stepcore.report.units import compact, counted, metres, seconds, speed
 # solvers stop at tolerances that leave as much. Errors that differ by less than the factor count as
 # equal. A body at rest moves less than the last share of the distance during the whole motion.
 NOTABLE, ALIKE, STILL = 1e-5, 1.2, 0.1
-# The number of rows in a short table, and of those that a sentence names.
-PRINTED, NAMED = 5, 3
+# The number of rows that a sentence names.
+NAMED = 3
 
 
 class Split(NamedTuple):
@@ -223,9 +223,9 @@ class Convergence(Result):
             return [rows, self.steps, self.work, self.sweeps] if known else [self.steps, self.work]
         if not known or (self.verdict == "solved" and self.settings.solver != "pgs"):
             return [self.steps]
-        few = rows[:PRINTED]
-        if len(rows) > PRINTED:
-            few.legend += f" {not_shown(counted(len(rows) - PRINTED, 'row'))}"
+        few = rows[:SHORT]
+        if len(rows) > SHORT:
+            few.legend += f" {not_shown(counted(len(rows) - SHORT, 'row'))}"
         return [few, self.steps]
 
     def details(self) -> dict[str, Any]:

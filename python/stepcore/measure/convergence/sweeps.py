@@ -18,10 +18,10 @@ from stepcore.experiment.schedule import Schedule
 
 # Numbers of sweeps after which the residual and the distance to the solution are read.
 SWEEPS = tuple(2**k for k in range(13))
-# The solution is swept to this residual, relative to the rows' speeds, or up to this number of row
-# updates (seconds). Distances are read down to the third number, relative to the largest one: far
-# above rounding, which PGS keeps. A solution with a larger residual is of no use as one.
-ROUNDING, MOST_UPDATES, READABLE = 1e-12, 4e6, 1e-9
+# The solution is swept to this residual, relative to the rows' speeds. Distances are read down to
+# the second number, relative to the largest one: far above rounding, which PGS keeps. A solution
+# with a larger residual is of no use as one.
+ROUNDING, READABLE = 1e-12, 1e-9
 
 
 @dataclass(frozen=True)
@@ -120,13 +120,8 @@ def residual_history(model: Model, settings: Settings, state: MotionState) -> Re
 
     shipped = at(settings)
     rows, speed = len(shipped.rows), _speed(shipped)
-    solution = at(
-        converged_settings(
-            settings,
-            sweeps=int(max(1000, MOST_UPDATES / max(1, rows))),
-            tolerance=0.0 if settings.law == "solref" else ROUNDING * speed,
-        )
-    )
+    tolerance = 0.0 if settings.law == "solref" else ROUNDING * speed
+    solution = at(converged_settings(settings, tolerance=tolerance))
     target, mass = np.array(solution.qacc), solution.mass_matrix()
 
     def size(acceleration: np.ndarray) -> float:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 
 from stepcore import checks
-from stepcore.deadline import OutOfTime
+from stepcore.deadline import SEARCHED, OutOfTime
 from stepcore.engine.linear_maps import implicit_kinds
 from stepcore.engine.model import Model
 from stepcore.engine.norm import apart, largest, rms
@@ -46,8 +46,6 @@ __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
 STEPS = 25
 # The default steps divide so many shipped steps: runs can be compared that often.
 WHOLE = 20
-# The share of the time (`seconds`) at which the runs of the true motions end.
-TRUE = 0.6
 # Motion fields that a map does not accept: every cell starts at the keyframe with its controls.
 WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt", "interpolation", "kind", "follow")
 # Kinds of elements in the linear system of a scene.
@@ -237,7 +235,7 @@ class _Runs:
         deadline = self.workers.deadline
         finest = min(self.accuracies, default=self.deviation)
         with (
-            deadline.stage("all true motions", TRUE),
+            deadline.stage("all true motions", SEARCHED),
             self.workers.bar("true motion", len(wanted)) as bar,
         ):
             for study, value in wanted:

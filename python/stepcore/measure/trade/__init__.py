@@ -8,6 +8,7 @@ from typing import Any, Unpack
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.deadline import PROVEN, SEARCHED
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import settled_motion
@@ -26,8 +27,6 @@ __all__ = ["Trade", "trade"]
 USEFUL = 0.5
 # Without a request: errors that a search looks for, relative to that of the shipped settings.
 LESS = (1.0, 0.5, 0.1)
-# The shares of the time (`seconds`) at which the search and the test on untouched starts end.
-SEARCHED, PROVEN = 0.7, 0.9
 
 
 @measurement()

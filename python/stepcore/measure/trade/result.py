@@ -24,10 +24,10 @@ from stepcore.experiment.price import OPERATION
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
-from stepcore.experiment.truth import Truth
+from stepcore.experiment.truth import SHARE, Truth
 from stepcore.measure.monitors import Finding
 from stepcore.measure.trade.search import KNOWING, Search
-from stepcore.report.report import not_shown
+from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import differences, solver_words
 from stepcore.report.table import Table
@@ -50,13 +50,8 @@ if TYPE_CHECKING:
 ERROR = 1e-3
 # What settings are ranked by.
 COST = operator.attrgetter("cost")
-# Rows of a printed table.
-SHOWN = 10
-# Ratio of the worst start's error to the median's above which starts are said to differ widely.
-DIFFER = 30.0
-# A slope of log error over log dt counts as an order if it is so near to a whole one; errors count
-# if they are so far above the truth's own, and so far below the motion.
-CLOSE, ABOVE, BELOW = 0.15, 10.0, 0.1
+# A slope of log error over log dt counts as an order if it is so near to 1, 2 or 4.
+CLOSE = 0.15
 UNITS = {
     "dt": "s",
     "accuracy": "m per simulated second",
@@ -264,13 +259,14 @@ class Trade(Result):
     def orders(self) -> dict[str, float]:
         """The observed order of accuracy of each integrator: the slope of log error over log dt.
 
-        It is that of three or more rows that differ in dt alone, where their errors are well above
-        the truth's own and well below the motion; only slopes near 1, 2 or 4 count.
+        It is that of three or more rows that differ in dt alone, where the truth is known to a
+        tenth of their errors, and these are below a tenth of the motion; only slopes near 1, 2 or 4
+        count.
         """
         lines: dict[Change, list[tuple[float, float]]] = {}
         for row in self.rows:
             plain = row.settings.precision == "f64" and row.settings.accuracy is None
-            if plain and ABOVE * self.reference.error < row.error < BELOW * self.moved:
+            if plain and self.reference.error / SHARE < row.error < SHARE * self.moved:
                 family = Change.between(row.settings.replace(dt=self.settings.dt), self.settings)
                 lines.setdefault(family, []).append((row.dt, row.error))
         slopes: dict[str, list[float]] = {}
@@ -376,10 +372,8 @@ class Trade(Result):
             return f"{what} the simulation fails: {beginning(row.failure)}."
         where, count = "", len(row.starts)
         if count > 1:
-            median = f"median {metres(row.median)}"
-            if row.error > DIFFER * row.median:
-                median = f"starts differ widely: {median}"
-            where = f" in the worst of {count} starts (start {row.worst}; {median})"
+            median = f"start {row.worst}; median {metres(row.median)}"
+            where = f" in the worst of {count} starts ({median})"
         scored = min(self.horizon, self.predictable)
         over = seconds(self.horizon) if scored == self.horizon else "what can be predicted"
         return (
@@ -529,7 +523,7 @@ class Trade(Result):
         """Return about a screen of rows: those that the answer names, and others of the front."""
         named = {row.change for row in (self.shipped, *self.named)}
         others = [row for row in self.front if row.change not in named]
-        left = min(len(others), max(0, SHOWN - len(named)))
+        left = min(len(others), max(0, SHORT - len(named)))
         kept = named | {others[int(k)].change for k in np.linspace(0, len(others) - 1, left)}
         return [row for row in self.rows if row.change in kept]
 

@@ -34,15 +34,14 @@ BETTER = 0.95
 FINEST = 256
 # Accuracies to try for steps that choose their own length, relative to the error.
 ACCURACIES = (10.0, 3.0, 1.0, 0.3, 0.1)
-# How often a grid's truth is refined. Errors below this share of a scene's size are rounding.
-REFINED, ROUNDING = 3, 1e-11
+# Errors below this share of a scene's size are rounding.
+ROUNDING = 1e-11
 # The shares of the effort that may be spent when the converged motion is known, when the first
 # choice is made, and when the last one is. Of 72 starts whose converged motion is computed, 8 are
 # those of the search, and 32 those of each test.
 KNOWING, SEARCHING, SETTLING = 0.3, 0.5, 0.75
-# The truth of further starts is first known to this multiple of what the search needs. Where that
-# leaves open whether a start holds, it is made finer, so often, down to this share of the error.
-COARSE, CLEARER, FINEST_TRUTH = 3.0, 3, 0.01
+# Where the truth of further starts leaves open whether they hold, it is made finer so often.
+CLEARER = 3
 
 
 @dataclass
@@ -125,11 +124,12 @@ class Search:
             changes, self.study.tracks(changes, self.truth.starts, bar), strict=True
         ):
             self.trials[change] = self.study.score(change, tracks, self.truth)
-        for _ in range(REFINED):
+        before = math.inf
+        while self.truth.error < before:
+            before = self.truth.error
             least = min((t.error for t in self.trials.values() if not t.failure), default=0.0)
-            if not ROUNDING * self.study.size < least < self.truth.error / SHARE:
-                break
-            self.sharpen(least)
+            if ROUNDING * self.study.size < least < before / SHARE:
+                self.sharpen(least)
 
     def cheapest(self, error: float) -> Trial | None:
         """Return the cheapest settings within an error [m] on the starts of the search, or None."""
@@ -283,15 +283,15 @@ def tested(
 
     error: [m]. early: whether to stop at the first eight of which one misses the error.
     """
-    parts = list[Trial]()
+    parts, coarse = list[Trial](), UNSURE / SHARE * error
     for first in range(0, len(starts), TOGETHER):
         some = starts[first : first + TOGETHER]
         (tracks,) = study.tracks([change], some)
-        trial = study.score(change, tracks, study.truth(COARSE * error, some))
+        trial = study.score(change, tracks, study.truth(coarse, some))
         for _ in range(CLEARER):
-            if not cleared(study, trial, error, FINEST_TRUTH):
+            if not cleared(study, trial, error, SHARE**2):
                 break
-            trial = study.score(change, tracks, study.truth(COARSE * error, some))
+            trial = study.score(change, tracks, study.truth(coarse, some))
         parts.append(trial)
         if early and trial.misses(error):
             break
