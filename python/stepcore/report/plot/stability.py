@@ -13,7 +13,7 @@ import numpy as np
 from stepcore.report.plot.style import ORANGE, TITLE, legend, log_ticks, new_figure
 
 if TYPE_CHECKING:
-    from stepcore.measure.stability.result import MapPanel, StabilityMap
+    from stepcore.measure.stability import MapPanel, StabilityMap
 
 # Colours by state: light, middle and dark, so that they differ without colour too.
 ACCURATE, FINITE = "accurate", "finite"
