@@ -44,6 +44,8 @@ SECONDS = {
 }
 # The time in which an answer is completed from the runs made, after the deadline or Ctrl-C [s].
 CLOSING = 3.0
+# The shares of the time at which a search ends, and the test of what it chose.
+SEARCHED, PROVEN = 0.7, 0.9
 
 F = TypeVar("F", bound=Callable[..., Any])
 clock = monotonic

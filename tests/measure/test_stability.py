@@ -14,8 +14,7 @@ from stepcore.engine.linear_maps import INTEGRATORS, step_matrix
 from stepcore.experiment import Change, Study
 from stepcore.lesson import maps
 from stepcore.lesson.maps import largest_stable_dt
-from stepcore.measure.stability import limit_of_springs, stability_map
-from stepcore.measure.stability.result import SYMBOLS
+from stepcore.measure.stability import SYMBOLS, limit_of_springs, stability_map
 
 SPRING = "joint/spring/stiffness"
 ONE, NONE = np.eye(1), np.zeros((1, 1))

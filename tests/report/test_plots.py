@@ -54,7 +54,7 @@ def test_a_trade_shows_error_against_cost(results):
     points = {tuple(map(float, line.get_xydata()[0])) for line in axes.lines}
     ran = [row for row in trade.rows if not row.failure]
     assert len(ran) >= 4
-    assert {(float(trade.price(row)), float(row.error)) for row in ran} <= points
+    assert {(float(row.cost), float(row.error)) for row in ran} <= points
     assert {"rk4", "semi-implicit", "pgs", "best for its cost"} <= set(names(figure))
     texts = [text.get_text() for text in axes.texts]
     # The shipped integrator is named: two of them can lie on one another.

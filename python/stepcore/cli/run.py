@@ -24,8 +24,9 @@ from stepcore.engine.model import Model
 from stepcore.engine.replay import replay
 from stepcore.engine.trajectory import RECORDED, Trajectory, whole_steps
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.single_run import PUSH, PUSH_FORM, Push
-from stepcore.measure.run import HORIZON, MOST_STEPS, sim_of, simulated
+from stepcore.measure.run import MOST_STEPS, sim_of, simulated
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 from stepcore.report.units import time_of

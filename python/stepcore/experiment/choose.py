@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from stepcore.report.units import counted, metres
 
 T = TypeVar("T")
 
+# How often starts on which a choice fails may join it, and how many of them at a time.
+ROUNDS, JOIN = 8, 3
 # The confidence with which the bound of a proof holds.
 CONFIDENCE = 0.95
 
@@ -154,6 +156,10 @@ class Proof:
         Starts that cannot be told count as misses.
         """
         return share_of(self.missed + self.unclear, self.starts)
+
+    def record(self) -> dict[str, Any]:
+        """Return the proof as plain data."""
+        return {"starts": self.starts, "missed": self.missed, "share": self.share}
 
     @property
     def words(self) -> str:

@@ -27,7 +27,7 @@ from stepcore.engine.norm import Matter
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.default_motion import kind_of
-from stepcore.experiment.engines import run
+from stepcore.experiment.engines import Engine, run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.experiment.sizes import scene_size
@@ -75,7 +75,7 @@ def horizon_of(
     """Return how long a motion is simulated: its own horizon, or until it has come to rest.
 
     default: the horizon of a motion that is at rest by then, or is not tried [s].
-    cost: the largest cost of a run [floating-point operations]; see `affordable`.
+    cost: the largest cost of a run [floating-point operations].
     """
     if motion.horizon is not None:
         return Horizon(motion.horizon)
@@ -100,12 +100,17 @@ def _whole(model: Model, motion: Motion, default: float, cost: float) -> Horizon
     return Horizon(length, lasts)
 
 
-def affordable(effort: float, starts: int) -> float:
-    """Return the largest cost of a run for which a converged motion can be computed.
+def settled_motion(
+    engine: Engine, motion: Motion, starts: int, effort: float
+) -> tuple[Motion, Horizon]:
+    """Return a motion with the horizon for which a converged motion can be computed, and why.
 
-    effort: the most operations of the study.
+    starts: of the study. effort: the most operations of the study.
     """
-    return SHARE * effort / starts
+    far = Horizon(motion.horizon or HORIZON)
+    if engine.known:
+        far = horizon_of(engine.model, motion, cost=SHARE * effort / starts)
+    return replace(motion, horizon=far.length if far.words else motion.horizon), far
 
 
 def _is_tried(model: Model, motion: Motion) -> bool:

@@ -320,6 +320,13 @@ def divides(dt: float, period: float) -> bool:
     return round(count) >= 1 and abs(count - round(count)) <= 1e-6 * count
 
 
+def often(period: float, dt: float, horizon: float) -> float:
+    """Halve a period [s] until the horizon has four or more of it, or it is a time step."""
+    while period > horizon / 4 * (1 + 1e-9) and period > dt:
+        period /= 2
+    return period
+
+
 def _check_divide(dts: Sequence[float], period: float) -> None:
     for dt in dts:
         if not divides(dt, period):

@@ -81,6 +81,10 @@ class Trial:
         """Return whether every start stays within an error [m], the truth's own included."""
         return self.bound <= error
 
+    def refuted(self, error: float) -> bool:
+        """Return whether a start surely exceeds an error [m], or a run failed."""
+        return bool(self.failure) or bool((self.errors - self.unsure > error).any())
+
     def misses(self, error: float) -> list[int]:
         """Return the starts whose error is above one [m], worst first; all if a run failed."""
         if self.failure:

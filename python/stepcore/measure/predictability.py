@@ -68,21 +68,12 @@ class Predictability(Result):
 
         predictable: [s]; inf beyond the horizon.
         """
-        starts = enumerate(zip(self.growth.ends, self.growth.factor, strict=True))
-        return Table(
-            {
-                "start": start,
-                "predictable": float(end),
-                "growth": float(factor[-1]),
-                "largest": float(factor.max()),
-            }
-            for start, (end, factor) in starts
-        )
-
-    def tables(self, full: bool) -> list[Table]:
-        """Return the table of the starts."""
+        own = (self.growth.ends, self.growth.factor[:, -1], self.growth.factor.max(axis=1))
+        numbers = zip(*(column.tolist() for column in own), strict=True)
+        names = ("start", "predictable", "growth", "largest")
         heading = "For each start: how long it can be predicted [s]; the growth at the end, at most"
-        return [Table(self.table, heading=heading)]
+        rows = [dict(zip(names, (k, *row), strict=True)) for k, row in enumerate(numbers)]
+        return Table(rows, heading=heading)
 
     @property
     def setup(self) -> str:
@@ -96,25 +87,20 @@ class Predictability(Result):
     @property
     def sentences(self) -> list[str]:
         """The predictable time, in words."""
-        over = seconds(self.horizon)
+        over, ends = seconds(self.horizon), np.isfinite(self.growth.ends)
         if math.isinf(self.time):
-            most = float(self.growth.factor.max())
-            return [
-                f"The motion can be predicted over all of {over}: perturbations grow at most "
-                f"{times(most)}."
-            ]
-        ends = np.isfinite(self.growth.ends)
-        lost, starts = int(ends.sum()), counted(len(ends), "start")
-        double = self.time / math.log2(GROWTH)
+            most = times(float(self.growth.factor.max()))
+            how = f"over all of {over}: perturbations grow at most {most}"
+            return [f"The motion can be predicted {how}."]
+        lost = f"from {int(ends.sum())} of {counted(len(ends), 'start')}"
+        double = f"at the fastest doubling every {seconds(self.time / math.log2(GROWTH))}"
         said = [
-            f"The motion can be predicted for {seconds(self.time)}: from {lost} of {starts} nearby "
-            f"motions diverge within {over}, at the fastest doubling every {seconds(double)}."
+            f"The motion can be predicted for {seconds(self.time)}: {lost} nearby motions diverge "
+            f"within {over}, {double}."
         ]
         if self.horizon < 2 * self.time:
-            said.append(
-                "Over a longer horizon perturbed runs may reconverge; they then count as "
-                "predictable."
-            )
+            again = "perturbed runs may reconverge; they then count as predictable"
+            said.append(f"Over a longer horizon {again}.")
         return said
 
     def details(self) -> dict[str, Any]:
@@ -164,29 +150,28 @@ def predict(
     (inf, 1.0)
     """
     setup = set_up(predict, model, motion, fields, missing="no motion to predict", engine=engine)
-    horizon = HORIZON if setup.motion.horizon is None else setup.motion.horizon
-    motion = dataclasses.replace(setup.motion, horizon=horizon)
+    motion = dataclasses.replace(setup.motion, horizon=setup.motion.horizon or HORIZON)
     study = Study(motion=motion, engine=setup.engine, workers=setup.workers)
-    known, deadline = list[tuple[Growth, Change] | None](), setup.workers.deadline
+    horizon, others = study.schedule.horizon, study.starts[1:]
+    known: list[tuple[Growth, Change] | None] = [None] * len(others)
     job = partial(grown, study.engine, study.schedule, study.size)
-
-    def left_out() -> str:
-        return f"{known.count(None)} of {counted(len(study.starts), 'start')}"
-
     with setup.workers.bar("runs", len(study.starts)) as bar:
         # The first start alone is an answer already.
-        first = setup.workers.each(job, study.starts[:1], bar)[0]
-        deadline.so_far(_so_far(first[0], study.schedule.horizon))
-        known += [None] * (len(study.starts) - 1)
-        with deadline.stage(left_out):
-            setup.workers.each(job, study.starts[1:], bar, known)
+        (first,) = setup.workers.each(job, study.starts[:1], bar)
+        end = first[0].overall
+        over = f"for {seconds(end)}" if math.isfinite(end) else f"over all of {seconds(horizon)}"
+        said = f"from 1 start, the motion can be predicted {over}; others are run now"
+        setup.workers.deadline.so_far(said)
+        left = f"of {counted(len(study.starts), 'start')}"
+        with setup.workers.deadline.stage(lambda: f"{known.count(None)} {left}"):
+            setup.workers.each(job, others, bar, known)
     every = [first, *(one for one in known if one is not None)]
     finest = min((study.engine.settings(change) for _, change in every), key=lambda s: s.dt)
     return Predictability(
         name=setup.name,
         settings=study.engine.settings(SHIPPED),
         motion=dataclasses.replace(motion, starts=len(study.starts)),
-        horizon=study.schedule.horizon,
+        horizon=horizon,
         dt=finest.dt,
         integrator=finest.integrator,
         growth=Growth.joined([growth for growth, _ in every]),
@@ -205,9 +190,3 @@ def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[
             # Runs of other steps fail at the same time: the motion itself does.
             break
     raise ValueError(f"the motion fails{schedule.driven}, at shorter steps too: {growth.failure}")
-
-
-def _so_far(growth: Growth, horizon: float) -> str:
-    time = growth.overall
-    how = f"for {seconds(time)}" if math.isfinite(time) else f"over all of {seconds(horizon)}"
-    return f"from 1 start, the motion can be predicted {how}; others are run now"

@@ -20,15 +20,14 @@ from stepcore.experiment.arguments import Source
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import PositionTable
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
-from stepcore.experiment.motion_words import (
-    begin_in_words,
-    scene_in_words,
-)
+from stepcore.experiment.motion_words import begin_in_words, scene_in_words
+from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.single_run import Push, SingleRun, drive_of
 from stepcore.loading import find_model
 from stepcore.measure.monitors import Finding, Recording, shown, verified
 from stepcore.measure.monitors.recording import RECORDED, whole
 from stepcore.report.progress import Choice
+from stepcore.report.report import not_shown
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import computing, counted, seconds, times
@@ -36,8 +35,6 @@ from stepcore.report.units import computing, counted, seconds, times
 if TYPE_CHECKING:
     from typing import Unpack
 
-# The default horizon [s].
-HORIZON = 1.0
 # The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
 # The number of rows of the final state that are printed by default.
@@ -103,27 +100,23 @@ class SimulationRun(Result):
         said = [f"{checks.one_line(self.error)}."] if self.error is not None else []
         said += ["Interrupted."] if self.interrupted else []
         said += [f"{finding.severity}: {finding.text}" for finding in self.findings]
-        if self.steps and self.success and not self.findings:
-            said.append(CLEAN)
-        kinetic, potential = self.sim.energy
-        end = (
-            f"At the end, {self.sim.time:g} s: {kinetic:.6g} J kinetic, {potential:.6g} J potential"
-        )
-        contacts = counted(len(self.sim.contacts), "contact")
+        said += [CLEAN] if self.steps and self.success and not self.findings else []
         said += [self.judged] if self.judged else []
-        return [*said, f"{end}; {contacts}, residual {self.sim.residual:.2g} m/s."]
+        kinetic, potential = self.sim.energy
+        end = f"{self.sim.time:g} s: {kinetic:.6g} J kinetic, {potential:.6g} J potential"
+        contacts = counted(len(self.sim.contacts), "contact")
+        rest = f"{contacts}, residual {self.sim.residual:.2g} m/s"
+        return [*said, f"At the end, {end}; {rest}."]
 
     @property
     def table(self) -> Table:
         """Table of the final state: positions by coordinate, velocities by dof."""
-        rows = []
+        rows = list[dict[str, Any]]()
         for array in ("qpos", "qvel"):
             values = getattr(self.sim, array)
             (axis,) = axes_of(self.sim.model, array, values.shape)
-            rows += [
-                {"array": array, "of": name, "value": float(value)}
-                for name, value in zip(axis.entries, values, strict=True)
-            ]
+            named = zip(axis.entries, values.tolist(), strict=True)
+            rows += [{"array": array, "of": name, "value": value} for name, value in named]
         return Table(rows, ("array", "of", "value"), {"value": ".6g"}, heading="Final state")
 
     def tables(self, full: bool) -> list[Table]:
@@ -131,12 +124,11 @@ class SimulationRun(Result):
         if full or len(table) <= ROWS:
             return [table] if len(table) else []
         cut = table[:ROWS]
-        cut.legend = f"and {len(table) - ROWS} more (--all)"
+        cut.legend = not_shown(counted(len(table) - ROWS, "row"))
         return [cut]
 
     def details(self) -> dict[str, Any]:
         sim = self.sim
-        kinetic, potential = sim.energy
         return {
             "success": self.success,
             "error": None if self.error is None else checks.one_line(self.error),
@@ -145,8 +137,7 @@ class SimulationRun(Result):
             "time": sim.time,
             "qpos": sim.qpos,
             "qvel": sim.qvel,
-            "kinetic": kinetic,
-            "potential": potential,
+            **sim.energy._asdict(),
             "contacts": len(sim.contacts),
             "residual": sim.residual,
             "estimated_error": sim.error._asdict() if self.judged else None,
@@ -269,7 +260,6 @@ def simulated(
         driven = Change(servos=drive.servos).of(model)
         sim = Sim(driven, sim.settings, threads=sim._threads, error_bar=finer)
         sim.restore(state)
-    parts = [drive.words, *(f"push {push}" for push in shoved), scene_in_words(model)]
     plain = model.with_settings(sim.settings.replace(ledger=False))
     held, unused, qpos = np.array(sim.ctrl), drive.fresh(), np.array(sim.qpos)
     single = SingleRun(sim, drive, shoved, RECORDED, recordable(record))
@@ -296,6 +286,7 @@ def simulated(
     steps = steps if error is None else error.step
     found = shown(_recording(single, plain, key)) if steps else []
     timed = error is None and not interrupted and steps
+    parts = [drive.words, *(f"push {push}" for push in shoved), scene_in_words(model)]
     return SimulationRun(
         name=model.scene.name or "scene",
         motion=motion,

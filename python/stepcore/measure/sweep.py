@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
@@ -21,9 +25,8 @@ from stepcore.engine.parameters import Variants
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.arguments import Source, Workers
 from stepcore.loading import find_model
-from stepcore.measure.sweep_folder import SweepFolder
 from stepcore.report.progress import Choice
-from stepcore.report.table import Table
+from stepcore.report.table import Table, jsonable
 from stepcore.scene.scene import Scene
 from stepcore.scene.value_paths import WHOLE, find, is_path
 
@@ -104,34 +107,37 @@ def sweep(
     axes = {str(name): checks.several(f"grid['{name}']", grid[name]) for name in grid}
     checks.function("batch" if batch is True else "sim")("sweep", "measure", measure)
     workers = Workers.checked("sweep", threads, executor, progress)
-    if isinstance(make_or_model, (Model, Scene, str, os.PathLike)):
-        make_or_model = find_model(make_or_model)
-        _check_names(make_or_model, axes)
-    elif not callable(make_or_model):
+    source: Any = make_or_model
+    if isinstance(source, (Model, Scene, str, os.PathLike)):
+        source = find_model(source)
+        _check_names(source, axes)
+    elif not callable(source):
         limit = "a Model, a Scene, a path or a function"
-        raise ValueError(f"make_or_model = {checks.shown(make_or_model)}: must be {limit}")
+        raise ValueError(f"make_or_model = {checks.shown(source)}: must be {limit}")
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-    if checks.flag("sweep", "batch", batch) and not isinstance(make_or_model, Model):
+    if checks.flag("sweep", "batch", batch) and not isinstance(source, Model):
         raise checks.refuse("sweep", "batch", batch, "False with a function that makes the model")
-    kept = None if folder is None else SweepFolder(folder, make_or_model, measure)
+    kept = None if folder is None else _Folder(folder, source, measure)
     results = [None if kept is None else kept.result(point) for point in points]
-    missing = [index for index, result in enumerate(results) if result is None]
+    shares = [[index] for index, result in enumerate(results) if result is None]
+    job: Any = partial(_one_by_one, source, measure)
+    if batch:
+        here = workers.executor is None
+        shares = _alike(points, [index for (index,) in shares], len(points) if here else SHARE)
+        job = partial(_together, source, measure, workers.threads if here else 1)
+        # In this process, batches run one after the other, and each uses all threads.
+        workers = Workers(1, workers.executor, workers.progress)
 
-    def took(indices: Sequence[int], found: list[Point]) -> None:
-        """Keep the results of some of the missing points."""
-        own = [missing[index] for index in indices]
-        for index, result in zip(own, found, strict=True):
-            results[index] = result
-        if kept is not None:
-            kept.keep([points[index] for index in own], found)
+    def took(places: range, found: Sequence[list[Point]]) -> None:
+        """Keep the results of some shares of the points."""
+        for share, own in zip(shares[places.start : places.stop], found, strict=True):
+            for index, result in zip(share, own, strict=True):
+                results[index] = result
+            if kept is not None:
+                kept.keep([points[index] for index in share], own)
 
-    left = [points[index] for index in missing]
     try:
-        if batch and isinstance(make_or_model, Model):
-            _in_batches(make_or_model, measure, left, workers, took)
-        else:
-            job = partial(at_point, make_or_model, measure)
-            workers.each(job, left, "sweep", took=took)
+        workers.each(job, [[points[k] for k in share] for share in shares], "sweep", took=took)
     except BaseException as error:
         error.table = _table(axes, points, results)  # type: ignore[attr-defined]
         raise
@@ -158,10 +164,8 @@ def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
             if name not in WHOLE:
                 find(model.scene, name)
         elif name not in fields:
-            raise ValueError(
-                f"grid[{checks.shown(name)}]: settings have no {checks.quoted(name)}"
-                f"{checks.nearest(name, fields)}"
-            )
+            said = f"settings have no {checks.quoted(name)}{checks.nearest(name, fields)}"
+            raise ValueError(f"grid[{checks.shown(name)}]: {said}")
 
 
 def _settings_and_values(point: Point) -> tuple[Point, Point]:
@@ -193,38 +197,23 @@ def at_point(source: Any, measure: Measure, point: Point) -> Point:
         return _failure(error)
 
 
-def _in_batches(
-    model: Model,
-    measure: Measure,
-    points: Sequence[Point],
-    workers: Workers,
-    took: Callable[[Sequence[int], list[Point]], object],
-) -> None:
-    """Measure points with equal settings as worlds of one batch.
+def _one_by_one(source: Any, measure: Measure, points: Sequence[Point]) -> list[Point]:
+    return [at_point(source, measure, point) for point in points]
 
-    took: called with the indices of points and their columns, as these come.
-    """
+
+# --- in batches -----------------------------------------------------------------------------------
+
+
+def _alike(points: Sequence[Point], indices: Sequence[int], most: int) -> list[list[int]]:
+    """Return groups of points with equal settings, by index; most: in a group."""
     alike: dict[str, list[int]] = {}
-    for index, point in enumerate(points):
-        alike.setdefault(repr(_settings_and_values(point)[0]), []).append(index)
-    here = workers.executor is None
-    size = len(points) if here else SHARE
-    shares = [
-        group[at : at + size] for group in alike.values() for at in range(0, len(group), size)
-    ]
-    job = partial(_batch_of, model, measure, workers.threads if here else 1)
-    # In this process, batches run one after the other, and each uses all threads.
-    crew = Workers(1, workers.executor, workers.progress)
-
-    def took_shares(those: range, results: list[list[Point]]) -> None:
-        for own, columns in zip(shares[those.start : those.stop], results, strict=True):
-            took(own, columns)
-
-    jobs = [[points[index] for index in share] for share in shares]
-    crew.each(job, jobs, "sweep", took=took_shares)
+    for index in indices:
+        alike.setdefault(repr(_settings_and_values(points[index])[0]), []).append(index)
+    groups = alike.values()
+    return [group[at : at + most] for group in groups for at in range(0, len(group), most)]
 
 
-def _batch_of(model: Model, measure: Measure, threads: int, points: Sequence[Point]) -> list[Point]:
+def _together(model: Model, measure: Measure, threads: int, points: Sequence[Point]) -> list[Point]:
     """Measure points with equal settings as one batch; return the columns of each."""
     settings, values = _settings_and_values(points[0])
     try:
@@ -251,10 +240,8 @@ def _worlds(
     table = _record(measure(batch))
     for name, values in table.items():
         if np.shape(values)[:1] != (n,):
-            limit = f"with one entry for each of the batch's {n} worlds"
-            raise TypeError(
-                f'measure: "{name}" has shape {np.shape(values)}: must be an array {limit}'
-            )
+            limit = f"an array with one entry for each of the batch's {n} worlds"
+            raise TypeError(f'measure: "{name}" has shape {np.shape(values)}: must be {limit}')
     failures = batch.failures
     return [
         _failure(failures[world])
@@ -271,3 +258,94 @@ def _column(path: str, values: list[Any]) -> Floats:
     except (TypeError, ValueError):
         text = "with batch=True values must be numbers, or vectors of one length"
         raise ValueError(f"grid[{checks.shown(path)}]: {text}") from None
+
+
+# --- in a folder ----------------------------------------------------------------------------------
+
+
+class _Folder:
+    """Results that are kept in a folder as they come.
+
+    ``sweep.json`` says what is measured, and ``points.jsonl`` has a line for each point that is
+    done. Numbers are written so that they are read with the same bits.
+
+    Raises ValueError for a folder of another sweep: of another model, measurement or version.
+    """
+
+    def __init__(self, path: Any, source: Model | Callable[..., Any], measure: Any) -> None:
+        folder = Path(files.path("folder", path))
+        folder.mkdir(parents=True, exist_ok=True)
+        own = {"stepcore": version("stepcore"), "model": _named(source)}
+        own["measure"] = _named(measure)
+        kept, self.points = folder / "sweep.json", folder / "points.jsonl"
+        if not kept.exists():
+            kept.write_text(json.dumps(own, indent=1) + "\n", encoding="utf-8")
+        known = json.loads(files.read(kept, "a sweep"))
+        for name, value in own.items():
+            theirs = known.get(name) if isinstance(known, dict) else None
+            if theirs != value:
+                text = f"folder = {checks.shown(str(folder))}: holds a sweep of another {name}"
+                raise ValueError(f"{text} ({theirs}, not {value}): choose another folder")
+        self.done: dict[str, Point] = {}
+        lines = self.points.read_bytes().split(b"\n") if self.points.exists() else [b""]
+        for line in lines[:-1]:
+            try:
+                point, result = json.loads(line)
+                self.done[point] = {name: _read(value) for name, value in result.items()}
+            except (ValueError, TypeError, AttributeError):
+                shown = checks.shown(line[:80])
+                raise ValueError(f"{self.points}: is damaged: {shown}") from None
+        if lines[-1]:
+            # The last line was cut off.
+            with self.points.open("rb+") as cut:
+                cut.truncate(sum(len(line) + 1 for line in lines[:-1]))
+
+    def result(self, point: Point) -> Point | None:
+        """Return the kept result of a point; None for a point that is not done."""
+        kept = self.done.get(_key(point))
+        return None if kept is None else dict(kept)
+
+    def keep(self, points: Sequence[Point], results: Sequence[Point]) -> None:
+        """Write results to the folder; see `_written` for those that it cannot keep."""
+        lines = list[str]()
+        for point, result in zip(points, results, strict=True):
+            row = {name: _written(name, value) for name, value in result.items()}
+            lines.append(json.dumps([_key(point), row]) + "\n")
+        with self.points.open("ab") as file:
+            file.write("".join(lines).encode())
+
+
+def _key(point: Point) -> str:
+    return json.dumps({name: _written(name, value) for name, value in sorted(point.items())})
+
+
+def _written(name: str, value: Any) -> Any:
+    """Return a value as JSON has it; numpy's types are marked."""
+    if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "fiub":
+        array = np.asarray(value)
+        return {"dtype": array.dtype.name, "shape": array.shape, "values": array.ravel().tolist()}
+    if isinstance(value, list | tuple):
+        return [_written(name, entry) for entry in value]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    limit = "numbers, texts, arrays or lists of these, to be kept in a folder"
+    raise ValueError(f"{checks.quoted(name)} = {checks.shown(value)}: must be {limit}")
+
+
+def _read(value: Any) -> Any:
+    if isinstance(value, dict):
+        array = np.array(value["values"], dtype=value["dtype"]).reshape(value["shape"])
+        return array[()] if not array.shape else array
+    return [_read(entry) for entry in value] if isinstance(value, list) else value
+
+
+def _named(thing: Any) -> str:
+    """Return what tells a model or a function from others."""
+    if isinstance(thing, Model):
+        data = [thing.scene.to_dict(), thing.settings.as_dict()]
+        return hashlib.sha256(json.dumps(jsonable(data), sort_keys=True).encode()).hexdigest()[:16]
+    if isinstance(thing, partial):
+        arguments = [*thing.args, *sorted(thing.keywords.items())]
+        return f"{_named(thing.func)}({', '.join(map(repr, arguments))})"
+    name = getattr(thing, "__qualname__", type(thing).__qualname__)
+    return f"{getattr(thing, '__module__', None)}.{name}"

@@ -23,6 +23,8 @@ from stepcore.report.units import NAMES, counted
 NARROWEST, PROSE = 20, 100
 # The maximum number of lines of a short report; further notes are only counted.
 SCREEN = 40
+# Rows of a short table.
+SHORT = 10
 # The prefix of a sentence that is a list item below the preceding sentence.
 ITEM = "- "
 # A number and its unit are joined by this space, to keep both on one line.
@@ -102,9 +104,12 @@ def _notes(notes: Sequence[str], size: int, room: float) -> Iterator[str]:
         room, left = room - len(lines), left - 1
     if left:
         more = "more note" if left < len(notes) else "note"
-        yield from _wrapped(
-            f"Not shown: {counted(left, more)} (--all; in Python text(full=True)).", size
-        )
+        yield from _wrapped(not_shown(counted(left, more)), size)
+
+
+def not_shown(what: str) -> str:
+    """Return how to see what a short report leaves out, as a sentence."""
+    return f"Not shown: {what} (--all; in Python text(full=True))."
 
 
 def _note(note: str) -> str:

@@ -134,6 +134,10 @@ class Result(ABC):
         """Return `to_dict` as JSON text."""
         return json.dumps(self.to_dict(), indent=indent)
 
+    def to_pandas(self) -> Any:
+        """Return `table` as a pandas DataFrame. Needs pandas (the extra "data")."""
+        return self.table.to_pandas()
+
     def to_html(self, path: str | os.PathLike[str] | None = None) -> str:
         """Return the plot and the report as a self-contained page.
 

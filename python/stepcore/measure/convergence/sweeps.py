@@ -18,11 +18,10 @@ from stepcore.experiment.schedule import Schedule
 
 # Numbers of sweeps after which the residual and the distance to the solution are read.
 SWEEPS = tuple(2**k for k in range(13))
-# The solution is swept to this residual, relative to the rows' speeds, or up to this number of row
-# updates (seconds); above UNSOLVED it is of no use as a solution, and residuals are read alone.
-ROUNDING, MOST_UPDATES, UNSOLVED = 1e-12, 4e6, 1e-8
-# Least readable distance, relative to the largest: far above rounding, which PGS keeps.
-READABLE = 1e-9
+# The solution is swept to this residual, relative to the rows' speeds. Distances are read down to
+# the second number, relative to the largest one: far above rounding, which PGS keeps. A solution
+# with a larger residual is of no use as one.
+ROUNDING, READABLE = 1e-12, 1e-9
 
 
 @dataclass(frozen=True)
@@ -107,14 +106,6 @@ def _with_rows(model: Model, schedule: Schedule, starts: Sequence[int]) -> Itera
 @np.errstate(over="ignore", invalid="ignore")
 def residual_history(model: Model, settings: Settings, state: MotionState) -> ResidualHistory:
     """Measure the residual by sweeps at one state."""
-    plain = settings.replace(
-        solver="pgs",
-        sweeps=1,
-        tolerance=0.0,
-        cost_tolerance=0.0,
-        precision="f64",
-        warm_start=False,
-    )
 
     def at(settings: Settings) -> Sim:
         sim = unwatched(Sim(model, settings))
@@ -123,17 +114,14 @@ def residual_history(model: Model, settings: Settings, state: MotionState) -> Re
         return sim
 
     def swept(n: int, **changes: Any) -> Sim:
-        return at(plain.replace(sweeps=n, **changes))
+        plain: dict[str, Any] = {"tolerance": 0.0, "cost_tolerance": 0.0, "warm_start": False}
+        plain |= {"solver": "pgs", "precision": "f64", "sweeps": n}
+        return at(settings.replace(**plain | changes))
 
     shipped = at(settings)
     rows, speed = len(shipped.rows), _speed(shipped)
-    solution = at(
-        converged_settings(
-            settings,
-            sweeps=int(max(1000, MOST_UPDATES / max(1, rows))),
-            tolerance=0.0 if settings.law == "solref" else ROUNDING * speed,
-        )
-    )
+    tolerance = 0.0 if settings.law == "solref" else ROUNDING * speed
+    solution = at(converged_settings(settings, tolerance=tolerance))
     target, mass = np.array(solution.qacc), solution.mass_matrix()
 
     def size(acceleration: np.ndarray) -> float:
@@ -141,7 +129,7 @@ def residual_history(model: Model, settings: Settings, state: MotionState) -> Re
         return math.sqrt(max(float(change @ mass @ change), 0.0))
 
     # Plain sweeps, because the distances of accelerated ones do not shrink geometrically.
-    unsolved = solution.residual > UNSOLVED * speed
+    unsolved = solution.residual > READABLE * speed
     sims = [swept(n, acceleration="none") for n in (0, *SWEEPS)]
     left = [sim.residual if unsolved else size(np.array(sim.qacc) - target) for sim in sims]
     rounding = ROUNDING * (speed if unsolved else size(target))
@@ -181,25 +169,20 @@ def _force(rows: np.ndarray, cone: float) -> float:
     return float(rows["force"].sum() if cone == 0 else rows["force"][0])
 
 
-def contraction(
-    sweeps: Sequence[int], left: Sequence[float], rounding: float = 0.0
-) -> float | None:
+def contraction(sweeps: Sequence[int], left: Sequence[float], rounding: float) -> float | None:
     """Return the share of the distance that a sweep leaves, between the last two readings.
 
-    sweeps: the numbers of sweeps, the first of which is 0.
-    left: the distance after each number of sweeps.
-    rounding: the distance below which a reading is rounding.
+    sweeps: the numbers of sweeps, the first of which is 0. left: the distance after each of them.
+    rounding: distances below are rounding. None if all are: rows that barely touch have impulses of
+    rounding.
 
-    None if no distance is above `rounding`: rows that barely touch have impulses of rounding.
-
-    >>> print(f"{contraction((0, 1, 2, 4, 8), [0.5**n for n in (0, 1, 2, 4, 8)]):.3f}")
+    >>> print(f"{contraction((0, 1, 2, 4, 8), [0.5**n for n in (0, 1, 2, 4, 8)], 0.0):.3f}")
     0.500
     """
     most = max(left, default=0.0)
     if not most > rounding or not math.isfinite(most):
         return None
-    readable = [k for k, far in enumerate(left) if far >= max(READABLE * most, rounding)]
-    last = readable[-1]
+    last = max(k for k, far in enumerate(left) if far >= max(READABLE * most, rounding))
     if last == 0:
         # One sweep solves the system.
         return left[1] / most

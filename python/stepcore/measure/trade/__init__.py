@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.deadline import PROVEN, SEARCHED
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
-from stepcore.experiment.horizon import Horizon, affordable, horizon_of
+from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.schedule import HORIZON, STARTS, time_steps
+from stepcore.experiment.schedule import STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.measure.monitors import monitored
 from stepcore.measure.trade.result import Trade
-from stepcore.measure.trade.search import Search, proven, settled
+from stepcore.measure.trade.search import UNSURE, Search, proven, settled
 from stepcore.report import units
-from stepcore.report.units import counted, metres, rounded
+from stepcore.report.units import counted, rounded
 
 __all__ = ["Trade", "trade"]
 
-# An error can be verified if the converged motion is known to this share of it. The largest error
-# that replaces one which cannot be, as a share of the displacement.
-UNSURE, USEFUL = 0.3, 0.5
+# The largest error that replaces one which cannot be verified, as a share of the displacement.
+USEFUL = 0.5
 # Without a request: errors that a search looks for, relative to that of the shipped settings.
 LESS = (1.0, 0.5, 0.1)
-# The shares of the time (`seconds`) at which the search and the test on untouched starts end.
-SEARCHED, PROVEN = 0.7, 0.9
-# Newton's method where the scene ships another.
-NEWTON = {"sweeps": 100}
 
 
 @measurement()
@@ -114,27 +108,21 @@ def trade(
     if mujoco and engine == "mujoco":
         raise ValueError("mujoco = True: must be False where the engine is MuJoCo already")
     setup = set_up(trade, model, motion, fields, missing="no motion to trade", engine=engine)
-    runs, motion, workers = setup
-    shipped = runs.settings(SHIPPED)
+    shipped, workers = setup.engine.settings(SHIPPED), setup.workers
     limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
-    starts = motion.starts or STARTS
-    far = Horizon(motion.horizon or HORIZON)
-    if runs.known:
-        far = horizon_of(setup.model, motion, cost=affordable(effort, starts))
-    if far.words:
-        motion = dataclasses.replace(motion, horizon=far.length)
-    held = motion.period(shipped.dt)
+    starts = setup.motion.starts or STARTS
+    ran, far = settled_motion(setup.engine, setup.motion, starts, effort)
+    held = ran.period(shipped.dt)
     steps, period = time_steps(shipped.dt, dts, held, far.length)
-    study = Study(motion=motion, engine=runs, period=period, effort=effort, by=by, workers=workers)
-    ran = f"{study.schedule.drive or 'the controls given'}; in MuJoCo alone"
-    if runs.known:
-        ran = motion_in_words(setup.model, motion, study.schedule)
+    how: dict[str, Any] = {"period": period, "effort": effort, "by": by, "workers": workers}
+    study = Study(motion=ran, engine=setup.engine, **how)
     target = None if error is None else units.length("trade", "error", error, study.size)
+    known = setup.engine.known
     result = Trade(
         name=setup.name,
-        motion=motion,
-        ran=far.after(ran),
-        model=setup.model if runs.known else None,
+        motion=ran,
+        ran=far.after(study.motion_ran),
+        model=setup.model if known else None,
         engine=engine,
         schedule=study.schedule,
         target=target,
@@ -142,12 +130,11 @@ def trade(
         by=by,
         effort=effort,
         size=study.size,
-        notes=[*study.schedule.notes, *(setup.model.scene.notes if runs.known else ())],
+        notes=[*study.schedule.notes, *(setup.model.scene.notes if known else ())],
     )
     search_ = Search.of(study, None if full else target, held=held is not None)
     result.reference, result.shipped = search_.truth, search_.shipped
-    wrong = metres(search_.shipped.error)
-    workers.deadline.so_far(f"error as shipped {wrong}, ± {metres(search_.truth.error)}")
+    workers.deadline.so_far(search_.so_far())
     if full:
         with workers.deadline.stage("some of the settings", SEARCHED):
             search_.grid([*grid(study, steps, **axes), *within(study, accuracies)])
@@ -155,48 +142,52 @@ def trade(
         with workers.deadline.stage("the rest of the search", SEARCHED):
             _searched(result, search_, further)
     result.take(search_)
-    result.ended = search_.ended
-    if further and not full and result.chosen is not None and target is not None:
-        said = search_.so_far(result.chosen)
-        workers.deadline.so_far(f"{said}; {counted(further, 'untouched start')} are to prove it")
-        with workers.deadline.stage(f"the test on {further} untouched starts", PROVEN):
-            result.proof = proven(study, result.chosen.change, result.asked, further)
-    result.runs = study.runs
-    if by == "time":
-        with workers.deadline.closing(), workers.deadline.stage("all timing"):
-            named = [result.shipped, *result.named]
-            result.times = study.times([trial.change for trial in named if not trial.failure])
-    if engine == "stepcore":
-        with workers.deadline.stage("the findings on the shipped settings"):
-            result.findings = monitored(setup.model, study.schedule)[0]
+    _proven_and_timed(result, search_, 0 if full or target is None else further)
     if mujoco:
         with workers.deadline.stage("the same trade in MuJoCo"):
             own: Any = {"threads": fields.get("threads"), "executor": fields.get("executor")}
             asked: Any = {"error": error, "budget": budget, "by": by, "effort": effort}
-            again = trade(model, motion, engine="mujoco", further=0, **asked, **own, progress=False)
+            again = trade(model, ran, engine="mujoco", further=0, **asked, **own, progress=False)
             result.compare(again)
     return result
 
 
+def _proven_and_timed(result: Trade, search: Search, further: int) -> None:
+    """Test the choice on untouched starts, measure times, and look for findings."""
+    study, deadline = search.study, search.study.workers.deadline
+    if further and result.chosen is not None:
+        test = f"{counted(further, 'untouched start')}"
+        deadline.so_far(f"{search.so_far(result.chosen)}; {test} are to prove it")
+        with deadline.stage(f"the test on {further} untouched starts", PROVEN):
+            result.proof = proven(study, result.chosen.change, result.asked, further)
+    result.runs = study.runs
+    if result.by == "time":
+        with deadline.closing(), deadline.stage("all timing"):
+            named = [result.shipped, *result.named]
+            result.times = study.times([trial.change for trial in named if not trial.failure])
+    if result.engine == "stepcore":
+        with deadline.stage("the findings on the shipped settings"):
+            result.findings = monitored(study.model, study.schedule)[0]
+
+
 def _searched(result: Trade, search: Search, further: int) -> None:
     """Search for what was asked: an error, a budget, or what less error would cost."""
-    truth = search.truth
+    unsure, target = search.truth.error, result.target
     if result.budget is not None:
         result.chosen = search.most_accurate(result.budget)
-    elif result.target is None:
+        return
+    if target is None:
         for share in LESS:
             search.cheapest(share * search.shipped.error)
-    else:
-        if truth.error > UNSURE * result.target:
-            # What the converged motion is known to, an error can be found within.
-            least = rounded(truth.error / UNSURE, 2, up=True)
-            useful = least <= USEFUL * search.moved
-            result.verified = least if useful else None
-        if truth.error <= result.target or result.verified is not None:
-            result.chosen = settled(search, result.asked, further)
-            if result.chosen is not None:
-                search.sharpen(result.chosen.error / 2)
-                search.cheapest(result.chosen.error / 2)
+        return
+    if unsure > UNSURE * target:
+        # What the converged motion is known to, an error can be found within.
+        least = rounded(unsure / UNSURE, 2, up=True)
+        result.verified = least if least <= USEFUL * search.moved else None
+    if unsure <= target or result.verified is not None:
+        result.chosen = settled(search, result.asked, further)
+        if result.chosen is not None:
+            search.cheapest(result.chosen.error / 2)
 
 
 def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None], engine: str) -> bool:
@@ -231,32 +222,24 @@ def grid(
     Unless precisions are given, single precision is tried with only one number of sweeps.
     """
     shipped, families = study.engine.settings(SHIPPED), study.engine.families(study.schedule)
-    used = (dict(f.settings).get("integrator", shipped.integrator) for f in families)
-    names = integrators or list(dict.fromkeys(used))
+    own = {"integrator": shipped.integrator, "solver": shipped.solver, "sweeps": shipped.sweeps}
+    used = [own, *(own | {k: v for k, v in f.settings if k in own} for f in families)]
     methods = list[dict[str, Any]]()
-    own = list(dict.fromkeys([shipped.solver, *(dict(f.settings).get("solver") for f in families)]))
-    for solver in solvers or [name for name in own if name]:
-        if solver == "newton":
-            methods.append({"solver": "newton"} | ({} if shipped.solver == solver else NEWTON))
-        else:
-            known = [dict(f.settings).get("sweeps") for f in families if _is_pgs(f)]
-            mine = [shipped.sweeps] if shipped.solver == "pgs" else []
-            counts = sweeps or list(dict.fromkeys([*mine, *filter(None, known)])) or [1]
-            methods += [{"solver": "pgs", "sweeps": count} for count in counts]
+    for solver in solvers or dict.fromkeys(one["solver"] for one in used):
+        counts = list(dict.fromkeys(one["sweeps"] for one in used if one["solver"] == solver))
+        counts = list(sweeps or counts) if solver == "pgs" else counts[:1]
+        methods += [{"solver": solver, "sweeps": n} for n in counts or [shipped.sweeps]]
     if precisions is None:
         single = {m["solver"]: m | {"precision": "f32"} for m in methods}
         methods = [m | {"precision": "f64"} for m in methods]
         methods += list(single.values()) if study.engine.name == "stepcore" else []
     else:
         methods = [m | {"precision": p} for p in precisions for m in methods]
+    names = integrators or dict.fromkeys(one["integrator"] for one in used)
     return [
         Change.between(shipped.replace(accuracy=None, dt=dt, integrator=name, **method), shipped)
         for dt, name, method in itertools.product(dts, names, methods)
     ]
-
-
-def _is_pgs(family: Change) -> bool:
-    return dict(family.settings).get("solver") == "pgs"
 
 
 def within(study: Study, accuracies: Sequence[float | str] | None) -> list[Change]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
+import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter, apart, rms
@@ -24,9 +24,10 @@ from stepcore.experiment.price import OPERATION
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
-from stepcore.experiment.truth import Truth
+from stepcore.experiment.truth import SHARE, Truth
 from stepcore.measure.monitors import Finding
 from stepcore.measure.trade.search import KNOWING, Search
+from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import differences, solver_words
 from stepcore.report.table import Table
@@ -47,13 +48,10 @@ if TYPE_CHECKING:
 
 # Default error of `Trade.best` [m].
 ERROR = 1e-3
-# Rows of a printed table.
-SHOWN = 10
-# Ratio of the worst start's error to the median's above which starts are said to differ widely.
-DIFFER = 30.0
-# A slope of log error over log dt counts as an order if it is so near to a whole one; errors count
-# if they are so far above the truth's own, and so far below the motion.
-CLOSE, ABOVE, BELOW = 0.15, 10.0, 0.1
+# What settings are ranked by.
+COST = operator.attrgetter("cost")
+# A slope of log error over log dt counts as an order if it is so near to 1, 2 or 4.
+CLOSE = 0.15
 UNITS = {
     "dt": "s",
     "accuracy": "m per simulated second",
@@ -120,7 +118,7 @@ class Trade(Result):
         """Take over what a search has tried, without the poses of all bodies."""
         if self.starts == len(search.truth.starts):
             self.reference, self.shipped = search.truth, search.shipped
-        self.moved = search.moved
+        self.moved, self.ended = search.moved, search.ended
         light = [dataclasses.replace(trial, tracks=None) for trial in search.trials.values()]
         self.rows = sorted(light, key=lambda trial: (-trial.dt, trial.cost))
         if self.chosen is None and self.target is not None:
@@ -182,18 +180,16 @@ class Trade(Result):
     @property
     def front(self) -> list[Trial]:
         """The settings that no others beat in price and error, the cheapest first."""
-        return frontier((row for row in self.rows if not row.failure), self.price)
+        return frontier(self.rows, COST)
 
     @property
     def named(self) -> list[Trial]:
         """The settings that the answer names besides the shipped ones."""
-        if self.chosen is not None:
-            other = self.next_better()
-        elif self.target is None and self.budget is None and not self.shipped.failure:
-            return [row for row in (self.next_better(), self._same()) if row is not None]
-        else:
-            other = None
-        return [row for row in (self.chosen, other) if row is not None]
+        some = [self.chosen, self.next_better() if self.chosen is not None else None]
+        asked = self.target is not None or self.budget is not None
+        if self.chosen is None and not asked and not self.shipped.failure:
+            some = [self.next_better(), self._same()]
+        return [row for row in some if row is not None]
 
     @property
     def failures(self) -> list[Trial]:
@@ -217,13 +213,6 @@ class Trade(Result):
             return max(row.error, self.proof.trial.error)
         return row.error
 
-    def price(self, row: Trial) -> float:
-        """Return the cost of a row per simulated second by its counted work.
-
-        The unit is µs, or operations with `by="flops"`.
-        """
-        return row.cost
-
     def best(self, error: float | str | None = None) -> Settings:
         """Return the cheapest Settings whose error in every start is at most `error`.
 
@@ -233,10 +222,8 @@ class Trade(Result):
 
         Raises ValueError, naming the smallest error reached, if no row is accurate enough.
         """
-        if error in (None, self.target) and self.recommended is not None:
-            own: Settings = self.recommended.settings
-        else:
-            own = self.cheapest(error).settings
+        row = self.recommended if error in (None, self.target) else None
+        own: Settings = (row or self.cheapest(error)).settings
         return own
 
     def cheapest(self, error: float | str | None = None) -> Trial:
@@ -248,7 +235,7 @@ class Trade(Result):
         if not good:
             least = min((self.error(row) for row in self.rows), default=math.inf)
             raise ValueError(f"error = {limit:g} m: the smallest in this trade is {least:.3g} m")
-        return min(good, key=lambda row: (self.price(row), row.error))
+        return min(good, key=lambda row: (row.cost, row.error))
 
     def next_better(self, error: float | str | None = None) -> Trial | None:
         """Return the cheapest row with at most half of an error; None if there is none.
@@ -261,37 +248,25 @@ class Trade(Result):
         else:
             half = (self.chosen or self.shipped).error / 2
         good = [row for row in self.rows if row.error <= half and not row.failure]
-        return min(good, key=self.price) if good and half > 0 else None
-
-    def most_accurate(self, budget: float) -> Trial:
-        """Return the row with the smallest error whose price is at most `budget`.
-
-        Raises ValueError, naming the lowest price, if no row is cheap enough.
-        """
-        checks.real(above=0)("most_accurate", "budget", budget)
-        done = [row for row in self.rows if not row.failure]
-        good = [row for row in done if self.price(row) <= budget]
-        if not good:
-            least = min(map(self.price, done), default=math.inf)
-            raise ValueError(f"budget = {budget:g}: the lowest price in this trade is {least:.3g}")
-        return min(good, key=lambda row: (row.error, self.price(row)))
+        return min(good, key=COST) if good and half > 0 else None
 
     def _same(self) -> Trial | None:
         """Return a notably cheaper row with at most the shipped error."""
         row = self.cheapest(max(self.shipped.error, 1e-300))
-        return row if self.price(row) < 0.9 * self.price(self.shipped) else None
+        return row if row.cost < 0.9 * self.shipped.cost else None
 
     @property
     def orders(self) -> dict[str, float]:
         """The observed order of accuracy of each integrator: the slope of log error over log dt.
 
-        It is that of three or more rows that differ in dt alone, where their errors are well above
-        the truth's own and well below the motion; only slopes near 1, 2 or 4 count.
+        It is that of three or more rows that differ in dt alone, where the truth is known to a
+        tenth of their errors, and these are below a tenth of the motion; only slopes near 1, 2 or 4
+        count.
         """
         lines: dict[Change, list[tuple[float, float]]] = {}
         for row in self.rows:
             plain = row.settings.precision == "f64" and row.settings.accuracy is None
-            if plain and ABOVE * self.reference.error < row.error < BELOW * self.moved:
+            if plain and self.reference.error / SHARE < row.error < SHARE * self.moved:
                 family = Change.between(row.settings.replace(dt=self.settings.dt), self.settings)
                 lines.setdefault(family, []).append((row.dt, row.error))
         slopes: dict[str, list[float]] = {}
@@ -341,16 +316,10 @@ class Trade(Result):
 
     def _answer(self) -> Iterator[str]:
         target, truth = self.target, self.reference
-        if target is not None and truth.error > target:
-            yield (
-                f"{metres(target)} cannot be verified: the converged motion is known to "
-                f"{metres(truth.error)} in the worst start. {self._surer()}"
-            )
-        elif self.verified is not None and target is not None:
-            yield (
-                f"{metres(target)} cannot be verified well: the converged motion is known to "
-                f"{metres(truth.error)} in the worst start. {self._surer()}"
-            )
+        if target is not None and (truth.error > target or self.verified is not None):
+            well = "" if truth.error > target else " well"
+            known = f"the converged motion is known to {metres(truth.error)} in the worst start"
+            yield f"{metres(target)} cannot be verified{well}: {known}. {self._surer()}"
         row = self.chosen
         if row is not None:
             within = f"an error of at most {metres(self.asked)}"
@@ -403,10 +372,8 @@ class Trade(Result):
             return f"{what} the simulation fails: {beginning(row.failure)}."
         where, count = "", len(row.starts)
         if count > 1:
-            median = f"median {metres(row.median)}"
-            if row.error > DIFFER * row.median:
-                median = f"starts differ widely: {median}"
-            where = f" in the worst of {count} starts (start {row.worst}; {median})"
+            median = f"start {row.worst}; median {metres(row.median)}"
+            where = f" in the worst of {count} starts ({median})"
         scored = min(self.horizon, self.predictable)
         over = seconds(self.horizon) if scored == self.horizon else "what can be predicted"
         return (
@@ -420,7 +387,7 @@ class Trade(Result):
         if self.shipped.failure:
             ran = [row for row in self.rows if not row.failure]
             if ran:
-                least = min(ran, key=self.price)
+                least = min(ran, key=COST)
                 wrong = f"with an error of {self._wrong(least)}"
                 yield f"The cheapest setting that runs is {self.label(least)}, {wrong}."
             return
@@ -437,13 +404,11 @@ class Trade(Result):
         other = self.beside
         if other is None:
             return
-        here, there = metres(self.reference.error), metres(other.reference.error)
-        known = f"known to {here} and {there}"
-        if self.parted <= self.reference.error + other.reference.error:
-            said = "computes the same physics: its converged motion"
-        else:
-            said = "does NOT compute the same physics: its converged motion"
-        yield f"MuJoCo {said} is {metres(self.parted)} from stepcore's; they are {known}."
+        ours, theirs = self.reference.error, other.reference.error
+        same = "computes" if self.parted <= ours + theirs else "does NOT compute"
+        away = f"its converged motion is {metres(self.parted)} from stepcore's"
+        known = f"they are known to {metres(ours)} and {metres(theirs)}"
+        yield f"MuJoCo {same} the same physics: {away}; {known}."
         yield f"As shipped MuJoCo's error is {other._wrong(other.shipped)}{self._times(SHIPPED)}."
         row = other.chosen
         if row is not None and row.change != SHIPPED:
@@ -478,8 +443,8 @@ class Trade(Result):
     def _multiple(self, row: Trial) -> str:
         """Describe the cost of settings as a multiple of that of the shipped settings."""
         if self.shipped.failure:
-            return self._amount(self.price(row))
-        return f"{self.price(row) / self.price(self.shipped):.2f}× the cost of the shipped settings"
+            return self._amount(row.cost)
+        return f"{row.cost / self.shipped.cost:.2f}× the cost of the shipped settings"
 
     def _priced_beside(self, row: Trial) -> str:
         if row.change == SHIPPED:
@@ -523,32 +488,25 @@ class Trade(Result):
     def tables(self, full: bool) -> list[Table]:
         """Return the table of the main settings; `full`: of all."""
         shown = self.rows if full else self._main_rows()
-        front = self.front
-        records = []
+        front, records = self.front, []
         for row in shown:
             mark = "*" * any(row is one for one in front)
             mark += "s" * (row.change == SHIPPED)
             mark += "r" * (self.chosen is not None and row.change == self.chosen.change)
             s, here = row.settings, self.times.get(row.change)
-            known = differences(s, self.settings)
-            record = {
-                "": mark,
-                "dt": f"{1e3 * s.dt:.4g}",
-                "integrator": s.integrator,
-                "solver": solver_words(s),
-                "also": ", ".join(word for word in known if word not in solver_words(s)),
-                "cost": f"{self.price(row) / self.price(self.shipped):.2f}×",
-                "measured": "" if here is None else f"{here:.0f}",
-            }
+            known = [w for w in differences(s, self.settings) if w not in solver_words(s)]
             wrong = (row.error, row.median, float(row.largest.max()))
             errors = ["failed", "", ""] if row.failure else [compact(value) for value in wrong]
+            record = {"": mark, "dt": f"{1e3 * s.dt:.4g}", "integrator": s.integrator}
+            record |= {"solver": solver_words(s), "also": ", ".join(known)}
+            record["cost"] = f"{row.cost / self.shipped.cost:.2f}×"
+            record["measured"] = "" if here is None else f"{here:.0f}"
             records.append(record | dict(zip(("error", "median", "max"), errors, strict=True)))
         columns = [n for n in records[0] if any(r[n] for r in records) or n in ("", "dt")]
         counts = sorted({len(row.starts) for row in shown})
         ran = counted(counts[-1], "start")
         if len(counts) > 1:
             ran = f"the {counts[0]} to {ran} that a setting ran from"
-        more = len(self.rows) - len(shown)
         legend = (
             "*: no other setting is cheaper and at least as accurate; s: shipped; r: chosen. dt "
             "[ms]; cost: by counted work, of the shipped settings'; measured: computing time here "
@@ -556,8 +514,8 @@ class Trade(Result):
             "rotations included as arcs; median: of the median start; max: the largest of any body "
             "at any time."
         )
-        if more and not full:
-            legend += f" --all (in Python text(full=True)) prints {counted(more, 'more setting')}."
+        if len(shown) < len(self.rows):
+            legend += f" {not_shown(counted(len(self.rows) - len(shown), 'setting'))}"
         numbers = dict.fromkeys(("dt", "cost", "measured", "error", "median", "max"), "")
         return [Table(records, columns, numbers, legend=legend)]
 
@@ -565,14 +523,13 @@ class Trade(Result):
         """Return about a screen of rows: those that the answer names, and others of the front."""
         named = {row.change for row in (self.shipped, *self.named)}
         others = [row for row in self.front if row.change not in named]
-        left = max(0, SHOWN - len(named))
-        even = np.unique(np.linspace(0, len(others) - 1, min(left, len(others))).astype(int))
-        kept = named | {others[k].change for k in even}
+        left = min(len(others), max(0, SHORT - len(named)))
+        kept = named | {others[int(k)].change for k in np.linspace(0, len(others) - 1, left)}
         return [row for row in self.rows if row.change in kept]
 
     def details(self) -> dict[str, Any]:
         """Return the reference, the request and the recommendation as data."""
-        truth, proof = self.reference, self.proof
+        truth = self.reference
         return {
             "horizon": self.horizon,
             "starts": self.starts,
@@ -589,9 +546,7 @@ class Trade(Result):
             "recommended": None if self.recommended is None else self.recommended.settings,
             "verified": self.verified,
             "nearest": None if self.nearest is None else self.nearest.settings,
-            "proof": None
-            if proof is None
-            else {"starts": proof.starts, "missed": proof.missed, "share": proof.share},
+            "proof": None if self.proof is None else self.proof.record(),
             "runs": self.runs,
             "findings": [finding.record() for finding in self.findings],
         }
@@ -638,10 +593,6 @@ class Trade(Result):
         row = row or self.chosen or self.shipped
         named = f"dt {seconds(row.settings.dt)}, {row.settings.integrator}"
         return view(self.seen(row), labels=["converged", named], host=host, port=port, wait=wait)
-
-    def to_pandas(self) -> Any:
-        """Return the table as a pandas DataFrame."""
-        return self.table.to_pandas()
 
     def __repr__(self) -> str:
         failed = len(self.failures)

@@ -18,7 +18,7 @@ import numpy as np
 from stepcore.deadline import OutOfTime
 from stepcore.engine.norm import Tracks, apart, rms
 from stepcore.experiment.change import Change
-from stepcore.experiment.choose import Proof, least
+from stepcore.experiment.choose import JOIN, ROUNDS, Proof, least
 from stepcore.experiment.study import SHIPPED, TOGETHER, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Truth
@@ -26,23 +26,22 @@ from stepcore.report.units import metres, times
 
 # The search keeps to this share of the error, because starts that were not run may be harder.
 MARGIN = 0.9
+# An error can be told if the converged motion is known to this share of it.
+UNSURE = 0.3
 # The price relative to the best so far that another family must promise.
 BETTER = 0.95
 # The most steps in a control period, relative to the shipped ones.
 FINEST = 256
 # Accuracies to try for steps that choose their own length, relative to the error.
 ACCURACIES = (10.0, 3.0, 1.0, 0.3, 0.1)
-# How often a grid's truth is refined. Errors below this share of a scene's size are rounding.
-REFINED, ROUNDING = 3, 1e-11
+# Errors below this share of a scene's size are rounding.
+ROUNDING = 1e-11
 # The shares of the effort that may be spent when the converged motion is known, when the first
 # choice is made, and when the last one is. Of 72 starts whose converged motion is computed, 8 are
 # those of the search, and 32 those of each test.
 KNOWING, SEARCHING, SETTLING = 0.3, 0.5, 0.75
-# How often starts on which a choice fails may join the search, and how many of them at a time.
-ROUNDS, JOIN = 8, 3
-# The truth of further starts is first known to this multiple of what the search needs. Where that
-# leaves open whether a start holds, it is made finer, so often, down to this share of the error.
-COARSE, CLEARER, FINEST_TRUTH = 3.0, 3, 0.02
+# Where the truth of further starts leaves open whether they hold, it is made finer so often.
+CLEARER = 3
 
 
 @dataclass
@@ -92,11 +91,19 @@ class Search:
         same = math.isclose(dt, shipped, rel_tol=1e-9)
         return family if same else family.also(Change(dt=dt))
 
-    def trial(self, change: Change) -> Trial:
-        """Run a change from the starts of the search."""
-        (tracks,) = self.study.tracks([change], self.truth.starts)
-        self.trials[change] = self.study.score(change, tracks, self.truth)
-        return self.trials[change]
+    def trial(self, change: Change, error: float | None = None) -> Trial:
+        """Run a change from the starts of the search.
+
+        error: [m]; the truth is made finer where it does not tell whether the change holds it.
+        """
+        study, starts = self.study, self.truth.starts
+        (tracks,) = study.tracks([change], starts)
+        trial = study.score(change, tracks, self.truth)
+        if error is not None and not trial.refuted(error) and cleared(study, trial, error, UNSURE):
+            self.truth = study.truth(self.truth.goal / SHARE, starts)
+            trial = study.score(change, tracks, self.truth)
+        self.trials[change] = trial
+        return trial
 
     def join(self, starts: Sequence[int], error: float) -> None:
         """Let further starts join; what was tried from fewer starts no longer holds an error."""
@@ -117,11 +124,12 @@ class Search:
             changes, self.study.tracks(changes, self.truth.starts, bar), strict=True
         ):
             self.trials[change] = self.study.score(change, tracks, self.truth)
-        for _ in range(REFINED):
+        before = math.inf
+        while self.truth.error < before:
+            before = self.truth.error
             least = min((t.error for t in self.trials.values() if not t.failure), default=0.0)
-            if not ROUNDING * self.study.size < least < self.truth.error / SHARE:
-                break
-            self.sharpen(least)
+            if ROUNDING * self.study.size < least < before / SHARE:
+                self.sharpen(least)
 
     def cheapest(self, error: float) -> Trial | None:
         """Return the cheapest settings within an error [m] on the starts of the search, or None."""
@@ -142,14 +150,15 @@ class Search:
                 self.study.workers.deadline.so_far(self.so_far(best))
         return self._adaptive(error, best)
 
-    def so_far(self, best: Trial) -> str:
+    def so_far(self, best: Trial | None = None) -> str:
         """Return what is known of the shipped and of the best settings so far, in words."""
         shipped = self.shipped
+        said = f"error as shipped {metres(shipped.error)}, ± {metres(self.truth.error)}"
+        if best is None:
+            return said
+        cost = f"{times(best.cost / shipped.cost)} the shipped cost"
         named = best.change.label(shipped.settings)
-        return (
-            f"error as shipped {metres(shipped.error)}, ± {metres(self.truth.error)}; best "
-            f"{named}: {metres(best.error)} at {times(best.cost / shipped.cost)} the shipped cost"
-        )
+        return f"{said}; best {named}: {metres(best.error)} at {cost}"
 
     @cached_property
     def families(self) -> list[Change]:
@@ -165,20 +174,20 @@ class Search:
         self, family: Change, ladder: Sequence[int], error: float, first: int
     ) -> Trial | None:
         """Return the trial of a family with the fewest steps that hold, or None."""
-        found, truth = dict[int, Trial](), self.truth
+        found = dict[int, Trial]()
 
         def wrong(steps: int) -> float:
             change = self.at(family, steps)
-            if not self.study.affords(change, len(truth.starts)):
+            if not self.study.affords(change, len(self.truth.starts)):
                 self.ended = True
                 return math.inf
-            if len(truth.starts) > 1:
+            if len(self.truth.starts) > 1:
                 # One hard start refuses most of what does not hold.
                 (alone,) = self.study.tracks([change], [self.hard])
-                one = self.study.score(change, alone, truth.part([self.hard]))
-                if one.bound > error:
+                one = self.study.score(change, alone, self.truth.part([self.hard]))
+                if one.refuted(error):
                     return one.bound
-            found[steps] = self.trial(change)
+            found[steps] = self.trial(change, error)
             if not found[steps].failure and not found[steps].within(error):
                 self.hard = found[steps].worst
             return found[steps].bound
@@ -274,23 +283,33 @@ def tested(
 
     error: [m]. early: whether to stop at the first eight of which one misses the error.
     """
-    parts = list[Trial]()
+    parts, coarse = list[Trial](), UNSURE / SHARE * error
     for first in range(0, len(starts), TOGETHER):
         some = starts[first : first + TOGETHER]
         (tracks,) = study.tracks([change], some)
-        trial = study.score(change, tracks, study.truth(COARSE * error, some))
+        trial = study.score(change, tracks, study.truth(coarse, some))
         for _ in range(CLEARER):
-            gap = np.abs(trial.errors - error)
-            unclear = [s for s, far in zip(some, gap <= trial.unsure, strict=True) if far]
-            if trial.failure or not unclear:
+            if not cleared(study, trial, error, SHARE**2):
                 break
-            finer = max(float(gap.min()), FINEST_TRUTH * error)
-            study.truth(finer / SHARE / 2, unclear)
-            trial = study.score(change, tracks, study.truth(COARSE * error, some))
+            trial = study.score(change, tracks, study.truth(coarse, some))
         parts.append(trial)
         if early and trial.misses(error):
             break
     return Trial.joined(parts)
+
+
+def cleared(study: Study, trial: Trial, error: float, finest: float) -> bool:
+    """Make the truth finer where it does not tell whether a trial holds an error [m].
+
+    finest: the share of the error to which it is made sure, at most. Return whether that was
+    anywhere.
+    """
+    gap = np.abs(trial.errors - error)
+    unclear = [s for s, far in zip(trial.starts, gap <= trial.unsure, strict=True) if far]
+    if trial.failure or not unclear:
+        return False
+    study.truth(max(float(gap.min()) / 2, finest * error) / SHARE, unclear)
+    return True
 
 
 def proven(study: Study, change: Change, error: float, further: int) -> Proof | None:

@@ -27,7 +27,7 @@ from stepcore.report.units import metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.engine.plan import Plan
-    from stepcore.measure.ablation.result import Ablation
+    from stepcore.measure.ablation import Ablation
     from stepcore.measure.check import Check
     from stepcore.measure.diagnosis.result import Diagnosis
     from stepcore.measure.tune import Tuning

@@ -27,7 +27,7 @@ from stepcore.report.units import joules, metres, seconds
 if TYPE_CHECKING:
     from stepcore.engine.replay import PostMortem
     from stepcore.engine.trajectory import Trajectory
-    from stepcore.measure.convergence.result import Convergence
+    from stepcore.measure.convergence import Convergence
     from stepcore.measure.predictability import Predictability
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from stepcore.report.plot.style import ORANGE, TITLE, legend, log_ticks, new_figure
 
 if TYPE_CHECKING:
-    from stepcore.measure.stability.result import MapPanel, StabilityMap
+    from stepcore.measure.stability import MapPanel, StabilityMap
 
 # Colours by state: light, middle and dark, so that they differ without colour too.
 ACCURATE, FINITE = "accurate", "finite"
@@ -21,9 +21,8 @@ FILLS = {ACCURATE: "#A9D8F5", "inaccurate": ORANGE, "exploded": "#4A3B52"}
 UNJUDGED = "finite, not judged"
 COLUMNS = 3
 DASHES = (0, (4, 2))
-# The ends of the scale of delivered over asked, and the most cells with a number in each.
+# The ends of the scale of delivered over asked.
 LEAST, MOST = 1e-3, 1e1
-LABELLED = 120
 
 
 def stability(result: StabilityMap) -> Any:
@@ -43,7 +42,7 @@ def stability(result: StabilityMap) -> Any:
             ax.tick_params(labelbottom=True)
         if k % columns == 0:
             ax.set_ylabel("asked [m]" if result.accuracies else "dt [s]")
-    figure.suptitle(_title(result), fontsize=TITLE, x=0.01, ha="left")
+    figure.suptitle(f"{result.title}, {result.horizon:g} s", fontsize=TITLE, x=0.01, ha="left")
     if not result.accuracies:
         _legend(figure, result)
     return figure
@@ -78,7 +77,7 @@ def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
         # A white line under the black line is visible on every colour.
         axes.plot(*line, color="white", lw=3.5, zorder=4, solid_capstyle="butt")
         axes.plot(*line, color="black", lw=1.5, ls=DASHES, zorder=4)
-    axes.set_title(_named(panel, result), loc="left", fontsize=9.5)
+    axes.set_title(_named(panel), loc="left", fontsize=9.5)
 
 
 def _shares(
@@ -91,15 +90,6 @@ def _shares(
     drawn = np.ma.masked_invalid(np.maximum(over, LEAST))
     mesh = axes.pcolormesh(across, up, drawn, cmap="cividis", norm=LogNorm(LEAST, MOST))
     axes.figure.colorbar(mesh, ax=axes, label="delivered over asked", extend="both")
-    if over.size > LABELLED:
-        return
-    middle = [np.sqrt(edges[1:] * edges[:-1]) for edges in (across, up)]
-    for (row, column), share in np.ndenumerate(over):
-        words = f"{share:.1g}" if np.isfinite(share) else "?"
-        dark = np.isfinite(share) and share < np.sqrt(LEAST * MOST)
-        colour = "white" if dark else "black"
-        at = middle[0][column], middle[1][row]
-        axes.text(*at, words, color=colour, fontsize=8, ha="center", va="center")
 
 
 def _line(
@@ -116,32 +106,14 @@ def _line(
     return np.concatenate([x, ends[:, 0]]), np.concatenate([y, ends[:, 1]])
 
 
-def _says(result: StabilityMap) -> list[str]:
-    """Return the distinct texts about the boundaries that cross a panel."""
-    return list(dict.fromkeys(p.beyond for p in result.panels if _visible(p)))
-
-
-def _visible(panel: MapPanel) -> bool:
-    """Return whether the boundary crosses the panel: unless motion grows at any dt or at none."""
-    return panel.boundary is not None and set(panel.boundary) not in ({0.0}, {np.inf})
-
-
-def _title(result: StabilityMap) -> str:
-    """Return the title, with the meaning of the dashed lines if all have the same."""
-    title = f"{result.title}, {result.horizon:g} s"
-    says = _says(result)
-    return f"{title}\ndashed, by theory: {says[0]}" if len(says) == 1 else title
-
-
-def _named(panel: MapPanel, result: StabilityMap) -> str:
-    """Return the setting, with the theory in words if there is no line."""
-    if panel.boundary and set(panel.boundary) == {0.0}:
+def _named(panel: MapPanel) -> str:
+    """Return the setting, with the theory in words: of the dashed line, or if there is no line."""
+    ends = set(panel.boundary or ())
+    if ends == {0.0}:
         return f"{panel.label} (theory: grows at any dt)"
-    if panel.boundary and set(panel.boundary) == {np.inf}:
+    if ends == {np.inf}:
         return f"{panel.label} (theory: never grows)"
-    if len(_says(result)) > 1:
-        return f"{panel.label}\ndashed: {panel.beyond}"
-    return panel.label
+    return f"{panel.label}\ndashed: {panel.beyond}" if ends else panel.label
 
 
 def _edges(points: Any) -> np.ndarray:

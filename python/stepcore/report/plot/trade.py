@@ -143,7 +143,7 @@ def _rings(axes: Any, trade: Trade, good: Sequence[Trial]) -> None:
         # Below and left of the front there are no points, so a text covers nothing except the
         # axis. A point far above the front has its text on the other side.
         left = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > EDGE
-        front = [one.error for one in good if trade.price(one) <= trade.price(row)]
+        front = [one.error for one in good if one.cost <= row.cost]
         below = row.error <= 1.5 * min(front, default=math.inf)
         # What a text covers, such as the line of the target, is pale around its letters.
         halo = [withStroke(linewidth=1.5, foreground="white")]
