@@ -158,3 +158,44 @@ def test_runs_that_reconverge_count_as_predictable():
     short, long = (sc.predict(scene, horizon=t, starts=1, progress=False) for t in (10.0, 16.0))
     assert short.time == pytest.approx(9.3, abs=0.05) and "reconverge" in short.text()
     assert long.time == math.inf and long.growth.factor.max() > 1e4
+
+
+# Two links whose servos damp quickly, within the bounds of their forces: an explicit step chatters.
+SERVOS = """<mujoco><option timestep=".002" integrator="implicitfast"/><worldbody>
+<body><joint name="p" axis="0 1 0" damping=".5"/>
+<geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass=".6" contype="0" conaffinity="0"/>
+<body pos=".3 0 0"><joint name="q" axis="0 1 0"/>
+<geom type="capsule" size=".01" fromto="0 0 0 .05 0 0" mass="{}" contype="0" conaffinity="0"/>
+</body></body></worldbody><actuator>
+<position name="p" joint="p" kp="{}" kv="{}" forcerange="-40 40"/>
+<position name="q" joint="q" kp="200" kv="{}" forcerange="-5 5"/></actuator></mujoco>"""
+
+
+def waved(time, sim):
+    return [0.5 * np.sin(3 * time), 0.5 * np.sin(5 * time)]
+
+
+def grown_plainly(model, horizon):
+    """The largest growth of a difference of 1e-8, in runs of a sixteenth of the step."""
+    one, other = (sc.Sim(model, dt=model.settings.dt / 16) for _ in "ab")
+    other.qpos[:] += 1e-8
+    most = 0.0
+    for k in range(round(horizon / model.settings.dt)):
+        for sim in (one, other):
+            sim.ctrl[:] = waved(k * model.settings.dt, sim)
+            sim.step(16)
+        most = max(most, float(np.abs(one.qpos - other.qpos).max()) / 1e-8)
+    return most
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_servos_too_quick_for_rk4_are_no_chaos(seed):
+    mass, kp, kv, small = np.random.default_rng(seed).uniform(
+        [0.005, 200, 20, 5], [0.05, 800, 80, 40]
+    )
+    model = sc.loads(SERVOS.format(mass, kp, kv, small)).compile()
+    found = sc.predict(
+        model, control=waved, control_dt=0.002, horizon=0.5, starts=1, progress=False
+    )
+    assert grown_plainly(model, 0.5) < 10
+    assert math.isinf(found.time) and found.growth.factor.max() < 10
