@@ -10,8 +10,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Unpack
 
-import numpy as np
-
 from stepcore._core import Settings
 from stepcore.checks import one_line
 from stepcore.deadline import OutOfTime
@@ -19,18 +17,16 @@ from stepcore.engine.control import control_option
 from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced
-from stepcore.engine.start import Start
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.control_table import control_table
-from stepcore.experiment.horizon import horizon_of
+from stepcore.experiment.horizon import STEPS, horizon_of
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
-from stepcore.experiment.schedule import HORIZON, Schedule, home, scheduled
-from stepcore.experiment.sizes import Sizes
-from stepcore.measure.check.bodies import about_bodies
-from stepcore.measure.check.ranges import about_ranges
+from stepcore.experiment.schedule import HORIZON, SAMPLES, Schedule, home, scheduled
+from stepcore.measure.check.described import Described, described
 from stepcore.measure.diagnosis import Diagnosis, diagnose
 from stepcore.measure.monitors import Finding, Next, monitored, ordered, verified
+from stepcore.measure.monitors.finding import HALF
 from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.settings import label
@@ -39,17 +35,7 @@ from stepcore.report.units import beginning, counted
 
 __all__ = ["Check", "check"]
 
-# The share of the time (`seconds`) at which the run as shipped ends.
-MONITORED = 0.5
 AS_SHIPPED = "the run as shipped"
-# Default number of control periods of the run.
-PERIODS = 100
-# Largest number of steps if no horizon is given: some seconds of computing.
-LONGEST = 200_000
-# A failure keeps only the sentences on its time and its cause; the diagnosis gives the cure.
-SENTENCES = 2
-# Largest number of commands; and the stability margin below which `diagnose` is named.
-COMMANDS, MARGIN = 3, 2.0
 # Commands for any scene.
 ALWAYS = (
     Next("trade", "how large the error is, and what is cheaper", ("--error", "1mm")),
@@ -90,14 +76,14 @@ class Check(Result):
 
     @property
     def commands(self) -> list[tuple[str, str]]:
-        """Commands to run next on the same scene and motion, with reasons; most useful first."""
+        """Up to three commands to run next on the same scene and motion, with reasons."""
         each = ((self._command(following), following.why) for following in self._following())
-        return list(dict(each).items())[:COMMANDS]
+        return list(dict(each).items())[:3]
 
     def _following(self) -> Iterator[Next]:
         dt = self.settings.dt
         limit = self.diagnosis.limit() if self.diagnosis else math.inf
-        if limit < MARGIN * dt:
+        if HALF * limit < dt:
             yield Next("diagnose", "every element's largest stable dt, and all the advice")
         for finding in self.findings:
             if finding.kind == "failure":
@@ -216,19 +202,21 @@ def check(
     """
     setup = set_up(check, model, motion, fields, missing="nothing to check")
     wanted = None if depth is None else units.length("check", "depth", depth, 1.0)
-    compiled, motion, workers = setup.model, setup.motion, setup.workers
-    dt, (start, held) = compiled.settings.dt, home(compiled, motion.key)
+    compiled, motion, deadline = setup.model, setup.motion, setup.workers.deadline
+    start, held = home(compiled, motion.key)
     # What the scene alone says comes first: it takes no run.
-    read = list(_read(compiled, start, held, _key(compiled, motion.key)))
-    workers.deadline.so_far(_first(read))
-    horizon = motion.horizon or max(dt, min(HORIZON, LONGEST * dt))
+    read = list(described(Described(compiled, start, held, _key(compiled, motion.key))))
+    deadline.so_far(_first(read, "the file alone"))
+    dt = compiled.settings.dt
+    horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
     far = horizon_of(compiled, _held(compiled, motion), horizon)
     schedule = _schedule(compiled, motion, far.length)
     failure, seen = list[Finding](), list[Finding]()
-    with workers.deadline.stage(AS_SHIPPED, MONITORED):
+    # Half of the time is the diagnosis'.
+    with deadline.stage(AS_SHIPPED, HALF):
         failure, seen = _monitored(compiled, schedule, wanted, far.ran)
-        workers.deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
-    with workers.deadline.stage("runs of the cures that the scene alone suggests", MONITORED):
+        deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
+    with deadline.stage("runs of the cures that the scene alone suggests", HALF):
         read = verified(read, compiled)
     driven = motion.is_users or motion.kind is not None
     diagnosis, notes = _diagnosis(setup, dataclasses.replace(motion, horizon=horizon))
@@ -249,13 +237,12 @@ def check(
     )
 
 
-def _first(findings: list[Finding], what: str = "the file alone") -> str:
+def _first(findings: list[Finding], where: str) -> str:
     """Return the findings that stand whatever runs of their cures show."""
     findings = [one for one in ordered(findings) if one.remedy is None or not one.remedy.needed]
-    if not findings:
-        return f"{what} shows no problem" if "run" not in what else f"{what} show no problem"
     said = (f"\n- {finding.severity}: {finding.problem}" for finding in findings)
-    return f"{counted(len(findings), 'finding')} in {what}:{''.join(said)}"
+    what = counted(len(findings), "finding") if findings else "no problem"
+    return f"{what} in {where}{':' * bool(findings)}{''.join(said)}"
 
 
 def _held(model: Model, motion: Motion) -> Motion:
@@ -268,8 +255,7 @@ def _held(model: Model, motion: Motion) -> Motion:
 def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
     """Return the schedule of the motion that is run."""
     motion, dt = _held(model, motion), model.settings.dt
-    steps = round(min(horizon / PERIODS / dt, LONGEST))
-    period = motion.period(dt) or dt * max(1, steps)
+    period = motion.period(dt) or dt * max(1, min(round(horizon / SAMPLES / dt), STEPS))
     return scheduled(motion, model, min(period, max(horizon, dt)), starts=1, horizon=horizon)
 
 
@@ -282,14 +268,9 @@ def _monitored(
     if failure is None:
         return [], seen
     replay = Next("run", "writes a replay of the failure for `stepcore replay`")
-    said = f"The run fails: {beginning(failure, SENTENCES)}"
+    # Its time and its cause; the diagnosis gives the cure.
+    said = f"The run fails: {beginning(failure, 2)}"
     return [Finding("failure", "error", said, commands=(replay,))], seen
-
-
-def _read(model: Model, start: Start, held: np.ndarray, key: int | None) -> Iterator[Finding]:
-    """Yield the findings from the scene alone; key: the keyframe of the start."""
-    yield from about_bodies(model, Sizes(model))
-    yield from about_ranges(model, start, key, held)
 
 
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:

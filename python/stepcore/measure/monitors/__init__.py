@@ -31,14 +31,15 @@ def shown(run: Recording, depth: float | None = None) -> list[Finding]:
     """
     if not len(run):
         return []
+    run.wanted = depth
     if run.failure is not None:
-        return list(contact_findings(run, depth))
+        return list(contact_findings(run))
     passed = passages(run)
     every = (
         *fall_findings(run),
         *tunnelling_findings(run, passed),
         *creep_findings(run),
-        *contact_findings(run, depth, {at.pair for at in passed}),
+        *contact_findings(run, {at.pair for at in passed}),
         *joint_findings(run),
         *noise_findings(run),
         *actuator_findings(run),

@@ -15,61 +15,47 @@ from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.experiment.moves import SINKS, TILT, moves_about, roots
-from stepcore.measure.monitors.contacts import centre_of_mass
-from stepcore.measure.monitors.finding import OTHERS, PLOT, Cure, Finding, Remedy, listed, named
-from stepcore.measure.monitors.joints import width_of
-from stepcore.measure.monitors.recording import FEWEST, REST, Recording
-from stepcore.report.units import (
-    FORCES,
-    TORQUES,
-    metres,
-    percent,
-    plural,
-    quantity,
-    radians,
-    rounded,
-    seconds,
+from stepcore.measure.monitors.finding import (
+    DEEP,
+    FEW,
+    HALF,
+    OTHERS,
+    PLOT,
+    SEEN,
+    Cure,
+    Finding,
+    Remedy,
+    listed,
+    named,
+    worst,
 )
+from stepcore.measure.monitors.joints import length_of, unit_of, width_of
+from stepcore.measure.monitors.recording import FEWEST, REST, Recording
+from stepcore.report.units import FORCES, TORQUES, percent, plural, quantity, rounded, seconds
 
-# Relative distance from the end of the force range within which a force is at the end.
-AT_END = 1e-9
-# A servo pushes against a weight if the weight's load has at least this share of the servo's force.
-HALF = 0.5
-# At rest, a servo's error changes by less than this share over the end of a run.
-STEADY = 0.05
 # The share of a run above which saturation is reported: a servo that lost a quarter of a sine's
-# amplitude (bullet3's issue 2152) was at its end for 41 % of the run.
-SATURATED = 1 / 3
-# Gains within this factor are given as one.
-ALIKE = 1.1
-# Least sag that is told and that will be noticed, relative to the joint's range (a hinge's, at most
-# 3 rad): 30 mrad move the hand of an arm of 0.8 m by 24 mm. And the share that a cure should leave.
-SAGS, OBVIOUS, LEFT = 0.01, 0.033, 1 / 3
+# amplitude (fastsine.xml) was at its end for 38 % of the run. And the share of the least sag that is
+# told which a cure leaves: a kp that is three times as large as this one needs a shorter step.
+THIRD = 1 / 3
 
 
 def actuator_findings(run: Recording) -> Iterator[Finding]:
     """Yield all findings on actuators."""
-    model, explained = run.model, set[int]()
+    model = run.model
     if not (model.nu and model.scene.features.actuation):
         return
-    full = list(saturated(run))
-    sagging = list[tuple[float, Servo]]()
-    for servo in at_rest(run):
-        # A servo that presses against an object or a limit does so on purpose, and may be
-        # saturated.
-        k = servo.actuator.index
-        ratio = abs(servo.error) / _notable(model, servo.actuator) if servo.loaded else 0.0
-        if ratio > 1 and k not in {at.actuator for at in full}:
-            sagging.append((ratio, servo))
-        if not servo.loaded:
-            explained.add(k)
+    still, full = list(at_rest(run)), list(saturated(run))
+    weak = {at.actuator for at in full}
+    loaded = (at for at in still if at.loaded and at.actuator.index not in weak)
+    sagging = worst(loaded, lambda at: abs(at.error) / _notable(model, at.actuator))
     if sagging:
-        sagging.sort(key=lambda entry: -entry[0])
-        yield _sags(model, [servo for _, servo in sagging])
-    servos = {of.index for of in _servos(model)} - explained
-    full = [at for at in full if at.share >= SATURATED and at.actuator in servos]
+        yield _sags(model, sagging)
+    # A servo that presses against an object or a limit does so on purpose, and may be saturated.
+    presses = {at.actuator.index for at in still if not at.loaded}
+    servos = {of.index for of in _servos(model)} - presses
+    full = worst((at for at in full if at.actuator in servos), lambda at: at.share / THIRD)
     if full:
-        yield _saturated(model, sorted(full, key=lambda at: -at.share))
+        yield _saturated(model, full)
 
 
 def _servos(model: Model) -> list[Actuator]:
@@ -91,13 +77,10 @@ def saturated(run: Recording) -> Iterator[AtEnd]:
     """Yield actuators whose forces are at the end of their range."""
     # The first reading is the start, which no step has led to.
     force, bounds = run["actuator_force"][1:], run.model.actuator_forcerange
-    room = AT_END * np.abs(bounds)
-    with np.errstate(invalid="ignore"):
-        low, high = force <= bounds[:, 0] + room[:, 0], force >= bounds[:, 1] - room[:, 1]
     # A force of 0 is not saturated, even if the range begins at 0.
-    low, high = low & (force != 0), high & (force != 0)
+    low, high = (np.isclose(force, end, 1e-9, 0) & (force != 0) for end in bounds.T)
     for k in np.flatnonzero((low | high).any(axis=0)):
-        end = bounds[k, 0] if low[:, k].sum() > high[:, k].sum() else bounds[k, 1]
+        end = bounds[k, int(low[:, k].sum() <= high[:, k].sum())]
         yield AtEnd(int(k), float(np.mean(low[:, k] | high[:, k])), float(end))
 
 
@@ -106,14 +89,16 @@ def _saturated(model: Model, full: list[AtEnd]) -> Finding:
     elements = named(model, "actuator", [at.actuator for at in full])
     ends = dict.fromkeys(strength(model, at.actuator, abs(at.value)) for at in full)
     largest = max(full, key=lambda at: abs(at.value))
-    force = f"up to {strength(model, largest.actuator, abs(largest.value))}"
-    force = next(iter(ends)) if len(ends) == 1 else force
+    force = strength(model, largest.actuator, abs(largest.value))
     shares = list(dict.fromkeys(percent(at.share) for at in reversed(full)))
     share = f"{shares[0].removesuffix(' %')} to {shares[-1]}" if shares[1:] else shares[0]
     ranges = "are at the ends of their forceranges"
     if len(full) == 1:
         ranges = "is at the end of its forcerange"
-    problem = f"{_all(elements)} {ranges} ({force}) for {share} of the run, where kv has no effect"
+    problem = (
+        f"{_all(elements)} {ranges} ({'up to ' * (len(ends) > 1)}{force}) for {share} of the run, "
+        "where kv has no effect"
+    )
     cure = "slow the motion or lower kp; a wider forcerange must be one that the hardware has"
     return Finding("saturation", "warning", problem, cure, elements, full[0].share, "1", PLOT)
 
@@ -141,7 +126,7 @@ def at_rest(run: Recording) -> Iterator[Servo]:
     for of in _servos(run.model):
         asked, error = _errors(run, of)
         mean, held = float(error.mean()), np.ptp(run["ctrl"][run.late :, of.index]) == 0
-        if held and float(np.ptp(error)) < STEADY * abs(mean):
+        if held and float(np.ptp(error)) < FEW * abs(mean):
             force = float(run["actuator_force"][-1, of.index])
             yield Servo(of, mean, force, _loaded(run, of, float(asked[-1]), force))
 
@@ -160,20 +145,21 @@ def _loaded(run: Recording, of: Actuator, asked: float, force: float) -> bool:
     floor, that of the tree.
     """
     model, sim = run.model, run.at(len(run) - 1)
+    assert of.joint is not None
     low, high = model.jnt_range[of.joint]
     if not low <= asked / of.gear <= high:
         return False
     if float(loads(sim)[of.dof]) / of.gear * force >= HALF * force**2:
         return True
-    assert of.joint is not None
-    tree = model.root(int(model.jnt_body[of.joint]))
-    free = (j for j, kind in enumerate(model.jnt_type) if kind == "free")
-    if tree not in [model.root(int(model.jnt_body[j])) for j in free]:
+    tree = run.roots[model.jnt_body[of.joint]]
+    free = [
+        body for body, kind in zip(model.jnt_body, model.jnt_type, strict=True) if kind == "free"
+    ]
+    if tree not in run.roots[free]:
         return False
-    pairs = zip(sim.contacts["geom1"], sim.contacts["geom2"], strict=True)
-    touched = {frozenset(model.root(int(model.geom_body[g])) for g in pair) for pair in pairs}
-    touches = [trees for trees in touched if tree in trees]
-    return bool(touches) and all(trees <= {tree, 0} for trees in touches)
+    trees = run.roots[model.geom_body[np.stack([sim.contacts[f"geom{k}"] for k in (1, 2)])]]
+    touched = trees[:, (trees == tree).any(axis=0)]
+    return bool(touched.size) and bool(np.isin(touched, (tree, 0)).all())
 
 
 def sag_of(run: Recording, indices: Collection[int]) -> float | None:
@@ -181,44 +167,35 @@ def sag_of(run: Recording, indices: Collection[int]) -> float | None:
 
     None if a control changes there.
     """
-    count, worst = max(FEWEST, int(REST * len(run))), 0.0
+    count, most = max(FEWEST, int(REST * len(run))), 0.0
     for of in _servos(run.model):
         if of.index in indices:
             if np.ptp(run["ctrl"][-count:, of.index]):
                 return None
-            worst = max(worst, float(np.abs(_errors(run, of)[1]).max()))
-    return worst
+            most = max(most, float(np.abs(_errors(run, of)[1]).max()))
+    return most
 
 
 def _notable(model: Model, of: Actuator) -> float:
     """Return the least sag that is told, before the gear [rad or m]."""
     assert of.joint is not None
-    widest = math.inf if _turns(model, of) else 1.0
-    return SAGS * min(width_of(model, of.joint), widest) * abs(of.gear)
-
-
-def _turns(model: Model, of: Actuator) -> bool:
-    assert of.joint is not None
-    return model.jnt_type[of.joint] == "hinge"
+    widest = math.inf if unit_of(model, of.joint) == "rad" else 1.0
+    return SEEN * min(width_of(model, of.joint), widest) * abs(of.gear)
 
 
 def _sags(model: Model, servos: list[Servo]) -> Finding:
     """Return a finding on servos that sag under their loads, the worst first."""
-    worst, (of, *_) = servos[0], [servo.actuator for servo in servos]
-    indices, notable = [servo.actuator.index for servo in servos], _notable(model, of)
-    elements, error = named(model, "actuator", indices), abs(worst.error / of.gear)
-    in_words = radians if _turns(model, of) else metres
-    ratios = {s.actuator: abs(s.error) / (_notable(model, s.actuator) * LEFT) for s in servos}
-    if max(ratios.values()) < ALIKE * min(ratios.values()):
-        ratios = dict.fromkeys(ratios, max(ratios.values()))
-    gains = [rounded(other.kp * ratio) for other, ratio in ratios.items()]
-    # "kp 1810 (servo `j2` 995)"
-    also = [f"{e.name} {gain:g}" for e, gain in zip(elements, gains, strict=True)][1:]
-    more = f" and {len(also) - OTHERS} more in proportion" if len(also) > OTHERS else ""
-    words = f"kp {gains[0]:g}" + (f" ({', '.join(also[:OTHERS])}{more})" if also else "")
-    if also and len(set(gains)) == 1:
-        words = f"kp {gains[0]:g} of each"
-    by_index = {other.index: ratio for other, ratio in ratios.items()}
+    first, indices = servos[0], [servo.actuator.index for servo in servos]
+    of, notable = first.actuator, _notable(model, first.actuator)
+    assert of.joint is not None
+    joint, elements = of.joint, named(model, "actuator", indices)
+    error = abs(first.error / of.gear)
+    ratios = [abs(s.error) / (_notable(model, s.actuator) * THIRD) for s in servos]
+    if max(ratios) < (1 + DEEP) * min(ratios):
+        ratios = [max(ratios)] * len(ratios)
+    gains = [rounded(s.actuator.kp * r) for s, r in zip(servos, ratios, strict=True)]
+    words = _gains(elements, gains)
+    by_index = dict(zip(indices, ratios, strict=True))
     way = (
         Cure(words, Change(stronger(model, by_index, damped=False))),
         Cure(f"{words}, with kv in proportion", Change(stronger(model, by_index, damped=True))),
@@ -227,17 +204,26 @@ def _sags(model: Model, servos: list[Servo]) -> Finding:
         (way,),
         lambda other: sag_of(other, indices),
         notable,
-        lambda left: in_words(abs(left / of.gear)),
+        lambda left: length_of(model, joint, abs(left / of.gear)),
     )
     problem = (
-        f"{listed(elements, 'servos')} sags by {in_words(error)} under its load of "
-        f"{strength(model, of.index, abs(worst.force))}, which is load / kp with kp {of.kp:.4g}"
+        f"{listed(elements, 'servo')} sags by {length_of(model, joint, error)} under its load of "
+        f"{strength(model, of.index, abs(first.force))}, which is load / kp with kp {of.kp:.4g}"
     )
-    severity = "warning" if abs(worst.error) > OBVIOUS / SAGS * notable else "remark"
-    cure, unit = "let the control carry the load", "rad" if _turns(model, of) else "m"
+    severity = "warning" if abs(first.error) > FEW / SEEN * notable else "remark"
+    cure, unit = "let the control carry the load", unit_of(model, joint)
     return Finding(
         "servo sags", severity, problem, cure, elements, error, unit, PLOT, remedy=remedy
     )
+
+
+def _gains(elements: Sequence[Element], gains: list[float]) -> str:
+    """Return "kp 1810 (servo `j2` 995)", or "kp 91.2 of each"."""
+    if len(gains) > 1 and len(set(gains)) == 1:
+        return f"kp {gains[0]:g} of each"
+    also = [f"{e.name} {gain:g}" for e, gain in zip(elements, gains, strict=True)][1:]
+    more = f" and {len(also) - OTHERS} more in proportion" if len(also) > OTHERS else ""
+    return f"kp {gains[0]:g}" + (f" ({', '.join(also[:OTHERS])}{more})" if also else "")
 
 
 def stronger(model: Model, ratios: Mapping[int, float], damped: bool) -> dict[str, Any]:
@@ -289,15 +275,12 @@ def fall_findings(run: Recording) -> Iterator[Finding]:
     model, drives = run.model, actuators(run.model)
     if not any(drive.kind == SERVO for drive in drives) or not moves_about(model, drives):
         return
-    first: tuple[float, int] | None = None
-    for body in sorted(roots(model, drives)):
-        down = _down(run, body)
-        if down.any():
-            when = float(run.times[down.argmax()] - run.times[0])
-            first = min(first or (when, body), (when, body))
-    if first is None:
+    down = {body: _down(run, body) for body in sorted(roots(model, drives))}
+    falls = {body: float(run.times[at.argmax()]) for body, at in down.items() if at.any()}
+    if not falls:
         return
-    after, of = first[0], named(model, "body", [first[1]])
+    body = min(falls, key=falls.__getitem__)
+    after, of = falls[body] - float(run.times[0]), named(model, "body", [body])
     problem = (
         f"{of[0].name} falls over within {seconds(after)}, because its servos do not balance it"
     )
@@ -309,10 +292,9 @@ def _down(run: Recording, body: int) -> np.ndarray:
     """Return at which readings a robot is no longer upright."""
     axis = rotated(run["xquat"][:, body] * (1.0, -1.0, -1.0, -1.0), np.array([0.0, 0.0, 1.0]))
     down: np.ndarray = axis @ axis[0] < np.cos(TILT)
-    owners = run.model.geom_body.tolist()
-    geoms = [k for k, owner in enumerate(owners) if run.model.root(owner) == body]
-    if geoms:
+    geoms = np.flatnonzero(run.roots[run.model.geom_body] == body)
+    if len(geoms):
         lowest = run.geoms[0][:, geoms, 2] - run.model.geom_size[geoms].max(axis=1)
-        height = centre_of_mass(run, body)[:, 2] - lowest.min(axis=1)
+        height = run.centre_of_mass(body)[:, 2] - lowest.min(axis=1)
         down |= height < (1 - SINKS) * height[0]
     return down

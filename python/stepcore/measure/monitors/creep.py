@@ -22,10 +22,20 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.contacts import LEFT
 from stepcore.measure.monitors.cures import assigned
-from stepcore.measure.monitors.finding import Cure, Finding, Remedy, listed, named
-from stepcore.measure.monitors.recording import FEWEST, Recording
+from stepcore.measure.monitors.finding import (
+    FEW,
+    HALF,
+    LEFT,
+    SEEN,
+    Cure,
+    Finding,
+    Remedy,
+    listed,
+    named,
+    worst,
+)
+from stepcore.measure.monitors.recording import FEWEST, Recording, friction_of
 from stepcore.measure.monitors.soft_rows import impedance
 from stepcore.report.units import (
     FORCES,
@@ -39,23 +49,20 @@ from stepcore.report.units import (
 from stepcore.scene.elements import Joint
 from stepcore.scene.layout import Layout
 
-# Largest relative deviation from the mean velocity; length of the window in time constants; and
-# least load, as a share of the largest friction.
-UNSTEADY, WINDOW, RUBS = 0.5, 10.0, 0.05
-# Threshold of the slip in one second, relative to the thickness of the thinner geom.
-CREEP = 0.01
-# Largest impratio that is advised: beyond it, the rows differ too much in scale to be solved.
+# Length of the window in which a slip is steady, in time constants: what it began with has decayed.
+WINDOW = 10.0
+# Largest impratio that is advised: beyond it, the rows differ too much in scale to be solved. Go2
+# needs all of it.
 IMPRATIO = 1e4
-# A contact sticks if its friction is below this share of μ × normal force. A pyramidal cone allows
-# all of it along its tangents, and 1/√2 of it between them.
-STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
-# A row of friction loss that gives at least this share of its friction slides.
-SLIDES = 0.98
+# A contact sticks, and a friction loss holds, below this share of its friction. A pyramidal cone
+# allows all of that along its tangents, and 1/√2 of it between them.
+STICKS = 0.99
 # Slowest creep of a joint that is told [rad/s]; for slides, relative to the body's size [1/s].
-# People ask about arms that drift at 1.5 mrad/s (MuJoCo's issue 2082), and a tenth of a degree in
-# a second is seen within a minute.
+# People ask about arms that drift at 1.5 mrad/s (MuJoCo's issue 2082, frictionloss.xml), and a
+# tenth of a degree in a second is seen within a minute.
 CREEPS = 1e-3
-# Impedances that are advised, softest first: the creep falls as (1 − d)/d.
+# Impedances that are advised, softest first: the creep falls as (1 − d)/d. frictionloss.xml is
+# cured by the first, friceq.xml by the last.
 IMPEDANCES = ((0.99, 0.999), (0.999, 0.9999), (0.9999, 0.9999))
 
 
@@ -110,9 +117,9 @@ def _fastest(
             window = spell[first : first + count]
             drift, used = velocity[window].mean(axis=0), float(share[window].mean())
             mean = float(np.linalg.norm(drift))
-            unsteady = np.linalg.norm(velocity[window] - drift, axis=1).max() > UNSTEADY * mean
+            unsteady = np.linalg.norm(velocity[window] - drift, axis=1).max() > HALF * mean
             turns = mean < rolls[window].mean()
-            if used >= RUBS and not unsteady and not turns and (not best or mean > best.speed):
+            if used >= FEW and not unsteady and not turns and (not best or mean > best.speed):
                 begin, end = run.times[readings[window[[0, -1]]]].tolist()
                 best = Creep(of, mean, used, begin, end)
     return best
@@ -120,7 +127,10 @@ def _fastest(
 
 def _left(found: Sequence[Creep], series: Series, run: Recording) -> float | None:
     """Return the largest mean velocity of what crept, each in its time; None if one is not seen."""
-    worst = 0.0
+    # Contacts are read in these times alone.
+    begin, end = min(creep.begin for creep in found), max(creep.end for creep in found)
+    first, last = np.searchsorted(run.times, (begin, end * (1 + 1e-9))).tolist()
+    run, speeds = run.part(first, last + 1), list[float]()
     for creep in found:
         means = []
         for readings, velocity in series(run, creep.of):
@@ -130,8 +140,8 @@ def _left(found: Sequence[Creep], series: Series, run: Recording) -> float | Non
                 means.append(float(np.linalg.norm(velocity[within].mean(axis=0))))
         if not means:
             return None
-        worst = max(worst, *means)
-    return worst
+        speeds += means
+    return max(speeds)
 
 
 # Contacts.
@@ -141,7 +151,7 @@ def creeps(run: Recording) -> Iterator[Creep]:
     """Yield contacts that should rest and slip steadily for a while although friction holds."""
     seen, held = run.contacts, _held(run)
     for (pair, _), places in seen.groups.items():
-        if seen.friction(pair) > 0:
+        if friction_of(run.model, pair) > 0:
             some, constant = places[held[places]], run.model.contact_pair(pair).solref[0]
             series = seen.reading[some], seen.past[some], seen.share[some], seen.rolls[some]
             if creep := _fastest(run, pair, constant, *series):
@@ -160,18 +170,20 @@ def _held(run: Recording) -> np.ndarray:
     Between its edges, a pyramid yields at less friction than along an edge: there a contact sticks
     as long as every edge pushes.
     """
-    seen, settings = run.contacts, run.model.settings
-    held: np.ndarray = seen.share < STICKS[settings.cone]
-    if settings.cone == "pyramidal":
-        unsure = np.flatnonzero(~held & (seen.share < 1))
-        for reading in np.unique(seen.reading[unsure]):
-            rows = run.at(int(reading)).rows
-            rows = rows[rows["kind"] == "contact"]
-            for k in unsure[seen.reading[unsure] == reading]:
-                mine = (rows["index"] == seen.pair[k]) & (rows["part"] == seen.part[k])
-                edges = rows["force"][mine]
-                # A force of rounding is none.
-                held[k] = edges.min(initial=np.inf) > 1e-6 * edges.max(initial=0.0)
+    seen = run.contacts
+    if run.model.settings.cone != "pyramidal":
+        held: np.ndarray = seen.share < STICKS
+        return held
+    held = seen.share < STICKS / math.sqrt(2)
+    unsure = np.flatnonzero(~held & (seen.share < 1))
+    for reading in np.unique(seen.reading[unsure]):
+        rows = run.at(int(reading)).rows
+        rows = rows[rows["kind"] == "contact"]
+        for k in unsure[seen.reading[unsure] == reading]:
+            mine = (rows["index"] == seen.pair[k]) & (rows["part"] == seen.part[k])
+            edges = rows["force"][mine]
+            # A force of rounding is none.
+            held[k] = edges.min(initial=np.inf) > 1e-6 * edges.max(initial=0.0)
     return held
 
 
@@ -179,13 +191,13 @@ def _contacts(run: Recording) -> Iterator[Finding]:
     model = run.model
 
     def over(creep: Creep) -> float:
-        return creep.speed / (CREEP * run.thick(creep.of))
+        return creep.speed / (SEEN * run.thick(creep.of))
 
-    found = sorted((creep for creep in creeps(run) if over(creep) > 1), key=over, reverse=True)
+    found = worst(creeps(run), over)
     if not found:
         return
-    worst, elements = found[0], named(model, "contact", [creep.of for creep in found])
-    least = round_number(model.settings.impratio * over(worst) / LEFT, up=True)
+    of, elements = found[0], named(model, "contact", [creep.of for creep in found])
+    least = round_number(model.settings.impratio * over(of) / LEFT, up=True)
     cures = tuple(
         Cure(
             f'cone="elliptic" with impratio="{impratio:g}"',
@@ -197,7 +209,7 @@ def _contacts(run: Recording) -> Iterator[Finding]:
     remedy = Remedy(
         (cures, (Cure("stiction=True", Change(stiction=True)),)),
         functools.partial(_left, found, _slips),
-        CREEP * run.thick(worst.of),
+        SEEN * run.thick(of.of),
         # Below a nanometre in a second it is rounding.
         lambda left: speed(left) if left > 1e-9 else "none",
         most=2,
@@ -205,11 +217,10 @@ def _contacts(run: Recording) -> Iterator[Finding]:
         needed=True,
     )
     problem = (
-        f"{listed(elements, 'contacts')} creeps at {speed(worst.speed)} although its friction "
-        f"holds ({percent(worst.share)} of what it could be)"
+        f"{listed(elements, 'contact')} creeps at {speed(of.speed)} although its friction "
+        f"holds ({percent(of.share)} of what it could be)"
     )
-    value = worst.speed
-    yield Finding("creep", "warning", problem, "", elements, value, "m/s", remedy=remedy)
+    yield Finding("creep", "warning", problem, "", elements, of.speed, "m/s", remedy=remedy)
 
 
 # Joints with friction loss.
@@ -231,7 +242,7 @@ def drifts(run: Recording) -> Iterator[Creep]:
             continue
         velocity = run["qvel"][:, [int(model.jnt_dofadr[joint])]]
         share = np.abs(velocity[:, 0]) * _damping(model, joint, of) / of.frictionloss
-        held = np.flatnonzero(share < SLIDES)
+        held = np.flatnonzero(share < STICKS)
         series = held, velocity[held], share[held], np.zeros(len(held))
         if creep := _fastest(run, joint, of.solreffriction[0], *series):
             yield creep
@@ -265,12 +276,12 @@ def _joints(run: Recording) -> Iterator[Finding]:
         size = run.sizes.bodies[int(model.jnt_body[drift.of])] if slides else 1.0
         return drift.speed / (CREEPS * size)
 
-    found = sorted((drift for drift in drifts(run) if over(drift) > 1), key=over, reverse=True)
+    found = worst(drifts(run), over)
     if not found:
         return
-    worst, angular = found[0], model.jnt_type[found[0].of] != "slide"
+    of, angular = found[0], model.jnt_type[found[0].of] != "slide"
     elements = tuple(Element.of(model, "friction loss", drift.of) for drift in found)
-    loss = quantity(_losses(model)[worst.of].frictionloss, TORQUES if angular else FORCES)
+    loss = quantity(_losses(model)[of.of].frictionloss, TORQUES if angular else FORCES)
     constant = float(f"{2 * model.settings.dt:.3g}")
 
     def rate(value: float) -> str:
@@ -285,14 +296,14 @@ def _joints(run: Recording) -> Iterator[Finding]:
     remedy = Remedy(
         (tuple(harder(*ends) for ends in IMPEDANCES),),
         functools.partial(_left, found, _velocities),
-        worst.speed / over(worst),
+        of.speed / over(of),
         rate,
         # A motion that harder friction does not end is no creep.
         needed=True,
     )
     problem = (
-        f"{listed(elements, 'friction losses')} lets the joint creep at {rate(worst.speed)} "
-        f"under {percent(worst.share)} of its {loss}"
+        f"{listed(elements, 'friction loss')} lets the joint creep at {rate(of.speed)} "
+        f"under {percent(of.share)} of its {loss}"
     )
     unit = "rad/s" if angular else "m/s"
-    yield Finding("creep", "warning", problem, "", elements, worst.speed, unit, remedy=remedy)
+    yield Finding("creep", "warning", problem, "", elements, of.speed, unit, remedy=remedy)

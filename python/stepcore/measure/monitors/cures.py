@@ -16,14 +16,15 @@ from stepcore import deadline
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.element import OVERRIDE, Element
 from stepcore.engine.model import Model
-from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy
+from stepcore.experiment.change import Change
+from stepcore.measure.monitors.finding import HALF, Cure, Finding, Next, Remedy
+from stepcore.report.units import seconds
 
-# A cure that leaves more than a finding's threshold is still named if it leaves at most this share
-# of the problem.
-HELPS = 0.5
 # The cost of all cures' runs, in steps × (dofs + 2). Go2 takes 0.35 s for 10⁵ of that, its findings
 # included.
 EFFORT = 3e5
+# The parts of a time step that are tried.
+PARTS = (1, 2, 4)
 
 # Runs the motion of a finding with another model, and returns the `Recording`; None if that fails.
 Again = Callable[[Model], Any]
@@ -40,8 +41,7 @@ def verified(
     cures with a motion of their own are run. steps: the number of time steps of the run.
     """
     trials = _Trials(model, again, float(steps * (model.nv + 2)))
-    cured = (trials.cured(finding) for finding in findings)
-    return [finding for finding in cured if finding is not None]
+    return [cured for finding in findings if (cured := trials.cured(finding)) is not None]
 
 
 @dataclasses.dataclass
@@ -58,8 +58,36 @@ class _Trials:
         remedy = finding.remedy
         if remedy is None:
             return finding
-        finding = dataclasses.replace(finding, remedy=None)
-        before = next((x for x in (remedy.now, finding.value) if x is not None), math.inf)
+        now = remedy.now if remedy.now is not None else finding.value
+        helps = math.inf if now is None else HALF * abs(now)
+        held, helped, tried, untried = self._run(remedy, helps)
+        said = held or sorted(helped, key=lambda entry: entry[0])[:1]
+        words, also = finding.cure, f", or {finding.cure}" if finding.cure else ""
+        commands, settings = finding.commands, finding.settings
+        if said:
+            best = said[0][1].change
+            words = ", or ".join(f"{cure.words} leaves {remedy.say(left)}" for left, cure in said)
+            words, settings = words + also, dict(best.settings)
+            commands = (*_commands(best), *commands)
+        elif remedy.needed and (tried or finding.severity == "remark"):
+            return None
+        elif untried:
+            words = f"try {untried[0].words}{also}"
+        elif tried and not words:
+            # Of each way the first; the stronger ones have been tried, too.
+            first = [way[0].words for way in remedy.ways if way and way[0] in tried]
+            words = f"tried without success, and more of it: {'; '.join(first)}"
+        return dataclasses.replace(
+            finding, cure=words, settings=settings, commands=commands, remedy=None
+        )
+
+    def _run(
+        self, remedy: Remedy, helps: float
+    ) -> tuple[list[tuple[float, Cure]], list[tuple[float, Cure]], list[Cure], list[Cure]]:
+        """Try the cures of each way; return those that held and helped, and the (un)tried.
+
+        helps: a cure that leaves at most this much is named if none holds.
+        """
         held, helped = list[tuple[float, Cure]](), list[tuple[float, Cure]]()
         tried, untried = list[Cure](), list[Cure]()
         for way in remedy.ways:
@@ -68,58 +96,47 @@ class _Trials:
             for cure in way:
                 ran, left = self._tried(remedy, cure)
                 (tried if ran else untried).append(cure)
-                if left is not None and left <= remedy.enough:
-                    held.append((left, cure))
-                elif left is not None and left <= HELPS * abs(before):
-                    helped.append((left, cure))
-                if not ran or (held and held[-1][1] is cure):
+                if not ran:
                     break
-        also = f", or {finding.cure}" if finding.cure else ""
-        named = held or sorted(helped, key=lambda entry: entry[0])[:1]
-        if named:
-            said = ", or ".join(f"{cure.words} leaves {remedy.say(left)}" for left, cure in named)
-            settings = dict(named[0][1].change.settings)
-            commands = (*_commands(named[0][1]), *finding.commands)
-            return dataclasses.replace(
-                finding, cure=said + also, settings=settings, commands=commands
-            )
-        if remedy.needed and (tried or finding.severity == "remark"):
-            return None
-        if untried:
-            return dataclasses.replace(finding, cure=f"try {untried[0].words}{also}")
-        # Of each way the first; the stronger ones have been tried, too.
-        first = [way[0].words for way in remedy.ways if way and way[0] in tried]
-        failed = f"tried without success, and more of it: {'; '.join(first)}" if first else ""
-        return dataclasses.replace(finding, cure=finding.cure or failed)
+                if left is None:
+                    # A stronger one changes the motion no less.
+                    break
+                if left <= remedy.enough:
+                    held.append((left, cure))
+                    break
+                if left <= helps:
+                    helped.append((left, cure))
+        return held, helped, tried, untried
 
     def _tried(self, remedy: Remedy, cure: Cure) -> tuple[bool, float | None]:
         """Run a cure: whether there was time for it, and what it leaves.
 
-        What it leaves is None if its run fails, or makes an error of its own.
+        That is all, inf, if its run fails, and None if its run does not show the problem's place.
         """
         dt = self.model.settings.dt
-        runs = max(1.0, dt / dict(cure.change.settings).get("dt", dt))
-        if runs * self.cost > self.effort:
+        cost = max(1.0, dt / dict(cure.change.settings).get("dt", dt)) * self.cost
+        if cost > self.effort:
             return False, None
-        self.effort -= runs * self.cost
-        ran, left = False, None
+        self.effort -= cost
+        ran = False
+        left: float | None = None
         with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
             try:
                 seen = (remedy.again or self.again)(cure.change.of(self.model))
-                left = None if seen is None else remedy.left(seen)
+                left = math.inf if seen is None else remedy.left(seen)
             except (ValueError, SimulationError):
-                left = None
+                left = math.inf
             ran = True
         return ran, left
 
 
-def _commands(cure: Cure) -> tuple[Next, ...]:
+def _commands(change: Change) -> tuple[Next, ...]:
     """Return the command that shows a cure; only settings can be given on a command line."""
-    if cure.change.size or not cure.change.settings:
+    if change.size or not change.settings:
         return ()
     values = (
         f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
-        for name, value in cure.change.settings
+        for name, value in change.settings
     )
     sets = tuple(word for value in values for word in ("--set", value))
     return (Next("run", "the same with this cure", sets),)
@@ -140,3 +157,8 @@ def assigned(
 def finer(settings: Settings, most: float) -> float:
     """Return the largest whole part of the time step that is at most `most` [s]."""
     return settings.dt / max(1, math.ceil(settings.dt / most * (1 - 1e-9)))
+
+
+def shorter(dts: Iterable[float]) -> tuple[Cure, ...]:
+    """Return the cures by shorter time steps [s]."""
+    return tuple(Cure(f"a dt of {seconds(dt)}", Change(dt=dt)) for dt in dict.fromkeys(dts))

@@ -1,19 +1,38 @@
-"""`Finding`: a problem, or a possible problem, as data; the sentence is made last."""
+"""`Finding`: a problem, or a possible problem, as data; the sentence is made last.
+
+Also the one scale by which findings are judged, and the words that their sentences share.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
+from stepcore.report.units import counted
+
+# Shares of a size (the thinner geom, the smaller body, a joint's range), of a load or of a time.
+# Seen within a second or two, if one looks: the 11 mm/s at which half_cheetah's feet creep apart,
+# the gap of 3 % of weldballs.xml, the sag of 2.6 % of op3.
+SEEN = 0.01
+# A twentieth: beyond a limit, more than an impact (finger.xml), louder than rounding (hopper.xml).
+FEW = 0.05
+# A depth that looks wrong (friction8.xml, cup.xml, jaco_arm.xml at 10 %), a way that is sliding.
+DEEP = 0.1
+# Most of something: a weight that a servo carries, a force beside another, a geom within another.
+HALF = 0.5
+# The share of a threshold that a cure is made to leave.
+LEFT = 0.1
+# Number of elements that a sentence names after the first.
+OTHERS = 3
 
 # Most severe first: certainly wrong, will be noticed, may be intended.
 SEVERITIES = ("error", "warning", "remark")
-# Number of elements that a sentence names after the first.
-OTHERS = 3
+
+T = TypeVar("T")
 
 
 class Next(NamedTuple):
@@ -28,6 +47,10 @@ class Next(NamedTuple):
 
 
 PLOT = (Next("run", "energy over time", ("--plot", "run.png")),)
+TEST_CONTACTS = (
+    Next("converge", "whether the contacts are solved"),
+    Next("run", "energy and overlap over time", ("--plot", "run.png")),
+)
 
 
 class Cure(NamedTuple):
@@ -97,7 +120,8 @@ class Finding:
     def text(self) -> str:
         """The problem and the cure as a sentence."""
         # A problem without an element may begin with a file name, which keeps its case.
-        problem = capital(self.problem) if self.elements else self.problem
+        begin = self.problem[:1].upper() if self.elements else self.problem[:1]
+        problem = begin + self.problem[1:]
         return f"{problem}: {self.cure}." if self.cure else f"{problem}."
 
     def record(self) -> dict[str, Any]:
@@ -106,14 +130,17 @@ class Finding:
         return {name: getattr(self, name) for name in names}
 
 
-def capital(text: str) -> str:
-    """Return a text with a capital first letter."""
-    return text[:1].upper() + text[1:]
-
-
 def ordered(findings: Iterable[Finding]) -> list[Finding]:
     """Return findings sorted by severity; equally severe findings stay in order."""
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
+
+
+def worst(cases: Iterable[T], over: Callable[[T], float]) -> list[T]:
+    """Return the cases that are over their threshold, the furthest first.
+
+    over: how often a case has its threshold.
+    """
+    return sorted((case for case in cases if over(case) > 1), key=over, reverse=True)
 
 
 def named(model: Model, kind: str, indices: Iterable[int]) -> tuple[Element, ...]:
@@ -122,17 +149,14 @@ def named(model: Model, kind: str, indices: Iterable[int]) -> tuple[Element, ...
 
 
 def listed(elements: Sequence[Element], noun: str) -> str:
-    """Return "servo `a` (and servo `b`, servo `c` and 3 more servos)"; noun: the plural."""
-    first, *rest = (element.name for element in elements)
-    return first + others(rest, noun)
+    """Return "servo `a` (and servo `b`, servo `c` and 3 more servos)"; noun: the singular."""
+    return elements[0].name + others(elements[1:], noun)
 
 
-def others(names: Sequence[str], noun: str) -> str:
-    """Return " (and `b`, `c` and 3 more contacts)", or "" without names; noun: the plural."""
-    if not names:
+def others(elements: Sequence[Element], noun: str) -> str:
+    """Return " (and `b`, `c` and 3 more contacts)", or "" without elements; noun: the singular."""
+    if not elements:
         return ""
-    more = len(names) - OTHERS
-    if more == 1:
-        noun = noun.replace("bodies", "body").replace("losses", "loss ").removesuffix("s").strip()
-    rest = f" and {more} more {noun}" if more > 0 else ""
-    return f" (and {', '.join(names[:OTHERS])}{rest})"
+    more = len(elements) - OTHERS
+    rest = f" and {counted(more, f'more {noun}')}" if more > 0 else ""
+    return f" (and {', '.join(of.name for of in elements[:OTHERS])}{rest})"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,36 +18,35 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import Coordinates, rotated, turned
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.contacts import LEFT, TEST_CONTACTS
 from stepcore.measure.monitors.finding import (
+    DEEP,
+    FEW,
+    HALF,
+    LEFT,
     OTHERS,
     PLOT,
+    SEEN,
+    TEST_CONTACTS,
     Cure,
     Finding,
     Next,
     Remedy,
     listed,
     named,
+    worst,
 )
 from stepcore.measure.monitors.recording import Recording, settled
 from stepcore.measure.monitors.soft_rows import stiffened
 from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
 from stepcore.scene.layout import QPOS, Layout
 
-# Least share of a run that a joint must be beyond its limit; a short impact does not count.
-KEPT = 0.05
-# Thresholds of findings: a gap, relative to the smaller body; an excess, relative to the range.
-GAPES, BEYOND = 0.01, 0.05
-# A force overcomes a limit from this share of the limit's own force.
-OVERPOWERS = 0.5
-# Ranges wider than this do not define how exact a limit should be [rad].
+# Ranges wider than this do not define how exact a limit or a servo should be [rad].
 WIDEST = 3.0
-# Elements that only resist motion cannot push a joint beyond its limit.
-RESISTS = ("damper", "friction loss")
-# A joint in free play falls onto an end of it. One that uses less than the first share of half its
-# range is held; once it is free, it uses the second.
-HELD, FREE = 0.9, 0.99
+# Elements that only resist motion cannot push a joint beyond its limit. An equality that holds the
+# joint within its range has damping that points outwards, too (backlash.xml).
+RESISTS = ("damper", "friction loss", "joint equality")
 
 
 def joint_findings(run: Recording) -> Iterator[Finding]:
@@ -78,24 +77,28 @@ def gapes(run: Recording) -> Iterator[Gape]:
     """Yield every connection with its gap."""
     model = run.model
     features, layout = model.scene.features, Layout(model.scene)
-    if not (features.equality and features.constraint):
+    tied = [
+        (k, equality)
+        for k, equality in enumerate(model.scene.equalities)
+        if equality.active and equality.type in ("connect", "weld")
+    ]
+    if not tied or not (features.equality and features.constraint):
         return
-    for k, equality in enumerate(model.scene.equalities):
-        if equality.active and equality.type in ("connect", "weld"):
-            ends = _ends(equality.plain(layout), run)
-            here, there = (
-                run["xpos"][:, body] + rotated(run["xquat"][:, body], point) for body, point in ends
-            )
-            gap = np.linalg.norm(here - there, axis=1)
-            yield Gape(k, float(gap.max()), settled(gap))
+    described = unwatched(Sim(model))
+    for k, equality in tied:
+        ends = _ends(equality.plain(layout), described)
+        here, there = (
+            run["xpos"][:, body] + rotated(run["xquat"][:, body], point) for body, point in ends
+        )
+        gap = np.linalg.norm(here - there, axis=1)
+        yield Gape(k, float(gap.max()), settled(gap))
 
 
-def _ends(tie: dict[str, Any], run: Recording) -> tuple[tuple[int, Floats], tuple[int, Floats]]:
+def _ends(tie: dict[str, Any], sim: Sim) -> tuple[tuple[int, Floats], tuple[int, Floats]]:
     """Return the two bodies of a connection, and the connected point in the frame of each [m].
 
-    A point that is not given follows from the poses in which the scene is described.
+    A point that is not given follows from the poses in which the scene is described, those of sim.
     """
-    sim = run.described
     place, turn = sim.xpos, np.array(sim.xmat).reshape(-1, 3, 3)
     a, b = tie["first"], tie["second"]
     near, far = (frame and np.array(frame["pos"]) for frame in (tie["frame1"], tie["frame2"]))
@@ -113,30 +116,28 @@ def _gap_of(run: Recording, equalities: Collection[int]) -> float | None:
 
 def _gaps(run: Recording) -> Iterator[Finding]:
     model, layout = run.model, Layout(run.model.scene)
-    equalities, notable = model.scene.equalities, list[tuple[float, Gape, float]]()
-    for gape in gapes(run):
-        bodies = [layout.index[id(body)] for body in equalities[gape.equality].bodies]
+    equalities, sizes = model.scene.equalities, run.sizes.bodies
+
+    def size(at: Gape) -> float:
+        bodies = [layout.index[id(body)] for body in equalities[at.equality].bodies]
         # The world has no size to compare with.
-        sizes = run.sizes.bodies
-        size = min((sizes[body] for body in bodies if body), default=sizes[0])
-        if gape.most > GAPES * size:
-            notable.append((gape.most / size, gape, size))
-    if not notable:
+        return min((sizes[body] for body in bodies if body), default=sizes[0])
+
+    open_ = worst(gapes(run), lambda at: at.most / (SEEN * size(at)))
+    if not open_:
         return
-    notable.sort(key=lambda entry: -entry[0])
-    _, worst, size = notable[0]
-    tied = [gape.equality for _, gape, _ in notable]
+    of, now = open_[0], open_[0].now
+    tied = [at.equality for at in open_]
     connections = tuple(Element.of(model, equalities[k].row_kind, k) for k in tied)
-    solref, solimp = equalities[worst.equality].solref, equalities[worst.equality].solimp
-    now = worst.now
+    solref, solimp = equalities[of.equality].solref, equalities[of.equality].solimp
     problem = (
-        f"{listed(connections, 'connections')} gapes by {'up to ' * (worst.rest is None)}"
-        f"{metres(now)}, {percent(now / size)} of the smaller body's size, under its "
+        f"{listed(connections, 'connection')} gapes by {'up to ' * (of.rest is None)}"
+        f"{metres(now)}, {percent(now / size(of))} of the smaller body's size, under its "
         f'solref="{solref[0]:g} {solref[1]:g}"'
     )
-    wanted = min(LEFT * GAPES * size, now * LEFT)
+    wanted = LEFT * min(SEEN * size(of), now)
     cures = stiffened(model, connections, solref, solimp, now, wanted)
-    remedy = Remedy((cures,), lambda other: _gap_of(other, tied), GAPES * size, metres)
+    remedy = Remedy((cures,), lambda other: _gap_of(other, tied), SEEN * size(of), metres)
     commands = (Next("converge", "whether the connections are solved"), TEST_CONTACTS[1])
     yield Finding("gap", "warning", problem, "", connections, now, "m", commands, remedy=remedy)
 
@@ -171,7 +172,8 @@ def excesses(run: Recording) -> Iterator[tuple[Beyond, Floats]]:
         beyond = np.maximum(0.0, np.maximum(limits[0] - value, value - limits[1]))
         if beyond.any():
             rest = settled(beyond)
-            often = float(np.sort(beyond)[-max(1, math.ceil(KEPT * len(beyond)))])
+            # A short impact does not count.
+            often = float(np.sort(beyond)[-max(1, math.ceil(FEW * len(beyond)))])
             yield Beyond(joint, often if rest is None else rest, rest), beyond
 
 
@@ -182,15 +184,12 @@ def excess_of(run: Recording, joint: int) -> float:
 
 def overpowered(run: Recording) -> list[Beyond]:
     """Return the joints that a force pushes beyond their range, the furthest first."""
-    found = []
-    for at, series in excesses(run):
-        if at.kept > BEYOND * width_of(run.model, at.joint):
-            # A damper that pushes outwards only slows a joint that returns.
-            pushed = _pushed(run, at, series)
-            some = tuple(force for force in pushed.forces if force[0][0] not in RESISTS)
-            if some and some[0][1] > OVERPOWERS * pushed.limit:
-                found.append(pushed._replace(forces=some))
-    return sorted(found, key=lambda at: -at.kept / width_of(run.model, at.joint))
+
+    def over(entry: tuple[Beyond, Floats]) -> float:
+        return entry[0].kept / (FEW * width_of(run.model, entry[0].joint))
+
+    pushed = (_pushed(run, at, series) for at, series in worst(excesses(run), over))
+    return [at for at in pushed if at.forces and at.forces[0][1] > HALF * at.limit]
 
 
 def _pushed(run: Recording, at: Beyond, series: Floats) -> Beyond:
@@ -200,45 +199,30 @@ def _pushed(run: Recording, at: Beyond, series: Floats) -> Beyond:
     for reading in np.argsort(np.abs(series - at.kept), kind="stable")[:4].tolist():
         sim = run.at(reading)
         acting = {of: float(force[dof]) for of, force in sim.element_forces().items()}
-        for equality in _restoring(run, at.joint, reading):
-            acting.pop(("joint equality", equality), None)
         limit = acting.pop(("limit", at.joint), 0.0)
         if limit:
-            outwards = [(of, -math.copysign(f, f * limit)) for of, f in acting.items() if f]
+            outwards = [
+                (of, -math.copysign(f, f * limit))
+                for of, f in acting.items()
+                if f and of[0] not in RESISTS
+            ]
             forces = sorted((f for f in outwards if f[1] > 0), key=lambda f: -f[1])
             return at._replace(forces=tuple(forces), limit=abs(limit))
     return at
 
 
-def _restoring(run: Recording, joint: int, reading: int) -> Iterator[int]:
-    """Yield the joint equalities that hold a joint within its range.
-
-    Their damping can point outwards, but they are not what pushes the joint out.
-    """
-    model, (low, high) = run.model, run.model.jnt_range[joint]
-    for equality, other, coefficients in _held_at(model).get(joint, ()):
-        moved = 0.0
-        if other is not None:
-            at = model.jnt_qposadr[other]
-            moved = float(run["qpos"][reading, at] - model.qpos0[at])
-        aim = model.qpos0[model.jnt_qposadr[joint]] + np.polyval(coefficients[::-1], moved)
-        if low <= aim <= high:
-            yield equality
-
-
 def _overpowered(run: Recording) -> Iterator[Finding]:
     """Yield limits that a force overcomes: the worst with its cure, the others by name."""
-    model, (worst, *rest) = run.model, overpowered(run) or (None,)
-    if worst is None:
+    model, pushed = run.model, overpowered(run)
+    if not pushed:
         return
-    angular, width = is_angular(model, worst.joint), width_of(model, worst.joint)
-    (kind, index), force = worst.forces[0]
+    of, rest = pushed[0], pushed[1:]
+    (kind, index), force = of.forces[0]
     pusher = "gravity" if kind == "gravity" else model.element_name(kind, index)
     cure = "less of that force"
     if kind == "actuator":
         ranges = "forcerange or ctrlrange" if actuators(model)[index].holds else "ctrlrange"
         cure = f"a smaller {ranges} of {pusher}"
-    strength = quantity(force, TORQUES if angular else FORCES)
     also = [
         f"{model.element_name('joint', at.joint)} by {length_of(model, at.joint, at.kept)}"
         for at in rest
@@ -246,63 +230,46 @@ def _overpowered(run: Recording) -> Iterator[Finding]:
     if also:
         more = f" and {len(also) - OTHERS} more" if len(also) > OTHERS else ""
         cure += f". Also beyond: {', '.join(also[:OTHERS])}{more}"
+    unit = unit_of(model, of.joint)
     problem = (
-        f"{pusher} pushes {model.element_name('joint', worst.joint)} "
-        f"{length_of(model, worst.joint, worst.kept)} beyond its range with {strength}"
-        f"{', and stays there' if worst.rest is not None else ''}"
+        f"{pusher} pushes {model.element_name('joint', of.joint)} "
+        f"{length_of(model, of.joint, of.kept)} beyond its range with "
+        f"{quantity(force, TORQUES if unit == 'rad' else FORCES)}"
+        f"{', and stays there' if of.rest is not None else ''}"
     )
-    elements = named(model, "limit", [at.joint for at in (worst, *rest)])
-    unit = "rad" if angular else "m"
-    remedy = limit_remedy(model, worst.joint, worst.kept, LEFT * BEYOND * width)
-    yield Finding("limit", "warning", problem, cure, elements, worst.kept, unit, PLOT, {}, remedy)
+    elements = named(model, "limit", [at.joint for at in pushed])
+    remedy = limit_remedy(model, of.joint, of.kept)
+    yield Finding("limit", "warning", problem, cure, elements, of.kept, unit, PLOT, {}, remedy)
 
 
-def limit_remedy(model: Model, joint: int, now: float, wanted: float) -> Remedy:
-    """Return the solreflimits that should reduce a limit's excess from `now` to `wanted`."""
-    cures: tuple[Cure, ...] = ()
+def limit_remedy(model: Model, joint: int, now: float) -> Remedy:
+    """Return the solreflimits that should make a limit's excess small."""
+    cures, enough = tuple[Cure, ...](), FEW * width_of(model, joint)
     if model.settings.law == "solref":
         at, limit = Layout(model.scene).joints[joint], named(model, "limit", [joint])
+        wanted = LEFT * enough
         cures = stiffened(model, limit, at.solreflimit, at.solimplimit, now, wanted)
-    return Remedy(
-        (cures,),
-        lambda other: excess_of(other, joint),
-        BEYOND * width_of(model, joint),
-        functools.partial(length_of, model, joint),
-    )
+    say = functools.partial(length_of, model, joint)
+    return Remedy((cures,), lambda other: excess_of(other, joint), enough, say)
 
 
-def is_angular(model: Model, joint: int) -> bool:
-    """Return whether a joint's coordinate is an angle."""
-    return bool(model.jnt_type[joint] != "slide")
+def unit_of(model: Model, joint: int) -> str:
+    """Return the unit of a joint's coordinate."""
+    return "m" if model.jnt_type[joint] == "slide" else "rad"
 
 
 def width_of(model: Model, joint: int) -> float:
     """Return the width of a joint's range [rad or m], at most `WIDEST` for an angle."""
-    low, high = (float(bound) for bound in model.jnt_range[joint])
-    return min(high - low, WIDEST) if is_angular(model, joint) else high - low
+    width = float(np.ptp(model.jnt_range[joint]))
+    return min(width, WIDEST) if unit_of(model, joint) == "rad" else width
 
 
 def length_of(model: Model, joint: int, value: float) -> str:
     """Return a joint's coordinate in words."""
-    return radians(value) if is_angular(model, joint) else metres(value)
+    return radians(value) if unit_of(model, joint) == "rad" else metres(value)
 
 
 # Backlash.
-
-
-def _held_at(model: Model) -> dict[int, list[tuple[int, int | None, Sequence[float]]]]:
-    """Return the joint equalities by the joint that they hold.
-
-    Each is its index, the other joint that it depends on, and its polynomial by ascending powers.
-    """
-    place = {id(joint): k for k, joint in enumerate(Layout(model.scene).joints)}
-    held: dict[int, list[tuple[int, int | None, Sequence[float]]]] = {}
-    for k, equality in enumerate(model.scene.equalities):
-        if equality.type == "joint" and equality.active:
-            other = None if equality.joint2 is None else place[id(equality.joint2)]
-            entry = (k, other, equality.polycoef)
-            held.setdefault(place[id(equality.joint1)], []).append(entry)
-    return held
 
 
 def share_used(run: Recording, joint: int) -> float:
@@ -312,42 +279,45 @@ def share_used(run: Recording, joint: int) -> float:
     return float(np.abs(places - (low + high) / 2).mean()) / ((high - low) / 2)
 
 
-def _unused(joint: int, run: Recording) -> float:
-    return 1 - share_used(run, joint)
-
-
 def _played(run: Recording) -> Iterator[Finding]:
     """Yield joints in series with another that an equality holds within their range."""
     model, features = run.model, run.model.scene.features
-    if not (features.limit and features.constraint):
+    if not (features.limit and features.constraint and features.equality):
         return
-    for joint, ties in _held_at(model).items():
-        alone = [(k, float(coefficients[0])) for k, other, coefficients in ties if other is None]
+    place = {id(joint): k for k, joint in enumerate(Layout(model.scene).joints)}
+    for k, equality in enumerate(model.scene.equalities):
+        if equality.type != "joint" or not equality.active or equality.joint2 is not None:
+            continue
+        joint = place[id(equality.joint1)]
+        if not _in_series(model, joint):
+            continue
+        aim = float(model.qpos0[model.jnt_qposadr[joint]] + equality.polycoef[0])
         low, high = (float(bound) for bound in model.jnt_range[joint])
-        if not alone or not _in_series(model, joint):
-            continue
-        equality, aim = alone[0][0], float(model.qpos0[model.jnt_qposadr[joint]]) + alone[0][1]
         now = share_used(run, joint)
-        if not low < aim < high or now > HELD:
-            continue
-        say = functools.partial(length_of, model, joint)
-        both = (*named(model, "joint", [joint]), *named(model, "joint equality", [equality]))
-        problem = (
-            f"{both[1].name} pulls {both[0].name} to {say(aim)}, within its range of "
-            f"{say(low)} to {say(high)}, so it is a spring and no backlash: {percent(now)} of the "
-            "range is used"
-        )
-        removal = Change({f"equality/#{equality}/active": False})
-        remedy = Remedy(
-            ((Cure("removing the equality", removal),),),
-            functools.partial(_unused, joint),
-            1 - FREE,
-            lambda left: f"{percent(1 - left)} of it in use",
-            now=1 - now,
-            needed=True,
-        )
-        unit, value = "rad" if is_angular(model, joint) else "m", now * (high - low) / 2
-        yield Finding("backlash", "warning", problem, "", both, value, unit, remedy=remedy)
+        # A joint in free play falls onto an end of its range.
+        if low < aim < high and now <= 1 - DEEP:
+            yield _backlash(model, joint, k, aim, now)
+
+
+def _backlash(model: Model, joint: int, equality: int, aim: float, now: float) -> Finding:
+    low, high = (float(bound) for bound in model.jnt_range[joint])
+    say = functools.partial(length_of, model, joint)
+    both = (*named(model, "joint", [joint]), *named(model, "joint equality", [equality]))
+    problem = (
+        f"{both[1].name} pulls {both[0].name} to {say(aim)}, within its range of "
+        f"{say(low)} to {say(high)}, so it is a spring and no backlash: {percent(now)} of the "
+        "range is used"
+    )
+    remedy = Remedy(
+        ((Cure("removing the equality", Change({f"equality/#{equality}/active": False})),),),
+        lambda other: 1 - share_used(other, joint),
+        SEEN,
+        lambda left: f"{percent(1 - left)} of it in use",
+        now=1 - now,
+        needed=True,
+    )
+    unit, value = unit_of(model, joint), now * (high - low) / 2
+    return Finding("backlash", "warning", problem, "", both, value, unit, remedy=remedy)
 
 
 def _in_series(model: Model, joint: int) -> bool:

@@ -6,7 +6,6 @@ this is its RMS; of a motion that is resolved by the readings, the second differ
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Collection, Iterator
 
@@ -14,66 +13,74 @@ import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.cures import assigned
-from stepcore.measure.monitors.finding import Cure, Finding, Remedy, listed, named
+from stepcore.measure.monitors.cures import PARTS, assigned, shorter
+from stepcore.measure.monitors.finding import (
+    DEEP,
+    FEW,
+    Cure,
+    Finding,
+    Remedy,
+    listed,
+    named,
+    worst,
+)
 from stepcore.measure.monitors.recording import STEADY, Recording
-from stepcore.report.units import newtons, percent, seconds
+from stepcore.report.units import newtons, percent
 
-# Least noise that is told, relative to the mean force: force control of a few per cent is usual.
-NOISY = 0.05
 # Readings further apart than this do not tell noise from motion [s].
 APART = 0.01
-# Surfaces that move slower than this on each other stand still [m/s].
-STILL = 0.01
 # Sensors whose noise is watched.
 SENSORS = ("force", "torque", "touch")
-# Factors of the time constant, and parts of the time step, that are tried.
-FACTORS = (2, 4)
+# Noise and mean of a force, by pair or sensor.
+Noises = dict[int, tuple[float, float]]
 
 
 def noise_findings(run: Recording) -> Iterator[Finding]:
     """Yield the noisiest contacts, and the noisiest sensors."""
     if run.late < 0 or run.spacing > APART:
         return
-    model = run.model
     for kind, noises in (("contact", of_contacts), ("sensor", of_sensors)):
-        found = noises(run).items()
-        loud = sorted((both[0], k) for k, both in found if both[0] > NOISY * both[1] > 0)
-        if not loud:
-            continue
-        keys = [k for _, k in reversed(loud)]
-        (rms, mean), elements = noises(run)[keys[0]], named(model, kind, keys)
-        torque = kind == "sensor" and model.sensor_type[keys[0]] == "torque"
-        unit = "N·m" if torque else "N"
-        words = f"{listed(elements, f'{kind}s')} reads {mean:.3g} {unit} with a noise of"
-        if kind == "contact":
-            words = f"{listed(elements, 'contacts')} pushes with {newtons(mean)} and a noise of"
-        problem = f"{words} {rms:.3g} {unit} RMS ({percent(rms / mean)})"
-        remedy = Remedy(
-            tuple(_knobs(model, keys if kind == "contact" else sorted(set(run.contacts.pair)))),
-            functools.partial(_left, noises, keys[0]),
-            NOISY * mean,
-            _said(unit),
-            # What no knob lowers is the motion.
-            needed=True,
-        )
-        yield Finding("force noise", "remark", problem, "", elements, rms, unit, remedy=remedy)
+        yield from _noisy(run, kind, noises)
 
 
-Noises = dict[int, tuple[float, float]]
+def _noisy(run: Recording, kind: str, noises: Callable[[Recording], Noises]) -> Iterator[Finding]:
+    model, every = run.model, noises(run)
+    # Force control of a few per cent is usual.
+    keys = worst(every, lambda k: every[k][0] / (FEW * every[k][1]) if every[k][1] else 0.0)
+    if not keys:
+        return
+    key, (rms, mean), elements = keys[0], every[keys[0]], named(model, kind, keys)
+    torque = kind == "sensor" and model.sensor_type[key] == "torque"
+    unit = "N·m" if torque else "N"
+    does = (
+        f"pushes with {newtons(mean)} and" if kind == "contact" else f"reads {mean:.3g} {unit} with"
+    )
+    problem = (
+        f"{listed(elements, kind)} {does} a noise of {rms:.3g} {unit} RMS ({percent(rms / mean)})"
+    )
+    pairs = keys if kind == "contact" else sorted(set(run.contacts.pair))
+
+    def left(other: Recording) -> float | None:
+        found = noises(other).get(key)
+        return None if found is None else found[0]
+
+    # What no knob lowers is the motion.
+    say = f"{{:.3g}} {unit}".format
+    remedy = Remedy(tuple(_knobs(model, pairs)), left, FEW * mean, say, needed=True)
+    yield Finding("force noise", "remark", problem, "", elements, rms, unit, remedy=remedy)
 
 
 def of_contacts(run: Recording) -> Noises:
     """Return noise and mean of the normal force of each pair that stands still [N]."""
-    seen, first = run.contacts, run.late
+    seen, first, noises = run.contacts, run.late, Noises()
     late = np.flatnonzero(seen.reading >= first)
     moves = np.linalg.norm(seen.past[late], axis=1) + seen.rolls[late]
-    noises = {}
     for pair in np.unique(seen.pair[late]).tolist():
         mine = seen.pair[late] == pair
-        places = seen.reading[late[mine]] - first
-        force = np.bincount(places, seen.force[late[mine]], len(run) - first)
-        if force.all() and moves[mine].mean() < STILL and _lasts(force):
+        places = late[mine]
+        force = np.bincount(seen.reading[places] - first, seen.force[places], len(run) - first)
+        # It moves by less than a tenth of its geoms in a second.
+        if force.all() and moves[mine].mean() < DEEP * run.thick(pair) and _lasts(force):
             noises[pair] = noise(force)
     return noises
 
@@ -89,35 +96,22 @@ def of_sensors(run: Recording) -> Noises:
     return {k: noise(values) for k, values in series.items() if _lasts(values)}
 
 
-def _left(of: Callable[[Recording], Noises], key: int, run: Recording) -> float | None:
-    found = of(run).get(key)
-    return None if found is None else found[0]
-
-
-def _said(unit: str) -> Callable[[float], str]:
-    return lambda value: f"{value:.3g} {unit}"
-
-
 def _knobs(model: Model, pairs: Collection[int]) -> Iterator[tuple[Cure, ...]]:
     """Yield the changes that may lower the noise of some pairs."""
-    settings = model.settings
-    contacts = named(model, "contact", pairs)
+    settings, contacts = model.settings, named(model, "contact", pairs)
     solrefs = [model.contact_pair(pair).solref for pair in pairs]
-    constants = [max(ref[0], 2 * settings.dt) for ref in solrefs if ref[0] > 0]
     if settings.law == "solref" and solrefs:
-        base = max(constants, default=2 * settings.dt)
-        softer = (float(f"{base * factor:.3g}") for factor in FACTORS)
+        base = max(2 * settings.dt, *(ref[0] for ref in solrefs))
         yield tuple(
             Cure(
                 f'solref="{constant:g} 1" on the geoms that touch',
                 Change(assigned(model, contacts, {"solref": (constant, 1.0)})),
             )
-            for constant in softer
+            for constant in (float(f"{base * part:.3g}") for part in PARTS[1:])
         )
     if settings.cone == "pyramidal":
         yield (Cure('cone="elliptic"', Change(cone="elliptic")),)
-    dts = [settings.dt / part for part in FACTORS]
-    yield tuple(Cure(f"a dt of {seconds(dt)}", Change(dt=dt)) for dt in dts)
+    yield shorter(settings.dt / part for part in PARTS[1:])
 
 
 def noise(series: np.ndarray) -> tuple[float, float]:

@@ -9,7 +9,6 @@ has ended, the geom has passed. A geom below a plane stays in contact with it, a
 
 from __future__ import annotations
 
-import functools
 from collections import defaultdict
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -17,27 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.experiment.change import Change
-from stepcore.measure.monitors.cures import finer
-from stepcore.measure.monitors.finding import Cure, Finding, Remedy, named, others
-from stepcore.measure.monitors.recording import Recording
+from stepcore.measure.monitors.cures import PARTS, finer, shorter
+from stepcore.measure.monitors.finding import FEW, HALF, Finding, Remedy, named, others
+from stepcore.measure.monitors.recording import FEWEST, Recording
 from stepcore.measure.monitors.soft_rows import hardest
 from stepcore.report.units import metres, seconds, speed
 
-# The depth of a contact, and the way of a geom between two readings, over the smallest half size
-# from which a centre may have crossed a surface.
-NEAR = 0.5
-# The box around the middle of a geom in which a way may meet it, over its half sizes: the middle of
-# a mesh is its centre of mass.
-WIDE = 1.5
-# The way in a deep contact after which a surface is looked for, over the smallest half size.
-CREEPS = 0.05
-# The largest number of pairs that are looked at, those of the thinnest geoms.
+# The largest number of pairs that are looked at, those of the thinnest geoms: all of the 24
+# pairs of cubedrop.xml, a tenth of warehouse.xml's.
 MOST = 2000
-# Readings before a passage in which the speed of arrival is looked for: soft contact slows it down.
-ARRIVES = 10
-# A step should be this share of half of both thicknesses at most, or one of these parts of dt.
-SHORT, PARTS = 0.5, (1, 2, 4)
 
 
 class Passage(NamedTuple):
@@ -86,7 +73,7 @@ class _Crossings:
         flat = np.array([kind == "plane" for kind in model.geom_type], bool)
         able = geoms[np.isfinite(self.thick[geoms[:, 0]]) & ~flat[geoms[:, 1]]]
         # Geoms of one tree are kept on their sides by its joints.
-        tree = np.array([model.root(int(body)) for body in model.geom_body])[able]
+        tree = run.roots[model.geom_body][able]
         able = able[tree[:, 0] != tree[:, 1]]
         able = able[np.argsort(self.thick[able].sum(axis=1), kind="stable")[:MOST]]
         self.mover, self.other = able.T
@@ -103,7 +90,7 @@ class _Crossings:
             last = {k: last.get(k, reading - 1) for k in deep[reading]}
             for k, since in last.items():
                 way = self._seen(k, reading) - self._seen(k, since)
-                if float(way @ way) > (CREEPS * float(self.thick[self.mover[k]])) ** 2:
+                if float(way @ way) > (FEW * float(self.thick[self.mover[k]])) ** 2:
                     last[k] = reading
                     self._meet(k, since, reading)
             for k in ways[reading]:
@@ -114,7 +101,7 @@ class _Crossings:
         touching, deepest = set[tuple[int, int]](), defaultdict[int, dict[int, bool]](dict)
         for pair, reading, depth in self.run.contacts.overlaps:
             a, b = self.run.model.pair_geoms[pair].tolist()
-            far = depth > NEAR * float(min(self.thick[a], self.thick[b]))
+            far = depth > HALF * float(min(self.thick[a], self.thick[b]))
             for k in (self.index.get((a, b)), self.index.get((b, a))):
                 if k is not None:
                     touching.add((k, reading))
@@ -125,11 +112,12 @@ class _Crossings:
     def _ways(self, deep: dict[int, list[int]]) -> dict[int, list[int]]:
         """Return by reading the pairs whose centre may have crossed a surface on its way to it."""
         mover, other, centres, axes = self.mover, self.other, self.centres, self.axes
-        least = NEAR * self.thick[mover]
+        least = HALF * self.thick[mover]
         moved = np.linalg.norm(np.diff(centres, axis=0), axis=2)
         turned = np.linalg.norm(np.diff(axes, axis=0), axis=(2, 3))
         found = defaultdict[int, list[int]](list)
-        box = WIDE * np.array(self.run.sizes.halves)[other] + self.thick[mover, None]
+        # Somewhat wider, as the middle of a mesh is its centre of mass.
+        box = (1 + HALF) * np.array(self.run.sizes.halves)[other] + self.thick[mover, None]
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for reading in range(1, len(centres)):
                 # A bound of the ways, by which most pairs are left out.
@@ -173,7 +161,8 @@ class _Crossings:
         beyond = float(sim.ray(at + 1e-9 * way, way, exclude=body).distance)
         room = float(self.thick[geom] + max(beyond * closing / 2, self.thick[other]))
         normal, entry = turn.T @ hit.normal, turn.T @ (at - self.centres[reading, other])
-        first = max(0, since - ARRIVES)
+        # Soft contact slows it down.
+        first = max(0, since - FEWEST)
         places = np.array([self._seen(k, r) for r in range(first, reading + 1)])
         fastest = float((-np.diff(places @ normal)).max()) / self.run.spacing
         if (geom, other) not in self.found:
@@ -194,25 +183,24 @@ def tunnelling_findings(run: Recording, passed: list[Passage]) -> Iterator[Findi
         return
     model, first, dt = run.model, passed[0], run.model.settings.dt
     movers = named(model, "geom", [entry.mover for entry in passed])
-    wall = model.element_name("geom", first.wall)
-    also = others([of.name for of in movers[1:]], "geoms")
-    verb = "pass" if also else "passes"
+    wall, also = model.element_name("geom", first.wall), others(movers[1:], "geom")
     problem = (
-        f"{movers[0].name}{also} {verb} through {wall} at {seconds(first.time)}: "
-        f"it arrives at {speed(first.speed)}, {metres(first.speed * dt)} in a step, and "
-        f"half of both thicknesses is {metres(first.room)}"
+        f"{movers[0].name}{also} {'pass' if also else 'passes'} through {wall} at "
+        f"{seconds(first.time)}: it arrives at {speed(first.speed)}, "
+        f"{metres(first.speed * dt)} in a step, and half of both thicknesses is "
+        f"{metres(first.room)}"
     )
     contacts = named(model, "contact", [entry.pair for entry in passed])
     fast = max(passed, key=lambda entry: entry.speed / entry.room)
-    most = min(dt / 2, SHORT * fast.room / fast.speed)
+    # A step should go half of both thicknesses at most.
+    most = min(dt / 2, HALF * fast.room / fast.speed)
     steps = list(dict.fromkeys(finer(model.settings, most / part) for part in PARTS))
-    shorter = tuple(Cure(f"a dt of {seconds(step)}", Change(dt=step)) for step in steps)
     # A geom's contacts with all that it can touch, because another wall is next.
     ids = {entry.mover for entry in passed}
     touching = np.flatnonzero(np.isin(model.pair_geoms, list(ids)).any(axis=1)).tolist()
-    hard = tuple(map(functools.partial(hardest, model, touching), dict.fromkeys((dt, *steps))))
+    hard = tuple(hardest(model, touching, step) for step in dict.fromkeys((dt, *steps)))
     remedy = Remedy(
-        (shorter, hard),
+        (shorter(steps), hard),
         lambda other: float(len(passages(other))),
         0.0,
         lambda count: f"{count:g} that pass" if count else "none that passes",
