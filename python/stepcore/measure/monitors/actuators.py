@@ -33,9 +33,9 @@ from stepcore.measure.monitors.joints import length_of, unit_of, width_of
 from stepcore.measure.monitors.recording import FEWEST, REST, Recording
 from stepcore.report.units import FORCES, TORQUES, percent, plural, quantity, rounded, seconds
 
-# The share of a run above which saturation is reported: a servo that lost a quarter of a sine's
-# amplitude (fastsine.xml) was at its end for 38 % of the run. And the share of the least sag that is
-# told which a cure leaves: a kp that is three times as large as this one needs a shorter step.
+# The share of a run above which saturation is told: a servo that lost a quarter of a sine's
+# amplitude (fastsine.xml) was at its end for 38 % of the run. And the share of the least sag that a
+# cure leaves; a smaller one needs kps that isaacfranka.xml's step does not hold.
 THIRD = 1 / 3
 
 

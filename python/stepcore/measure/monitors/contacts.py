@@ -66,11 +66,12 @@ def contact_findings(run: Recording, passed: Collection[int] = ()) -> Iterator[F
     jammed = _jammed(run, starts, {at.pair: at for at in rest})
     if jammed:
         yield _jam(run.model, list(jammed.values()))
+    sunk = list(_sunk(run, rest))
     rest = [at for at in rest if at.pair not in jammed]
     deepest = {at.pair: at.depth for at in sorted(rest, key=lambda at: at.depth)}
     yield from _overlaps(run, [at for at in starts if at.pair not in jammed], deepest)
     if run.model.settings.law == "solref":
-        deep = [*rest, *_sunk(run, rest)]
+        deep = [*rest, *sunk]
         yield from _depths(run, deep)
         known = {at.pair for at in (*starts, *deep) if at.depth > DEEP * run.thick(at.pair)}
         yield from _impacts(run, known | _with_geoms_of(run, passed))

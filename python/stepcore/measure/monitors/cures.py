@@ -98,34 +98,30 @@ class _Trials:
                 (tried if ran else untried).append(cure)
                 if not ran:
                     break
-                if left is None:
-                    # A stronger one changes the motion no less.
-                    break
-                if left <= remedy.enough:
+                if left is not None and left <= remedy.enough:
                     held.append((left, cure))
                     break
-                if left <= helps:
+                if left is not None and left <= helps:
                     helped.append((left, cure))
         return held, helped, tried, untried
 
     def _tried(self, remedy: Remedy, cure: Cure) -> tuple[bool, float | None]:
         """Run a cure: whether there was time for it, and what it leaves.
 
-        That is all, inf, if its run fails, and None if its run does not show the problem's place.
+        What it leaves is None if its run fails, or makes an error of its own.
         """
         dt = self.model.settings.dt
         cost = max(1.0, dt / dict(cure.change.settings).get("dt", dt)) * self.cost
         if cost > self.effort:
             return False, None
         self.effort -= cost
-        ran = False
-        left: float | None = None
+        ran, left = False, None
         with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
             try:
                 seen = (remedy.again or self.again)(cure.change.of(self.model))
-                left = math.inf if seen is None else remedy.left(seen)
+                left = None if seen is None else remedy.left(seen)
             except (ValueError, SimulationError):
-                left = math.inf
+                left = None
             ran = True
         return ran, left
 
