@@ -20,7 +20,6 @@ from stepcore.engine.start import Start
 from stepcore.experiment.horizon import STEPS
 from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.sizes import Sizes
-from stepcore.measure.monitors.actuators import strength
 from stepcore.measure.monitors.finding import (
     DEEP,
     FEW,
@@ -33,7 +32,7 @@ from stepcore.measure.monitors.finding import (
     named,
     worst,
 )
-from stepcore.measure.monitors.joints import length_of, limit_remedy, unit_of, width_of
+from stepcore.measure.monitors.joints import length_of, limit_remedy, strength, unit_of, width_of
 from stepcore.measure.monitors.recording import Recording, followed
 from stepcore.measure.monitors.soft_rows import yielding
 from stepcore.report.units import hertz, metres, rounded, seconds, times

@@ -9,12 +9,10 @@ from __future__ import annotations
 from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.experiment.schedule import Schedule
-from stepcore.measure.monitors.actuators import actuator_findings, fall_findings
 from stepcore.measure.monitors.contacts import contact_findings
 from stepcore.measure.monitors.creep import creep_findings
-from stepcore.measure.monitors.cures import verified
-from stepcore.measure.monitors.finding import Finding, Next, ordered
-from stepcore.measure.monitors.joints import joint_findings
+from stepcore.measure.monitors.finding import Finding, Next, ordered, verified
+from stepcore.measure.monitors.joints import actuator_findings, fall_findings, joint_findings
 from stepcore.measure.monitors.noise import noise_findings
 from stepcore.measure.monitors.recording import Recording, cut, recorded
 from stepcore.measure.monitors.tunnelling import passages, tunnelling_findings

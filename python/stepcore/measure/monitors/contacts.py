@@ -11,11 +11,11 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import rotated
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.cures import PARTS
 from stepcore.measure.monitors.finding import (
     DEEP,
     HALF,
     LEFT,
+    PARTS,
     SEEN,
     TEST_CONTACTS,
     Cure,

@@ -21,7 +21,6 @@ from stepcore.engine.actuator import actuators
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.cures import assigned
 from stepcore.measure.monitors.finding import (
     DEEP,
     FEW,
@@ -31,6 +30,7 @@ from stepcore.measure.monitors.finding import (
     Cure,
     Finding,
     Remedy,
+    assigned,
     listed,
     named,
     worst,

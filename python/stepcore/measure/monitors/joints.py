@@ -1,25 +1,27 @@
-"""Findings on connections and limits in a run: gaps, limits that a force overcomes, and backlash.
+"""Findings on joints and their actuators in a run.
 
-Backlash is a joint of small range in series with another: two joints of one body along one axis. An
-equality that holds such a joint within its range takes the backlash away.
+Connections that gape, limits that a force overcomes, backlash, servos that sag or are saturated,
+robots that fall over. Backlash is a joint of small range in series with another: two joints of one
+body along one axis. An equality that holds such a joint within its range takes the backlash away.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from stepcore.engine.actuator import actuators
+from stepcore.engine.actuator import SERVO, Actuator, actuators, loads
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import Coordinates, rotated, turned
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
+from stepcore.experiment.moves import SINKS, TILT, moves_about, roots
 from stepcore.measure.monitors.finding import (
     DEEP,
     FEW,
@@ -39,7 +41,16 @@ from stepcore.measure.monitors.finding import (
 )
 from stepcore.measure.monitors.recording import Recording, settled
 from stepcore.measure.monitors.soft_rows import stiffened
-from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
+from stepcore.report.units import (
+    FORCES,
+    TORQUES,
+    metres,
+    percent,
+    quantity,
+    radians,
+    rounded,
+    seconds,
+)
 from stepcore.scene.layout import QPOS, Layout
 
 # Ranges wider than this do not define how exact a limit or a servo should be [rad].
@@ -47,10 +58,14 @@ WIDEST = 3.0
 # Elements that only resist motion cannot push a joint beyond its limit. An equality that holds the
 # joint within its range has damping that points outwards, too (backlash.xml).
 RESISTS = ("damper", "friction loss", "joint equality")
+# The share of a run above which saturation is told: a servo that lost a quarter of a sine's
+# amplitude (fastsine.xml) was at its end for 38 % of the run. And the share of the least sag that a
+# cure leaves; a smaller one needs kps that isaacfranka.xml's step does not hold.
+THIRD = 1 / 3
 
 
 def joint_findings(run: Recording) -> Iterator[Finding]:
-    """Yield all findings on connections and limits."""
+    """Yield the findings on connections, limits and backlash."""
     if run.model.settings.law == "solref":
         yield from _gaps(run)
     yield from _overpowered(run)
@@ -67,11 +82,6 @@ class Gape(NamedTuple):
     most: float
     rest: float | None
 
-    @property
-    def now(self) -> float:
-        """The gap at rest, or else the largest one [m]."""
-        return self.most if self.rest is None else self.rest
-
 
 def gapes(run: Recording) -> Iterator[Gape]:
     """Yield every connection with its gap."""
@@ -84,34 +94,20 @@ def gapes(run: Recording) -> Iterator[Gape]:
     ]
     if not tied or not (features.equality and features.constraint):
         return
-    described = unwatched(Sim(model))
-    for k, equality in tied:
-        ends = _ends(equality.plain(layout), described)
-        here, there = (
-            run["xpos"][:, body] + rotated(run["xquat"][:, body], point) for body, point in ends
-        )
-        gap = np.linalg.norm(here - there, axis=1)
-        yield Gape(k, float(gap.max()), settled(gap))
-
-
-def _ends(tie: dict[str, Any], sim: Sim) -> tuple[tuple[int, Floats], tuple[int, Floats]]:
-    """Return the two bodies of a connection, and the connected point in the frame of each [m].
-
-    A point that is not given follows from the poses in which the scene is described, those of sim.
-    """
+    sim = unwatched(Sim(model))
     place, turn = sim.xpos, np.array(sim.xmat).reshape(-1, 3, 3)
-    a, b = tie["first"], tie["second"]
-    near, far = (frame and np.array(frame["pos"]) for frame in (tie["frame1"], tie["frame2"]))
-    if near is None:
-        near = turn[a].T @ (place[b] + turn[b] @ far - place[a])
-    if far is None:
-        far = turn[b].T @ (place[a] + turn[a] @ near - place[b])
-    return (a, near), (b, far)
-
-
-def _gap_of(run: Recording, equalities: Collection[int]) -> float | None:
-    """Return the widest gap of some connections [m], at rest if they settled."""
-    return max((at.now for at in gapes(run) if at.equality in equalities), default=None)
+    for k, equality in tied:
+        tie = equality.plain(layout)
+        bodies, frames = (tie["first"], tie["second"]), (tie["frame1"], tie["frame2"])
+        # A point that is not given follows from the poses in which the scene is described.
+        known = 0 if frames[0] is not None else 1
+        point = place[bodies[known]] + turn[bodies[known]] @ np.array(frames[known]["pos"])
+        ends = []
+        for body, frame in zip(bodies, frames, strict=True):
+            own = turn[body].T @ (point - place[body]) if frame is None else np.array(frame["pos"])
+            ends.append(run["xpos"][:, body] + rotated(run["xquat"][:, body], own))
+        gap = np.linalg.norm(ends[1] - ends[0], axis=1)
+        yield Gape(k, float(gap.max()), settled(gap))
 
 
 def _gaps(run: Recording) -> Iterator[Finding]:
@@ -126,20 +122,27 @@ def _gaps(run: Recording) -> Iterator[Finding]:
     open_ = worst(gapes(run), lambda at: at.most / (SEEN * size(at)))
     if not open_:
         return
-    of, now = open_[0], open_[0].now
-    tied = [at.equality for at in open_]
+
+    def now(at: Gape) -> float:
+        return at.most if at.rest is None else at.rest
+
+    of, tied = open_[0], [at.equality for at in open_]
     connections = tuple(Element.of(model, equalities[k].row_kind, k) for k in tied)
     solref, solimp = equalities[of.equality].solref, equalities[of.equality].solimp
     problem = (
         f"{listed(connections, 'connection')} gapes by {'up to ' * (of.rest is None)}"
-        f"{metres(now)}, {percent(now / size(of))} of the smaller body's size, under its "
+        f"{metres(now(of))}, {percent(now(of) / size(of))} of the smaller body's size, under its "
         f'solref="{solref[0]:g} {solref[1]:g}"'
     )
-    wanted = LEFT * min(SEEN * size(of), now)
-    cures = stiffened(model, connections, solref, solimp, now, wanted)
-    remedy = Remedy((cures,), lambda other: _gap_of(other, tied), SEEN * size(of), metres)
+    wanted = LEFT * min(SEEN * size(of), now(of))
+    cures = stiffened(model, connections, solref, solimp, now(of), wanted)
+
+    def widest(other: Recording) -> float | None:
+        return max((now(at) for at in gapes(other) if at.equality in tied), default=None)
+
+    remedy = Remedy((cures,), widest, SEEN * size(of), metres)
     commands = (Next("converge", "whether the connections are solved"), TEST_CONTACTS[1])
-    yield Finding("gap", "warning", problem, "", connections, now, "m", commands, remedy=remedy)
+    yield Finding("gap", "warning", problem, "", connections, now(of), "m", commands, remedy=remedy)
 
 
 # Limits.
@@ -148,9 +151,9 @@ def _gaps(run: Recording) -> Iterator[Finding]:
 class Beyond(NamedTuple):
     """A joint beyond its range.
 
-    kept: the excess at rest, or that reached for a twentieth of the run or more [rad or m].
-    rest: the excess at rest; None if the joint did not settle.
-    forces: the elements that push outwards [N·m or N], strongest first. limit: the limit's force.
+    kept: the excess at rest, or that reached for a twentieth of the run or more [rad or m]. rest:
+    the excess at rest; None if the joint did not settle. forces: the elements that push outwards
+    [N·m or N], strongest first. limit: the limit's force.
     """
 
     joint: int
@@ -217,6 +220,7 @@ def _overpowered(run: Recording) -> Iterator[Finding]:
     if not pushed:
         return
     of, rest = pushed[0], pushed[1:]
+    joints = named(model, "joint", [at.joint for at in rest])
     (kind, index), force = of.forces[0]
     pusher = "gravity" if kind == "gravity" else model.element_name(kind, index)
     cure = "less of that force"
@@ -224,8 +228,8 @@ def _overpowered(run: Recording) -> Iterator[Finding]:
         ranges = "forcerange or ctrlrange" if actuators(model)[index].holds else "ctrlrange"
         cure = f"a smaller {ranges} of {pusher}"
     also = [
-        f"{model.element_name('joint', at.joint)} by {length_of(model, at.joint, at.kept)}"
-        for at in rest
+        f"{e.name} by {length_of(model, at.joint, at.kept)}"
+        for e, at in zip(joints, rest, strict=True)
     ]
     if also:
         more = f" and {len(also) - OTHERS} more" if len(also) > OTHERS else ""
@@ -332,3 +336,220 @@ def _in_series(model: Model, joint: int) -> bool:
         and abs(float(model.jnt_axis[k] @ axis)) > 1 - 1e-6
         for k, other in enumerate(model.jnt_type)
     )
+
+
+# Actuators.
+
+
+def actuator_findings(run: Recording) -> Iterator[Finding]:
+    """Yield the findings on servos that sag under a load, or are saturated."""
+    model = run.model
+    if not (model.nu and model.scene.features.actuation):
+        return
+    still, full = list(at_rest(run)), _saturated(run)
+    loaded = (at for at in still if at.loaded and at.actuator.index not in full)
+    sagging = worst(loaded, lambda at: abs(at.error) / _notable(model, at.actuator))
+    if sagging:
+        yield _sags(model, sagging)
+    # A servo that presses against an object or a limit does so on purpose, and may be saturated.
+    presses = {at.actuator.index for at in still if not at.loaded}
+    servos = [of.index for of in _servos(model) if of.index in full.keys() - presses]
+    ends = worst(servos, lambda k: full[k] / THIRD)
+    if ends:
+        elements, share = named(model, "actuator", ends), full[ends[0]]
+        force = strength(model, ends[0], float(np.abs(run["actuator_force"][:, ends[0]]).max()))
+        problem = (
+            f"{listed(elements, 'servo')} is at the end of its forcerange ({force}) for "
+            f"{percent(share)} of the run, where kv has no effect"
+        )
+        cure = "slow the motion or lower kp; a wider forcerange must be one that the hardware has"
+        yield Finding("saturation", "warning", problem, cure, elements, share, "1", PLOT)
+
+
+def _servos(model: Model) -> list[Actuator]:
+    return [of for of in actuators(model) if of.direct and of.holds]
+
+
+def _saturated(run: Recording) -> dict[int, float]:
+    """Return for which share of the run the forces of actuators are at an end of their ranges."""
+    # The first reading is the start, which no step has led to. A force of 0 is not saturated.
+    force = run["actuator_force"][1:]
+    low, high = (np.isclose(force, end, 1e-9, 0) for end in run.model.actuator_forcerange.T)
+    shares = np.mean((low | high) & (force != 0), axis=0) if len(force) else np.zeros(run.model.nu)
+    return {k: float(share) for k, share in enumerate(shares) if share}
+
+
+class Servo(NamedTuple):
+    """A position servo at rest under a constant control.
+
+    error: commanded length minus length [rad or m], before the gear. force: [N·m or N].
+    loaded: whether it pushes against a weight, and not a limit or an object that it presses.
+    """
+
+    actuator: Actuator
+    error: float
+    force: float
+    loaded: bool
+
+
+def at_rest(run: Recording) -> Iterator[Servo]:
+    """Yield position servos whose control and error are constant over the end of the run."""
+    if run.late < 0:
+        return
+    for of in _servos(run.model):
+        asked, error = _errors(run, of)
+        mean, held = float(error.mean()), np.ptp(run["ctrl"][run.late :, of.index]) == 0
+        if held and float(np.ptp(error)) < FEW * abs(mean):
+            force = float(run["actuator_force"][-1, of.index])
+            yield Servo(of, mean, force, _loaded(run, of, float(asked[-1]), force))
+
+
+def _errors(run: Recording, of: Actuator) -> tuple[Floats, Floats]:
+    """Return the lengths that a servo is asked for at the end of the run, and its errors."""
+    late = max(run.late, 0)
+    asked = of.target(np.clip(run["ctrl"][late:, of.index], *of.ctrlrange))
+    return asked, asked - of.gear * run["qpos"][late:, of.qposadr]
+
+
+def _loaded(run: Recording, of: Actuator, asked: float, force: float) -> bool:
+    """Return whether a servo pushes against a weight at the end of the run.
+
+    The weight is that of the bodies that hang on the servo's joint, or, in a tree that rests on a
+    floor, that of the tree.
+    """
+    model, sim = run.model, run.at(len(run) - 1)
+    assert of.joint is not None
+    low, high = model.jnt_range[of.joint]
+    if not low <= asked / of.gear <= high:
+        return False
+    if float(loads(sim)[of.dof]) / of.gear * force >= HALF * force**2:
+        return True
+    tree = run.roots[model.jnt_body[of.joint]]
+    free = [
+        body for body, kind in zip(model.jnt_body, model.jnt_type, strict=True) if kind == "free"
+    ]
+    if tree not in run.roots[free]:
+        return False
+    trees = run.roots[model.geom_body[np.stack([sim.contacts[f"geom{k}"] for k in (1, 2)])]]
+    touched = trees[:, (trees == tree).any(axis=0)]
+    return bool(touched.size) and bool(np.isin(touched, (tree, 0)).all())
+
+
+def _notable(model: Model, of: Actuator) -> float:
+    """Return the least sag that is told, before the gear [rad or m]."""
+    assert of.joint is not None
+    widest = math.inf if unit_of(model, of.joint) == "rad" else 1.0
+    return SEEN * min(width_of(model, of.joint), widest) * abs(of.gear)
+
+
+def _sags(model: Model, servos: list[Servo]) -> Finding:
+    """Return a finding on servos that sag under their loads, the worst first."""
+    first, indices = servos[0], [servo.actuator.index for servo in servos]
+    of, notable = first.actuator, _notable(model, first.actuator)
+    assert of.joint is not None
+    joint, elements = of.joint, named(model, "actuator", indices)
+    ratios = [abs(s.error) / (_notable(model, s.actuator) * THIRD) for s in servos]
+    if max(ratios) < (1 + DEEP) * min(ratios):
+        ratios = [max(ratios)] * len(ratios)
+    gains = [rounded(s.actuator.kp * r) for s, r in zip(servos, ratios, strict=True)]
+    words = _gains(elements, gains)
+    by_index = dict(zip(indices, ratios, strict=True))
+    way = (
+        Cure(words, Change(stronger(model, by_index, damped=False))),
+        Cure(f"{words}, with kv in proportion", Change(stronger(model, by_index, damped=True))),
+    )
+
+    def left(other: Recording) -> float | None:
+        """Return the largest error at the end of the run; None if a control changes there."""
+        if np.ptp(other["ctrl"][max(other.late, 0) :, indices], axis=0).any():
+            return None
+        errors = (_errors(other, o)[1] for o in _servos(other.model) if o.index in indices)
+        return max(float(np.abs(error).max()) for error in errors)
+
+    def say(error: float) -> str:
+        return length_of(model, joint, abs(error / of.gear))
+
+    remedy = Remedy((way,), left, notable, say)
+    problem = (
+        f"{listed(elements, 'servo')} sags by {say(first.error)} under its load of "
+        f"{strength(model, of.index, abs(first.force))}, which is load / kp with kp {of.kp:.4g}"
+    )
+    severity = "warning" if abs(first.error) > FEW / SEEN * notable else "remark"
+    cure, value = "let the control carry the load", abs(first.error / of.gear)
+    what = "servo sags", severity, problem, cure, elements, value, unit_of(model, joint), PLOT
+    return Finding(*what, remedy=remedy)
+
+
+def _gains(elements: tuple[Element, ...], gains: list[float]) -> str:
+    """Return "kp 1810 (servo `j2` 995)", or "kp 91.2 of each"."""
+    if len(gains) > 1 and len(set(gains)) == 1:
+        return f"kp {gains[0]:g} of each"
+    also = [f"{e.name} {gain:g}" for e, gain in zip(elements, gains, strict=True)][1:]
+    more = f" and {len(also) - OTHERS} more in proportion" if len(also) > OTHERS else ""
+    return f"kp {gains[0]:g}" + (f" ({', '.join(also[:OTHERS])}{more})" if also else "")
+
+
+def stronger(model: Model, ratios: Mapping[int, float], damped: bool) -> dict[str, Any]:
+    """Return the gains of servos, by path, with kp multiplied by a ratio each.
+
+    damped: whether kv grows, too, so that the damping ratio is kept.
+    """
+    changes: dict[str, Any] = {}
+    for k, ratio in ratios.items():
+        fields = {field.name: field for field in Element.of(model, "actuator", k).fields(model)}
+        faster = math.sqrt(ratio) if damped else 1.0
+        if "kp" in fields:
+            changes[f"actuator/#{k}/kp"] = rounded(fields["kp"].value * ratio)
+            if fields["kv"].value > 0:
+                changes[f"actuator/#{k}/kv"] = rounded(fields["kv"].value * faster)
+        elif "biasprm" in fields:
+            for name, factors in (("gainprm", [ratio]), ("biasprm", [1.0, ratio, faster])):
+                terms = np.atleast_1d(np.asarray(fields[name].value, float))
+                terms[: len(factors)] *= factors[: len(terms)]
+                scaled = tuple(map(rounded, terms.tolist()))
+                changes[f"actuator/#{k}/{name}"] = scaled if len(scaled) > 1 else scaled[0]
+    return changes
+
+
+def strength(model: Model, actuator: int, force: float) -> str:
+    """Return an actuator's force in words, as a torque if the joint turns."""
+    joint = int(model.actuator_joint[actuator])
+    linear = joint < 0 or model.jnt_type[joint] == "slide"
+    return quantity(force, FORCES if linear else TORQUES)
+
+
+# Falls.
+
+
+def fall_findings(run: Recording) -> Iterator[Finding]:
+    """Yield a robot on a free base, with servos, that falls over: nothing balances it.
+
+    Robots without servos are not watched: motors at zero hold nothing, and walkers that learn fall
+    by design.
+    """
+    model, drives = run.model, actuators(run.model)
+    if not any(drive.kind == SERVO for drive in drives) or not moves_about(model, drives):
+        return
+    down = {body: _down(run, body) for body in sorted(roots(model, drives))}
+    falls = {body: float(run.times[at.argmax()]) for body, at in down.items() if at.any()}
+    if not falls:
+        return
+    body = min(falls, key=falls.__getitem__)
+    after, of = falls[body] - float(run.times[0]), named(model, "body", [body])
+    problem = (
+        f"{of[0].name} falls over within {seconds(after)}, because its servos do not balance it"
+    )
+    cure = "give the controls or the controller that balance it (--ctrl, --control)"
+    yield Finding("fall", "warning", problem, cure, of, after, "s")
+
+
+def _down(run: Recording, body: int) -> np.ndarray:
+    """Return at which readings a robot is no longer upright."""
+    axis = rotated(run["xquat"][:, body] * (1.0, -1.0, -1.0, -1.0), np.array([0.0, 0.0, 1.0]))
+    down: np.ndarray = axis @ axis[0] < np.cos(TILT)
+    geoms = np.flatnonzero(run.roots[run.model.geom_body] == body)
+    if len(geoms):
+        lowest = run.geoms[0][:, geoms, 2] - run.model.geom_size[geoms].max(axis=1)
+        height = run.centre_of_mass(body)[:, 2] - lowest.min(axis=1)
+        down |= height < (1 - SINKS) * height[0]
+    return down

@@ -13,14 +13,16 @@ import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.cures import PARTS, assigned, shorter
 from stepcore.measure.monitors.finding import (
     FEW,
+    PARTS,
     Cure,
     Finding,
     Remedy,
+    assigned,
     listed,
     named,
+    shorter,
     worst,
 )
 from stepcore.measure.monitors.recording import STEADY, Recording

@@ -18,8 +18,7 @@ from collections.abc import Sequence
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.cures import assigned, finer
-from stepcore.measure.monitors.finding import Cure, named
+from stepcore.measure.monitors.finding import Cure, assigned, finer, named
 from stepcore.report.units import seconds
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout

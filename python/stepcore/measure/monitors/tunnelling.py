@@ -14,8 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.measure.monitors.cures import PARTS, finer, shorter
-from stepcore.measure.monitors.finding import HALF, Finding, Remedy, named, others
+from stepcore.measure.monitors.finding import (
+    HALF,
+    PARTS,
+    Finding,
+    Remedy,
+    finer,
+    named,
+    others,
+    shorter,
+)
 from stepcore.measure.monitors.recording import FEWEST, Recording
 from stepcore.measure.monitors.soft_rows import hardest
 from stepcore.report.units import metres, seconds, speed
