@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import os
 import shlex
@@ -77,8 +78,13 @@ class Check(Result):
     @property
     def commands(self) -> list[tuple[str, str]]:
         """Up to three commands to run next on the same scene and motion, with reasons."""
-        each = ((self._command(following), following.why) for following in self._following())
-        return list(dict(each).items())[:3]
+        said: dict[str, str] = {}
+        for following in self._following():
+            takes = TAKEN.get(following.command, MOTION)
+            motion = [(takes[name], value) for name, value in self.options.items() if takes[name]]
+            words = map(shlex.quote, [*following.arguments, *itertools.chain(*motion)])
+            said[" ".join(["stepcore", following.command, self.file, *words])] = following.why
+        return list(said.items())[:3]
 
     def _following(self) -> Iterator[Next]:
         dt = self.settings.dt
@@ -91,12 +97,6 @@ class Check(Result):
                 yield Next("run", "whether a smaller time step survives", ("--dt", short))
             yield from finding.commands
         yield from ALWAYS
-
-    def _command(self, following: Next) -> str:
-        takes = TAKEN.get(following.command, MOTION)
-        motion = [(takes[name], value) for name, value in self.options.items() if takes[name]]
-        words = (*following.arguments, *(word for option in motion for word in option))
-        return " ".join(["stepcore", following.command, self.file, *map(shlex.quote, words)])
 
     @property
     def title(self) -> str:
@@ -122,24 +122,16 @@ class Check(Result):
     @property
     def sentences(self) -> list[str]:
         """The problems with their cures, the diagnosis' answer, and the commands to run next."""
-        return list(self._said())
-
-    def _said(self) -> Iterator[str]:
+        explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
+        so_far = " so far" if AS_SHIPPED in self.not_done else ""
+        said = [f"No problems found{' other than the time step' if explodes else so_far}."]
         if self.findings:
             several = ", the most severe first" if len(self.findings) > 1 else ""
-            yield f"{counted(len(self.findings), 'finding')}{several}:"
-            yield from (f"- {finding.severity}: {finding.text}" for finding in self.findings)
-        else:
-            explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
-            so_far = " so far" if AS_SHIPPED in self.not_done else ""
-            yield f"No problems found{' other than the time step' if explodes else so_far}."
+            said = [f"{counted(len(self.findings), 'finding')}{several}:"]
+            said += [f"- {finding.severity}: {finding.text}" for finding in self.findings]
         if self.diagnosis is not None:
-            said = self.diagnosis.sentences
-            if not self.diagnosis.fails:
-                said = said[:1]
-            yield from said
-        yield "Next:"
-        yield from (f"- {command} ({why})" for command, why in self.commands)
+            said += self.diagnosis.sentences[: None if self.diagnosis.fails else 1]
+        return [*said, "Next:", *(f"- {command} ({why})" for command, why in self.commands)]
 
     @property
     def table(self) -> Table:
@@ -204,8 +196,10 @@ def check(
     wanted = None if depth is None else units.length("check", "depth", depth, 1.0)
     compiled, motion, deadline = setup.model, setup.motion, setup.workers.deadline
     start, held = home(compiled, motion.key)
+    first = 0 if compiled.keys else None
+    key = first if motion.key is None else compiled.index("key", motion.key)
     # What the scene alone says comes first: it takes no run.
-    read = list(described(Described(compiled, start, held, _key(compiled, motion.key))))
+    read = list(described(Described(compiled, start, held, key)))
     deadline.so_far(_first(read, "the file alone"))
     dt = compiled.settings.dt
     horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
@@ -278,23 +272,15 @@ def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
 
     Of a duplicate, the scene's finding is kept; of a limit, the run's.
     """
-    if any(finding.kind == "units" for finding in read):
-        # With a control range in degrees, every limit is overpowered; report the range only.
-        read = [finding for finding in read if finding.kind != "limit"]
-    beyond = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
+    limits = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
+    # With a control range in degrees, every limit is overpowered; the range is told only.
+    degrees = any(finding.kind == "units" for finding in read)
     known = set()
     for finding in read:
-        if finding.kind != "limit" or not beyond.intersection(finding.elements):
+        if finding.kind != "limit" or not (degrees or limits.intersection(finding.elements)):
             known.add((finding.kind, finding.elements[:1]))
             yield finding
     yield from (finding for finding in seen if (finding.kind, finding.elements[:1]) not in known)
-
-
-def _key(model: Model, key: str | int | None) -> int | None:
-    """Return the index of the start's keyframe."""
-    if key is None:
-        return 0 if model.keys else None
-    return model.index("key", key)
 
 
 def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str]]:
@@ -322,14 +308,13 @@ def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str
 
 
 def _file(source: Source, model: Model) -> str:
-    """Return the file argument of the commands."""
+    """Return the file argument of the commands; of a scene without some kinds, its own file."""
     kinds = [line.partition(" ")[0] for line in model.scene.without]
-    # A scene with kinds left out is named by its file and the kinds left out.
     read = model.scene._source if kinds else None
     file = read.files[0] if read else "FILE"
-    if isinstance(source, (str, os.PathLike)):
-        file = os.fspath(source)
-    return file_in_words(file, kinds)
+    return file_in_words(
+        os.fspath(source) if isinstance(source, str | os.PathLike) else file, kinds
+    )
 
 
 def file_in_words(file: str, without: list[str], fuse: bool = True) -> str:

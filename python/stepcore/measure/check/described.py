@@ -357,16 +357,12 @@ def _outside(
 
 def _clamped(scene: Described) -> Iterator[Finding]:
     """Yield controls of keyframes that will be clamped."""
-    model = scene.model
-    if not model.nu or not model.scene.features.clampctrl:
-        return
-    low, high = model.actuator_ctrlrange.T
-    for name, _, ctrl in scene.keys:
-        over = np.maximum(low - ctrl, ctrl - high)
-        outside = np.flatnonzero(over > 1e-9 * np.maximum(1.0, np.abs(ctrl)))
-        if len(outside):
-            k = int(outside[np.argmax(over[outside])])
-            elements = named(model, "actuator", (k, *outside))
+    model, (low, high) = scene.model, scene.model.actuator_ctrlrange.T
+    for name, _, ctrl in scene.keys if model.nu and model.scene.features.clampctrl else ():
+        over = np.maximum(low - ctrl, ctrl - high) / (1e-9 * np.maximum(1.0, np.abs(ctrl)))
+        outside = worst(range(model.nu), over.__getitem__)
+        if outside:
+            k, elements = outside[0], named(model, "actuator", outside)
             problem = (
                 f"{name} has a control of {ctrl[k]:.4g} for {listed(elements, 'actuator')}, "
                 f"clamped to its ctrlrange of {low[k]:.4g} to {high[k]:.4g}"
@@ -378,32 +374,27 @@ def _clamped(scene: Described) -> Iterator[Finding]:
 def _asked_beyond(scene: Described) -> Iterator[Finding]:
     """Yield servos that a keyframe asks for a position beyond the range of their joint."""
     model = scene.model
-    servos = [
-        of for of in scene.drives if of.holds and np.isfinite(model.jnt_range[of.joint]).all()
-    ]
+    limited = np.isfinite(model.jnt_range).all(axis=1)
+    servos = {of.index: of for of in scene.drives if of.holds and limited[of.joint]}
     for name, _, ctrl in scene.keys:
-
-        def asked(of: Actuator, ctrl: Floats = ctrl) -> float:
-            return float(of.target(np.clip(ctrl[of.index], *of.ctrlrange))) / of.gear
-
-        def over(of: Actuator) -> float:
-            low, high = model.jnt_range[of.joint]
-            return float(max(low - asked(of), asked(of) - high) / (high - low)) / SEEN
-
-        beyond = worst(servos, over)
+        asked, over = dict[int, float](), dict[int, float]()
+        for k, of in servos.items():
+            low, high = model.jnt_range[of.joint].tolist()
+            asked[k] = float(of.target(np.clip(ctrl[k], *of.ctrlrange))) / of.gear
+            over[k] = max(low - asked[k], asked[k] - high) / (SEEN * (high - low))
+        beyond = worst(over, over.__getitem__)
         if not beyond:
             continue
-        of, joint = beyond[0], beyond[0].joint
+        k, joint, elements = beyond[0], servos[beyond[0]].joint, named(model, "actuator", beyond)
         assert joint is not None
-        elements = named(model, "actuator", [servo.index for servo in beyond])
         say, (low, high) = functools.partial(length_of, model, joint), model.jnt_range[joint]
         problem = (
-            f"{name} asks {listed(elements, 'servo')} for {say(asked(of))}, beyond the range of "
+            f"{name} asks {listed(elements, 'servo')} for {say(asked[k])}, beyond the range of "
             f"{model.element_name('joint', joint)} ({say(low)} to {say(high)}), so it presses on "
             "the limit"
         )
         cure, unit = "correct its ctrl, unless it is meant to press", unit_of(model, joint)
-        what = "control beyond a limit", "remark", problem, cure, elements, asked(of), unit
+        what = "control beyond a limit", "remark", problem, cure, elements, asked[k], unit
         yield Finding(*what)
 
 
@@ -416,48 +407,41 @@ def _overpowered(scene: Described) -> Iterator[Finding]:
     The excess is the closed form of a soft row under the actuator's largest outward force. Gravity
     and other actuators are left out.
     """
-    model, strong = scene.model, dict[int, tuple[float, float, float]]()
-    settings = model.settings
-    if settings.law != "solref":
-        return
-    dt = settings.dt if settings.refsafe else 0.0
-    for of in scene.drives:
+    model, settings = scene.model, scene.model.settings
+    beyond, force = dict[int, float](), dict[int, float]()
+    drives = {of.index: of for of in scene.drives} if settings.law == "solref" else {}
+    for k, of in drives.items():
         assert of.joint is not None
-        force, _, _ = _outward(model, of)
-        if force and math.isfinite(load := force / of.inertia):
-            joint = scene.layout.joints[of.joint]
-            beyond = yielding(joint.solreflimit, joint.solimplimit, load, dt)
-            strong[of.index] = beyond / width_of(model, of.joint), beyond, force
-    drives = worst(
-        (of for of in scene.drives if of.index in strong), lambda of: strong[of.index][0] / FEW
-    )
-    if not drives:
+        force[k], _, _ = _outward(model, of)
+        if 0 < force[k] / of.inertia < math.inf:
+            joint, dt = scene.layout.joints[of.joint], settings.dt * settings.refsafe
+            row = joint.solreflimit, joint.solimplimit
+            beyond[k] = yielding(*row, force[k] / of.inertia, dt)
+    strong = worst(beyond, lambda k: beyond[k] / (FEW * width_of(model, drives[k].joint or 0)))
+    if not strong:
         return
-    of, (_, beyond, force) = drives[0], strong[drives[0].index]
+    k, of = strong[0], drives[strong[0]]
     assert of.joint is not None
-    elements = named(model, "actuator", [drive.index for drive in drives])
+    elements = named(model, "actuator", strong)
     problem = (
         f"{listed(elements, 'actuator')} can push {model.element_name('joint', of.joint)} "
-        f"{length_of(model, of.joint, beyond)} beyond its range with "
-        f"{strength(model, of.index, force)}"
+        f"{length_of(model, of.joint, beyond[k])} beyond its range with "
+        f"{strength(model, k, force[k])}"
     )
     cure = f"a smaller {'forcerange' if of.holds else 'ctrlrange'} of {elements[0].name}"
-    again = functools.partial(_pushed, start=scene.start, k=of.index)
-    remedy = dataclasses.replace(limit_remedy(model, of.joint, beyond), again=again)
     limits, unit = named(model, "limit", [of.joint]), unit_of(model, of.joint)
-    yield Finding("limit", "warning", problem, cure, limits, beyond, unit, PLOT, remedy=remedy)
 
+    def again(other: Model) -> Recording:
+        """Run the actuator as it pushes its joint beyond the end of its range."""
+        _, end, control = _outward(other, actuators(other)[k])
+        qpos, ctrl = np.array(scene.start.qpos), np.zeros((1, 1, other.nu))
+        # A control without a range is asked for more than any force range.
+        qpos[of.qposadr], ctrl[0, 0, k] = end, np.clip(control, -1e6, 1e6)
+        steps = max(1, min(round(HORIZON / other.settings.dt), STEPS))
+        return followed(other, dataclasses.replace(scene.start, qpos=qpos), steps, ctrl=ctrl)
 
-def _pushed(model: Model, start: Start, k: int) -> Recording:
-    """Run an actuator that pushes its joint beyond its range."""
-    of = actuators(model)[k]
-    _, end, control = _outward(model, of)
-    qpos, ctrl = np.array(start.qpos), np.zeros((1, 1, model.nu))
-    qpos[of.qposadr] = end
-    # A control without a range is asked for more than any force range.
-    ctrl[0, 0, k] = np.clip(control, -1e6, 1e6)
-    steps = max(1, min(round(HORIZON / model.settings.dt), STEPS))
-    return followed(model, dataclasses.replace(start, qpos=qpos), steps, ctrl=ctrl)
+    remedy = dataclasses.replace(limit_remedy(model, of.joint, beyond[k]), again=again)
+    yield Finding("limit", "warning", problem, cure, limits, beyond[k], unit, PLOT, remedy=remedy)
 
 
 def _outward(model: Model, of: Actuator) -> tuple[float, float, float]:
@@ -465,18 +449,18 @@ def _outward(model: Model, of: Actuator) -> tuple[float, float, float]:
 
     The force is 0 where nothing bounds it: a servo without a control range is not meant to push.
     """
-    controls, most = of.ctrlrange, (0.0, 0.0, 0.0)
+    controls, ends = of.ctrlrange, model.jnt_range[of.joint].tolist()
     if not np.isfinite(controls).all():
-        if of.holds or not np.isfinite(of.forcerange).all():
-            return most
         controls = -np.inf, np.inf
-    if not np.isfinite(model.jnt_range[of.joint]).all():
-        return most
-    for end, outwards in zip(model.jnt_range[of.joint].tolist(), (-1.0, 1.0), strict=True):
-        for control in controls:
-            force = float(np.clip(of.force(control, of.gear * end), *of.forcerange)) * of.gear
-            most = max(most, (force * outwards, end, control))
-    return most
+        if of.holds or not np.isfinite(of.forcerange).all():
+            ends = []
+    each = [
+        (sign * of.gear * float(np.clip(of.force(u, of.gear * end), *of.forcerange)), end, u)
+        for sign, end in zip((-1.0, 1.0), ends, strict=False)
+        for u in controls
+        if math.isfinite(end)
+    ]
+    return max([(0.0, 0.0, 0.0), *each])
 
 
 def _saturated(scene: Described) -> Iterator[Finding]:
@@ -487,12 +471,7 @@ def _saturated(scene: Described) -> Iterator[Finding]:
             length, speed = (of.gear * x for x in (start.qpos[of.qposadr], start.qvel[of.dof]))
             force = of.force(float(np.clip(scene.ctrl[of.index], *of.ctrlrange)), length, speed)
             asked[of.index] = float(force), of.forcerange[int(force > 0)]
-
-    def over(k: int) -> float:
-        force, end = asked[k]
-        return (abs(force / end) if end else math.inf * abs(force)) / (1 + SEEN)
-
-    full = worst((k for k, (force, _) in asked.items() if force), over)
+    full = worst(asked, lambda k: abs(asked[k][0]) / max((1 + SEEN) * abs(asked[k][1]), 1e-300))
     if full:
         force, end = asked[full[0]]
         servos = named(model, "actuator", full)

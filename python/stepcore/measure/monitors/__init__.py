@@ -9,11 +9,10 @@ from __future__ import annotations
 from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.experiment.schedule import Schedule
-from stepcore.measure.monitors.contacts import contact_findings
+from stepcore.measure.monitors.contacts import contact_findings, noise_findings
 from stepcore.measure.monitors.creep import creep_findings
 from stepcore.measure.monitors.finding import Finding, Next, ordered, verified
 from stepcore.measure.monitors.joints import actuator_findings, fall_findings, joint_findings
-from stepcore.measure.monitors.noise import noise_findings
 from stepcore.measure.monitors.recording import Recording, cut, recorded
 from stepcore.measure.monitors.tunnelling import passages, tunnelling_findings
 
@@ -37,7 +36,7 @@ def shown(run: Recording, depth: float | None = None) -> list[Finding]:
         *fall_findings(run),
         *tunnelling_findings(run, passed),
         *creep_findings(run),
-        *contact_findings(run, {at.pair for at in passed}),
+        *contact_findings(run, {at.mover for at in passed}),
         *joint_findings(run),
         *noise_findings(run),
         *actuator_findings(run),

@@ -1,8 +1,9 @@
-"""Findings on contacts in a run: initial overlap, resting depth, frictionless sliding."""
+"""Findings on contacts in a run: initial overlap, depth, frictionless sliding, noise of forces."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.measure.monitors.finding import (
     DEEP,
+    FEW,
     HALF,
     LEFT,
     PARTS,
@@ -21,9 +23,11 @@ from stepcore.measure.monitors.finding import (
     Cure,
     Finding,
     Remedy,
+    assigned,
     listed,
     named,
     others,
+    shorter,
     worst,
 )
 from stepcore.measure.monitors.recording import FEWEST, STEADY, Recording, friction_of
@@ -33,6 +37,17 @@ from stepcore.report.units import metres, newtons, percent, speed
 # An initial overlap up to this many times the resting depth is the scene's resting state: the feet
 # of playground's go1 begin 4 times as deep as they rest, those of half_cheetah 1.9 times.
 RESTS = 3.0
+
+
+# Readings further apart than this do not tell noise from motion [s].
+APART = 0.01
+# Surfaces that move slower than this on each other stand still [m/s]: those of particle_free.xml,
+# and not the feet of walker2d.
+STILL = 0.01
+# Sensors whose noise is watched.
+SENSORS = ("force", "torque", "touch")
+# Noise and mean of a force, by pair or sensor.
+Noises = dict[int, tuple[float, float]]
 
 
 class Contact(NamedTuple):
@@ -54,7 +69,7 @@ class Contact(NamedTuple):
 def contact_findings(run: Recording, passed: Collection[int] = ()) -> Iterator[Finding]:
     """Yield all findings on contacts; of a run that failed, the overlaps that it began with.
 
-    passed: pairs that passed through each other.
+    passed: geoms that passed through others.
     """
     if not run.model.npair:
         return
@@ -62,38 +77,31 @@ def contact_findings(run: Recording, passed: Collection[int] = ()) -> Iterator[F
     if run.failure is not None:
         yield from _overlaps(run, starts, {})
         return
-    rest = list(resting(run))
-    jammed = _jammed(run, starts, {at.pair: at for at in rest})
+    late = list(resting(run))
+    jammed = _jammed(run, starts, {at.pair: at for at in late if at.settled})
     if jammed:
         yield _jam(run.model, list(jammed.values()))
-    sunk = list(_sunk(run, rest))
-    rest = [at for at in rest if at.pair not in jammed]
-    deepest = {at.pair: at.depth for at in sorted(rest, key=lambda at: at.depth)}
-    yield from _overlaps(run, [at for at in starts if at.pair not in jammed], deepest)
+    late = [at for at in late if at.pair not in jammed]
+    rest = sorted((at for at in late if at.settled), key=lambda at: at.depth)
+    starts = [at for at in starts if at.pair not in jammed]
+    yield from _overlaps(run, starts, {at.pair: at.depth for at in rest})
     if run.model.settings.law == "solref":
-        deep = [*rest, *sunk]
-        yield from _depths(run, deep)
-        known = {at.pair for at in (*starts, *deep) if at.depth > DEEP * run.thick(at.pair)}
-        yield from _impacts(run, known | _with_geoms_of(run, passed))
+        yield from _depths(run, late)
+        known = {at.pair for at in (*starts, *late) if at.depth > DEEP * run.thick(at.pair)}
+        through = np.isin(run.model.pair_geoms, list(passed)).any(axis=1)
+        yield from _impacts(run, {*known, *jammed, *np.flatnonzero(through).tolist()})
     yield from _slides(run, rest)
 
 
 def resting(run: Recording) -> Iterator[Contact]:
-    """Yield contacts whose depth is constant to the end of the run."""
+    """Yield contacts whose depth is constant to the end of the run, or that stay deep there."""
     seen = run.contacts
     for (pair, _), late in seen.late():
-        depth = seen.depth[late]
+        depth, force = seen.depth[late], float(seen.force[late].mean())
         if depth.min() > 0 and np.ptp(depth) < STEADY * depth.mean():
-            yield Contact(pair, float(depth.mean()), float(seen.force[late].mean()))
-
-
-def _sunk(run: Recording, rest: list[Contact]) -> Iterator[Contact]:
-    """Yield contacts that stay deep over the end of the run and have not come to rest."""
-    known = {at.pair for at in rest}
-    for (pair, _), late in run.contacts.late():
-        depth = run.contacts.depth[late]
-        if pair not in known and depth.min() > DEEP * run.thick(pair):
-            yield Contact(pair, float(depth.max()), settled=False)
+            yield Contact(pair, float(depth.mean()), force)
+        elif depth.min() > DEEP * run.thick(pair):
+            yield Contact(pair, float(depth.max()), force, settled=False)
 
 
 def _gravity(model: Model) -> float:
@@ -302,18 +310,10 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
 
 def _deepest(run: Recording) -> dict[int, float]:
     """Return how deep each pair was pressed at most [m]."""
-    deepest: dict[int, float] = {}
-    for (pair, _), places in run.contacts.groups.items():
-        most = float(run.contacts.depth[places].max())
-        deepest[pair] = max(most, deepest.get(pair, 0.0))
-    return deepest
-
-
-def _with_geoms_of(run: Recording, passed: Collection[int]) -> set[int]:
-    """Return the pairs seen that share a geom with a pair."""
-    model, seen = run.model, {pair for pair, _ in run.contacts.groups}
-    geoms = {geom for pair in passed for geom in model.contact_pair(pair).geoms}
-    return {pair for pair in seen if geoms.intersection(model.contact_pair(pair).geoms)}
+    pairs, each = np.unique(run.contacts.pair, return_inverse=True)
+    deepest = np.zeros(len(pairs))
+    np.maximum.at(deepest, each, run.contacts.depth)
+    return dict(zip(pairs.tolist(), deepest.tolist(), strict=True))
 
 
 # Contacts without friction.
@@ -351,3 +351,109 @@ def _carries(run: Recording, at: Contact) -> bool:
     masses = [model.body_mass[run.roots == root].sum() for root in roots if root in free]
     weights = [_gravity(model) * float(mass) for mass in masses]
     return roots[0] != roots[1] and any(at.force > DEEP * weight > 0 for weight in weights)
+
+
+# Noise: what changes from reading to reading.
+
+
+def noise_findings(run: Recording) -> Iterator[Finding]:
+    """Yield the noisiest contacts, and the noisiest sensors."""
+    if run.late < 0 or run.spacing > APART:
+        return
+    for kind, noises in (("contact", of_contacts), ("sensor", of_sensors)):
+        yield from _noisy(run, kind, noises)
+
+
+def _noisy(run: Recording, kind: str, noises: Callable[[Recording], Noises]) -> Iterator[Finding]:
+    model, every = run.model, noises(run)
+    # Force control of a few per cent is usual.
+    keys = worst(every, lambda k: every[k][0] / (FEW * every[k][1]) if every[k][1] else 0.0)
+    if not keys:
+        return
+    key, (rms, mean), elements = keys[0], every[keys[0]], named(model, kind, keys)
+    torque = kind == "sensor" and model.sensor_type[key] == "torque"
+    unit = "N·m" if torque else "N"
+    does = (
+        f"pushes with {newtons(mean)} and" if kind == "contact" else f"reads {mean:.3g} {unit} with"
+    )
+    problem = (
+        f"{listed(elements, kind)} {does} a noise of {rms:.3g} {unit} RMS ({percent(rms / mean)})"
+    )
+    pairs = keys if kind == "contact" else sorted(set(run.contacts.pair))
+
+    def left(other: Recording) -> float | None:
+        found = noises(other).get(key)
+        return None if found is None else found[0]
+
+    # What no knob lowers is the motion.
+    say = f"{{:.3g}} {unit}".format
+    remedy = Remedy(tuple(_knobs(model, pairs)), left, FEW * mean, say, needed=True)
+    yield Finding("force noise", "remark", problem, "", elements, rms, unit, remedy=remedy)
+
+
+def of_contacts(run: Recording) -> Noises:
+    """Return noise and mean of the normal force of each pair that stands still [N]."""
+    seen, first, noises = run.contacts, run.late, Noises()
+    late = np.flatnonzero(seen.reading >= first)
+    moves = np.linalg.norm(seen.past[late], axis=1) + seen.rolls[late]
+    for pair in np.unique(seen.pair[late]).tolist():
+        mine = seen.pair[late] == pair
+        places = late[mine]
+        force = np.bincount(seen.reading[places] - first, seen.force[places], len(run) - first)
+        if force.all() and moves[mine].mean() < STILL and _lasts(force):
+            noises[pair] = noise(force)
+    return noises
+
+
+def of_sensors(run: Recording) -> Noises:
+    """Return noise and mean size of each force sensor at the end of the run."""
+    kinds, ends = run.model.sensor_type, np.cumsum(run.model.sensor_dim)
+    sensors = [k for k, kind in enumerate(kinds) if kind in SENSORS]
+    if not sensors:
+        return {}
+    late = np.array([run.at(k).sensordata for k in range(run.late, len(run))])
+    series = {k: late[:, ends[k] - run.model.sensor_dim[k] : ends[k]] for k in sensors}
+    return {k: noise(values) for k, values in series.items() if _lasts(values)}
+
+
+def _knobs(model: Model, pairs: Collection[int]) -> Iterator[tuple[Cure, ...]]:
+    """Yield the changes that may lower the noise of some pairs."""
+    settings, contacts = model.settings, named(model, "contact", pairs)
+    solrefs = [model.contact_pair(pair).solref for pair in pairs]
+    if settings.law == "solref" and solrefs:
+        base = max(2 * settings.dt, *(ref[0] for ref in solrefs))
+        yield tuple(
+            Cure(
+                f'solref="{constant:g} 1" on the geoms that touch',
+                Change(assigned(model, contacts, {"solref": (constant, 1.0)})),
+            )
+            for constant in (float(f"{base * part:.3g}") for part in PARTS[1:])
+        )
+    if settings.cone == "pyramidal":
+        yield (Cure('cone="elliptic"', Change(cone="elliptic")),)
+    yield shorter(settings.dt / part for part in PARTS[1:])
+
+
+def noise(series: np.ndarray) -> tuple[float, float]:
+    """Return the noise of a series of numbers or vectors, and the size of its mean.
+
+    The noise is the RMS of f_k − (f_{k−1} + f_{k+1})/2, times √(2/3). For white noise this is its
+    RMS; of a motion that is resolved by the readings, the second difference is small.
+
+    >>> rms, mean = noise(np.array([1.0, 1.2] * 8))
+    >>> print(f"{rms:.3f} {mean:.1f}")
+    0.163 1.1
+    """
+    series = series.reshape(len(series), -1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        second = series[1:-1] - (series[:-2] + series[2:]) / 2
+        rms = math.sqrt(2 / 3 * float(np.mean((second**2).sum(axis=1))))
+        return rms, float(np.linalg.norm(series.mean(axis=0)))
+
+
+def _lasts(series: np.ndarray) -> bool:
+    """Return whether both halves of a series have one mean, as of a thing at rest."""
+    half = len(series) // 2
+    means = [np.atleast_1d(part.mean(axis=0)) for part in (series[:half], series[half:])]
+    apart = float(np.linalg.norm(means[1] - means[0]))
+    return apart < STEADY * float(np.linalg.norm(means[0] + means[1])) / 2

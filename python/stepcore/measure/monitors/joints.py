@@ -53,8 +53,6 @@ from stepcore.report.units import (
 )
 from stepcore.scene.layout import QPOS, Layout
 
-# Ranges wider than this do not define how exact a limit or a servo should be [rad].
-WIDEST = 3.0
 # Elements that only resist motion cannot push a joint beyond its limit. An equality that holds the
 # joint within its range has damping that points outwards, too (backlash.xml).
 RESISTS = ("damper", "friction loss", "joint equality")
@@ -263,9 +261,9 @@ def unit_of(model: Model, joint: int) -> str:
 
 
 def width_of(model: Model, joint: int) -> float:
-    """Return the width of a joint's range [rad or m], at most `WIDEST` for an angle."""
+    """Return the width of a joint's range [rad or m]; of an angle at most half a turn."""
     width = float(np.ptp(model.jnt_range[joint]))
-    return min(width, WIDEST) if unit_of(model, joint) == "rad" else width
+    return min(width, math.pi) if unit_of(model, joint) == "rad" else width
 
 
 def length_of(model: Model, joint: int, value: float) -> str:

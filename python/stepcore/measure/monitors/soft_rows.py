@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.finding import Cure, assigned, finer, named
+from stepcore.measure.monitors.finding import PARTS, Cure, assigned, finer, named
 from stepcore.report.units import seconds
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
@@ -27,8 +27,6 @@ from stepcore.scene.layout import Layout
 HARD = (0.99, 0.99, 0.001, 0.5, 2.0)
 # Shortest time step that is advised with a solref, as a share of the shipped one.
 SHORTEST = 0.1
-# Shares of the wanted violation that are tried, in order; weldballs.xml needs the second.
-STIFFER = (1.0, 1 / 3, 1 / 10)
 
 
 def impedance(solimp: Sequence[float], violation: float) -> float:
@@ -107,7 +105,8 @@ def stiffened(
 ) -> tuple[Cure, ...]:
     """Return the solref, with solimp and dt if needed, that should leave a wanted violation.
 
-    The closed form knows the load of the worst row alone, so stiffer ones follow.
+    The closed form knows the load of the worst row alone, so stiffer ones follow; weldballs.xml
+    needs the last.
 
     elements: the rows, all of which get the same values.
     solref, solimp, now: of the worst row, with its violation [m or rad]. wanted: [m or rad].
@@ -117,10 +116,10 @@ def stiffened(
     names = {of.name for element in elements for of in element.fields(model)}
     suffix = "limit" if "solreflimit" in names else ""
     cures: dict[str, Cure] = {}
-    for share in STIFFER:
-        new, hard = _stiffer(solref, solimp, now, wanted * share, dt, solimp), False
+    for part in PARTS:
+        new, hard = _stiffer(solref, solimp, now, wanted / part, dt, solimp), False
         if 0 < new[0] < 2 * dt:
-            new, hard = _stiffer(solref, solimp, now, wanted * share, dt, HARD), True
+            new, hard = _stiffer(solref, solimp, now, wanted / part, dt, HARD), True
         if 0 < new[0] < 2 * SHORTEST * dt:
             continue
         values: dict[str, Vec] = {f"solref{suffix}": new}
