@@ -57,7 +57,7 @@ def monitored(
         run = recorded(other, schedule)
         return run if run.failure is None else None
 
-    run = (ran and cut(model, schedule, ran)) or recorded(model, schedule)
+    run = cut(model, schedule, ran) or recorded(model, schedule)
     plain = model.with_settings(model.settings.replace(ledger=False))
     steps = schedule.periods * schedule.steps(model.settings.dt)
     return verified(shown(run, depth), plain, again, steps), run.failure

@@ -149,14 +149,14 @@ def recorded(model: Model, schedule: Schedule) -> Recording:
     return dataclasses.replace(run, model=model)
 
 
-def cut(model: Model, schedule: Schedule, ran: Followed) -> Recording | None:
+def cut(model: Model, schedule: Schedule, ran: Followed | None) -> Recording | None:
     """Return the recording of a longer run of the same motion; None if it has too few readings."""
-    count = int(np.searchsorted(ran.times, schedule.horizon * (1 + 1e-9)))
-    if ran.failures or count < READINGS / 2 or not set(RECORDED) <= set(ran.data):
+    count = 0 if ran is None else int(np.searchsorted(ran.times, schedule.horizon * (1 + 1e-9)))
+    if ran is None or ran.failures or count < READINGS / 2 or not set(RECORDED) <= set(ran.data):
         return None
-    data = {name: ran[name][0, :count] for name in RECORDED}
-    run = whole(schedule.on(model), ran.times[:count], data, schedule.starts[0].put)
-    return dataclasses.replace(run, model=model)
+    data = {name: ran[name][0] for name in RECORDED}
+    run = whole(schedule.on(model), ran.times, data, schedule.starts[0].put)
+    return dataclasses.replace(run.part(0, count), model=model)
 
 
 def followed(model: Model, start: Start, steps: int, **controls: Any) -> Recording:
@@ -201,7 +201,6 @@ def settled(series: Floats) -> float | None:
 class Contacts:
     """The contacts that push in one run, at its readings, ordered by reading.
 
-    overlaps: pair, reading and depth [m] of all that overlap, whether they push or not.
     reading, pair, part: indices, (m,). depth: the overlap [m]. force: along the normal [N].
     share: friction over μ × normal force. past: the tangential velocity [m/s], (m, 3).
     rolls: the speed at which the surfaces turn on each other: angular velocity × lever [m/s].
@@ -218,9 +217,6 @@ class Contacts:
             centres.append(np.array(sim.subtree_com)[run.roots])
         every = np.concatenate(tables)
         reading = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
-        deep = every["dist"] < 0
-        columns = every["index"][deep], reading[deep], -every["dist"][deep]
-        self.overlaps = list(zip(*(values.tolist() for values in columns), strict=True))
         with np.errstate(over="ignore", invalid="ignore"):
             force = np.einsum("ci,ci->c", every["force"], every["normal"])
             some = np.flatnonzero(force > 0)

@@ -21,10 +21,10 @@ from stepcore.experiment.change import Change
 from stepcore.measure.monitors.finding import PARTS, Cure, assigned, finer, named
 from stepcore.report.units import seconds
 from stepcore.scene.frames import Vec
-from stepcore.scene.layout import Layout
 
 # A nearly rigid solimp.
 HARD = (0.99, 0.99, 0.001, 0.5, 2.0)
+WRITTEN = " ".join(f"{value:g}" for value in HARD[:3])
 # Shortest time step that is advised with a solref, as a share of the shipped one.
 SHORTEST = 0.1
 
@@ -126,7 +126,7 @@ def stiffened(
         words = f'solref{suffix}="{new[0]:g} {new[1]:g}"'
         if hard:
             values[f"solimp{suffix}"] = HARD
-            words += f" with {_solimp(suffix)}"
+            words += f' with solimp{suffix}="{WRITTEN}"'
         words += " on both geoms" * (elements[0].kind == "contact")
         change = Change(assigned(model, elements, values))
         if 0 < new[0] < 2 * dt:
@@ -137,26 +137,11 @@ def stiffened(
     return tuple(cures.values())
 
 
-def _solimp(suffix: str) -> str:
-    return f'solimp{suffix}="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
-
-
 def hardest(model: Model, pairs: Sequence[int], dt: float) -> Cure:
     """Return the hardest solref that refsafe allows some pairs at a time step [s]."""
     contacts, constant = named(model, "contact", pairs), float(f"{2 * dt:.3g}")
-    words = f'solref="{constant:g} 1" with {_solimp("")} on these geoms and what they touch'
+    words = f'solref="{constant:g} 1" with solimp="{WRITTEN}" on these geoms and what they touch'
     change = Change(assigned(model, contacts, {"solref": (constant, 1.0), "solimp": HARD}))
     if dt == model.settings.dt:
         return Cure(words, change)
     return Cure(f"{words} at a dt of {seconds(dt)}", change.also(Change(dt=dt)))
-
-
-def pair_solimp(model: Model, geom1: int, geom2: int) -> Vec:
-    """Return the solimp of a pair of geoms: of the higher priority, or mixed by solmix."""
-    geoms = Layout(model.scene).geoms
-    a, b = geoms[geom1], geoms[geom2]
-    if a.priority != b.priority:
-        return a.solimp if a.priority > b.priority else b.solimp
-    total = a.solmix + b.solmix
-    share = a.solmix / total if total > 0 else 0.5
-    return tuple(share * x + (1 - share) * y for x, y in zip(a.solimp, b.solimp, strict=True))
