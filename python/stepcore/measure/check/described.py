@@ -104,17 +104,9 @@ class Described:
 
 def described(scene: Described) -> Iterator[Finding]:
     """Yield the findings of a scene as it is described."""
-    features = scene.model.scene.features
-    for find in (_lengths, _tiny, _angles, _degrees, _densities, _inertias):
-        yield from find(scene)
-    if features.limit:
-        yield from _beyond(scene)
-    yield from _clamped(scene)
-    if features.limit:
-        yield from _asked_beyond(scene)
-        yield from _overpowered(scene)
-    for find in (_saturated, _without_armature, _unused):
-        yield from find(scene)
+    for find in FINDINGS:
+        if scene.model.scene.features.limit or find not in OF_LIMITS:
+            yield from find(scene)
 
 
 # Units.
@@ -501,12 +493,9 @@ def _without_armature(scene: Described) -> Iterator[Finding]:
     stiff = worst(bare, lambda of: math.sqrt(max(0.0, least(of)) / of.inertia))
     if not stiff:
         return
-    of = stiff[0]
+    of, servos = stiff[0], named(model, "actuator", [drive.index for drive in stiff])
     assert of.joint is not None
-    servos, omega = (
-        named(model, "actuator", [o.index for o in stiff]),
-        math.sqrt(max(of.stiffness, 0.0) / of.inertia),
-    )
+    omega = math.sqrt(max(of.stiffness, 0.0) / of.inertia)
     gain, rate = f"kv {of.damping:.3g}", f"a damping rate of {of.damping / of.inertia:.3g}/s"
     if omega * dt > HALF:
         gain, rate = f"kp {of.stiffness:.3g}", hertz(omega)
@@ -548,3 +537,11 @@ def _unused(scene: Described) -> Iterator[Finding]:
             "autolimits), and no actuator, equality or sensor uses it"
         )
         yield Finding("unused tendon", "remark", problem, cure, tendons)
+
+
+# Equally severe ones are told in this order; those of limits only where limits act.
+OF_LIMITS = (_beyond, _asked_beyond, _overpowered)
+FINDINGS = (
+    *(_lengths, _tiny, _angles, _degrees, _densities, _inertias, _beyond, _clamped),
+    *(_asked_beyond, _overpowered, _saturated, _without_armature, _unused),
+)

@@ -14,9 +14,15 @@ from stepcore.measure.monitors.creep import creep_findings
 from stepcore.measure.monitors.finding import Finding, Next, ordered, verified
 from stepcore.measure.monitors.joints import actuator_findings, fall_findings, joint_findings
 from stepcore.measure.monitors.recording import Recording, cut, recorded
-from stepcore.measure.monitors.tunnelling import passages, tunnelling_findings
+from stepcore.measure.monitors.tunnelling import tunnelling_findings
 
 __all__ = ["Finding", "Next", "Recording", "monitored", "ordered", "shown", "verified"]
+
+# What a run is looked at for; equally severe findings are told in this order.
+FINDINGS = (
+    *(fall_findings, tunnelling_findings, creep_findings, contact_findings),
+    *(joint_findings, noise_findings, actuator_findings),
+)
 
 
 def shown(run: Recording, depth: float | None = None) -> list[Finding]:
@@ -26,22 +32,9 @@ def shown(run: Recording, depth: float | None = None) -> list[Finding]:
     relative to the geoms. Of a run that failed, only what it began with is told; the rest would
     describe the explosion.
     """
-    if not len(run):
-        return []
     run.wanted = depth
-    if run.failure is not None:
-        return list(contact_findings(run))
-    passed = passages(run)
-    every = (
-        *fall_findings(run),
-        *tunnelling_findings(run, passed),
-        *creep_findings(run),
-        *contact_findings(run, {at.mover for at in passed}),
-        *joint_findings(run),
-        *noise_findings(run),
-        *actuator_findings(run),
-    )
-    return ordered(every)
+    asked = FINDINGS if run.failure is None else (contact_findings,)
+    return ordered(finding for find in asked if len(run) for finding in find(run))
 
 
 def monitored(

@@ -66,11 +66,8 @@ class Contact(NamedTuple):
     settled: bool = True
 
 
-def contact_findings(run: Recording, passed: Collection[int] = ()) -> Iterator[Finding]:
-    """Yield all findings on contacts; of a run that failed, the overlaps that it began with.
-
-    passed: geoms that passed through others.
-    """
+def contact_findings(run: Recording) -> Iterator[Finding]:
+    """Yield the findings on contacts; of a run that failed, the overlaps that it began with."""
     if not run.model.npair:
         return
     starts = overlaps(run)
@@ -88,7 +85,7 @@ def contact_findings(run: Recording, passed: Collection[int] = ()) -> Iterator[F
     if run.model.settings.law == "solref":
         yield from _depths(run, late)
         known = {at.pair for at in (*starts, *late) if at.depth > DEEP * run.thick(at.pair)}
-        through = np.isin(run.model.pair_geoms, list(passed)).any(axis=1)
+        through = np.isin(run.model.pair_geoms, list(run.passed)).any(axis=1)
         yield from _impacts(run, {*known, *jammed, *np.flatnonzero(through).tolist()})
     yield from _slides(run, rest)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -50,6 +50,7 @@ class Recording:
     begin: sets a Sim to the start of the run, with all that is constant in it.
     failure: why the run ended early, or None.
     wanted: the wanted depth of contacts at rest [m], or None.
+    passed: geoms that are known to have passed through others.
     """
 
     model: Model
@@ -59,6 +60,7 @@ class Recording:
     begin: Callable[[Sim], object]
     failure: str | None = None
     wanted: float | None = None
+    passed: Collection[int] = ()
     _read: int | None = field(default=None, init=False)
 
     def __len__(self) -> int:

@@ -110,8 +110,10 @@ def _hits(run: Recording, mover: int, wall: int, ends: Floats, reading: int) -> 
     return int(hit.geom) == wall and bool(hit.distance <= 1)
 
 
-def tunnelling_findings(run: Recording, passed: list[Passage]) -> Iterator[Finding]:
-    """Yield a finding on what passed; passed: what `passages` returns."""
+def tunnelling_findings(run: Recording) -> Iterator[Finding]:
+    """Yield a finding on what passed."""
+    passed = passages(run)
+    run.passed = {at.mover for at in passed}
     if not passed:
         return
     model, first, dt = run.model, passed[0], run.model.settings.dt
