@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import rotated
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
@@ -30,7 +29,7 @@ from stepcore.measure.monitors.finding import (
     shorter,
     worst,
 )
-from stepcore.measure.monitors.recording import FEWEST, STEADY, Recording, friction_of
+from stepcore.measure.monitors.recording import FEWEST, STEADY, Recording, free_bodies, friction_of
 from stepcore.measure.monitors.soft_rows import hardest, stiffened
 from stepcore.report.units import metres, newtons, percent, speed
 
@@ -110,51 +109,35 @@ def _gravity(model: Model) -> float:
 
 def overlaps(run: Recording) -> list[Contact]:
     """Return the overlaps at the start, with the speeds at which they end, deepest first."""
-    sim = run.at(0)
-    contacts = sim.contacts[sim.contacts["dist"] < 0]
-    if not len(contacts):
-        return []
-    movable = []
-    for contact in contacts:
-        point = np.zeros((3, run.model.nv))
-        for geom, sign in (("geom1", -1.0), ("geom2", 1.0)):
-            body = int(run.model.geom_body[contact[geom]])
-            jacobian, arm = sim.jacobian(body), contact["pos"] - sim.xpos[body]
-            point += sign * (jacobian[:3] + np.cross(jacobian[3:].T, arm).T)
-        along = np.abs(contact["normal"] @ point).max(initial=0.0)
-        # Not rounding, of what moves across the normal.
-        movable.append(bool(along > 1e-9 * np.abs(point).max(initial=0.0)))
-    speeds = _separation(run, contacts).tolist()
-    found = [
-        Contact(int(contact["index"]), -float(contact["dist"]), 0.0, left, free)
-        for contact, left, free in zip(contacts, speeds, movable, strict=True)
-    ]
+    contacts = run.at(0).contacts
+    found = [_overlap(run, contact) for contact in contacts[contacts["dist"] < 0]]
     return sorted(found, key=lambda overlap: -overlap.depth)
 
 
-def _separation(run: Recording, contacts: np.ndarray) -> Floats:
-    """Return the speed along the normal at which geoms leave their overlap [m/s], (contacts,).
+def _overlap(run: Recording, contact: np.void) -> Contact:
+    """Return an overlap at the start, with the speed along the normal at which the geoms leave it.
 
     The speed is that of the centres of mass of free trees: a leg that straightens moves its foot,
     and does not throw the robot. Only the first time counts: a later one follows another impact.
     """
-    model, sim, roots = run.model, run.at(0), run.roots
-    free = {int(body) for k, body in enumerate(model.jnt_body) if model.jnt_type[k] == "free"}
-    moved, rose = np.zeros((2, len(run), len(contacts)))
-    xmat = np.array(sim.xmat).reshape(-1, 3, 3)
+    model, sim, normal = run.model, run.at(0), contact["normal"]
+    arms, moved, rose = np.zeros((3, model.nv)), *np.zeros((2, len(run)))
     for geom, sign in (("geom1", -1.0), ("geom2", 1.0)):
-        body = model.geom_body[contacts[geom]]
-        point = np.einsum("cji,cj->ci", xmat[body], contacts["pos"] - sim.xpos[body])
+        body = int(model.geom_body[contact[geom]])
+        jacobian, arm = sim.jacobian(body), contact["pos"] - sim.xpos[body]
+        arms += sign * (jacobian[:3] + np.cross(jacobian[3:].T, arm).T)
+        point = np.array(sim.xmat).reshape(-1, 3, 3)[body].T @ arm
         place = run["xpos"][:, body] + rotated(run["xquat"][:, body], point)
-        carried = place.copy()
-        for root in free.intersection(roots[body].tolist()):
-            carried[:, roots[body] == root] = run.centre_of_mass(root)[:, None]
-        moved += sign * np.einsum("nci,ci->nc", place, contacts["normal"])
-        rose += sign * np.einsum("nci,ci->nc", carried, contacts["normal"])
-    left = moved - moved[0] >= -contacts["dist"]
-    first, each = left.argmax(axis=0), np.arange(len(contacts))
-    way = rose[first, each] - rose[np.maximum(first - 1, 0), each]
-    return np.where(left.any(axis=0) & (first > 0), way / (run.spacing or 1.0), 0.0)
+        moved += sign * (place @ normal)
+        root = int(run.roots[body])
+        rose += sign * (
+            (run.centre_of_mass(root) if root in free_bodies(model) else place) @ normal
+        )
+    # Not rounding, of what moves across the normal.
+    movable = np.abs(normal @ arms).max(initial=0.0) > 1e-9 * np.abs(arms).max(initial=0.0)
+    out = int((moved - moved[0] >= -contact["dist"]).argmax())
+    left = float(rose[out] - rose[out - 1]) / (run.spacing or 1.0) if out else 0.0
+    return Contact(int(contact["index"]), -float(contact["dist"]), 0.0, left, bool(movable))
 
 
 def _jammed(
@@ -345,8 +328,8 @@ def _carries(run: Recording, at: Contact) -> bool:
     """Return whether a contact carries a tenth of the weight of a free tree."""
     model = run.model
     roots = run.roots[model.geom_body[list(model.contact_pair(at.pair).geoms)]].tolist()
-    free = {int(body) for k, body in enumerate(model.jnt_body) if model.jnt_type[k] == "free"}
-    masses = [model.body_mass[run.roots == root].sum() for root in roots if root in free]
+    free = [root for root in roots if root in free_bodies(model)]
+    masses = [model.body_mass[run.roots == root].sum() for root in free]
     weights = [_gravity(model) * float(mass) for mass in masses]
     return roots[0] != roots[1] and any(at.force > DEEP * weight > 0 for weight in weights)
 

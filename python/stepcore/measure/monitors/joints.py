@@ -39,7 +39,7 @@ from stepcore.measure.monitors.finding import (
     named,
     worst,
 )
-from stepcore.measure.monitors.recording import Recording, settled
+from stepcore.measure.monitors.recording import Recording, free_bodies, settled
 from stepcore.measure.monitors.soft_rows import stiffened
 from stepcore.report.units import (
     FORCES,
@@ -422,11 +422,8 @@ def _loaded(run: Recording, of: Actuator, asked: float, force: float) -> bool:
         return False
     if float(loads(sim)[of.dof]) / of.gear * force >= HALF * force**2:
         return True
-    tree = run.roots[model.jnt_body[of.joint]]
-    free = [
-        body for body, kind in zip(model.jnt_body, model.jnt_type, strict=True) if kind == "free"
-    ]
-    if tree not in run.roots[free]:
+    tree = int(run.roots[model.jnt_body[of.joint]])
+    if tree not in free_bodies(model):
         return False
     trees = run.roots[model.geom_body[np.stack([sim.contacts[f"geom{k}"] for k in (1, 2)])]]
     touched = trees[:, (trees == tree).any(axis=0)]

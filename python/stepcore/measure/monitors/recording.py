@@ -271,3 +271,9 @@ def friction_of(model: Model, pair: int) -> float:
     """Return the sliding friction of a pair; 0 if it has a normal row alone."""
     of = model.contact_pair(pair)
     return of.friction if of.condim > 1 else 0.0
+
+
+def free_bodies(model: Model) -> set[int]:
+    """Return the bodies with a free joint."""
+    joints = zip(model.jnt_body.tolist(), model.jnt_type, strict=True)
+    return {body for body, kind in joints if kind == "free"}
