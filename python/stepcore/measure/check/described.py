@@ -12,7 +12,7 @@ import numpy as np
 
 from stepcore.engine.actuator import Actuator, actuators
 from stepcore.engine.arrays import Floats
-from stepcore.engine.coordinates import Coordinates, turned
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
@@ -32,7 +32,14 @@ from stepcore.measure.monitors.finding import (
     named,
     worst,
 )
-from stepcore.measure.monitors.joints import length_of, limit_remedy, strength, unit_of, width_of
+from stepcore.measure.monitors.joints import (
+    coordinate,
+    length_of,
+    limit_remedy,
+    strength,
+    unit_of,
+    width_of,
+)
 from stepcore.measure.monitors.recording import Recording, followed
 from stepcore.measure.monitors.soft_rows import yielding
 from stepcore.report.units import hertz, metres, rounded, seconds, times
@@ -291,7 +298,7 @@ def _beyond(scene: Described) -> Iterator[Finding]:
         states.insert(0, ("The start", scene.start.qpos, SEEN))
     for name, qpos, slack in states:
         sim.qpos = qpos
-        values = [_coordinate(model, qpos, joint) for joint in range(model.njnt)]
+        values = [coordinate(model, qpos[None], joint)[0] for joint in range(model.njnt)]
         lengths = sim.ten_length.tolist() if model.ntendon else []
         for kind, each, ranges in (
             ("joint", values, model.jnt_range),
@@ -302,14 +309,6 @@ def _beyond(scene: Described) -> Iterator[Finding]:
             if finding is not None and not known.issuperset(finding.elements):
                 known.update(finding.elements)
                 yield finding
-
-
-def _coordinate(model: Model, qpos: Floats, joint: int) -> float:
-    """Return the coordinate that a joint's range limits; of a ball, the angle [rad or m]."""
-    at = int(model.jnt_qposadr[joint])
-    if model.jnt_type[joint] == "ball":
-        return float(np.linalg.norm(turned(qpos[None, at : at + 4])))
-    return float(qpos[at])
 
 
 def _outside(

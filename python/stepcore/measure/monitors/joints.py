@@ -16,7 +16,7 @@ import numpy as np
 
 from stepcore.engine.actuator import SERVO, Actuator, actuators, loads
 from stepcore.engine.arrays import Floats
-from stepcore.engine.coordinates import Coordinates, rotated, turned
+from stepcore.engine.coordinates import rotated, turned
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
@@ -163,19 +163,26 @@ class Beyond(NamedTuple):
 
 def excesses(run: Recording) -> Iterator[tuple[Beyond, Floats]]:
     """Yield every joint that was beyond its range, with its excess over time."""
-    for joint, (kind, at, _, limits) in enumerate(Coordinates(run.model).joints):
-        if not limits:
-            continue
-        value = run["qpos"][:, at]
-        if kind in ("ball", "free"):
-            quat = run["qpos"][:, at + QPOS[kind] - 4 : at + QPOS[kind]]
-            value = np.linalg.norm(turned(quat), axis=1)
-        beyond = np.maximum(0.0, np.maximum(limits[0] - value, value - limits[1]))
+    for joint, (low, high) in enumerate(run.model.jnt_range.tolist()):
+        value = coordinate(run.model, run["qpos"], joint)
+        beyond = np.maximum(0.0, np.maximum(low - value, value - high))
         if beyond.any():
             rest = settled(beyond)
             # A short impact does not count.
             often = float(np.sort(beyond)[-max(1, math.ceil(FEW * len(beyond)))])
             yield Beyond(joint, often if rest is None else rest, rest), beyond
+
+
+def coordinate(model: Model, qpos: Floats, joint: int) -> Floats:
+    """Return what a joint's range limits, (n,): its coordinate, or the angle of a ball [rad or m].
+
+    qpos: (n, nq).
+    """
+    at, kind = int(model.jnt_qposadr[joint]), model.jnt_type[joint]
+    if kind in ("ball", "free"):
+        quat = qpos[:, at + QPOS[kind] - 4 : at + QPOS[kind]]
+        return np.asarray(np.linalg.norm(turned(quat), axis=1))
+    return qpos[:, at]
 
 
 def excess_of(run: Recording, joint: int) -> float:
