@@ -294,6 +294,17 @@ def test_bad_arguments(options, said):
         checked(arm(), **options)
 
 
+def test_a_heap_is_checked():
+    """Its pairs are too many to be listed; the balls rest on each other's floor."""
+    ball = '<body pos="{} {} .0996"><freejoint/><geom size=".1" mass="1"/></body>'
+    balls = "".join(ball.format(0.3 * (k % 9), 0.3 * (k // 9)) for k in range(81))
+    text = f'<mujoco><worldbody><geom type="plane" size="9 9 1"/>{balls}</worldbody></mujoco>'
+    assert sc.loads(text).compile().is_heap
+    assert kinds(text, horizon=0.05) == []
+    lower = text.replace("0.0 0.0 .0996", "0.0 0.0 .09")
+    assert the(lower, "overlap at the start", horizon=0.05).value == pytest.approx(0.01)
+
+
 def test_nothing_moves():
     with pytest.raises(ValueError, match="nothing in it can move"):
         sc.check(sc.loads('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>'))

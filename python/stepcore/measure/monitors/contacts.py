@@ -84,8 +84,7 @@ def contact_findings(run: Recording) -> Iterator[Finding]:
     if run.model.settings.law == "solref":
         yield from _depths(run, late)
         known = {at.pair for at in (*starts, *late) if at.depth > DEEP * run.thick(at.pair)}
-        through = np.isin(run.model.pair_geoms, list(run.passed)).any(axis=1)
-        yield from _impacts(run, {*known, *jammed, *np.flatnonzero(through).tolist()})
+        yield from _impacts(run, {*known, *jammed})
     yield from _slides(run, rest)
 
 
@@ -265,7 +264,9 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
     model, deepest = run.model, _deepest(run)
 
     def over(pair: int) -> float:
-        return deepest[pair] / (HALF * run.thick(pair))
+        # What passed through is told already.
+        through = run.passed.intersection(model.contact_pair(pair).geoms)
+        return 0.0 if through else deepest[pair] / (HALF * run.thick(pair))
 
     pairs = worst(deepest.keys() - known, over)
     if not pairs:

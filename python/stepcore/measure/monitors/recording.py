@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -60,7 +60,7 @@ class Recording:
     begin: Callable[[Sim], object]
     failure: str | None = None
     wanted: float | None = None
-    passed: Collection[int] = ()
+    passed: frozenset[int] = frozenset()
     _read: int | None = field(default=None, init=False)
 
     def __len__(self) -> int:

@@ -113,7 +113,7 @@ def _hits(run: Recording, mover: int, wall: int, ends: Floats, reading: int) -> 
 def tunnelling_findings(run: Recording) -> Iterator[Finding]:
     """Yield a finding on what passed."""
     passed = passages(run)
-    run.passed = {at.mover for at in passed}
+    run.passed = frozenset(at.mover for at in passed)
     if not passed:
         return
     model, first, dt = run.model, passed[0], run.model.settings.dt
