@@ -25,8 +25,6 @@ from stepcore.scene.frames import Vec
 # A nearly rigid solimp.
 HARD = (0.99, 0.99, 0.001, 0.5, 2.0)
 WRITTEN = " ".join(f"{value:g}" for value in HARD[:3])
-# Shortest time step that is advised with a solref, as a share of the shipped one.
-SHORTEST = 0.1
 
 
 def impedance(solimp: Sequence[float], violation: float) -> float:
@@ -120,8 +118,6 @@ def stiffened(
         new, hard = _stiffer(solref, solimp, now, wanted / part, dt, solimp), False
         if 0 < new[0] < 2 * dt:
             new, hard = _stiffer(solref, solimp, now, wanted / part, dt, HARD), True
-        if 0 < new[0] < 2 * SHORTEST * dt:
-            continue
         values: dict[str, Vec] = {f"solref{suffix}": new}
         words = f'solref{suffix}="{new[0]:g} {new[1]:g}"'
         if hard:
