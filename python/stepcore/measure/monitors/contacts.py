@@ -76,7 +76,10 @@ def contact_findings(run: Recording) -> Iterator[Finding]:
     late = list(resting(run))
     jammed = _jammed(run, starts, {at.pair: at for at in late if at.settled})
     if jammed:
-        yield _jam(run.model, list(jammed.values()))
+        held = list(jammed.values())
+        force = f"push each other with {newtons(held[0].force)} all the time"
+        becomes = f", as their joints hold them, and {force}"
+        yield _overlapping(run, "overlap", "warning", held, "", becomes)
     late = [at for at in late if at.pair not in jammed]
     rest = sorted((at for at in late if at.settled), key=lambda at: at.depth)
     starts = [at for at in starts if at.pair not in jammed]
@@ -152,16 +155,6 @@ def _jammed(
     return jammed
 
 
-def _jam(model: Model, jammed: list[Contact]) -> Finding:
-    of, contacts = jammed[0], named(model, "contact", (at.pair for at in jammed))
-    problem = (
-        f"{_geoms(model, of.pair)} overlap by {metres(of.depth)}{others(contacts[1:], 'pair')}, as "
-        f"their joints hold them, and push each other with {newtons(of.force)} all the time"
-    )
-    cure = _apart(model, of.pair)
-    return Finding("overlap", "warning", problem, cure, contacts, of.depth, "m", TEST_CONTACTS)
-
-
 def _overlaps(
     run: Recording, starts: list[Contact], at_rest: Mapping[int, float]
 ) -> Iterator[Finding]:
@@ -176,41 +169,39 @@ def _overlaps(
     deep = [start for start in starts if over(start) > 1]
     if not deep:
         return
-    of, model, contacts = deep[0], run.model, named(run.model, "contact", (s.pair for s in deep))
-    share, also = of.depth / run.thick(of.pair), others(contacts[1:], "pair")
+    of, share = deep[0], deep[0].depth / run.thick(deep[0].pair)
     # Thrown further apart than they overlapped: v²/2g > depth.
-    thrown = of.speed > (2 * _gravity(model) * of.depth) ** 0.5
-    becomes = f" and are thrown apart at {speed(of.speed)}" if thrown else ""
+    thrown = of.speed > (2 * _gravity(run.model) * of.depth) ** 0.5
+    becomes = f", and are thrown apart at {speed(of.speed)}" if thrown else ""
     if not of.movable:
-        becomes = " and no joint can move them apart"
-    problem = (
-        f"{_geoms(model, of.pair)} overlap by {metres(of.depth)} at the start, "
-        f"{percent(share)} of the thinner one's half thickness{also},{becomes}".rstrip(",")
-    )
-    kind, cure = "overlap at the start", _apart(model, of.pair)
+        becomes = ", and no joint can move them apart"
+    by = f" at the start, {percent(share)} of the thinner one's half thickness"
     severity = "error" if share > DEEP and (thrown or not of.movable) else "warning"
-    yield Finding(kind, severity, problem, cure, contacts, of.depth, "m", TEST_CONTACTS)
+    yield _overlapping(run, "overlap at the start", severity, deep, by, becomes)
 
 
-def _geoms(model: Model, pair: int) -> str:
-    """Return the two geoms of a pair as the subject of a sentence."""
-    geoms = model.contact_pair(pair).geoms
+def _overlapping(
+    run: Recording, kind: str, severity: str, found: list[Contact], by: str, becomes: str
+) -> Finding:
+    """Return a finding on overlaps; its cure is other positions, or no contact of the two."""
+    model, of = run.model, found[0]
+    contacts = named(model, "contact", (at.pair for at in found))
+    geoms = model.contact_pair(of.pair).geoms
     names = [model.geom_names[geom] for geom in geoms]
-    if all(names):
-        return "geoms " + " and ".join(f"`{name}`" for name in names)
-    return " and ".join(model.element_name("geom", geom) for geom in geoms)
-
-
-def _apart(model: Model, pair: int) -> str:
-    """Return the cure for an overlap: other positions, or no contact between the two bodies."""
-    bodies = [int(model.geom_body[geom]) for geom in model.contact_pair(pair).geoms]
-    tree = [model.root(body) for body in bodies]
-    if tree[0] == tree[1] and tree[0]:
+    both = f"geoms `{names[0]}` and `{names[1]}`"
+    if not all(names):
+        both = " and ".join(model.element_name("geom", geom) for geom in geoms)
+    also = others(contacts[1:], "pair")
+    problem = f"{both} overlap by {metres(of.depth)}{by}{also}{becomes}"
+    bodies = model.geom_body[list(geoms)].tolist()
+    roots = run.roots[bodies].tolist()
+    mover = model.element_name("body", bodies[1] if roots[1] else bodies[0])
+    cure = f"move {mover} away by that much in the model or in the keyframe"
+    if roots[0] == roots[1] and roots[0]:
         a, b = (model.body_names[body] or "…" for body in bodies)
         exclude = f'<exclude body1="{a}" body2="{b}"/>'
-        return f"leave them out with {exclude}, or make the geoms smaller"
-    mover = model.element_name("body", bodies[1] if tree[1] else bodies[0])
-    return f"move {mover} away by that much in the model or in the keyframe"
+        cure = f"leave them out with {exclude}, or make the geoms smaller"
+    return Finding(kind, severity, problem, cure, contacts, of.depth, "m", TEST_CONTACTS)
 
 
 # Depths.
