@@ -209,12 +209,9 @@ def _pushed(run: Recording, at: Beyond, series: Floats) -> Beyond:
         acting = {of: float(force[dof]) for of, force in sim.element_forces().items()}
         limit = acting.pop(("limit", at.joint), 0.0)
         if limit:
-            outwards = [
-                (of, -math.copysign(f, f * limit))
-                for of, f in acting.items()
-                if f and of[0] not in RESISTS
-            ]
-            forces = sorted((f for f in outwards if f[1] > 0), key=lambda f: -f[1])
+            outwards = {of: -math.copysign(f, f * limit) for of, f in acting.items() if f}
+            some = [(of, f) for of, f in outwards.items() if f > 0 and of[0] not in RESISTS]
+            forces = sorted(some, key=lambda entry: -entry[1])
             return at._replace(forces=tuple(forces), limit=abs(limit))
     return at
 
@@ -224,31 +221,21 @@ def _overpowered(run: Recording) -> Iterator[Finding]:
     model, pushed = run.model, overpowered(run)
     if not pushed:
         return
-    of, rest = pushed[0], pushed[1:]
-    joints = named(model, "joint", [at.joint for at in rest])
+    of, joints = pushed[0], [at.joint for at in pushed]
     (kind, index), force = of.forces[0]
     pusher = "gravity" if kind == "gravity" else model.element_name(kind, index)
-    cure = "less of that force"
+    cure, unit = "less of that force", unit_of(model, of.joint)
     if kind == "actuator":
         ranges = "forcerange or ctrlrange" if actuators(model)[index].holds else "ctrlrange"
         cure = f"a smaller {ranges} of {pusher}"
-    also = [
-        f"{e.name} by {length_of(model, at.joint, at.kept)}"
-        for e, at in zip(joints, rest, strict=True)
-    ]
-    if also:
-        more = f" and {len(also) - OTHERS} more" if len(also) > OTHERS else ""
-        cure += f". Also beyond: {', '.join(also[:OTHERS])}{more}"
-    unit = unit_of(model, of.joint)
     problem = (
-        f"{pusher} pushes {model.element_name('joint', of.joint)} "
+        f"{pusher} pushes {listed(named(model, 'joint', joints), 'joint')} "
         f"{length_of(model, of.joint, of.kept)} beyond its range with "
         f"{quantity(force, TORQUES if unit == 'rad' else FORCES)}"
         f"{', and stays there' if of.rest is not None else ''}"
     )
-    elements = named(model, "limit", [at.joint for at in pushed])
-    remedy = limit_remedy(model, of.joint, of.kept)
-    yield Finding("limit", "warning", problem, cure, elements, of.kept, unit, PLOT, {}, remedy)
+    limits, remedy = named(model, "limit", joints), limit_remedy(model, of.joint, of.kept)
+    yield Finding("limit", "warning", problem, cure, limits, of.kept, unit, PLOT, {}, remedy)
 
 
 def limit_remedy(model: Model, joint: int, now: float) -> Remedy:
