@@ -34,14 +34,15 @@ from stepcore.measure.monitors.soft_rows import hardest, stiffened
 from stepcore.report.units import metres, newtons, percent, speed
 
 # An initial overlap up to this many times the resting depth is the scene's resting state: the feet
-# of Go2 begin 1.7 and 2.6 times as deep as they rest (scene.xml and scene_mjx.xml).
+# of Go2 begin 1.7 and 2.6 times as deep as they rest (scene.xml and scene_mjx.xml). With twice as
+# much, h1's feet are missed, which begin in the floor.
 RESTS = 3.0
 
 
-# Readings further apart than this do not tell noise from motion [s].
+# Readings further apart than this do not tell noise from motion [s]; particle_free.xml needs them.
 APART = 0.01
-# Surfaces that move slower than this on each other stand still [m/s]: those of particle_free.xml,
-# and not the feet of walker2d.
+# Surfaces that move slower than this on each other stand still [m/s]; with twice as much, the foot
+# of dm_control's hopper does, which hops.
 STILL = 0.01
 # Sensors whose noise is watched.
 SENSORS = ("force", "torque", "touch")

@@ -50,6 +50,7 @@ from stepcore.scene.elements import Joint
 from stepcore.scene.layout import Layout
 
 # Length of the window in which a slip is steady, in time constants: what it began with has decayed.
+# With half of it, op3 is said to creep while it settles.
 WINDOW = 10.0
 # Largest impratio that is advised: beyond it, the rows differ too much in scale to be solved. Go2
 # needs all of it.

@@ -32,8 +32,10 @@ from stepcore.scene.softness import UNKNOWN
 
 # What is recorded of a run.
 RECORDED = ("qpos", "qvel", "act", "ctrl", "xpos", "xquat", "actuator_force")
-# The last share of a run, in which rest is judged; the largest relative variation of a quantity at
-# rest (the feet of Go2 sway by 15 %); and the fewest readings from which rest or creep is judged.
+# The last share of a run, in which rest is judged: with half of it, the noise of dm_control's
+# hopper and of particle_free.xml is missed. The largest relative variation of a quantity at rest:
+# with twice as much, a foot of that hopper rests that does not. The fewest readings from which rest
+# or creep is judged.
 REST, STEADY, FEWEST = 0.25, 0.2, 8
 
 # A pair of geoms, and the index of one of its contacts.
