@@ -10,9 +10,9 @@ from covering import first
 import stepcore as sc
 from stepcore.cli import main, parser
 from stepcore.measure.check import Check
-from stepcore.measure.check.bodies import LIST
+from stepcore.measure.check.described import LIST
 from stepcore.measure.monitors import Finding, Next
-from stepcore.measure.monitors.contacts import TEST_CONTACTS
+from stepcore.measure.monitors.finding import TEST_CONTACTS
 
 SCENE = """<mujoco model="arm"><worldbody><body name="arm">
 <joint name="knee" axis="0 0 1" range="-90 90" damping="1"/><geom size=".1"/></body></worldbody>

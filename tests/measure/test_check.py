@@ -106,11 +106,6 @@ def test_sizes_in_millimetres(scale, gravity, found):
     assert kinds(text) == found
 
 
-def test_gravity_in_millimetres():
-    one = the(arm(option='gravity="0 0 -9810"'), "units")
-    assert one.severity == "error" and "9810 m/s² while" in one.text
-
-
 @pytest.mark.parametrize(
     ("unit", "bounds", "said"),
     [
@@ -140,7 +135,7 @@ def test_a_control_range_in_degrees():
 
 @pytest.mark.parametrize(
     ("mass", "said"),
-    [(4.18, None), (130, "3.95× the density of steel and 31× that of water"), (1e-4, "air")],
+    [(4.18, None), (130, "31× the density of water"), (1e-4, "air")],
 )
 def test_densities(mass, said):
     """A ball of 0.1 m has 4.19 litres."""
@@ -152,9 +147,7 @@ def test_densities(mass, said):
     assert one.severity == "remark"
 
 
-@pytest.mark.parametrize(
-    ("inertia", "found"), [(4e-3, []), (1.0, ["inertia"]), (1e-7, ["inertia"])]
-)
+@pytest.mark.parametrize(("inertia", "found"), [(4e-3, []), (1.0, ["inertia"])])
 def test_inertias_that_belong_to_another_body(inertia, found):
     """A ball of 1 kg and 0.1 m has 0.004 kg·m²; 1 kg·m² is that of mass 1.2 m away."""
     inertial = f'<inertial pos="0 0 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/>'
@@ -299,6 +292,17 @@ def test_the_run_takes_seconds_whatever_the_step(dt, horizon):
 def test_bad_arguments(options, said):
     with pytest.raises((ValueError, TypeError), match=re.escape(said)):
         checked(arm(), **options)
+
+
+def test_a_heap_is_checked():
+    """Its pairs are too many to be listed; the balls rest on each other's floor."""
+    ball = '<body pos="{} {} .0996"><freejoint/><geom size=".1" mass="1"/></body>'
+    balls = "".join(ball.format(0.3 * (k % 9), 0.3 * (k // 9)) for k in range(81))
+    text = f'<mujoco><worldbody><geom type="plane" size="9 9 1"/>{balls}</worldbody></mujoco>'
+    assert sc.loads(text).compile().is_heap
+    assert kinds(text, horizon=0.05) == []
+    lower = text.replace("0.0 0.0 .0996", "0.0 0.0 .09")
+    assert the(lower, "overlap at the start", horizon=0.05).value == pytest.approx(0.01)
 
 
 def test_nothing_moves():

@@ -8,8 +8,7 @@ import pytest
 from test_findings import GRIPPER, SOLIMP, G, pair, the, watched
 
 import stepcore as sc
-from stepcore.measure.monitors.actuators import at_rest
-from stepcore.measure.monitors.joints import excesses, gapes, overpowered, share_used
+from stepcore.measure.monitors.joints import at_rest, excesses, gapes, overpowered, share_used
 from stepcore.measure.monitors.soft_rows import yielding
 
 # Connections.
@@ -212,13 +211,9 @@ def test_saturated_servos_are_named_in_one_sentence(count):
 
     one = the(watched(driven(count, 0.1), control=sines)[1], "saturation")
     assert one.value > 0.9
-    if count == 1:
-        assert one.text.startswith("Servo `s0` is at the end of its forcerange (100 mN·m) for ")
-        return
-    names = "`s0` and `s1`" if count == 2 else "`s2`, `s0` and `s1`"
-    assert f"Servos {names} are" in one.text
-    force = "(100 mN·m)" if count == 2 else "(up to 200 mN·m)"
-    assert f"are at the ends of their forceranges {force} for " in one.text
+    assert f"is at the end of its forcerange ({100 if count < 3 else 200} mN·m) for " in one.text
+    names = {1: "Servo `s0` is", 2: "Servo `s0` (and servo `s1`)", 3: "Servo `s2` (and servo `s0`"}
+    assert one.text.startswith(names[count])
     assert "where kv has no effect: slow the motion" in one.text
 
 

@@ -7,7 +7,7 @@ import pytest
 from test_findings import watched
 
 import stepcore as sc
-from stepcore.measure.monitors.noise import noise
+from stepcore.measure.monitors.contacts import noise
 
 BOX = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1" {fields}/>
 <body pos="0 0 .0999"><freejoint/><geom name="box" type="box" size=".1 .1 .1" mass="1" {fields}/>

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import os
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Unpack
-
-import numpy as np
 
 from stepcore._core import Settings
 from stepcore.checks import one_line
@@ -19,18 +18,16 @@ from stepcore.engine.control import control_option
 from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced
-from stepcore.engine.start import Start
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.control_table import control_table
-from stepcore.experiment.horizon import horizon_of
+from stepcore.experiment.horizon import STEPS, horizon_of
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
-from stepcore.experiment.schedule import HORIZON, Schedule, home, scheduled
-from stepcore.experiment.sizes import Sizes
-from stepcore.measure.check.bodies import about_bodies
-from stepcore.measure.check.ranges import about_ranges
+from stepcore.experiment.schedule import HORIZON, SAMPLES, Schedule, home, scheduled
+from stepcore.measure.check.described import Described, described
 from stepcore.measure.diagnosis import Diagnosis, diagnose
 from stepcore.measure.monitors import Finding, Next, monitored, ordered, verified
+from stepcore.measure.monitors.finding import HALF
 from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.settings import label
@@ -39,17 +36,7 @@ from stepcore.report.units import beginning, counted
 
 __all__ = ["Check", "check"]
 
-# The share of the time (`seconds`) at which the run as shipped ends.
-MONITORED = 0.5
 AS_SHIPPED = "the run as shipped"
-# Default number of control periods of the run.
-PERIODS = 100
-# Largest number of steps if no horizon is given: some seconds of computing.
-LONGEST = 200_000
-# A failure keeps only the sentences on its time and its cause; the diagnosis gives the cure.
-SENTENCES = 2
-# Largest number of commands; and the stability margin below which `diagnose` is named.
-COMMANDS, MARGIN = 3, 2.0
 # Commands for any scene.
 ALWAYS = (
     Next("trade", "how large the error is, and what is cheaper", ("--error", "1mm")),
@@ -90,14 +77,19 @@ class Check(Result):
 
     @property
     def commands(self) -> list[tuple[str, str]]:
-        """Commands to run next on the same scene and motion, with reasons; most useful first."""
-        each = ((self._command(following), following.why) for following in self._following())
-        return list(dict(each).items())[:COMMANDS]
+        """Up to three commands to run next on the same scene and motion, with reasons."""
+        said: dict[str, str] = {}
+        for following in self._following():
+            takes = TAKEN.get(following.command, MOTION)
+            motion = [(takes[name], value) for name, value in self.options.items() if takes[name]]
+            words = map(shlex.quote, [*following.arguments, *itertools.chain(*motion)])
+            said[" ".join(["stepcore", following.command, self.file, *words])] = following.why
+        return list(said.items())[:3]
 
     def _following(self) -> Iterator[Next]:
         dt = self.settings.dt
         limit = self.diagnosis.limit() if self.diagnosis else math.inf
-        if limit < MARGIN * dt:
+        if HALF * limit < dt:
             yield Next("diagnose", "every element's largest stable dt, and all the advice")
         for finding in self.findings:
             if finding.kind == "failure":
@@ -105,12 +97,6 @@ class Check(Result):
                 yield Next("run", "whether a smaller time step survives", ("--dt", short))
             yield from finding.commands
         yield from ALWAYS
-
-    def _command(self, following: Next) -> str:
-        takes = TAKEN.get(following.command, MOTION)
-        motion = [(takes[name], value) for name, value in self.options.items() if takes[name]]
-        words = (*following.arguments, *(word for option in motion for word in option))
-        return " ".join(["stepcore", following.command, self.file, *map(shlex.quote, words)])
 
     @property
     def title(self) -> str:
@@ -136,24 +122,16 @@ class Check(Result):
     @property
     def sentences(self) -> list[str]:
         """The problems with their cures, the diagnosis' answer, and the commands to run next."""
-        return list(self._said())
-
-    def _said(self) -> Iterator[str]:
+        explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
+        so_far = " so far" if AS_SHIPPED in self.not_done else ""
+        said = [f"No problems found{' other than the time step' if explodes else so_far}."]
         if self.findings:
             several = ", the most severe first" if len(self.findings) > 1 else ""
-            yield f"{counted(len(self.findings), 'finding')}{several}:"
-            yield from (f"- {finding.severity}: {finding.text}" for finding in self.findings)
-        else:
-            explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
-            so_far = " so far" if AS_SHIPPED in self.not_done else ""
-            yield f"No problems found{' other than the time step' if explodes else so_far}."
+            said = [f"{counted(len(self.findings), 'finding')}{several}:"]
+            said += [f"- {finding.severity}: {finding.text}" for finding in self.findings]
         if self.diagnosis is not None:
-            said = self.diagnosis.sentences
-            if not self.diagnosis.fails:
-                said = said[:1]
-            yield from said
-        yield "Next:"
-        yield from (f"- {command} ({why})" for command, why in self.commands)
+            said += self.diagnosis.sentences[: None if self.diagnosis.fails else 1]
+        return [*said, "Next:", *(f"- {command} ({why})" for command, why in self.commands)]
 
     @property
     def table(self) -> Table:
@@ -216,19 +194,23 @@ def check(
     """
     setup = set_up(check, model, motion, fields, missing="nothing to check")
     wanted = None if depth is None else units.length("check", "depth", depth, 1.0)
-    compiled, motion, workers = setup.model, setup.motion, setup.workers
-    dt, (start, held) = compiled.settings.dt, home(compiled, motion.key)
+    compiled, motion, deadline = setup.model, setup.motion, setup.workers.deadline
+    start, held = home(compiled, motion.key)
+    first = 0 if compiled.keys else None
+    key = first if motion.key is None else compiled.index("key", motion.key)
     # What the scene alone says comes first: it takes no run.
-    read = list(_read(compiled, start, held, _key(compiled, motion.key)))
-    workers.deadline.so_far(_first(read))
-    horizon = motion.horizon or max(dt, min(HORIZON, LONGEST * dt))
+    read = list(described(Described(compiled, start, held, key)))
+    deadline.so_far(_first(read, "the file alone"))
+    dt = compiled.settings.dt
+    horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
     far = horizon_of(compiled, _held(compiled, motion), horizon)
     schedule = _schedule(compiled, motion, far.length)
     failure, seen = list[Finding](), list[Finding]()
-    with workers.deadline.stage(AS_SHIPPED, MONITORED):
+    # Half of the time is the diagnosis'.
+    with deadline.stage(AS_SHIPPED, HALF):
         failure, seen = _monitored(compiled, schedule, wanted, far.ran)
-        workers.deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
-    with workers.deadline.stage("runs of the cures that the scene alone suggests", MONITORED):
+        deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
+    with deadline.stage("runs of the cures that the scene alone suggests", HALF):
         read = verified(read, compiled)
     driven = motion.is_users or motion.kind is not None
     diagnosis, notes = _diagnosis(setup, dataclasses.replace(motion, horizon=horizon))
@@ -249,13 +231,12 @@ def check(
     )
 
 
-def _first(findings: list[Finding], what: str = "the file alone") -> str:
+def _first(findings: list[Finding], where: str) -> str:
     """Return the findings that stand whatever runs of their cures show."""
     findings = [one for one in ordered(findings) if one.remedy is None or not one.remedy.needed]
-    if not findings:
-        return f"{what} shows no problem" if "run" not in what else f"{what} show no problem"
     said = (f"\n- {finding.severity}: {finding.problem}" for finding in findings)
-    return f"{counted(len(findings), 'finding')} in {what}:{''.join(said)}"
+    what = counted(len(findings), "finding") if findings else "no problem"
+    return f"{what} in {where}{':' * bool(findings)}{''.join(said)}"
 
 
 def _held(model: Model, motion: Motion) -> Motion:
@@ -268,8 +249,7 @@ def _held(model: Model, motion: Motion) -> Motion:
 def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
     """Return the schedule of the motion that is run."""
     motion, dt = _held(model, motion), model.settings.dt
-    steps = round(min(horizon / PERIODS / dt, LONGEST))
-    period = motion.period(dt) or dt * max(1, steps)
+    period = motion.period(dt) or dt * max(1, min(round(horizon / (2 * SAMPLES) / dt), STEPS))
     return scheduled(motion, model, min(period, max(horizon, dt)), starts=1, horizon=horizon)
 
 
@@ -282,14 +262,9 @@ def _monitored(
     if failure is None:
         return [], seen
     replay = Next("run", "writes a replay of the failure for `stepcore replay`")
-    said = f"The run fails: {beginning(failure, SENTENCES)}"
+    # Its time and its cause; the diagnosis gives the cure.
+    said = f"The run fails: {beginning(failure, 2)}"
     return [Finding("failure", "error", said, commands=(replay,))], seen
-
-
-def _read(model: Model, start: Start, held: np.ndarray, key: int | None) -> Iterator[Finding]:
-    """Yield the findings from the scene alone; key: the keyframe of the start."""
-    yield from about_bodies(model, Sizes(model))
-    yield from about_ranges(model, start, key, held)
 
 
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
@@ -297,23 +272,15 @@ def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
 
     Of a duplicate, the scene's finding is kept; of a limit, the run's.
     """
-    if any(finding.kind == "units" for finding in read):
-        # With a control range in degrees, every limit is overpowered; report the range only.
-        read = [finding for finding in read if finding.kind != "limit"]
-    beyond = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
+    limits = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
+    # With a control range in degrees, every limit is overpowered; the range is told only.
+    degrees = any(finding.kind == "units" for finding in read)
     known = set()
     for finding in read:
-        if finding.kind != "limit" or not beyond.intersection(finding.elements):
+        if finding.kind != "limit" or not (degrees or limits.intersection(finding.elements)):
             known.add((finding.kind, finding.elements[:1]))
             yield finding
     yield from (finding for finding in seen if (finding.kind, finding.elements[:1]) not in known)
-
-
-def _key(model: Model, key: str | int | None) -> int | None:
-    """Return the index of the start's keyframe."""
-    if key is None:
-        return 0 if model.keys else None
-    return model.index("key", key)
 
 
 def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str]]:
@@ -341,14 +308,13 @@ def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str
 
 
 def _file(source: Source, model: Model) -> str:
-    """Return the file argument of the commands."""
+    """Return the file argument of the commands; of a scene without some kinds, its own file."""
     kinds = [line.partition(" ")[0] for line in model.scene.without]
-    # A scene with kinds left out is named by its file and the kinds left out.
     read = model.scene._source if kinds else None
     file = read.files[0] if read else "FILE"
-    if isinstance(source, (str, os.PathLike)):
-        file = os.fspath(source)
-    return file_in_words(file, kinds)
+    return file_in_words(
+        os.fspath(source) if isinstance(source, str | os.PathLike) else file, kinds
+    )
 
 
 def file_in_words(file: str, without: list[str], fuse: bool = True) -> str:

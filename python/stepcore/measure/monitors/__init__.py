@@ -9,17 +9,20 @@ from __future__ import annotations
 from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.experiment.schedule import Schedule
-from stepcore.measure.monitors.actuators import actuator_findings, fall_findings
-from stepcore.measure.monitors.contacts import contact_findings
+from stepcore.measure.monitors.contacts import contact_findings, noise_findings
 from stepcore.measure.monitors.creep import creep_findings
-from stepcore.measure.monitors.cures import verified
-from stepcore.measure.monitors.finding import Finding, Next, ordered
-from stepcore.measure.monitors.joints import joint_findings
-from stepcore.measure.monitors.noise import noise_findings
+from stepcore.measure.monitors.finding import Finding, Next, ordered, verified
+from stepcore.measure.monitors.joints import actuator_findings, fall_findings, joint_findings
 from stepcore.measure.monitors.recording import Recording, cut, recorded
-from stepcore.measure.monitors.tunnelling import passages, tunnelling_findings
+from stepcore.measure.monitors.tunnelling import tunnelling_findings
 
 __all__ = ["Finding", "Next", "Recording", "monitored", "ordered", "shown", "verified"]
+
+# What a run is looked at for; equally severe findings are told in this order.
+FINDINGS = (
+    *(fall_findings, tunnelling_findings, creep_findings, contact_findings),
+    *(joint_findings, noise_findings, actuator_findings),
+)
 
 
 def shown(run: Recording, depth: float | None = None) -> list[Finding]:
@@ -29,21 +32,9 @@ def shown(run: Recording, depth: float | None = None) -> list[Finding]:
     relative to the geoms. Of a run that failed, only what it began with is told; the rest would
     describe the explosion.
     """
-    if not len(run):
-        return []
-    if run.failure is not None:
-        return list(contact_findings(run, depth))
-    passed = passages(run)
-    every = (
-        *fall_findings(run),
-        *tunnelling_findings(run, passed),
-        *creep_findings(run),
-        *contact_findings(run, depth, {at.pair for at in passed}),
-        *joint_findings(run),
-        *noise_findings(run),
-        *actuator_findings(run),
-    )
-    return ordered(every)
+    run.wanted = depth
+    asked = FINDINGS if run.failure is None else (contact_findings,)
+    return ordered(finding for find in asked if len(run) for finding in find(run))
 
 
 def monitored(
@@ -59,7 +50,7 @@ def monitored(
         run = recorded(other, schedule)
         return run if run.failure is None else None
 
-    run = (ran and cut(model, schedule, ran)) or recorded(model, schedule)
+    run = cut(model, schedule, ran) or recorded(model, schedule)
     plain = model.with_settings(model.settings.replace(ledger=False))
     steps = schedule.periods * schedule.steps(model.settings.dt)
     return verified(shown(run, depth), plain, again, steps), run.failure

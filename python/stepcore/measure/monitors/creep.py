@@ -19,13 +19,23 @@ import numpy as np
 
 from stepcore.engine.actuator import actuators
 from stepcore.engine.arrays import Floats
-from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.contacts import LEFT
-from stepcore.measure.monitors.cures import assigned
-from stepcore.measure.monitors.finding import Cure, Finding, Remedy, listed, named
-from stepcore.measure.monitors.recording import FEWEST, Recording
+from stepcore.measure.monitors.finding import (
+    DEEP,
+    FEW,
+    HALF,
+    LEFT,
+    SEEN,
+    Cure,
+    Finding,
+    Remedy,
+    assigned,
+    listed,
+    named,
+    worst,
+)
+from stepcore.measure.monitors.recording import FEWEST, Recording, friction_of
 from stepcore.measure.monitors.soft_rows import impedance
 from stepcore.report.units import (
     FORCES,
@@ -39,23 +49,20 @@ from stepcore.report.units import (
 from stepcore.scene.elements import Joint
 from stepcore.scene.layout import Layout
 
-# Largest relative deviation from the mean velocity; length of the window in time constants; and
-# least load, as a share of the largest friction.
-UNSTEADY, WINDOW, RUBS = 0.5, 10.0, 0.05
-# Threshold of the slip in one second, relative to the thickness of the thinner geom.
-CREEP = 0.01
-# Largest impratio that is advised: beyond it, the rows differ too much in scale to be solved.
+# Length of the window in which a slip is steady, in time constants: what it began with has decayed.
+# With half of it, op3 is said to creep while it settles.
+WINDOW = 10.0
+# Largest impratio that is advised: beyond it, the rows differ too much in scale to be solved. Go2
+# needs all of it.
 IMPRATIO = 1e4
-# A contact sticks if its friction is below this share of μ × normal force. A pyramidal cone allows
-# all of it along its tangents, and 1/√2 of it between them.
-STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
-# A row of friction loss that gives at least this share of its friction slides.
-SLIDES = 0.98
+# A contact sticks, and a friction loss holds, below this share of its friction.
+STICKS = 0.99
 # Slowest creep of a joint that is told [rad/s]; for slides, relative to the body's size [1/s].
-# People ask about arms that drift at 1.5 mrad/s (MuJoCo's issue 2082), and a tenth of a degree in
-# a second is seen within a minute.
+# People ask about arms that drift at 1.5 mrad/s (MuJoCo's issue 2082, frictionloss.xml), and a
+# tenth of a degree in a second is seen within a minute.
 CREEPS = 1e-3
-# Impedances that are advised, softest first: the creep falls as (1 − d)/d.
+# Impedances that are advised, softest first: the creep falls as (1 − d)/d. frictionloss.xml is
+# cured by the first, friceq.xml by the last.
 IMPEDANCES = ((0.99, 0.999), (0.999, 0.9999), (0.9999, 0.9999))
 
 
@@ -73,150 +80,57 @@ class Creep(NamedTuple):
     end: float
 
 
-# Returns the velocities of a pair or a joint in a run: readings, and (m, 3) or (m, 1).
-Series = Callable[[Recording, int], Iterator[tuple[np.ndarray, Floats]]]
+class Series(NamedTuple):
+    """The motion of one contact, or of one joint with friction loss.
+
+    of: see `Creep`. constant: the time constant of its friction [s]. Then, at the readings at which
+    it is seen: velocity [m/s or rad/s], (m, k); share of its friction; held: whether that holds it;
+    rolls: the speed at which the surfaces turn on each other [m/s].
+    """
+
+    of: int
+    constant: float
+    readings: np.ndarray
+    velocity: Floats
+    share: Floats
+    held: np.ndarray
+    rolls: Floats
 
 
 def creep_findings(run: Recording) -> Iterator[Finding]:
     """Yield a finding on contacts that creep, and one on joints that do."""
-    settings = run.model.settings
-    if settings.law == "solref" and run.spacing:
-        if not settings.stiction:
-            yield from _contacts(run)
-        yield from _joints(run)
-
-
-def _fastest(
-    run: Recording,
-    of: int,
-    constant: float,
-    readings: np.ndarray,
-    velocity: Floats,
-    share: Floats,
-    rolls: Floats,
-) -> Creep | None:
-    """Return the fastest steady slip of one contact or joint in readings in which friction holds.
-
-    It must be steady over a window of `WINDOW` time constants, or a tenth of the run: the initial
-    speed decays within the time constant [s], and under a load a speed remains.
-
-    velocity: (m, k). share: of the friction, (m,). rolls: at which the surfaces turn, (m,) [m/s].
-    """
-    best: Creep | None = None
-    count = math.ceil(max(FEWEST, WINDOW * max(constant, 0.0) / run.spacing, 0.1 * len(run)))
-    spells = np.split(np.arange(len(readings)), np.flatnonzero(np.diff(readings) > 1) + 1)
-    for spell in spells:
-        for first in range(0, len(spell) - count + 1, max(1, count // 2)):
-            window = spell[first : first + count]
-            drift, used = velocity[window].mean(axis=0), float(share[window].mean())
-            mean = float(np.linalg.norm(drift))
-            unsteady = np.linalg.norm(velocity[window] - drift, axis=1).max() > UNSTEADY * mean
-            turns = mean < rolls[window].mean()
-            if used >= RUBS and not unsteady and not turns and (not best or mean > best.speed):
-                begin, end = run.times[readings[window[[0, -1]]]].tolist()
-                best = Creep(of, mean, used, begin, end)
-    return best
-
-
-def _left(found: Sequence[Creep], series: Series, run: Recording) -> float | None:
-    """Return the largest mean velocity of what crept, each in its time; None if one is not seen."""
-    worst = 0.0
-    for creep in found:
-        means = []
-        for readings, velocity in series(run, creep.of):
-            times = run.times[readings]
-            within = (times >= creep.begin) & (times <= creep.end)
-            if within.sum() >= FEWEST:
-                means.append(float(np.linalg.norm(velocity[within].mean(axis=0))))
-        if not means:
-            return None
-        worst = max(worst, *means)
-    return worst
-
-
-# Contacts.
-
-
-def creeps(run: Recording) -> Iterator[Creep]:
-    """Yield contacts that should rest and slip steadily for a while although friction holds."""
-    seen, held = run.contacts, _held(run)
-    for (pair, _), places in seen.groups.items():
-        if seen.friction(pair) > 0:
-            some, constant = places[held[places]], run.model.contact_pair(pair).solref[0]
-            series = seen.reading[some], seen.past[some], seen.share[some], seen.rolls[some]
-            if creep := _fastest(run, pair, constant, *series):
-                yield creep
-
-
-def _slips(run: Recording, pair: int) -> Iterator[tuple[np.ndarray, Floats]]:
-    for (of, _), places in run.contacts.groups.items():
-        if of == pair:
-            yield run.contacts.reading[places], run.contacts.past[places]
-
-
-def _held(run: Recording) -> np.ndarray:
-    """Return which contacts stick.
-
-    Between its edges, a pyramid yields at less friction than along an edge: there a contact sticks
-    as long as every edge pushes.
-    """
-    seen, settings = run.contacts, run.model.settings
-    held: np.ndarray = seen.share < STICKS[settings.cone]
-    if settings.cone == "pyramidal":
-        unsure = np.flatnonzero(~held & (seen.share < 1))
-        for reading in np.unique(seen.reading[unsure]):
-            rows = run.at(int(reading)).rows
-            rows = rows[rows["kind"] == "contact"]
-            for k in unsure[seen.reading[unsure] == reading]:
-                mine = (rows["index"] == seen.pair[k]) & (rows["part"] == seen.part[k])
-                edges = rows["force"][mine]
-                # A force of rounding is none.
-                held[k] = edges.min(initial=np.inf) > 1e-6 * edges.max(initial=0.0)
-    return held
-
-
-def _contacts(run: Recording) -> Iterator[Finding]:
-    model = run.model
-
-    def over(creep: Creep) -> float:
-        return creep.speed / (CREEP * run.thick(creep.of))
-
-    found = sorted((creep for creep in creeps(run) if over(creep) > 1), key=over, reverse=True)
-    if not found:
+    model, settings = run.model, run.model.settings
+    if settings.law != "solref" or not run.spacing:
         return
-    worst, elements = found[0], named(model, "contact", [creep.of for creep in found])
-    least = round_number(model.settings.impratio * over(worst) / LEFT, up=True)
-    cures = tuple(
-        Cure(
-            f'cone="elliptic" with impratio="{impratio:g}"',
-            Change(cone="elliptic", impratio=impratio),
-        )
-        for impratio in (least, 10 * least)
-        if impratio <= IMPRATIO
-    )
-    remedy = Remedy(
-        (cures, (Cure("stiction=True", Change(stiction=True)),)),
-        functools.partial(_left, found, _slips),
-        CREEP * run.thick(worst.of),
-        # Below a nanometre in a second it is rounding.
-        lambda left: speed(left) if left > 1e-9 else "none",
-        most=2,
-        # A slip that harder friction does not end belongs to the motion.
-        needed=True,
-    )
-    problem = (
-        f"{listed(elements, 'contacts')} creeps at {speed(worst.speed)} although its friction "
-        f"holds ({percent(worst.share)} of what it could be)"
-    )
-    value = worst.speed
-    yield Finding("creep", "warning", problem, "", elements, value, "m/s", remedy=remedy)
+
+    def most(creep: Creep) -> float:
+        slides = model.jnt_type[creep.of] == "slide"
+        return CREEPS * (run.sizes.bodies[int(model.jnt_body[creep.of])] if slides else 1.0)
+
+    slips = () if settings.stiction else creeps(run)
+    slid = worst(slips, lambda creep: creep.speed / (SEEN * run.thick(creep.of)))
+    if slid:
+        yield _of_contacts(run, slid)
+    drifts = worst(creeps(run, of_joints), lambda creep: creep.speed / most(creep))
+    if drifts:
+        yield _of_joints(model, drifts, most(drifts[0]))
 
 
-# Joints with friction loss.
+def of_contacts(run: Recording) -> Iterator[Series]:
+    """Yield the motions of contacts with friction."""
+    seen = run.contacts
+    # Between its edges, a pyramid yields at less friction than along an edge.
+    sticks = STICKS / math.sqrt(2 if run.model.settings.cone == "pyramidal" else 1)
+    for (pair, _), at in seen.groups.items():
+        if friction_of(run.model, pair) > 0:
+            constant = run.model.contact_pair(pair).solref[0]
+            share, held = seen.share[at], seen.share[at] < sticks
+            series = seen.reading[at], seen.past[at], share, held, seen.rolls[at]
+            yield Series(pair, constant, *series)
 
 
-def drifts(run: Recording) -> Iterator[Creep]:
-    """Yield joints that move steadily under less than their friction loss, at their fastest.
+def of_joints(run: Recording) -> Iterator[Series]:
+    """Yield the motions of joints with friction loss under less than that.
 
     A joint whose own controls change is meant to move, and one with a servo ends at its target.
     Nothing is told where an actuator drives no single joint.
@@ -225,26 +139,15 @@ def drifts(run: Recording) -> Iterator[Creep]:
     changing = np.ptp(run["ctrl"], axis=0) > 0
     moving = [a.index for a in actuators(model) if a.holds or changing[a.index]]
     moved = set(model.actuator_joint[moving].tolist())
-    losses = _losses(model) if features.constraint and features.frictionloss else {}
-    for joint, of in losses.items():
-        if joint in moved or -1 in moved:
-            continue
-        velocity = run["qvel"][:, [int(model.jnt_dofadr[joint])]]
-        share = np.abs(velocity[:, 0]) * _damping(model, joint, of) / of.frictionloss
-        held = np.flatnonzero(share < SLIDES)
-        series = held, velocity[held], share[held], np.zeros(len(held))
-        if creep := _fastest(run, joint, of.solreffriction[0], *series):
-            yield creep
-
-
-def _velocities(run: Recording, joint: int) -> Iterator[tuple[np.ndarray, Floats]]:
-    yield np.arange(len(run)), run["qvel"][:, [int(run.model.jnt_dofadr[joint])]]
-
-
-def _losses(model: Model) -> dict[int, Joint]:
-    """Return the joints of one dof with friction loss, by index."""
-    joints = enumerate(Layout(model.scene).joints)
-    return {k: of for k, of in joints if of.frictionloss and of.type in ("hinge", "slide")}
+    if -1 in moved or not (features.constraint and features.frictionloss):
+        return
+    readings = np.arange(len(run))
+    for joint, of in enumerate(Layout(model.scene).joints):
+        if of.frictionloss and of.type in ("hinge", "slide") and joint not in moved:
+            velocity = run["qvel"][:, [int(model.jnt_dofadr[joint])]]
+            share = np.abs(velocity[:, 0]) * _damping(model, joint, of) / of.frictionloss
+            series = velocity, share, share < STICKS, np.zeros(len(run))
+            yield Series(joint, of.solreffriction[0], readings, *series)
 
 
 def _damping(model: Model, joint: int, of: Joint) -> float:
@@ -257,20 +160,88 @@ def _damping(model: Model, joint: int, of: Joint) -> float:
     return b * d / ((1 - d) * inverse)
 
 
-def _joints(run: Recording) -> Iterator[Finding]:
-    model = run.model
+def creeps(
+    run: Recording, motions: Callable[[Recording], Iterator[Series]] = of_contacts
+) -> Iterator[Creep]:
+    """Yield what should rest and moves steadily for a while although friction holds, by contact.
 
-    def over(drift: Creep) -> float:
-        slides = model.jnt_type[drift.of] == "slide"
-        size = run.sizes.bodies[int(model.jnt_body[drift.of])] if slides else 1.0
-        return drift.speed / (CREEPS * size)
+    It must be steady over a window of `WINDOW` time constants, or a tenth of the run: the initial
+    speed decays within the time constant, and under a load a speed remains.
+    """
+    for of, constant, *columns in motions(run):
+        readings, velocity, share, held, rolls = columns
+        best: Creep | None = None
+        lasts = WINDOW * max(constant, 0.0) / run.spacing, DEEP * len(run)
+        count, some = math.ceil(max(FEWEST, *lasts)), np.flatnonzero(held)
+        for spell in np.split(some, np.flatnonzero(np.diff(readings[some]) > 1) + 1):
+            for first in range(0, len(spell) - count + 1, max(1, count // 2)):
+                window = spell[first : first + count]
+                drift, used = velocity[window].mean(axis=0), float(share[window].mean())
+                mean = float(np.linalg.norm(drift))
+                unsteady = np.linalg.norm(velocity[window] - drift, axis=1).max() > HALF * mean
+                turns = mean < rolls[window].mean()
+                if used >= FEW and not unsteady and not turns and (not best or mean > best.speed):
+                    best = Creep(of, mean, used, *run.times[readings[window[[0, -1]]]].tolist())
+        if best:
+            yield best
 
-    found = sorted((drift for drift in drifts(run) if over(drift) > 1), key=over, reverse=True)
-    if not found:
-        return
-    worst, angular = found[0], model.jnt_type[found[0].of] != "slide"
-    elements = tuple(Element.of(model, "friction loss", drift.of) for drift in found)
-    loss = quantity(_losses(model)[worst.of].frictionloss, TORQUES if angular else FORCES)
+
+def _left(
+    found: Sequence[Creep], motions: Callable[[Recording], Iterator[Series]], run: Recording
+) -> float | None:
+    """Return the largest mean velocity of what crept, each in its time; None if one is not seen."""
+    # Contacts are read in these times alone.
+    begin, end = min(creep.begin for creep in found), max(creep.end for creep in found)
+    first, last = np.searchsorted(run.times, (begin, end * (1 + 1e-9))).tolist()
+    run, speeds, moved = run.part(first, last + 1), list[float](), dict[int, list[Series]]()
+    for series in motions(run):
+        moved.setdefault(series.of, []).append(series)
+    for creep in found:
+        means = []
+        for series in moved.get(creep.of, []):
+            times = run.times[series.readings]
+            within = (times >= creep.begin) & (times <= creep.end)
+            if within.sum() >= FEWEST:
+                means.append(float(np.linalg.norm(series.velocity[within].mean(axis=0))))
+        if not means:
+            return None
+        speeds += means
+    return max(speeds)
+
+
+def _of_contacts(run: Recording, found: list[Creep]) -> Finding:
+    model, of, most = run.model, found[0], SEEN * run.thick(found[0].of)
+    elements = named(model, "contact", [creep.of for creep in found])
+    least = round_number(model.settings.impratio * of.speed / (LEFT * most), up=True)
+    cures = tuple(
+        Cure(
+            f'cone="elliptic" with impratio="{impratio:g}"',
+            Change(cone="elliptic", impratio=impratio),
+        )
+        for impratio in (least, 10 * least)
+        if impratio <= IMPRATIO
+    )
+    remedy = Remedy(
+        (cures, (Cure("stiction=True", Change(stiction=True)),)),
+        functools.partial(_left, found, of_contacts),
+        most,
+        # Below a nanometre in a second it is rounding.
+        lambda left: speed(left) if left > 1e-9 else "none",
+        most=2,
+        # A slip that harder friction does not end belongs to the motion.
+        needed=True,
+    )
+    problem = (
+        f"{listed(elements, 'contact')} creeps at {speed(of.speed)} although its friction "
+        f"holds ({percent(of.share)} of what it could be)"
+    )
+    return Finding("creep", "warning", problem, "", elements, of.speed, "m/s", remedy=remedy)
+
+
+def _of_joints(model: Model, found: list[Creep], most: float) -> Finding:
+    of, angular = found[0], model.jnt_type[found[0].of] != "slide"
+    elements = named(model, "friction loss", [creep.of for creep in found])
+    loss = Layout(model.scene).joints[of.of].frictionloss
     constant = float(f"{2 * model.settings.dt:.3g}")
 
     def rate(value: float) -> str:
@@ -282,17 +253,13 @@ def _joints(run: Recording) -> Iterator[Finding]:
         words = f'solreffriction="{constant:g} 1" with solimpfriction="{low:g} {high:g}"'
         return Cure(words, Change(assigned(model, elements, values)))
 
-    remedy = Remedy(
-        (tuple(harder(*ends) for ends in IMPEDANCES),),
-        functools.partial(_left, found, _velocities),
-        worst.speed / over(worst),
-        rate,
-        # A motion that harder friction does not end is no creep.
-        needed=True,
-    )
+    # A motion that harder friction does not end is no creep.
+    way = tuple(harder(*ends) for ends in IMPEDANCES)
+    left = functools.partial(_left, found, of_joints)
+    remedy = Remedy((way,), left, most, rate, needed=True)
     problem = (
-        f"{listed(elements, 'friction losses')} lets the joint creep at {rate(worst.speed)} "
-        f"under {percent(worst.share)} of its {loss}"
+        f"{listed(elements, 'friction loss')} lets the joint creep at {rate(of.speed)} "
+        f"under {percent(of.share)} of its {quantity(loss, TORQUES if angular else FORCES)}"
     )
     unit = "rad/s" if angular else "m/s"
-    yield Finding("creep", "warning", problem, "", elements, worst.speed, unit, remedy=remedy)
+    return Finding("creep", "warning", problem, "", elements, of.speed, unit, remedy=remedy)

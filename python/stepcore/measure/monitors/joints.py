@@ -1,57 +1,69 @@
-"""Findings on connections and limits in a run: gaps, limits that a force overcomes, and backlash.
+"""Findings on joints and their actuators in a run.
 
-Backlash is a joint of small range in series with another: two joints of one body along one axis. An
-equality that holds such a joint within its range takes the backlash away.
+Connections that gape, limits that a force overcomes, backlash, servos that sag or are saturated,
+robots that fall over. Backlash is a joint of small range in series with another: two joints of one
+body along one axis. An equality that holds such a joint within its range takes the backlash away.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from stepcore.engine.actuator import actuators
+from stepcore.engine.actuator import SERVO, Actuator, actuators, loads
 from stepcore.engine.arrays import Floats
-from stepcore.engine.coordinates import Coordinates, rotated, turned
+from stepcore.engine.coordinates import rotated, turned
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.contacts import LEFT, TEST_CONTACTS
+from stepcore.experiment.moves import SINKS, TILT, moves_about, roots
 from stepcore.measure.monitors.finding import (
+    DEEP,
+    FEW,
+    HALF,
+    LEFT,
     OTHERS,
     PLOT,
+    SEEN,
+    TEST_CONTACTS,
     Cure,
     Finding,
     Next,
     Remedy,
     listed,
     named,
+    worst,
 )
-from stepcore.measure.monitors.recording import Recording, settled
+from stepcore.measure.monitors.recording import Recording, free_bodies, settled
 from stepcore.measure.monitors.soft_rows import stiffened
-from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
+from stepcore.report.units import (
+    FORCES,
+    TORQUES,
+    metres,
+    percent,
+    quantity,
+    radians,
+    rounded,
+    seconds,
+)
 from stepcore.scene.layout import QPOS, Layout
 
-# Least share of a run that a joint must be beyond its limit; a short impact does not count.
-KEPT = 0.05
-# Thresholds of findings: a gap, relative to the smaller body; an excess, relative to the range.
-GAPES, BEYOND = 0.01, 0.05
-# A force overcomes a limit from this share of the limit's own force.
-OVERPOWERS = 0.5
-# Ranges wider than this do not define how exact a limit should be [rad].
-WIDEST = 3.0
-# Elements that only resist motion cannot push a joint beyond its limit.
-RESISTS = ("damper", "friction loss")
-# A joint in free play falls onto an end of it. One that uses less than the first share of half its
-# range is held; once it is free, it uses the second.
-HELD, FREE = 0.9, 0.99
+# Elements that only resist motion cannot push a joint beyond its limit. An equality that holds the
+# joint within its range has damping that points outwards, too (backlash.xml).
+RESISTS = ("damper", "friction loss", "joint equality")
+# The share of a run above which saturation is told: a servo that lost a quarter of a sine's
+# amplitude (fastsine.xml) was at its end for 38 % of the run. And the share of the least sag that a
+# cure leaves; a smaller one needs kps that isaacfranka.xml's step does not hold.
+THIRD = 1 / 3
 
 
 def joint_findings(run: Recording) -> Iterator[Finding]:
-    """Yield all findings on connections and limits."""
+    """Yield the findings on connections, limits and backlash."""
     if run.model.settings.law == "solref":
         yield from _gaps(run)
     yield from _overpowered(run)
@@ -68,77 +80,67 @@ class Gape(NamedTuple):
     most: float
     rest: float | None
 
-    @property
-    def now(self) -> float:
-        """The gap at rest, or else the largest one [m]."""
-        return self.most if self.rest is None else self.rest
-
 
 def gapes(run: Recording) -> Iterator[Gape]:
     """Yield every connection with its gap."""
     model = run.model
     features, layout = model.scene.features, Layout(model.scene)
-    if not (features.equality and features.constraint):
+    tied = [
+        (k, equality)
+        for k, equality in enumerate(model.scene.equalities)
+        if equality.active and equality.type in ("connect", "weld")
+    ]
+    if not tied or not (features.equality and features.constraint):
         return
-    for k, equality in enumerate(model.scene.equalities):
-        if equality.active and equality.type in ("connect", "weld"):
-            ends = _ends(equality.plain(layout), run)
-            here, there = (
-                run["xpos"][:, body] + rotated(run["xquat"][:, body], point) for body, point in ends
-            )
-            gap = np.linalg.norm(here - there, axis=1)
-            yield Gape(k, float(gap.max()), settled(gap))
-
-
-def _ends(tie: dict[str, Any], run: Recording) -> tuple[tuple[int, Floats], tuple[int, Floats]]:
-    """Return the two bodies of a connection, and the connected point in the frame of each [m].
-
-    A point that is not given follows from the poses in which the scene is described.
-    """
-    sim = run.described
+    sim = unwatched(Sim(model))
     place, turn = sim.xpos, np.array(sim.xmat).reshape(-1, 3, 3)
-    a, b = tie["first"], tie["second"]
-    near, far = (frame and np.array(frame["pos"]) for frame in (tie["frame1"], tie["frame2"]))
-    if near is None:
-        near = turn[a].T @ (place[b] + turn[b] @ far - place[a])
-    if far is None:
-        far = turn[b].T @ (place[a] + turn[a] @ near - place[b])
-    return (a, near), (b, far)
-
-
-def _gap_of(run: Recording, equalities: Collection[int]) -> float | None:
-    """Return the widest gap of some connections [m], at rest if they settled."""
-    return max((at.now for at in gapes(run) if at.equality in equalities), default=None)
+    for k, equality in tied:
+        tie = equality.plain(layout)
+        bodies, frames = (tie["first"], tie["second"]), (tie["frame1"], tie["frame2"])
+        # A point that is not given follows from the poses in which the scene is described.
+        known = 0 if frames[0] is not None else 1
+        point = place[bodies[known]] + turn[bodies[known]] @ np.array(frames[known]["pos"])
+        ends = []
+        for body, frame in zip(bodies, frames, strict=True):
+            own = turn[body].T @ (point - place[body]) if frame is None else np.array(frame["pos"])
+            ends.append(run["xpos"][:, body] + rotated(run["xquat"][:, body], own))
+        gap = np.linalg.norm(ends[1] - ends[0], axis=1)
+        yield Gape(k, float(gap.max()), settled(gap))
 
 
 def _gaps(run: Recording) -> Iterator[Finding]:
     model, layout = run.model, Layout(run.model.scene)
-    equalities, notable = model.scene.equalities, list[tuple[float, Gape, float]]()
-    for gape in gapes(run):
-        bodies = [layout.index[id(body)] for body in equalities[gape.equality].bodies]
+    equalities, sizes = model.scene.equalities, run.sizes.bodies
+
+    def size(at: Gape) -> float:
+        bodies = [layout.index[id(body)] for body in equalities[at.equality].bodies]
         # The world has no size to compare with.
-        sizes = run.sizes.bodies
-        size = min((sizes[body] for body in bodies if body), default=sizes[0])
-        if gape.most > GAPES * size:
-            notable.append((gape.most / size, gape, size))
-    if not notable:
+        return min((sizes[body] for body in bodies if body), default=sizes[0])
+
+    open_ = worst(gapes(run), lambda at: at.most / (SEEN * size(at)))
+    if not open_:
         return
-    notable.sort(key=lambda entry: -entry[0])
-    _, worst, size = notable[0]
-    tied = [gape.equality for _, gape, _ in notable]
+
+    def now(at: Gape) -> float:
+        return at.most if at.rest is None else at.rest
+
+    of, tied = open_[0], [at.equality for at in open_]
     connections = tuple(Element.of(model, equalities[k].row_kind, k) for k in tied)
-    solref, solimp = equalities[worst.equality].solref, equalities[worst.equality].solimp
-    now = worst.now
+    solref, solimp = equalities[of.equality].solref, equalities[of.equality].solimp
     problem = (
-        f"{listed(connections, 'connections')} gapes by {'up to ' * (worst.rest is None)}"
-        f"{metres(now)}, {percent(now / size)} of the smaller body's size, under its "
+        f"{listed(connections, 'connection')} gapes by {'up to ' * (of.rest is None)}"
+        f"{metres(now(of))}, {percent(now(of) / size(of))} of the smaller body's size, under its "
         f'solref="{solref[0]:g} {solref[1]:g}"'
     )
-    wanted = min(LEFT * GAPES * size, now * LEFT)
-    cures = stiffened(model, connections, solref, solimp, now, wanted)
-    remedy = Remedy((cures,), lambda other: _gap_of(other, tied), GAPES * size, metres)
+    wanted = LEFT * min(SEEN * size(of), now(of))
+    cures = stiffened(model, connections, solref, solimp, now(of), wanted)
+
+    def widest(other: Recording) -> float | None:
+        return max((now(at) for at in gapes(other) if at.equality in tied), default=None)
+
+    remedy = Remedy((cures,), widest, SEEN * size(of), metres)
     commands = (Next("converge", "whether the connections are solved"), TEST_CONTACTS[1])
-    yield Finding("gap", "warning", problem, "", connections, now, "m", commands, remedy=remedy)
+    yield Finding("gap", "warning", problem, "", connections, now(of), "m", commands, remedy=remedy)
 
 
 # Limits.
@@ -147,9 +149,9 @@ def _gaps(run: Recording) -> Iterator[Finding]:
 class Beyond(NamedTuple):
     """A joint beyond its range.
 
-    kept: the excess at rest, or that reached for a twentieth of the run or more [rad or m].
-    rest: the excess at rest; None if the joint did not settle.
-    forces: the elements that push outwards [N·m or N], strongest first. limit: the limit's force.
+    kept: the excess at rest, or that reached for a twentieth of the run or more [rad or m]. rest:
+    the excess at rest; None if the joint did not settle. forces: the elements that push outwards
+    [N·m or N], strongest first. limit: the limit's force.
     """
 
     joint: int
@@ -161,18 +163,26 @@ class Beyond(NamedTuple):
 
 def excesses(run: Recording) -> Iterator[tuple[Beyond, Floats]]:
     """Yield every joint that was beyond its range, with its excess over time."""
-    for joint, (kind, at, _, limits) in enumerate(Coordinates(run.model).joints):
-        if not limits:
-            continue
-        value = run["qpos"][:, at]
-        if kind in ("ball", "free"):
-            quat = run["qpos"][:, at + QPOS[kind] - 4 : at + QPOS[kind]]
-            value = np.linalg.norm(turned(quat), axis=1)
-        beyond = np.maximum(0.0, np.maximum(limits[0] - value, value - limits[1]))
+    for joint, (low, high) in enumerate(run.model.jnt_range.tolist()):
+        value = coordinate(run.model, run["qpos"], joint)
+        beyond = np.maximum(0.0, np.maximum(low - value, value - high))
         if beyond.any():
             rest = settled(beyond)
-            often = float(np.sort(beyond)[-max(1, math.ceil(KEPT * len(beyond)))])
+            # A short impact does not count.
+            often = float(np.sort(beyond)[-max(1, math.ceil(FEW * len(beyond)))])
             yield Beyond(joint, often if rest is None else rest, rest), beyond
+
+
+def coordinate(model: Model, qpos: Floats, joint: int) -> Floats:
+    """Return what a joint's range limits, (n,): its coordinate, or the angle of a ball [rad or m].
+
+    qpos: (n, nq).
+    """
+    at, kind = int(model.jnt_qposadr[joint]), model.jnt_type[joint]
+    if kind in ("ball", "free"):
+        quat = qpos[:, at + QPOS[kind] - 4 : at + QPOS[kind]]
+        return np.asarray(np.linalg.norm(turned(quat), axis=1))
+    return qpos[:, at]
 
 
 def excess_of(run: Recording, joint: int) -> float:
@@ -182,15 +192,12 @@ def excess_of(run: Recording, joint: int) -> float:
 
 def overpowered(run: Recording) -> list[Beyond]:
     """Return the joints that a force pushes beyond their range, the furthest first."""
-    found = []
-    for at, series in excesses(run):
-        if at.kept > BEYOND * width_of(run.model, at.joint):
-            # A damper that pushes outwards only slows a joint that returns.
-            pushed = _pushed(run, at, series)
-            some = tuple(force for force in pushed.forces if force[0][0] not in RESISTS)
-            if some and some[0][1] > OVERPOWERS * pushed.limit:
-                found.append(pushed._replace(forces=some))
-    return sorted(found, key=lambda at: -at.kept / width_of(run.model, at.joint))
+
+    def over(entry: tuple[Beyond, Floats]) -> float:
+        return entry[0].kept / (FEW * width_of(run.model, entry[0].joint))
+
+    pushed = (_pushed(run, at, series) for at, series in worst(excesses(run), over))
+    return [at for at in pushed if at.forces and at.forces[0][1] > HALF * at.limit]
 
 
 def _pushed(run: Recording, at: Beyond, series: Floats) -> Beyond:
@@ -200,109 +207,65 @@ def _pushed(run: Recording, at: Beyond, series: Floats) -> Beyond:
     for reading in np.argsort(np.abs(series - at.kept), kind="stable")[:4].tolist():
         sim = run.at(reading)
         acting = {of: float(force[dof]) for of, force in sim.element_forces().items()}
-        for equality in _restoring(run, at.joint, reading):
-            acting.pop(("joint equality", equality), None)
         limit = acting.pop(("limit", at.joint), 0.0)
         if limit:
-            outwards = [(of, -math.copysign(f, f * limit)) for of, f in acting.items() if f]
-            forces = sorted((f for f in outwards if f[1] > 0), key=lambda f: -f[1])
+            outwards = {of: -math.copysign(f, f * limit) for of, f in acting.items() if f}
+            some = [(of, f) for of, f in outwards.items() if f > 0 and of[0] not in RESISTS]
+            forces = sorted(some, key=lambda entry: -entry[1])
             return at._replace(forces=tuple(forces), limit=abs(limit))
     return at
 
 
-def _restoring(run: Recording, joint: int, reading: int) -> Iterator[int]:
-    """Yield the joint equalities that hold a joint within its range.
-
-    Their damping can point outwards, but they are not what pushes the joint out.
-    """
-    model, (low, high) = run.model, run.model.jnt_range[joint]
-    for equality, other, coefficients in _held_at(model).get(joint, ()):
-        moved = 0.0
-        if other is not None:
-            at = model.jnt_qposadr[other]
-            moved = float(run["qpos"][reading, at] - model.qpos0[at])
-        aim = model.qpos0[model.jnt_qposadr[joint]] + np.polyval(coefficients[::-1], moved)
-        if low <= aim <= high:
-            yield equality
-
-
 def _overpowered(run: Recording) -> Iterator[Finding]:
     """Yield limits that a force overcomes: the worst with its cure, the others by name."""
-    model, (worst, *rest) = run.model, overpowered(run) or (None,)
-    if worst is None:
+    model, pushed = run.model, overpowered(run)
+    if not pushed:
         return
-    angular, width = is_angular(model, worst.joint), width_of(model, worst.joint)
-    (kind, index), force = worst.forces[0]
+    of, joints = pushed[0], [at.joint for at in pushed]
+    (kind, index), force = of.forces[0]
     pusher = "gravity" if kind == "gravity" else model.element_name(kind, index)
-    cure = "less of that force"
+    cure, unit = "less of that force", unit_of(model, of.joint)
     if kind == "actuator":
         ranges = "forcerange or ctrlrange" if actuators(model)[index].holds else "ctrlrange"
         cure = f"a smaller {ranges} of {pusher}"
-    strength = quantity(force, TORQUES if angular else FORCES)
-    also = [
-        f"{model.element_name('joint', at.joint)} by {length_of(model, at.joint, at.kept)}"
-        for at in rest
-    ]
-    if also:
-        more = f" and {len(also) - OTHERS} more" if len(also) > OTHERS else ""
-        cure += f". Also beyond: {', '.join(also[:OTHERS])}{more}"
     problem = (
-        f"{pusher} pushes {model.element_name('joint', worst.joint)} "
-        f"{length_of(model, worst.joint, worst.kept)} beyond its range with {strength}"
-        f"{', and stays there' if worst.rest is not None else ''}"
+        f"{pusher} pushes {listed(named(model, 'joint', joints), 'joint')} "
+        f"{length_of(model, of.joint, of.kept)} beyond its range with "
+        f"{quantity(force, TORQUES if unit == 'rad' else FORCES)}"
+        f"{', and stays there' if of.rest is not None else ''}"
     )
-    elements = named(model, "limit", [at.joint for at in (worst, *rest)])
-    unit = "rad" if angular else "m"
-    remedy = limit_remedy(model, worst.joint, worst.kept, LEFT * BEYOND * width)
-    yield Finding("limit", "warning", problem, cure, elements, worst.kept, unit, PLOT, {}, remedy)
+    limits, remedy = named(model, "limit", joints), limit_remedy(model, of.joint, of.kept)
+    yield Finding("limit", "warning", problem, cure, limits, of.kept, unit, PLOT, {}, remedy)
 
 
-def limit_remedy(model: Model, joint: int, now: float, wanted: float) -> Remedy:
-    """Return the solreflimits that should reduce a limit's excess from `now` to `wanted`."""
-    cures: tuple[Cure, ...] = ()
+def limit_remedy(model: Model, joint: int, now: float) -> Remedy:
+    """Return the solreflimits that should make a limit's excess small."""
+    cures, enough = tuple[Cure, ...](), FEW * width_of(model, joint)
     if model.settings.law == "solref":
         at, limit = Layout(model.scene).joints[joint], named(model, "limit", [joint])
+        wanted = LEFT * enough
         cures = stiffened(model, limit, at.solreflimit, at.solimplimit, now, wanted)
-    return Remedy(
-        (cures,),
-        lambda other: excess_of(other, joint),
-        BEYOND * width_of(model, joint),
-        functools.partial(length_of, model, joint),
-    )
+    say = functools.partial(length_of, model, joint)
+    return Remedy((cures,), lambda other: excess_of(other, joint), enough, say)
 
 
-def is_angular(model: Model, joint: int) -> bool:
-    """Return whether a joint's coordinate is an angle."""
-    return bool(model.jnt_type[joint] != "slide")
+def unit_of(model: Model, joint: int) -> str:
+    """Return the unit of a joint's coordinate."""
+    return "m" if model.jnt_type[joint] == "slide" else "rad"
 
 
 def width_of(model: Model, joint: int) -> float:
-    """Return the width of a joint's range [rad or m], at most `WIDEST` for an angle."""
-    low, high = (float(bound) for bound in model.jnt_range[joint])
-    return min(high - low, WIDEST) if is_angular(model, joint) else high - low
+    """Return the width of a joint's range [rad or m]; of an angle at most half a turn."""
+    width = float(np.ptp(model.jnt_range[joint]))
+    return min(width, math.pi) if unit_of(model, joint) == "rad" else width
 
 
 def length_of(model: Model, joint: int, value: float) -> str:
     """Return a joint's coordinate in words."""
-    return radians(value) if is_angular(model, joint) else metres(value)
+    return radians(value) if unit_of(model, joint) == "rad" else metres(value)
 
 
 # Backlash.
-
-
-def _held_at(model: Model) -> dict[int, list[tuple[int, int | None, Sequence[float]]]]:
-    """Return the joint equalities by the joint that they hold.
-
-    Each is its index, the other joint that it depends on, and its polynomial by ascending powers.
-    """
-    place = {id(joint): k for k, joint in enumerate(Layout(model.scene).joints)}
-    held: dict[int, list[tuple[int, int | None, Sequence[float]]]] = {}
-    for k, equality in enumerate(model.scene.equalities):
-        if equality.type == "joint" and equality.active:
-            other = None if equality.joint2 is None else place[id(equality.joint2)]
-            entry = (k, other, equality.polycoef)
-            held.setdefault(place[id(equality.joint1)], []).append(entry)
-    return held
 
 
 def share_used(run: Recording, joint: int) -> float:
@@ -312,42 +275,45 @@ def share_used(run: Recording, joint: int) -> float:
     return float(np.abs(places - (low + high) / 2).mean()) / ((high - low) / 2)
 
 
-def _unused(joint: int, run: Recording) -> float:
-    return 1 - share_used(run, joint)
-
-
 def _played(run: Recording) -> Iterator[Finding]:
     """Yield joints in series with another that an equality holds within their range."""
     model, features = run.model, run.model.scene.features
-    if not (features.limit and features.constraint):
+    if not (features.limit and features.constraint and features.equality):
         return
-    for joint, ties in _held_at(model).items():
-        alone = [(k, float(coefficients[0])) for k, other, coefficients in ties if other is None]
+    place = {id(joint): k for k, joint in enumerate(Layout(model.scene).joints)}
+    for k, equality in enumerate(model.scene.equalities):
+        if equality.type != "joint" or not equality.active or equality.joint2 is not None:
+            continue
+        joint = place[id(equality.joint1)]
+        if not _in_series(model, joint):
+            continue
+        aim = float(model.qpos0[model.jnt_qposadr[joint]] + equality.polycoef[0])
         low, high = (float(bound) for bound in model.jnt_range[joint])
-        if not alone or not _in_series(model, joint):
-            continue
-        equality, aim = alone[0][0], float(model.qpos0[model.jnt_qposadr[joint]]) + alone[0][1]
         now = share_used(run, joint)
-        if not low < aim < high or now > HELD:
-            continue
-        say = functools.partial(length_of, model, joint)
-        both = (*named(model, "joint", [joint]), *named(model, "joint equality", [equality]))
-        problem = (
-            f"{both[1].name} pulls {both[0].name} to {say(aim)}, within its range of "
-            f"{say(low)} to {say(high)}, so it is a spring and no backlash: {percent(now)} of the "
-            "range is used"
-        )
-        removal = Change({f"equality/#{equality}/active": False})
-        remedy = Remedy(
-            ((Cure("removing the equality", removal),),),
-            functools.partial(_unused, joint),
-            1 - FREE,
-            lambda left: f"{percent(1 - left)} of it in use",
-            now=1 - now,
-            needed=True,
-        )
-        unit, value = "rad" if is_angular(model, joint) else "m", now * (high - low) / 2
-        yield Finding("backlash", "warning", problem, "", both, value, unit, remedy=remedy)
+        # A joint in free play falls onto an end of its range.
+        if low < aim < high and now <= 1 - DEEP:
+            yield _backlash(model, joint, k, aim, now)
+
+
+def _backlash(model: Model, joint: int, equality: int, aim: float, now: float) -> Finding:
+    low, high = (float(bound) for bound in model.jnt_range[joint])
+    say = functools.partial(length_of, model, joint)
+    both = (*named(model, "joint", [joint]), *named(model, "joint equality", [equality]))
+    problem = (
+        f"{both[1].name} pulls {both[0].name} to {say(aim)}, within its range of "
+        f"{say(low)} to {say(high)}, so it is a spring and no backlash: {percent(now)} of the "
+        "range is used"
+    )
+    remedy = Remedy(
+        ((Cure("removing the equality", Change({f"equality/#{equality}/active": False})),),),
+        lambda other: 1 - share_used(other, joint),
+        SEEN,
+        lambda left: f"{percent(1 - left)} of it in use",
+        now=1 - now,
+        needed=True,
+    )
+    unit, value = unit_of(model, joint), now * (high - low) / 2
+    return Finding("backlash", "warning", problem, "", both, value, unit, remedy=remedy)
 
 
 def _in_series(model: Model, joint: int) -> bool:
@@ -362,3 +328,217 @@ def _in_series(model: Model, joint: int) -> bool:
         and abs(float(model.jnt_axis[k] @ axis)) > 1 - 1e-6
         for k, other in enumerate(model.jnt_type)
     )
+
+
+# Actuators.
+
+
+def actuator_findings(run: Recording) -> Iterator[Finding]:
+    """Yield the findings on servos that sag under a load, or are saturated."""
+    model = run.model
+    if not (model.nu and model.scene.features.actuation):
+        return
+    still, full = list(at_rest(run)), _saturated(run)
+    loaded = (at for at in still if at.loaded and at.actuator.index not in full)
+    sagging = worst(loaded, lambda at: abs(at.error) / _notable(model, at.actuator))
+    if sagging:
+        yield _sags(model, sagging)
+    # A servo that presses against an object or a limit does so on purpose, and may be saturated.
+    presses = {at.actuator.index for at in still if not at.loaded}
+    servos = [of.index for of in _servos(model) if of.index in full.keys() - presses]
+    ends = worst(servos, lambda k: full[k] / THIRD)
+    if ends:
+        elements, share = named(model, "actuator", ends), full[ends[0]]
+        force = strength(model, ends[0], float(np.abs(run["actuator_force"][:, ends[0]]).max()))
+        problem = (
+            f"{listed(elements, 'servo')} is at the end of its forcerange ({force}) for "
+            f"{percent(share)} of the run, where kv has no effect"
+        )
+        cure = "slow the motion or lower kp; a wider forcerange must be one that the hardware has"
+        yield Finding("saturation", "warning", problem, cure, elements, share, "1", PLOT)
+
+
+def _servos(model: Model) -> list[Actuator]:
+    return [of for of in actuators(model) if of.direct and of.holds]
+
+
+def _saturated(run: Recording) -> dict[int, float]:
+    """Return for which share of the run the forces of actuators are at an end of their ranges."""
+    # The first reading is the start, which no step has led to. A force of 0 is not saturated.
+    force = run["actuator_force"][1:]
+    low, high = (np.isclose(force, end, 1e-9, 0) for end in run.model.actuator_forcerange.T)
+    shares = np.mean((low | high) & (force != 0), axis=0) if len(force) else np.zeros(run.model.nu)
+    return {k: float(share) for k, share in enumerate(shares) if share}
+
+
+class Servo(NamedTuple):
+    """A position servo at rest under a constant control.
+
+    error: commanded length minus length [rad or m], before the gear. force: [N·m or N].
+    loaded: whether it pushes against a weight, and not a limit or an object that it presses.
+    """
+
+    actuator: Actuator
+    error: float
+    force: float
+    loaded: bool
+
+
+def at_rest(run: Recording) -> Iterator[Servo]:
+    """Yield position servos whose control and error are constant over the end of the run."""
+    if run.late < 0:
+        return
+    for of in _servos(run.model):
+        asked, error = _errors(run, of)
+        mean, held = float(error.mean()), np.ptp(run["ctrl"][run.late :, of.index]) == 0
+        if held and float(np.ptp(error)) < FEW * abs(mean):
+            force = float(run["actuator_force"][-1, of.index])
+            yield Servo(of, mean, force, _loaded(run, of, float(asked[-1]), force))
+
+
+def _errors(run: Recording, of: Actuator) -> tuple[Floats, Floats]:
+    """Return the lengths that a servo is asked for at the end of the run, and its errors."""
+    late = max(run.late, 0)
+    asked = of.target(np.clip(run["ctrl"][late:, of.index], *of.ctrlrange))
+    return asked, asked - of.gear * run["qpos"][late:, of.qposadr]
+
+
+def _loaded(run: Recording, of: Actuator, asked: float, force: float) -> bool:
+    """Return whether a servo pushes against a weight at the end of the run.
+
+    The weight is that of the bodies that hang on the servo's joint, or, in a tree that rests on a
+    floor, that of the tree.
+    """
+    model, sim = run.model, run.at(len(run) - 1)
+    assert of.joint is not None
+    low, high = model.jnt_range[of.joint]
+    if not low <= asked / of.gear <= high:
+        return False
+    if float(loads(sim)[of.dof]) / of.gear * force >= HALF * force**2:
+        return True
+    tree = int(run.roots[model.jnt_body[of.joint]])
+    if tree not in free_bodies(model):
+        return False
+    trees = run.roots[model.geom_body[np.stack([sim.contacts[f"geom{k}"] for k in (1, 2)])]]
+    touched = trees[:, (trees == tree).any(axis=0)]
+    return bool(touched.size) and bool(np.isin(touched, (tree, 0)).all())
+
+
+def _notable(model: Model, of: Actuator) -> float:
+    """Return the least sag that is told, before the gear [rad or m]."""
+    assert of.joint is not None
+    widest = math.inf if unit_of(model, of.joint) == "rad" else 1.0
+    return SEEN * min(width_of(model, of.joint), widest) * abs(of.gear)
+
+
+def _sags(model: Model, servos: list[Servo]) -> Finding:
+    """Return a finding on servos that sag under their loads, the worst first."""
+    first, indices = servos[0], [servo.actuator.index for servo in servos]
+    of, notable = first.actuator, _notable(model, first.actuator)
+    assert of.joint is not None
+    joint, elements = of.joint, named(model, "actuator", indices)
+    ratios = [abs(s.error) / (_notable(model, s.actuator) * THIRD) for s in servos]
+    if max(ratios) < (1 + DEEP) * min(ratios):
+        ratios = [max(ratios)] * len(ratios)
+    gains = [rounded(s.actuator.kp * r) for s, r in zip(servos, ratios, strict=True)]
+    words = _gains(elements, gains)
+    by_index = dict(zip(indices, ratios, strict=True))
+    way = (
+        Cure(words, Change(stronger(model, by_index, damped=False))),
+        Cure(f"{words}, with kv in proportion", Change(stronger(model, by_index, damped=True))),
+    )
+
+    def left(other: Recording) -> float | None:
+        """Return the largest error at the end of the run; None if a control changes there."""
+        if np.ptp(other["ctrl"][max(other.late, 0) :, indices], axis=0).any():
+            return None
+        errors = (_errors(other, o)[1] for o in _servos(other.model) if o.index in indices)
+        return max(float(np.abs(error).max()) for error in errors)
+
+    def say(error: float) -> str:
+        return length_of(model, joint, abs(error / of.gear))
+
+    remedy = Remedy((way,), left, notable, say)
+    problem = (
+        f"{listed(elements, 'servo')} sags by {say(first.error)} under its load of "
+        f"{strength(model, of.index, abs(first.force))}, which is load / kp with kp {of.kp:.4g}"
+    )
+    severity = "warning" if abs(first.error) > FEW / SEEN * notable else "remark"
+    cure, value = "let the control carry the load", abs(first.error / of.gear)
+    what = "servo sags", severity, problem, cure, elements, value, unit_of(model, joint), PLOT
+    return Finding(*what, remedy=remedy)
+
+
+def _gains(elements: tuple[Element, ...], gains: list[float]) -> str:
+    """Return "kp 1810 (servo `j2` 995)", or "kp 91.2 of each"."""
+    if len(gains) > 1 and len(set(gains)) == 1:
+        return f"kp {gains[0]:g} of each"
+    also = [f"{e.name} {gain:g}" for e, gain in zip(elements, gains, strict=True)][1:]
+    more = f" and {len(also) - OTHERS} more in proportion" if len(also) > OTHERS else ""
+    return f"kp {gains[0]:g}" + (f" ({', '.join(also[:OTHERS])}{more})" if also else "")
+
+
+def stronger(model: Model, ratios: Mapping[int, float], damped: bool) -> dict[str, Any]:
+    """Return the gains of servos, by path, with kp multiplied by a ratio each.
+
+    damped: whether kv grows, too, so that the damping ratio is kept.
+    """
+    changes: dict[str, Any] = {}
+    for k, ratio in ratios.items():
+        fields = {field.name: field for field in Element.of(model, "actuator", k).fields(model)}
+        faster = math.sqrt(ratio) if damped else 1.0
+        if "kp" in fields:
+            changes[f"actuator/#{k}/kp"] = rounded(fields["kp"].value * ratio)
+            if fields["kv"].value > 0:
+                changes[f"actuator/#{k}/kv"] = rounded(fields["kv"].value * faster)
+        elif "biasprm" in fields:
+            for name, factors in (("gainprm", [ratio]), ("biasprm", [1.0, ratio, faster])):
+                terms = np.atleast_1d(np.asarray(fields[name].value, float))
+                terms[: len(factors)] *= factors[: len(terms)]
+                scaled = tuple(map(rounded, terms.tolist()))
+                changes[f"actuator/#{k}/{name}"] = scaled if len(scaled) > 1 else scaled[0]
+    return changes
+
+
+def strength(model: Model, actuator: int, force: float) -> str:
+    """Return an actuator's force in words, as a torque if the joint turns."""
+    joint = int(model.actuator_joint[actuator])
+    linear = joint < 0 or model.jnt_type[joint] == "slide"
+    return quantity(force, FORCES if linear else TORQUES)
+
+
+# Falls.
+
+
+def fall_findings(run: Recording) -> Iterator[Finding]:
+    """Yield a robot on a free base, with servos, that falls over: nothing balances it.
+
+    Robots without servos are not watched: motors at zero hold nothing, and walkers that learn fall
+    by design.
+    """
+    model, drives = run.model, actuators(run.model)
+    if not any(drive.kind == SERVO for drive in drives) or not moves_about(model, drives):
+        return
+    down = {body: _down(run, body) for body in sorted(roots(model, drives))}
+    falls = {body: float(run.times[at.argmax()]) for body, at in down.items() if at.any()}
+    if not falls:
+        return
+    body = min(falls, key=falls.__getitem__)
+    after, of = falls[body] - float(run.times[0]), named(model, "body", [body])
+    problem = (
+        f"{of[0].name} falls over within {seconds(after)}, because its servos do not balance it"
+    )
+    cure = "give the controls or the controller that balance it (--ctrl, --control)"
+    yield Finding("fall", "warning", problem, cure, of, after, "s")
+
+
+def _down(run: Recording, body: int) -> np.ndarray:
+    """Return at which readings a robot is no longer upright."""
+    axis = rotated(run["xquat"][:, body] * (1.0, -1.0, -1.0, -1.0), np.array([0.0, 0.0, 1.0]))
+    down: np.ndarray = axis @ axis[0] < np.cos(TILT)
+    geoms = np.flatnonzero(run.roots[run.model.geom_body] == body)
+    if len(geoms):
+        lowest = run.geoms[0][:, geoms, 2] - run.model.geom_size[geoms].max(axis=1)
+        height = run.centre_of_mass(body)[:, 2] - lowest.min(axis=1)
+        down |= height < (1 - SINKS) * height[0]
+    return down

@@ -32,8 +32,10 @@ from stepcore.scene.softness import UNKNOWN
 
 # What is recorded of a run.
 RECORDED = ("qpos", "qvel", "act", "ctrl", "xpos", "xquat", "actuator_force")
-# The last share of a run, in which rest is judged; the largest relative variation of a quantity at
-# rest; and the fewest readings from which rest or creep is judged.
+# The last share of a run, in which rest is judged: with half of it, the noise of dm_control's
+# hopper and of particle_free.xml is missed. The largest relative variation of a quantity at rest:
+# with twice as much, a foot of that hopper rests that does not. The fewest readings from which rest
+# or creep is judged.
 REST, STEADY, FEWEST = 0.25, 0.2, 8
 
 # A pair of geoms, and the index of one of its contacts.
@@ -49,6 +51,8 @@ class Recording:
     data: the arrays of `RECORDED`, (n, …); readings after a failure are left out.
     begin: sets a Sim to the start of the run, with all that is constant in it.
     failure: why the run ended early, or None.
+    wanted: the wanted depth of contacts at rest [m], or None.
+    passed: geoms that are known to have passed through others.
     """
 
     model: Model
@@ -57,6 +61,8 @@ class Recording:
     data: Mapping[str, Floats]
     begin: Callable[[Sim], object]
     failure: str | None = None
+    wanted: float | None = None
+    passed: frozenset[int] = frozenset()
     _read: int | None = field(default=None, init=False)
 
     def __len__(self) -> int:
@@ -76,6 +82,12 @@ class Recording:
         """The first reading of the end of the run, in which rest is judged; below 0 without one."""
         return len(self) - max(FEWEST, int(REST * len(self)))
 
+    def part(self, first: int, last: int | None = None) -> Recording:
+        """Return the readings from the first up to, but not including, the last."""
+        some = slice(max(0, first), last)
+        data = {name: values[some] for name, values in self.data.items()}
+        return dataclasses.replace(self, times=self.times[some], data=data)
+
     @functools.cached_property
     def sizes(self) -> Sizes:
         return Sizes(self.model)
@@ -83,6 +95,19 @@ class Recording:
     def thick(self, pair: int) -> float:
         """Return the half thickness of the thinner geom of a pair [m]."""
         return self.sizes.contact(*self.model.contact_pair(pair).geoms)
+
+    @functools.cached_property
+    def roots(self) -> np.ndarray:
+        """The root of each body, (nbody,); 0 for the world."""
+        return np.array([self.model.root(body) for body in range(self.model.nbody)])
+
+    def centre_of_mass(self, root: int) -> Floats:
+        """Return the centre of mass of a tree at all readings [m], (n, 3)."""
+        bodies = np.flatnonzero(self.roots == root)
+        mass, turn = self.model.body_mass[bodies], self["xquat"][:, bodies]
+        each = self["xpos"][:, bodies] + rotated(turn, self.model.body_ipos[bodies])
+        centre: Floats = np.einsum("nbi,b->ni", each, mass) / max(float(mass.sum()), 1e-300)
+        return centre
 
     @functools.cached_property
     def contacts(self) -> Contacts:
@@ -94,11 +119,6 @@ class Recording:
         sim = unwatched(Sim(self.driven, _solved(self.model.settings)))
         self.begin(sim)
         return sim
-
-    @functools.cached_property
-    def described(self) -> Sim:
-        """A Sim in the pose in which the scene is described."""
-        return unwatched(Sim(self.model))
 
     def at(self, reading: int) -> Sim:
         """Return a Sim at a reading, with its contacts and forces. It is the same one each time."""
@@ -125,23 +145,22 @@ class Recording:
 def recorded(model: Model, schedule: Schedule) -> Recording:
     """Run a schedule under a model's settings from its first start, and record it."""
     count, driven = schedule.steps(model.settings.dt), schedule.on(model)
-    steps, start = schedule.periods * count, schedule.starts[0]
     if schedule.control is not None:
         how: dict[str, Any] = {"control": schedule.control, "hold": count}
     else:
-        rows, hold = schedule.rows([0], model.settings.dt)
-        how = {"ctrl": rows, "hold": hold}
-    return dataclasses.replace(followed(driven, start, steps, **how), model=model)
-
-
-def cut(model: Model, schedule: Schedule, ran: Followed) -> Recording | None:
-    """Return the recording of a longer run of the same motion; None if it has too few readings."""
-    count = int(np.searchsorted(ran.times, schedule.horizon * (1 + 1e-9)))
-    if ran.failures or count < READINGS / 2 or not set(RECORDED) <= set(ran.data):
-        return None
-    data = {name: ran[name][0, :count] for name in RECORDED}
-    run = whole(schedule.on(model), ran.times[:count], data, schedule.starts[0].put)
+        how = dict(zip(("ctrl", "hold"), schedule.rows([0], model.settings.dt), strict=True))
+    run = followed(driven, schedule.starts[0], schedule.periods * count, **how)
     return dataclasses.replace(run, model=model)
+
+
+def cut(model: Model, schedule: Schedule, ran: Followed | None) -> Recording | None:
+    """Return the recording of a longer run of the same motion; None if it has too few readings."""
+    count = 0 if ran is None else int(np.searchsorted(ran.times, schedule.horizon * (1 + 1e-9)))
+    if ran is None or ran.failures or count < READINGS / 2 or not set(RECORDED) <= set(ran.data):
+        return None
+    data = {name: ran[name][0] for name in RECORDED}
+    run = whole(schedule.on(model), ran.times, data, schedule.starts[0].put)
+    return dataclasses.replace(run.part(0, count), model=model)
 
 
 def followed(model: Model, start: Start, steps: int, **controls: Any) -> Recording:
@@ -164,9 +183,8 @@ def whole(
     finite = np.ones(len(times), bool)
     for values in data.values():
         finite &= np.isfinite(values).reshape(len(times), -1).all(axis=1)
-    count = int(np.argmin(finite)) if not finite.all() else len(times)
-    kept = {name: values[:count] for name, values in data.items()}
-    return Recording(model, model, times[:count], kept, begin, failure)
+    count = len(times) if finite.all() else int(np.argmin(finite))
+    return Recording(model, model, times, data, begin, failure).part(0, count)
 
 
 def _solved(settings: Settings) -> Settings:
@@ -187,7 +205,6 @@ def settled(series: Floats) -> float | None:
 class Contacts:
     """The contacts that push in one run, at its readings, ordered by reading.
 
-    overlaps: pair, reading and depth [m] of all that overlap, whether they push or not.
     reading, pair, part: indices, (m,). depth: the overlap [m]. force: along the normal [N].
     share: friction over μ × normal force. past: the tangential velocity [m/s], (m, 3).
     rolls: the speed at which the surfaces turn on each other: angular velocity × lever [m/s].
@@ -195,63 +212,43 @@ class Contacts:
 
     def __init__(self, run: Recording) -> None:
         self.run, self.model = run, run.model
-        self._frictions: dict[int, float] = {}
-        tables, twists, number = [], [], []
-        bodies = self.model.geom_body
-        roots = np.array([self.model.root(body) for body in range(self.model.nbody)])
-        for k in range(len(run)) if self.model.npair else ():
+        tables, moves, centres = [], [], []
+        for k in range(len(run) if self.model.npair else 1):
             checkpoint()
             sim = run.at(k)
-            table = sim.contacts
-            if len(table):
-                # Body velocities are those of the point at the tree's centre of mass.
-                moves, centres = sim.cvel, sim.subtree_com
-                both = [bodies[table[name]] for name in ("geom1", "geom2")]
-                about = [np.hstack([moves[body], centres[roots[body]]]) for body in both]
-                twists.append(np.stack(about))
-                tables.append(table)
-                number += [k] * len(table)
-        self.reading = np.array(number, int)
-        every = np.concatenate(tables) if tables else np.zeros(0, _EMPTY)
-        deep = every["dist"] < 0
-        overlaps = every["index"][deep], self.reading[deep], -every["dist"][deep]
-        self.overlaps = list(zip(*(values.tolist() for values in overlaps), strict=True))
-        moved = np.concatenate(twists, axis=1) if twists else np.zeros((2, 0, 9))
+            tables.append(sim.contacts)
+            moves.append(np.array(sim.cvel))
+            centres.append(np.array(sim.subtree_com)[run.roots])
+        every = np.concatenate(tables)
+        reading = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
         with np.errstate(over="ignore", invalid="ignore"):
-            self._judge(every, moved)
+            force = np.einsum("ci,ci->c", every["force"], every["normal"])
+            some = np.flatnonzero(force > 0)
+            self.reading, self.force, every = reading[some], force[some], every[some]
+            self._slips(every, np.array(moves), np.array(centres))
 
-    def _judge(self, every: np.ndarray, twists: Floats) -> None:
-        """Keep the contacts that push, with their slips."""
-        pushed = np.einsum("ci,ci->c", every["force"], every["normal"])
-        some = np.flatnonzero(pushed > 0)
-        every, twists, pushed = every[some], twists[:, some], pushed[some]
-        self.reading = self.reading[some]
+    def _slips(self, every: np.ndarray, moves: Floats, centres: Floats) -> None:
+        """Judge the contacts that push; moves, centres: of the bodies at each reading."""
         self.pair, self.part = every["index"].astype(int), every["part"].astype(int)
-        self.depth, self.force, normal = -every["dist"], pushed, every["normal"]
-        spins, speeds, centres = np.split(twists, 3, axis=2)
-        moved = speeds + cross(spins, every["pos"] - centres)
-        past = moved[1] - moved[0]
+        self.depth, normal = -every["dist"], every["normal"]
+        # Body velocities are those of the point at the tree's centre of mass.
+        spins, speeds = [], []
+        for geom in ("geom1", "geom2"):
+            at = self.reading, self.model.geom_body[every[geom]]
+            spins.append(moves[at][:, :3])
+            speeds.append(moves[at][:, 3:] + cross(spins[-1], every["pos"] - centres[at]))
+        past = speeds[1] - speeds[0]
         self.past = past - np.einsum("ci,ci->c", past, normal)[:, None] * normal
-        rubbed = np.linalg.norm(every["force"] - pushed[:, None] * normal, axis=1)
+        rubbed = np.linalg.norm(every["force"] - self.force[:, None] * normal, axis=1)
         kinds, each = np.unique(self.pair, return_inverse=True)
-        frictions = np.array([self.friction(int(pair)) for pair in kinds])
-        most = frictions[each] * pushed if len(kinds) else pushed
+        friction, levers = np.zeros(len(kinds)), np.full(len(kinds), UNKNOWN)
+        for k, pair in enumerate(kinds.tolist()):
+            reach = min(self.run.sizes.reach[geom] for geom in self.model.contact_pair(pair).geoms)
+            friction[k] = friction_of(self.model, pair)
+            levers[k] = reach if math.isfinite(reach) else UNKNOWN
+        most = friction[each] * self.force
         self.share = np.divide(rubbed, most, out=np.zeros_like(rubbed), where=most > 0)
-        levers = np.array([self._lever(int(pair)) for pair in kinds])
-        turns = np.linalg.norm(spins[1] - spins[0], axis=1)
-        self.rolls = turns * levers[each] if len(kinds) else turns
-
-    def friction(self, pair: int) -> float:
-        """Return the sliding friction of a pair; 0 if it has a normal row alone."""
-        if pair not in self._frictions:
-            of = self.model.contact_pair(pair)
-            self._frictions[pair] = of.friction if of.condim > 1 else 0.0
-        return self._frictions[pair]
-
-    def _lever(self, pair: int) -> float:
-        """Return the radius on which the smaller geom of a pair rolls [m]."""
-        reach = min(self.run.sizes.reach[geom] for geom in self.model.contact_pair(pair).geoms)
-        return reach if math.isfinite(reach) else UNKNOWN
+        self.rolls = np.linalg.norm(spins[1] - spins[0], axis=1) * levers[each]
 
     @functools.cached_property
     def groups(self) -> dict[Key, np.ndarray]:
@@ -272,9 +269,13 @@ class Contacts:
                 yield key, end
 
 
-_EMPTY = np.dtype(
-    [
-        *(("index", int), ("part", int), ("dist", float)),
-        *((name, float, 3) for name in ("pos", "normal", "force")),
-    ]
-)
+def friction_of(model: Model, pair: int) -> float:
+    """Return the sliding friction of a pair; 0 if it has a normal row alone."""
+    of = model.contact_pair(pair)
+    return of.friction if of.condim > 1 else 0.0
+
+
+def free_bodies(model: Model) -> set[int]:
+    """Return the bodies with a free joint."""
+    joints = zip(model.jnt_body.tolist(), model.jnt_type, strict=True)
+    return {body for body, kind in joints if kind == "free"}

@@ -18,28 +18,20 @@ from collections.abc import Sequence
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.cures import assigned, finer
-from stepcore.measure.monitors.finding import Cure, named
+from stepcore.measure.monitors.finding import PARTS, Cure, assigned, finer, named
 from stepcore.report.units import seconds
 from stepcore.scene.frames import Vec
-from stepcore.scene.layout import Layout
 
-# MuJoCo's bounds of an impedance.
-LEAST, MOST = 1e-4, 0.9999
 # A nearly rigid solimp.
 HARD = (0.99, 0.99, 0.001, 0.5, 2.0)
-# Shortest time constant that is advised: a shorter one needs too small a time step [s].
-SHORTEST = 1e-5
-# Shares of the wanted violation that are tried, in order.
-STIFFER = (1.0, 1 / 3, 1 / 10)
+WRITTEN = " ".join(f"{value:g}" for value in HARD[:3])
 
 
 def impedance(solimp: Sequence[float], violation: float) -> float:
     """Return the impedance d of a row at a violation [m or rad]; MuJoCo's `solimp`."""
     first, last, width, middle, power = solimp
-    first, last = (min(max(d, LEAST), MOST) for d in (first, last))
-    x = min(abs(violation) / width, 1.0) if width > 0 else 1.0
-    middle, power = min(max(middle, LEAST), MOST), max(power, 1.0)
+    first, last, middle = (_bounded(value) for value in (first, last, middle))
+    x, power = min(abs(violation) / width, 1.0) if width > 0 else 1.0, max(power, 1.0)
     if power == 1 or x in (0.0, 1.0):
         y = x
     elif x <= middle:
@@ -47,6 +39,11 @@ def impedance(solimp: Sequence[float], violation: float) -> float:
     else:
         y = 1 - (1 - x) ** power / (1 - middle) ** (power - 1)
     return first + y * (last - first)
+
+
+def _bounded(impedance: float) -> float:
+    """Return an impedance, or its midpoint, within MuJoCo's bounds."""
+    return min(max(impedance, 1e-4), 0.9999)
 
 
 def yielding(solref: Sequence[float], solimp: Sequence[float], load: float, dt: float) -> float:
@@ -67,14 +64,12 @@ def yielding(solref: Sequence[float], solimp: Sequence[float], load: float, dt: 
     else:
         square = 1 / -solref[0] if solref[0] < 0 else math.inf
 
-    high = 1e-12
-    while deeper(high) and high < 1e12:
-        high *= 2
-    low = 0.0
+    # Of the two sides, one grows with the violation and the other falls.
+    low, high = -12.0, 12.0
     for _ in range(80):
         middle = (low + high) / 2
-        low, high = (middle, high) if deeper(middle) else (low, middle)
-    return high
+        low, high = (middle, high) if deeper(10**middle) else (low, middle)
+    return 10**high
 
 
 def _stiffer(
@@ -94,8 +89,8 @@ def _stiffer(
 
 def _slope(solimp: Sequence[float], violation: float) -> float:
     """Return (1 − d)/d² · dmax²."""
-    d, most = impedance(solimp, violation), min(max(solimp[1], LEAST), MOST)
-    return (1 - d) / d**2 * most**2
+    d = impedance(solimp, violation)
+    return (1 - d) / d**2 * _bounded(solimp[1]) ** 2
 
 
 def stiffened(
@@ -108,7 +103,8 @@ def stiffened(
 ) -> tuple[Cure, ...]:
     """Return the solref, with solimp and dt if needed, that should leave a wanted violation.
 
-    The closed form knows the load of the worst row alone, so stiffer ones follow.
+    The closed form knows the load of the worst row alone, so stiffer ones follow; weldballs.xml
+    needs the last.
 
     elements: the rows, all of which get the same values.
     solref, solimp, now: of the worst row, with its violation [m or rad]. wanted: [m or rad].
@@ -118,19 +114,15 @@ def stiffened(
     names = {of.name for element in elements for of in element.fields(model)}
     suffix = "limit" if "solreflimit" in names else ""
     cures: dict[str, Cure] = {}
-    for share in STIFFER:
-        new, hard = _stiffer(solref, solimp, now, wanted * share, dt, solimp), False
+    for part in PARTS:
+        new, hard = _stiffer(solref, solimp, now, wanted / part, dt, solimp), False
         if 0 < new[0] < 2 * dt:
-            harder = _stiffer(solref, solimp, now, wanted * share, dt, HARD)
-            if harder[0] > SHORTEST:
-                new, hard = harder, True
-        if 0 < new[0] < SHORTEST:
-            continue
+            new, hard = _stiffer(solref, solimp, now, wanted / part, dt, HARD), True
         values: dict[str, Vec] = {f"solref{suffix}": new}
         words = f'solref{suffix}="{new[0]:g} {new[1]:g}"'
         if hard:
             values[f"solimp{suffix}"] = HARD
-            words += f' with solimp{suffix}="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
+            words += f' with solimp{suffix}="{WRITTEN}"'
         words += " on both geoms" * (elements[0].kind == "contact")
         change = Change(assigned(model, elements, values))
         if 0 < new[0] < 2 * dt:
@@ -143,22 +135,9 @@ def stiffened(
 
 def hardest(model: Model, pairs: Sequence[int], dt: float) -> Cure:
     """Return the hardest solref that refsafe allows some pairs at a time step [s]."""
-    contacts = named(model, "contact", pairs)
-    constant = float(f"{2 * dt:.3g}")
-    words = f'solref="{constant:g} 1" with solimp="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
+    contacts, constant = named(model, "contact", pairs), float(f"{2 * dt:.3g}")
+    words = f'solref="{constant:g} 1" with solimp="{WRITTEN}" on these geoms and what they touch'
     change = Change(assigned(model, contacts, {"solref": (constant, 1.0), "solimp": HARD}))
-    words += " on these geoms and what they touch"
     if dt == model.settings.dt:
         return Cure(words, change)
     return Cure(f"{words} at a dt of {seconds(dt)}", change.also(Change(dt=dt)))
-
-
-def pair_solimp(model: Model, geom1: int, geom2: int) -> Vec:
-    """Return the solimp of a pair of geoms: of the higher priority, or mixed by solmix."""
-    geoms = Layout(model.scene).geoms
-    a, b = geoms[geom1], geoms[geom2]
-    if a.priority != b.priority:
-        return a.solimp if a.priority > b.priority else b.solimp
-    total = a.solmix + b.solmix
-    share = a.solmix / total if total > 0 else 0.5
-    return tuple(share * x + (1 - share) * y for x, y in zip(a.solimp, b.solimp, strict=True))

@@ -1,49 +1,38 @@
 """Geoms that pass through others in a run, and leave on the other side.
 
 Contacts keep the centre of a geom outside of every geom that it collides with. A step that moves a
-geom by more than its thickness may carry the centre across a surface, and so may a contact that
-sinks too deep. A ray along the centre's way since the last reading, seen from the other geom, finds
-the crossed surface. If the centre is beyond the middle, seen from that surface, when the contact
-has ended, the geom has passed. A geom below a plane stays in contact with it, and has not.
+geom by more than its thickness may carry the centre across, and so may a contact that sinks too
+deep. Seen from the other geom, the centre then goes from one side of its box to the opposite one,
+between two readings or through readings within; a ray along that way hits it.
 """
 
 from __future__ import annotations
 
-import functools
-from collections import defaultdict
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.experiment.change import Change
-from stepcore.measure.monitors.cures import finer
-from stepcore.measure.monitors.finding import Cure, Finding, Remedy, named, others
-from stepcore.measure.monitors.recording import Recording
+from stepcore.measure.monitors.finding import (
+    HALF,
+    PARTS,
+    Finding,
+    Remedy,
+    finer,
+    named,
+    others,
+    shorter,
+)
+from stepcore.measure.monitors.recording import FEWEST, Recording
 from stepcore.measure.monitors.soft_rows import hardest
 from stepcore.report.units import metres, seconds, speed
-
-# The depth of a contact, and the way of a geom between two readings, over the smallest half size
-# from which a centre may have crossed a surface.
-NEAR = 0.5
-# The box around the middle of a geom in which a way may meet it, over its half sizes: the middle of
-# a mesh is its centre of mass.
-WIDE = 1.5
-# The way in a deep contact after which a surface is looked for, over the smallest half size.
-CREEPS = 0.05
-# The largest number of pairs that are looked at, those of the thinnest geoms.
-MOST = 2000
-# Readings before a passage in which the speed of arrival is looked for: soft contact slows it down.
-ARRIVES = 10
-# A step should be this share of half of both thicknesses at most, or one of these parts of dt.
-SHORT, PARTS = 0.5, (1, 2, 4)
 
 
 class Passage(NamedTuple):
     """A geom that passed through another one.
 
-    mover, wall: the geoms. pair: their index. speed: along the normal of the surface [m/s].
+    mover, wall: the geoms. pair: their index. speed: with which it arrived [m/s].
     room: half of both thicknesses [m]. time: [s].
     """
 
@@ -58,161 +47,95 @@ class Passage(NamedTuple):
 def passages(run: Recording) -> list[Passage]:
     """Return the geoms that passed through others, in order of time; the smaller of two passed."""
     model, features = run.model, run.model.scene.features
-    watched = model.npair and features.contact and features.constraint and not model.is_heap
-    found = _Crossings(run).found if watched and len(run) > 1 else {}
-    passed = {}
-    for both in sorted(found, key=lambda both: run.sizes.reach[both[0]], reverse=True):
-        same = (np.sort(model.pair_geoms, axis=1) == np.sort(both)).all(axis=1)
-        pair = int(np.flatnonzero(same)[0])
-        passed[pair] = Passage(*both, pair, *found[both])
-    return sorted(passed.values(), key=lambda entry: entry.time)
+    if not (model.npair and features.contact and features.constraint) or model.is_heap:
+        return []
+    passed = (_passage(run, *near) for near in _near(run))
+    return sorted((at for at in passed if at is not None), key=lambda at: at.time)
 
 
-class _Crossings:
-    """The crossings of surfaces in a run.
-
-    found: how a geom passed another one: the speed, half of both thicknesses, and the time.
-    """
-
-    def __init__(self, run: Recording) -> None:
-        model, self.run = run.model, run
-        self.found: dict[tuple[int, int], tuple[float, float, float]] = {}
-        # The place of entry and the outward normal there, in the other geom's frame.
-        self.inside: dict[int, tuple[Floats, Floats, tuple[float, float, float]]] = {}
-        self.thick = np.array(run.sizes.thick)
-        self.centres, self.axes = run.geoms
-        # The other geom bounds where a centre can enter it. A plane is left by nothing below it.
-        geoms = np.concatenate([model.pair_geoms, model.pair_geoms[:, ::-1]])
-        flat = np.array([kind == "plane" for kind in model.geom_type], bool)
-        able = geoms[np.isfinite(self.thick[geoms[:, 0]]) & ~flat[geoms[:, 1]]]
-        # Geoms of one tree are kept on their sides by its joints.
-        tree = np.array([model.root(int(body)) for body in model.geom_body])[able]
-        able = able[tree[:, 0] != tree[:, 1]]
-        able = able[np.argsort(self.thick[able].sum(axis=1), kind="stable")[:MOST]]
-        self.mover, self.other = able.T
-        if not len(able):
-            return
-        self.index = {(a, b): k for k, (a, b) in enumerate(able.tolist())}
-        touching, deep = self._touching()
-        ways = self._ways(deep)
-        last: dict[int, int] = {}
-        for reading in range(1, len(run)):
-            for k in [k for k in self.inside if (k, reading) not in touching]:
-                self._leave(k, reading)
-            # In a deep contact, after a way of the centre that is worth a ray.
-            last = {k: last.get(k, reading - 1) for k in deep[reading]}
-            for k, since in last.items():
-                way = self._seen(k, reading) - self._seen(k, since)
-                if float(way @ way) > (CREEPS * float(self.thick[self.mover[k]])) ** 2:
-                    last[k] = reading
-                    self._meet(k, since, reading)
-            for k in ways[reading]:
-                self._meet(k, reading - 1, reading)
-
-    def _touching(self) -> tuple[set[tuple[int, int]], dict[int, list[int]]]:
-        """Return the pairs and readings of contacts, and by reading the pairs that are deep."""
-        touching, deepest = set[tuple[int, int]](), defaultdict[int, dict[int, bool]](dict)
-        for pair, reading, depth in self.run.contacts.overlaps:
-            a, b = self.run.model.pair_geoms[pair].tolist()
-            far = depth > NEAR * float(min(self.thick[a], self.thick[b]))
-            for k in (self.index.get((a, b)), self.index.get((b, a))):
-                if k is not None:
-                    touching.add((k, reading))
-                    deepest[reading][k] = deepest[reading].get(k, False) or far
-        deep = {r: [k for k, far in found.items() if far] for r, found in deepest.items()}
-        return touching, defaultdict(list, deep)
-
-    def _ways(self, deep: dict[int, list[int]]) -> dict[int, list[int]]:
-        """Return by reading the pairs whose centre may have crossed a surface on its way to it."""
-        mover, other, centres, axes = self.mover, self.other, self.centres, self.axes
-        least = NEAR * self.thick[mover]
-        moved = np.linalg.norm(np.diff(centres, axis=0), axis=2)
-        turned = np.linalg.norm(np.diff(axes, axis=0), axis=(2, 3))
-        found = defaultdict[int, list[int]](list)
-        box = WIDE * np.array(self.run.sizes.halves)[other] + self.thick[mover, None]
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            for reading in range(1, len(centres)):
-                # A bound of the ways, by which most pairs are left out.
-                before, now = centres[reading - 1], centres[reading]
-                far = moved[reading - 1][mover] + moved[reading - 1][other]
-                reach = np.linalg.norm(before[mover] - before[other], axis=1)
-                fast = far + turned[reading - 1][other] * reach > least
-                fast[deep[reading]] = False
-                some = np.flatnonzero(fast)
-                if not len(some):
-                    continue
-                a, b = mover[some], other[some]
-                start = np.einsum("nji,nj->ni", axes[reading - 1][b], before[a] - before[b])
-                way = np.einsum("nji,nj->ni", axes[reading][b], now[a] - now[b]) - start
-                ends = (-box[some] - start) / way, (box[some] - start) / way
-                enters, leaves = np.minimum(*ends).max(axis=1), np.maximum(*ends).min(axis=1)
-                meets = (enters <= leaves) & (leaves >= 0) & (enters <= 1)
-                meets &= np.sum(way * way, axis=1) > least[some] ** 2
-                found[reading] = some[meets].tolist()
-        return found
-
-    def _seen(self, k: int, reading: int) -> Floats:
-        """Return the centre of the moving geom in the other geom's frame."""
-        turn, centres = self.axes[reading, self.other[k]], self.centres[reading]
-        seen: Floats = turn.T @ (centres[self.mover[k]] - centres[self.other[k]])
-        return seen
-
-    def _meet(self, k: int, since: int, reading: int) -> None:
-        """Keep where a centre enters the other geom on its way since a reading."""
-        geom, other = int(self.mover[k]), int(self.other[k])
-        sim, turn = self.run.at(reading), self.axes[reading, other]
-        start = self.centres[reading, other] + turn @ self._seen(k, since)
-        way = self.centres[reading, geom] - start
-        body = int(self.run.model.geom_body[geom])
-        hit = sim.ray(start, way, exclude=body)
-        closing = -float(hit.normal @ way)
-        if int(hit.geom) != other or closing <= 0 or hit.distance > 1:
-            return
-        at = start + float(hit.distance) * way
-        # From within the ray hits the other side; a way through a corner is short.
-        beyond = float(sim.ray(at + 1e-9 * way, way, exclude=body).distance)
-        room = float(self.thick[geom] + max(beyond * closing / 2, self.thick[other]))
-        normal, entry = turn.T @ hit.normal, turn.T @ (at - self.centres[reading, other])
-        first = max(0, since - ARRIVES)
-        places = np.array([self._seen(k, r) for r in range(first, reading + 1)])
-        fastest = float((-np.diff(places @ normal)).max()) / self.run.spacing
-        if (geom, other) not in self.found:
-            when = fastest, room, float(self.run.times[reading])
-            self.inside.setdefault(k, (entry, normal, when))
-
-    def _leave(self, k: int, reading: int) -> None:
-        """Keep the passage of a centre beyond the other's middle, where the contact has ended."""
-        entry, normal, crossing = self.inside.pop(k)
-        thick = float(self.thick[self.mover[k]])
-        if float(normal @ (entry - self._seen(k, reading))) > crossing[1] - thick:
-            self.found[int(self.mover[k]), int(self.other[k])] = crossing
+def _near(run: Recording) -> list[tuple[int, int, int]]:
+    """Return the geoms that come near each other: the smaller one, the other, and their pair."""
+    model, reach, pair = run.model, np.array(run.sizes.reach), np.arange(run.model.npair)
+    first, second = model.pair_geoms.T
+    swap = reach[first] > reach[second]
+    mover, wall = np.where(swap, second, first), np.where(swap, first, second)
+    # A plane is left by nothing below it. Geoms of one tree are kept on their sides by its joints.
+    flat = np.array([kind == "plane" for kind in model.geom_type], bool)
+    roots = run.roots[model.geom_body]
+    able = np.isfinite(reach[mover]) & ~flat[wall] & (roots[mover] != roots[wall])
+    mover, wall, pair = mover[able], wall[able], pair[able]
+    centres, nearest = run.geoms[0], np.full(len(pair), np.inf)
+    before = centres[0, mover] - centres[0, wall]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for places in centres[1:]:
+            now = places[mover] - places[wall]
+            way = np.linalg.norm(now - before, axis=1)
+            nearest, before = np.minimum(nearest, np.linalg.norm(now, axis=1) - way), now
+    near = nearest < reach[wall]
+    return list(zip(*(values[near].tolist() for values in (mover, wall, pair)), strict=True))
 
 
-def tunnelling_findings(run: Recording, passed: list[Passage]) -> Iterator[Finding]:
-    """Yield a finding on what passed; passed: what `passages` returns."""
+def _passage(run: Recording, mover: int, wall: int, pair: int) -> Passage | None:
+    """Return how a geom passed through another one; None if it did not."""
+    centres, axes = run.geoms
+    seen = np.einsum("nji,nj->ni", axes[:, wall], centres[:, mover] - centres[:, wall])
+    halves = np.array(run.sizes.halves[wall])
+    outside = np.flatnonzero((np.abs(seen) > halves).any(axis=1))
+    for first, last in zip(outside[:-1].tolist(), outside[1:].tolist(), strict=True):
+        # By which face it enters: that which a straight way crosses last.
+        way = seen[first + 1] - seen[first]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            faces = np.stack([-halves - seen[first], halves - seen[first]]) / way
+        enters, leaves = faces.min(axis=0), faces.max(axis=0).min()
+        axis, side = int(enters.argmax()), float(np.sign(seen[first, enters.argmax()]))
+        meets = 0 <= enters[axis] <= min(leaves, 1.0)
+        # A way that ends on the same side of the middle has not passed.
+        if not meets or side * seen[last, axis] > 0:
+            continue
+        if _hits(run, mover, wall, seen[[first, last]], last):
+            # Soft contact slows it down.
+            arrival = -side * np.diff(seen[max(0, first - FEWEST) : first + 2, axis])
+            fast, room = arrival.max() / run.spacing, run.sizes.thick[mover] + halves[axis]
+            time = float(run.times[first + 1])
+            return Passage(mover, wall, pair, float(fast), float(room), time)
+    return None
+
+
+def _hits(run: Recording, mover: int, wall: int, ends: Floats, reading: int) -> bool:
+    """Return whether a way, seen from the wall, meets it first."""
+    turn, origin = run.geoms[1][reading, wall], run.geoms[0][reading, wall]
+    start, end = origin + ends @ turn.T
+    body = int(run.model.geom_body[mover])
+    hit = run.at(reading).ray(start, end - start, exclude=body)
+    return int(hit.geom) == wall and bool(hit.distance <= 1)
+
+
+def tunnelling_findings(run: Recording) -> Iterator[Finding]:
+    """Yield a finding on what passed."""
+    passed = passages(run)
+    run.passed = frozenset(at.mover for at in passed)
     if not passed:
         return
     model, first, dt = run.model, passed[0], run.model.settings.dt
     movers = named(model, "geom", [entry.mover for entry in passed])
-    wall = model.element_name("geom", first.wall)
-    also = others([of.name for of in movers[1:]], "geoms")
-    verb = "pass" if also else "passes"
+    wall, also = model.element_name("geom", first.wall), others(movers[1:], "geom")
     problem = (
-        f"{movers[0].name}{also} {verb} through {wall} at {seconds(first.time)}: "
-        f"it arrives at {speed(first.speed)}, {metres(first.speed * dt)} in a step, and "
-        f"half of both thicknesses is {metres(first.room)}"
+        f"{movers[0].name}{also} {'pass' if also else 'passes'} through {wall} at "
+        f"{seconds(first.time)}: it arrives at {speed(first.speed)}, "
+        f"{metres(first.speed * dt)} in a step, and half of both thicknesses is "
+        f"{metres(first.room)}"
     )
     contacts = named(model, "contact", [entry.pair for entry in passed])
     fast = max(passed, key=lambda entry: entry.speed / entry.room)
-    most = min(dt / 2, SHORT * fast.room / fast.speed)
+    # A step should go half of both thicknesses at most.
+    most = min(dt / 2, HALF * fast.room / fast.speed)
     steps = list(dict.fromkeys(finer(model.settings, most / part) for part in PARTS))
-    shorter = tuple(Cure(f"a dt of {seconds(step)}", Change(dt=step)) for step in steps)
     # A geom's contacts with all that it can touch, because another wall is next.
     ids = {entry.mover for entry in passed}
     touching = np.flatnonzero(np.isin(model.pair_geoms, list(ids)).any(axis=1)).tolist()
-    hard = tuple(map(functools.partial(hardest, model, touching), dict.fromkeys((dt, *steps))))
+    hard = tuple(hardest(model, touching, step) for step in dict.fromkeys((dt, *steps)))
     remedy = Remedy(
-        (shorter, hard),
+        (shorter(steps), hard),
         lambda other: float(len(passages(other))),
         0.0,
         lambda count: f"{count:g} that pass" if count else "none that passes",

@@ -1,0 +1,546 @@
+"""What a scene shows as it is described: units, masses, ranges, keyframes and gains."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepcore.engine.actuator import Actuator, actuators
+from stepcore.engine.arrays import Floats
+from stepcore.engine.coordinates import Coordinates
+from stepcore.engine.element import Element
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.engine.start import Start
+from stepcore.experiment.horizon import STEPS
+from stepcore.experiment.schedule import HORIZON
+from stepcore.experiment.sizes import Sizes
+from stepcore.measure.monitors.finding import (
+    DEEP,
+    FEW,
+    HALF,
+    PLOT,
+    SEEN,
+    Finding,
+    Next,
+    listed,
+    named,
+    worst,
+)
+from stepcore.measure.monitors.joints import (
+    coordinate,
+    length_of,
+    limit_remedy,
+    strength,
+    unit_of,
+    width_of,
+)
+from stepcore.measure.monitors.recording import Recording, followed
+from stepcore.measure.monitors.soft_rows import yielding
+from stepcore.report.units import hertz, metres, rounded, seconds, times
+from stepcore.scene.elements import Geom
+from stepcore.scene.layout import Layout
+
+# Size of moving geoms above which millimetres are likely [m]; boxes.xml has 56 m.
+LARGE = 10.0
+# Inertia below which units are too large [kg·m²]: ten times MuJoCo's mjMINVAL. A worm of 2e-15
+# fails there with a rank-deficient Hessian, one of 2e-13 trains well (MuJoCo's issue 1086).
+TINY = 1e-14
+# Densities [kg/m³] outside of which nothing is solid: below that of air, and above that of osmium.
+SOLID = (1.0, 25_000.0)
+# The radius of gyration that no body has, relative to its reach: dm_control's arm.xml has 5.5.
+TOO_FAR = 3.0
+# A keyframe is written on purpose: only the rounding of its numbers may be outside, relative to the
+# range. kitchen_env_model.xml has 0.19 %.
+KEYED = 1e-3
+LIST = (Next("plan", "every body, geom and row that a step computes", ("--all",)),)
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """A scene, the start of its motion and the controls at it; key: of the start's keyframe."""
+
+    model: Model
+    start: Start
+    ctrl: Floats
+    key: int | None = None
+
+    @functools.cached_property
+    def layout(self) -> Layout:
+        return Layout(self.model.scene)
+
+    @functools.cached_property
+    def moving(self) -> list[int]:
+        """The bodies that can move."""
+        return Coordinates(self.model).moving
+
+    @functools.cached_property
+    def sizes(self) -> Sizes:
+        return Sizes(self.model)
+
+    @functools.cached_property
+    def drives(self) -> list[Actuator]:
+        """The actuators that drive one joint without delay."""
+        acts = self.model.scene.features.actuation
+        return [of for of in actuators(self.model) if of.direct] if acts else []
+
+    @property
+    def keys(self) -> list[tuple[str, Floats, Floats]]:
+        """The keyframes: name, positions and controls."""
+        frames = enumerate(self.model.keys)
+        return [(f"Keyframe `{frame.name or k}`", frame.qpos, frame.ctrl) for k, frame in frames]
+
+    def geoms(self, body: int, heavy: bool = False) -> dict[int, Geom]:
+        """Return a body's geoms by index; heavy: only those that give it mass."""
+        low, high = self.model.scene.mass_rules.inertiagrouprange
+        mine = np.flatnonzero(self.model.geom_body == body).tolist()
+        every = {index: self.layout.geoms[index] for index in mine}
+        if not heavy:
+            return every
+        return {
+            index: geom
+            for index, geom in every.items()
+            if geom.mass != 0 and (geom.mass or geom.density) > 0 and low <= geom.group <= high
+        }
+
+
+def described(scene: Described) -> Iterator[Finding]:
+    """Yield the findings of a scene as it is described."""
+    for find in FINDINGS:
+        if scene.model.scene.features.limit or find not in OF_LIMITS:
+            yield from find(scene)
+
+
+# Units.
+
+
+def _lengths(scene: Described) -> Iterator[Finding]:
+    """Yield a scene whose lengths look like millimetres."""
+    model = scene.model
+    on_moving = np.isin(model.geom_body, scene.moving) & np.isfinite(scene.sizes.reach)
+    gravity = float(np.linalg.norm(model.scene.gravity)) if model.scene.features.gravity else 0.0
+    # Of the Moon, of Jupiter: lengths are not scaled together with gravity.
+    if not on_moving.any() or not 1 < gravity < 50:
+        return
+    typical = float(np.median(np.array(scene.sizes.reach)[on_moving]))
+    if typical >= LARGE:
+        problem = (
+            f"Half of the geoms that move are larger than {metres(typical)}, under a gravity of "
+            f"{gravity:.3g} m/s², so sizes and positions look like mm"
+        )
+        cure = (
+            "divide lengths by 1000 (masses that come from density fall by 1e9), or check that the "
+            "scene is meant to be so large"
+        )
+        yield Finding("units", "error", problem, cure, (), typical, "m", LIST)
+
+
+def _tiny(scene: Described) -> Iterator[Finding]:
+    """Yield bodies whose inertia is lost in rounding, or refused by MuJoCo."""
+    model = scene.model
+    least = {
+        body: float(np.linalg.eigvalsh(np.asarray(model.body_inertia[body]))[0])
+        for body in scene.moving
+        if model.body_mass[body] > 0
+    }
+    tiny = worst((b for b in least if least[b] > 0), lambda body: TINY / least[body])
+    if tiny:
+        bodies, value = named(model, "body", tiny), least[tiny[0]]
+        problem = (
+            f"{listed(bodies, 'body')} has an inertia of {value:.2g} kg·m²; MuJoCo refuses less "
+            "than 1e-15, and its solver loses rank near that"
+        )
+        cure = (
+            "write lengths in mm and masses in g, with gravity and lengths × 1e3, masses × 1e3, "
+            "and gains, stiffness, damping and torques of hinges × 1e9"
+        )
+        yield Finding("units", "warning", problem, cure, bodies, value, "kg·m²", LIST)
+
+
+def _angles(scene: Described) -> Iterator[Finding]:
+    """Yield hinge ranges that look like radians read as degrees."""
+    model = scene.model
+    if not model.scene.features.limit:
+        return
+    finite = np.isfinite(model.jnt_range).all(axis=1)
+    joints = [k for k, kind in enumerate(model.jnt_type) if kind == "hinge" and finite[k]]
+    ranges = np.degrees(model.jnt_range[joints])
+    most = float(np.abs(ranges).max(initial=0.0))
+    # At most one turn of 2π, and seldom less than a half.
+    if HALF <= most <= 2 * math.pi * (1 + SEEN):
+        hinges, (low, high) = named(model, "joint", joints), ranges[0]
+        problem = (
+            f"the range of {listed(hinges, 'joint')} is {low:.4g} to {high:.4g} degrees, as if "
+            "radians were meant"
+        )
+        cure = 'write <compiler angle="radian"/>'
+        yield Finding("units", "warning", problem, cure, hinges, most, "deg", LIST)
+
+
+def _degrees(scene: Described) -> Iterator[Finding]:
+    """Yield servos whose control range is the joint's range in degrees; MuJoCo keeps degrees."""
+    model, wrong = scene.model, []
+    for of in actuators(model):
+        if of.holds and of.joint is not None and model.jnt_type[of.joint] == "hinge":
+            limit = float(np.degrees(np.abs(model.jnt_range[of.joint]).max()))
+            most = float(np.abs(model.actuator_ctrlrange[of.index]).max())
+            if math.isfinite(limit) and abs(most - limit) < DEEP * limit:
+                wrong.append(of.index)
+    if wrong:
+        servos, (low, high) = named(model, "actuator", wrong), model.actuator_ctrlrange[wrong[0]]
+        problem = (
+            f"the ctrlrange of {listed(servos, 'servo')} is {low:.4g} to {high:.4g} rad, its "
+            "joint's range in degrees"
+        )
+        cure = (
+            "control ranges are in radians whatever the compiler's angle; multiply degrees by π/180"
+        )
+        value = float(max(abs(low), abs(high)))
+        yield Finding("units", "error", problem, cure, servos, value, "rad", LIST)
+
+
+# Masses.
+
+
+def volume(model: Model, geom: Geom, index: int) -> float:
+    """Return the volume of a geom [m³]; a mesh's hull counts; inf for planes and height fields."""
+    if geom.type == "mesh":
+        vertices, triangles = model.geom_hull(index)
+        if not len(triangles):
+            return math.inf
+        # A closed surface is a sum of tetrahedra.
+        a, b, c = np.moveaxis(vertices[triangles] - vertices[0], 1, 0)
+        return float(np.sum(a * np.cross(b, c))) / 6
+    a, b, c = geom.size if geom.type != "hfield" else (math.inf,) * 3
+    ball = 4 / 3 * math.pi
+    return {
+        "sphere": ball * a**3,
+        "capsule": ball * a**3 + 2 * b * math.pi * a**2,
+        "ellipsoid": ball * a * b * c,
+        "cylinder": 2 * b * math.pi * a**2,
+        "box": 8 * a * b * c,
+    }.get(geom.type, math.inf)
+
+
+def _densities(scene: Described) -> Iterator[Finding]:
+    """Yield bodies whose geoms give them an implausible density."""
+    model, density = scene.model, dict[int, float]()
+    for body in scene.moving:
+        given = scene.layout.bodies[body].mass is not None
+        if given and not model.scene.mass_rules.inertiafromgeom:
+            continue
+        geoms = scene.geoms(body, heavy=True)
+        filled = sum(volume(model, geom, index) for index, geom in geoms.items())
+        hollow = any(geom.shellinertia for geom in geoms.values())
+        if filled and math.isfinite(filled) and not hollow:
+            density[body] = float(model.body_mass[body]) / filled
+    massive = {body: value for body, value in density.items() if value}
+    dense = worst(massive, lambda body: density[body] / SOLID[1])
+    light = worst(massive, lambda body: SOLID[0] / density[body])
+    for wrong, than in ((dense, "{} the density of water"), (light, "lighter than air")):
+        if wrong:
+            value, bodies = density[wrong[0]], named(model, "body", wrong)
+            # Of water, 1000 kg/m³.
+            than = than.format(times(value / 1000))
+            problem = (
+                f"{listed(bodies, 'body')} has {float(model.body_mass[wrong[0]]):.3g} kg in its "
+                f"geoms, {value:.3g} kg/m³, which is {than}"
+            )
+            cure = "check mass, density and size of its geoms"
+            yield Finding("density", "remark", problem, cure, bodies, value, "kg/m³", LIST)
+
+
+def _inertias(scene: Described) -> Iterator[Finding]:
+    """Yield explicit inertias that do not fit the extent of the body."""
+    model = scene.model
+    # Without the meshes, the extent of a body is unknown.
+    if any("only draws" in line for line in model.scene.ignored):
+        return
+    reach, gyration = dict[int, float](), dict[int, float]()
+    for body in scene.moving:
+        mass, geoms, ipos = float(model.body_mass[body]), scene.geoms(body), model.body_ipos[body]
+        if scene.layout.bodies[body].mass is not None and geoms and mass > 0:
+            reach[body] = max(
+                float(np.linalg.norm(np.asarray(geom.pos) - ipos)) + scene.sizes.reach[index]
+                for index, geom in geoms.items()
+            )
+            trace = float(np.trace(np.asarray(model.body_inertia[body])))
+            gyration[body] = math.sqrt(max(trace, 0.0) / 2 / mass)
+    wrong = worst(reach, lambda body: gyration[body] / (TOO_FAR * reach[body]))
+    if not wrong:
+        return
+    far, near = gyration[wrong[0]], reach[wrong[0]]
+    ball, bodies = 0.4 * float(model.body_mass[wrong[0]]) * near**2, named(model, "body", wrong)
+    problem = (
+        f"the inertia of {listed(bodies, 'body')} belongs to mass {metres(far)} from its "
+        f"centre, but the body reaches only {metres(near)} (a ball of its mass and "
+        f"size has {ball:.2g} kg·m²)"
+    )
+    cure = 'correct its <inertial>, or let it come from the geoms (inertiafromgeom="true")'
+    yield Finding("inertia", "error", problem, cure, bodies, far, "m", LIST)
+
+
+# Starts and keyframes.
+
+
+def _beyond(scene: Described) -> Iterator[Finding]:
+    """Yield joints and tendons that the start or a keyframe places outside of their limits."""
+    model, known = scene.model, set[Element]()
+    sim = Sim(model)
+    states = [(name, qpos, KEYED) for name, qpos, _ in scene.keys]
+    if scene.key is None:
+        # Rest poses are often slightly outside.
+        states.insert(0, ("The start", scene.start.qpos, SEEN))
+    for name, qpos, slack in states:
+        sim.qpos = qpos
+        values = [coordinate(model, qpos[None], joint)[0] for joint in range(model.njnt)]
+        lengths = sim.ten_length.tolist() if model.ntendon else []
+        for kind, each, ranges in (
+            ("joint", values, model.jnt_range),
+            ("tendon", lengths, model.tendon_range),
+        ):
+            finding = _outside(model, kind, np.array(each), ranges, name, slack)
+            # Keyframes of one series are often outside in the same joints.
+            if finding is not None and not known.issuperset(finding.elements):
+                known.update(finding.elements)
+                yield finding
+
+
+def _outside(
+    model: Model, kind: str, values: Floats, ranges: Floats, where: str, slack: float
+) -> Finding | None:
+    """Return those of some joints or tendons that are outside of their ranges."""
+    # Without a limit the range is infinite.
+    limited = [k for k in range(len(values)) if np.isfinite(ranges[k]).all()]
+    over = {k: max(ranges[k][0] - values[k], values[k] - ranges[k][1]) for k in limited}
+    share = {k: float(over[k] / np.ptp(ranges[k])) for k in limited}
+    outside = worst(limited, lambda k: share[k] / slack)
+    if not outside:
+        return None
+    k, keyed, elements = outside[0], slack == KEYED, named(model, kind, outside)
+    value, (low, high) = float(values[k]), ranges[k].tolist()
+    say: Callable[[float], str] = functools.partial(length_of, model, k)
+    unit, at = "m", "at"
+    cure = "correct its qpos" if keyed else "give a keyframe, or correct its ref"
+    cure += f" (the nearest is {low if value < low else high:.4g})"
+    if kind == "joint":
+        unit = unit_of(model, k)
+    else:
+        # The length of a fixed tendon, a sum of joints, has no unit.
+        at, cure = "at a length of", "correct the pose"
+        unit = "" if model.scene.tendons[k].path.fixed else "m"
+        say = metres if unit else "{:.4g}".format
+    beyond = "outside of" if share[k] > 2 * SEEN else f"{say(float(over[k]))} beyond"
+    problem = (
+        f"{where} has {listed(elements, kind)} {at} {say(value)}, {beyond} its range "
+        f"of {say(low)} to {say(high)}, whose limit throws it back"
+    )
+    severity = "error" if keyed else "warning"
+    severity = severity if share[k] > 2 * SEEN else "remark"
+    cure = f"{cure}, or widen the range"
+    return Finding("outside a limit", severity, problem, cure, elements, value, unit)
+
+
+def _clamped(scene: Described) -> Iterator[Finding]:
+    """Yield controls of keyframes that will be clamped."""
+    model, (low, high) = scene.model, scene.model.actuator_ctrlrange.T
+    for name, _, ctrl in scene.keys if model.nu and model.scene.features.clampctrl else ():
+        over = np.maximum(low - ctrl, ctrl - high) / (1e-9 * np.maximum(1.0, np.abs(ctrl)))
+        outside = worst(range(model.nu), over.__getitem__)
+        if outside:
+            k, elements = outside[0], named(model, "actuator", outside)
+            problem = (
+                f"{name} has a control of {ctrl[k]:.4g} for {listed(elements, 'actuator')}, "
+                f"clamped to its ctrlrange of {low[k]:.4g} to {high[k]:.4g}"
+            )
+            cure, value = "correct its ctrl, or widen the ctrlrange", float(ctrl[k])
+            yield Finding("clamped control", "warning", problem, cure, elements, value, "", PLOT)
+
+
+def _asked_beyond(scene: Described) -> Iterator[Finding]:
+    """Yield servos that a keyframe asks for a position beyond the range of their joint."""
+    model = scene.model
+    limited = np.isfinite(model.jnt_range).all(axis=1)
+    servos = {of.index: of for of in scene.drives if of.holds and limited[of.joint]}
+    for name, _, ctrl in scene.keys:
+        asked, over = dict[int, float](), dict[int, float]()
+        for k, of in servos.items():
+            low, high = model.jnt_range[of.joint].tolist()
+            asked[k] = float(of.target(np.clip(ctrl[k], *of.ctrlrange))) / of.gear
+            over[k] = max(low - asked[k], asked[k] - high) / (SEEN * (high - low))
+        beyond = worst(over, over.__getitem__)
+        if not beyond:
+            continue
+        k, joint, elements = beyond[0], servos[beyond[0]].joint, named(model, "actuator", beyond)
+        assert joint is not None
+        say, (low, high) = functools.partial(length_of, model, joint), model.jnt_range[joint]
+        problem = (
+            f"{name} asks {listed(elements, 'servo')} for {say(asked[k])}, beyond the range of "
+            f"{model.element_name('joint', joint)} ({say(low)} to {say(high)}), so it presses on "
+            "the limit"
+        )
+        cure, unit = "correct its ctrl, unless it is meant to press", unit_of(model, joint)
+        what = "control beyond a limit", "remark", problem, cure, elements, asked[k], unit
+        yield Finding(*what)
+
+
+# Actuators.
+
+
+def _overpowered(scene: Described) -> Iterator[Finding]:
+    """Yield actuators that can push their joint far beyond its limit.
+
+    The excess is the closed form of a soft row under the actuator's largest outward force. Gravity
+    and other actuators are left out.
+    """
+    model, settings = scene.model, scene.model.settings
+    beyond, force = dict[int, float](), dict[int, float]()
+    drives = {of.index: of for of in scene.drives} if settings.law == "solref" else {}
+    for k, of in drives.items():
+        assert of.joint is not None
+        force[k], _, _ = _outward(model, of)
+        if 0 < force[k] / of.inertia < math.inf:
+            joint, dt = scene.layout.joints[of.joint], settings.dt * settings.refsafe
+            row = joint.solreflimit, joint.solimplimit
+            beyond[k] = yielding(*row, force[k] / of.inertia, dt)
+    strong = worst(beyond, lambda k: beyond[k] / (FEW * width_of(model, drives[k].joint or 0)))
+    if not strong:
+        return
+    k, of = strong[0], drives[strong[0]]
+    assert of.joint is not None
+    elements = named(model, "actuator", strong)
+    problem = (
+        f"{listed(elements, 'actuator')} can push {model.element_name('joint', of.joint)} "
+        f"{length_of(model, of.joint, beyond[k])} beyond its range with "
+        f"{strength(model, k, force[k])}"
+    )
+    cure = f"a smaller {'forcerange' if of.holds else 'ctrlrange'} of {elements[0].name}"
+    limits, unit = named(model, "limit", [of.joint]), unit_of(model, of.joint)
+
+    def again(other: Model) -> Recording:
+        """Run the actuator as it pushes its joint beyond the end of its range."""
+        _, end, control = _outward(other, actuators(other)[k])
+        qpos, ctrl = np.array(scene.start.qpos), np.zeros((1, 1, other.nu))
+        # A control without a range is asked for more than any force range.
+        qpos[of.qposadr], ctrl[0, 0, k] = end, np.clip(control, -1e6, 1e6)
+        steps = max(1, min(round(HORIZON / other.settings.dt), STEPS))
+        return followed(other, dataclasses.replace(scene.start, qpos=qpos), steps, ctrl=ctrl)
+
+    remedy = dataclasses.replace(limit_remedy(model, of.joint, beyond[k]), again=again)
+    yield Finding("limit", "warning", problem, cure, limits, beyond[k], unit, PLOT, remedy=remedy)
+
+
+def _outward(model: Model, of: Actuator) -> tuple[float, float, float]:
+    """Return an actuator's largest force outwards of its joint's range, the end, and the control.
+
+    The force is 0 where nothing bounds it: a servo without a control range is not meant to push.
+    """
+    controls, ends = of.ctrlrange, model.jnt_range[of.joint].tolist()
+    if not np.isfinite(controls).all():
+        controls = -np.inf, np.inf
+        if of.holds or not np.isfinite(of.forcerange).all():
+            ends = []
+    each = [
+        (sign * of.gear * float(np.clip(of.force(u, of.gear * end), *of.forcerange)), end, u)
+        for sign, end in zip((-1.0, 1.0), ends, strict=False)
+        for u in controls
+        if math.isfinite(end)
+    ]
+    return max([(0.0, 0.0, 0.0), *each])
+
+
+def _saturated(scene: Described) -> Iterator[Finding]:
+    """Yield servos whose wanted force exceeds their force range at the start."""
+    model, start, asked = scene.model, scene.start, dict[int, tuple[float, float]]()
+    for of in scene.drives:
+        if of.holds:
+            length, speed = (of.gear * x for x in (start.qpos[of.qposadr], start.qvel[of.dof]))
+            force = of.force(float(np.clip(scene.ctrl[of.index], *of.ctrlrange)), length, speed)
+            asked[of.index] = float(force), of.forcerange[int(force > 0)]
+    full = worst(asked, lambda k: abs(asked[k][0]) / max((1 + SEEN) * abs(asked[k][1]), 1e-300))
+    if full:
+        force, end = asked[full[0]]
+        servos = named(model, "actuator", full)
+        problem = (
+            f"{listed(servos, 'servo')} asks for {strength(model, full[0], force)} at the start "
+            f"and has {strength(model, full[0], end)}, so it is saturated and kv has no effect"
+        )
+        cure = "start with a control that matches the pose (the keyframe's ctrl), or widen its "
+        cure += "forcerange"
+        yield Finding("saturation", "warning", problem, cure, servos, force, commands=PLOT)
+
+
+def _without_armature(scene: Described) -> Iterator[Finding]:
+    """Yield servos that are stiff relative to the inertia that their joint moves."""
+    model, dt = scene.model, scene.model.settings.dt
+
+    def least(of: Actuator) -> float:
+        """The inertia at which ω dt is a half and a damping rate × dt is 1."""
+        return max(of.stiffness * (dt / HALF) ** 2, of.damping * dt)
+
+    bare = (
+        of
+        for of in scene.drives
+        if not scene.layout.joints[of.joint or 0].armature > 0
+        and not model.scene.actuators[of.index].armature > 0
+    )
+    stiff = worst(bare, lambda of: math.sqrt(max(0.0, least(of)) / of.inertia))
+    if not stiff:
+        return
+    of, servos = stiff[0], named(model, "actuator", [drive.index for drive in stiff])
+    assert of.joint is not None
+    omega = math.sqrt(max(of.stiffness, 0.0) / of.inertia)
+    gain, rate = f"kv {of.damping:.3g}", f"a damping rate of {of.damping / of.inertia:.3g}/s"
+    if omega * dt > HALF:
+        gain, rate = f"kp {of.stiffness:.3g}", hertz(omega)
+    unit = "kg·m²" if unit_of(model, of.joint) == "rad" else "kg"
+    problem = (
+        f"{listed(servos, 'servo')} has {gain} on a joint without armature that moves "
+        f"{of.inertia:.3g} {unit}, which is {rate} at a dt of {seconds(dt)}"
+    )
+    needed = rounded(least(of) - of.inertia, 2, up=True)
+    cure = (
+        f'armature="{needed:g}" on {model.element_name("joint", of.joint)} makes it slow enough '
+        "(a geared motor has that much), or lower the gains"
+    )
+    yield Finding("armature", "warning", problem, cure, servos, of.inertia, unit)
+
+
+# Tendons.
+
+
+def _unused(scene: Described) -> Iterator[Finding]:
+    """Yield tendons without a force, a limit, an armature or a reference."""
+    of = scene.model.scene
+    used = {id(actuator.tendon) for actuator in of.actuators}
+    used |= {id(end) for tie in of.equalities for end in (tie.tendon1, tie.tendon2)}
+    used |= {id(sensor.object) for sensor in of.sensors}
+    idle = [
+        i
+        for i, tendon in enumerate(of.tendons)
+        if id(tendon) not in used
+        and tendon.range is None
+        and not (tendon.sprung or tendon.damped or tendon.frictionloss or tendon.armature)
+    ]
+    if idle:
+        tendons = named(scene.model, "tendon", idle)
+        verb, its = ("does", "it has") if len(idle) == 1 else ("do", "they have")
+        problem = f"{listed(tendons, 'tendon')} {verb} nothing"
+        cure = (
+            f"{its} no spring, damping, friction loss, armature or limit (a range needs limited or "
+            "autolimits), and no actuator, equality or sensor uses it"
+        )
+        yield Finding("unused tendon", "remark", problem, cure, tendons)
+
+
+# Equally severe ones are told in this order; those of limits only where limits act.
+OF_LIMITS = (_beyond, _asked_beyond, _overpowered)
+FINDINGS = (
+    *(_lengths, _tiny, _angles, _degrees, _densities, _inertias, _beyond, _clamped),
+    *(_asked_beyond, _overpowered, _saturated, _without_armature, _unused),
+)
