@@ -69,14 +69,14 @@ def test_step_reset_and_back(panel):
 def test_sliders_set_controls(panel):
     slider = panel.sliders[2]
     slider.value = 0.75
-    panel._set(2, slider)(BY_HAND)
+    panel._set(2, BY_HAND)
     assert panel.sim.ctrl.tolist() == [0, 0, 0.75, 0, 0, 0]
 
 
 def test_a_keyframe_is_a_start():
     scene = lesson.drop()
     with live.view_sim(sc.Sim(scene), port=PORT) as view, view._panel.lock:
-        view._panel.restart(view._panel._keys()["start"])
+        view._panel.restart(0)
         sim = sc.Sim(scene)
         sim.reset(key="start")
         assert np.array_equal(view._panel.sim.qpos, sim.qpos)
@@ -148,7 +148,7 @@ def test_a_start_begins_the_curves_anew():
         panel.play(False)
         panel.advance(0.1)
         panel.draw()
-        panel.restart(panel._keys()["late"])
+        panel.restart(0)
         assert [instant.time for instant in panel.past] == [5.0] == panel.times
         assert panel.energy.plot.data[0].tolist() == [5.0]
 
@@ -160,8 +160,8 @@ def test_runs_are_gone_through_together():
     with live.view_runs(runs, port=PORT) as view, view._panel.lock:
         panel = view._panel
         panel.play(False)
-        assert "&lt;first&gt;: in its own colours" in panel._legend()
-        assert re.search(r'color:#f2731a">■</span> second', panel._legend())
+        assert "&lt;first&gt;: in its own colours" in panel.legend.content
+        assert re.search(r'color:#f2731a">■</span> second', panel.legend.content)
         panel.now = 0.0
         panel.step()
         assert panel.now == pytest.approx(runs[0].time[1])
@@ -357,8 +357,7 @@ def test_it_says_what_other_machines_type(host, inner, others, capsys):
     except ValueError:
         pytest.skip(f"this machine has no {host}")
     with view:
-        own = re.escape(live._own_address())
-        outer = rf" \(from another machine http://{own}:\d+/{TOKEN}\)" if others else ""
+        outer = rf" \(from another machine http://[^/:]+:\d+/{TOKEN}\)" if others else ""
         assert re.fullmatch(
             rf"stepcore view: http://{inner}:\d+/{TOKEN}{outer}\n", capsys.readouterr().out
         )

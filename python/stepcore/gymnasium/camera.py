@@ -26,15 +26,14 @@ class WorldCamera:
         self._sim: Sim | None = None
         self._renderer: Any = None
         self._drawing: Any = None
-        self._following: Any = None
+        self._camera: Any = None
 
     def draw(self, world: Any, index: int | None = None) -> Picture:
         """Draw a Sim, or one world of a Batch; returns shape (height, width, 3)."""
-        from stepcore.viewing.camera import Following
+        from stepcore.viewing.camera import following, ropes
         from stepcore.viewing.drawing import drawing_of
         from stepcore.viewing.frames import poses_of
-        from stepcore.viewing.marks import ropes
-        from stepcore.viewing.picture import renderer_of
+        from stepcore.viewing.renderers import renderer_of
 
         if self._sim is None:
             self._sim = Sim(world.model)
@@ -44,10 +43,10 @@ class WorldCamera:
             values = world._arrays[name]
             self._sim._arrays[name][...] = values if index is None else values[index]
         instant = poses_of(self._sim)
-        if self._following is None:
-            self._following = Following(self._drawing, instant)
-        camera = self._following.at(instant)
-        picture: Picture = self._renderer.draw(instant, camera, ropes(self._drawing, instant))
+        if self._camera is None:
+            self._camera = following(self._drawing, instant)
+        marks = ropes(self._drawing, instant)
+        picture: Picture = self._renderer.draw(instant, self._camera(instant), marks)
         return picture
 
     def close(self) -> None:

@@ -6,26 +6,73 @@ import math
 import threading
 from abc import ABC, abstractmethod
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from time import monotonic
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from stepcore.engine.snapshots import MOST, RATE
+from stepcore.report.plot.style import TINTS, VIEW
 from stepcore.report.units import metres
-from stepcore.viewing.curves import ENERGY, RED, Curves, Points, energies, residuals
-from stepcore.viewing.drawing import ARROW, TINTS, drawing_of
+from stepcore.viewing.drawing import ARROW, drawing_of
 from stepcore.viewing.frames import Instant, Replayed, distance, instant_of, poses_of
+from stepcore.viewing.needs import need
 from stepcore.viewing.stage import Stage
 
+Points = tuple[NDArray[Any], NDArray[Any]]
+
 SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
-# The states that a live view can go back to, so many a second of motion.
-KEPT, RATE = 3000, 60.0
-# How long steps may keep the page waiting [s].
-LONGEST = 0.2
+# The curves of energy, and what stands before their names.
+ENERGIES = {"kinetic": "", "potential": "Δ ", "total": "Δ "}
+# How long the page waits for steps or for new curves at most [s].
+PAUSE = 0.2
 # A model of more actuators has no slider for the others.
 SLIDERS = 40
+
+
+class Curves:
+    """One plot: a few curves over time.
+
+    names: of the curves, each with its colour. span: the times of the ends of its axis [s]; by
+    default those of what is drawn.
+    """
+
+    def __init__(
+        self,
+        gui: Any,
+        title: str,
+        names: Sequence[tuple[str, str]],
+        span: tuple[float, float] | None = None,
+    ) -> None:
+        uplot = need("viser.uplot", "a view")
+        lines = [uplot.Series(label=name, stroke=colour, width=2) for name, colour in names]
+        axis = uplot.Scale(time=False, **({"auto": True} if span is None else {"range": span}))
+        self.plot = gui.add_uplot(
+            tuple(np.array([0.0]) for _ in range(len(lines) + 1)),
+            (uplot.Series(label="time [s]"), *lines),
+            title=title,
+            scales={"x": axis},
+            aspect=2.0,
+            height=150,
+        )
+        self.sent = 0.0
+
+    def draw(self, made: Callable[[], Points], now: bool = True) -> None:
+        """Draw the curves; without `now` only if they were not drawn lately.
+
+        made: makes the times, and the values of shape (names, times), where they are drawn.
+        """
+        if not (now or monotonic() - self.sent > PAUSE):
+            return
+        time, values = made()
+        self.sent = monotonic()
+        # A plot is some hundred points wide.
+        pick = np.unique(np.linspace(0, len(time) - 1, min(len(time), 1000)).astype(int))
+        self.plot.data = tuple(np.ascontiguousarray(row[pick], float) for row in (time, *values))
 
 
 class Panel(ABC):
@@ -50,35 +97,44 @@ class Panel(ABC):
 
         return locked
 
-    def _shown(self) -> None:
-        """Add the check boxes of the overlays."""
+    def _overlays_and_curves(self, span: tuple[float, float] | None = None) -> None:
+        """Add the check boxes of the overlays, and the plots of energy and residual."""
         with self.gui.add_folder("Shown"):
             for name in ("contacts", "forces"):
                 box = self.gui.add_checkbox(name.capitalize(), True)
-                box.on_update(self._locked(self._switch(name, box)))
+                box.on_update(self._locked(partial(self._switch, name)))
             follow = self.gui.add_checkbox("Follow", False, hint="keep what moves in the picture")
             follow.on_update(self._locked(lambda _: self.stage.follow(follow.value, self.seen)))
             through = self.gui.add_checkbox("See through", False, hint="forces inside bodies too")
             through.on_update(lambda _: self.stage.see_through(through.value))
             if self.stage.hidden:
-                box = self.gui.add_checkbox("All geoms", False)
-                box.on_update(lambda _: self.stage.show_hidden(box.value))
-
-    def _curves(self, span: tuple[float, float] | None = None) -> None:
-        """Add the plots of energy and residual."""
-        self.energy = Curves(self.gui, "energy [J]", ENERGY, span=span)
-        self.residual = Curves(self.gui, "log10 of the residual in m/s", (("log10", RED),), span)
+                hidden = self.gui.add_checkbox("All geoms", False)
+                hidden.on_update(lambda _: self.stage.show_hidden(hidden.value))
+        drawn = [(f"{sign}{name}", VIEW[name]) for name, sign in ENERGIES.items()]
+        self.energy = Curves(self.gui, "energy [J]", drawn, span)
+        drawn = [("log10", VIEW["residual"])]
+        self.residual = Curves(self.gui, "log10 of the residual in m/s", drawn, span)
 
     def _draw_curves(self, instants: Sequence[Instant], now: bool) -> None:
-        self.energy.draw(lambda: energies(instants), now)
-        self.residual.draw(lambda: residuals(instants), now)
+        def energies() -> Points:
+            kinetic, potential = np.array([instant.energy for instant in instants]).T
+            total = kinetic + potential
+            # Potential energy has no zero of its own.
+            return times(), np.array([kinetic, potential - potential[0], total - total[0]])
 
-    def _switch(self, name: str, box: Any) -> Any:
-        def switch(_: Any) -> None:
-            setattr(self.stage, name, box.value)
-            self.draw()
+        def residuals() -> Points:
+            # A residual of zero has a logarithm too.
+            return times(), np.log10([[max(instant.residual, 1e-20) for instant in instants]])
 
-        return switch
+        def times() -> NDArray[Any]:
+            return np.array([instant.time for instant in instants])
+
+        self.energy.draw(energies, now)
+        self.residual.draw(residuals, now)
+
+    def _switch(self, name: str, event: Any) -> None:
+        setattr(self.stage, name, event.target.value)
+        self.draw()
 
     def play(self, on: bool) -> None:
         """Play or pause."""
@@ -142,11 +198,6 @@ def figures_of(instant: Instant) -> list[tuple[str, str]]:
     ]
 
 
-def tint_of(k: int) -> str:
-    """Return the colour of the k-th overlaid run, in the form of a page."""
-    return "#" + "".join(f"{round(255 * c):02x}" for c in TINTS[k % len(TINTS)])
-
-
 class SimPanel(Panel):
     """Runs a copy of a Sim with sliders for its controls, and can go back in time."""
 
@@ -163,7 +214,8 @@ class SimPanel(Panel):
         self.past: list[Instant] = []
         reset = self.gui.add_button("Reset")
         reset.on_click(self._locked(lambda _: self.restart(None)))
-        if keys := self._keys():
+        keys = {name or f"#{k}": k for k, name in enumerate(sim.model.key_names)}
+        if keys:
             key = self.gui.add_dropdown("Keyframe", ("(start)", *keys))
             key.on_update(self._locked(lambda _: self.restart(keys.get(key.value))))
         self.back = self.gui.add_slider(
@@ -171,17 +223,13 @@ class SimPanel(Panel):
         )
         self.back.on_update(self._locked(self._go_back))
         self.sliders = self._controls()
-        self._shown()
-        self._curves()
+        self._overlays_and_curves()
         self.draw()
         self.stage.look([self.instant])
 
     @property
     def seen(self) -> Instant:
         return self.instant
-
-    def _keys(self) -> dict[str, int]:
-        return {name or f"#{k}": k for k, name in enumerate(self.sim.model.key_names)}
 
     def _controls(self) -> list[Any]:
         model, sliders = self.sim.model, []
@@ -196,17 +244,14 @@ class SimPanel(Panel):
                 name = model.called("actuator")[k].replace("`", "")
                 start = min(max(now, low), high)
                 slider = self.gui.add_slider(name, low, high, (high - low) / 1000, start)
-                slider.on_update(self._locked(self._set(k, slider)))
+                slider.on_update(self._locked(partial(self._set, k)))
                 sliders.append(slider)
         return sliders
 
-    def _set(self, k: int, slider: Any) -> Any:
-        def put(event: Any) -> None:
-            # Only a person's hand has a client; values that the view sets have none.
-            if getattr(event, "client_id", None) is not None:
-                self.sim.ctrl[k] = slider.value
-
-        return put
+    def _set(self, k: int, event: Any) -> None:
+        # Only a person's hand has a client; values that the view sets have none.
+        if event.client_id is not None:
+            self.sim.ctrl[k] = self.sliders[k].value
 
     def restart(self, key: int | None) -> None:
         """Begin again, from the start of the view or a keyframe."""
@@ -222,7 +267,7 @@ class SimPanel(Panel):
         self.draw()
 
     def _go_back(self, event: Any) -> None:
-        if getattr(event, "client_id", None) is None:
+        if event.client_id is None:
             return
         self.play(False)
         k = round(self.back.value * (len(self.states) - 1))
@@ -249,7 +294,7 @@ class SimPanel(Panel):
         for _ in range(count):
             self.step()
             # A scene that is slower than its time still answers.
-            if self.failed or monotonic() - begin > LONGEST:
+            if self.failed or monotonic() - begin > PAUSE:
                 self.owed = 0.0
                 return
 
@@ -266,7 +311,7 @@ class SimPanel(Panel):
         if self.sim.time - self.times[-1] >= 1 / RATE - 1e-9:
             self.states.append(self.sim.state())
             self.times.append(self.sim.time)
-            del self.states[:-KEPT], self.times[:-KEPT]
+            del self.states[:-MOST], self.times[:-MOST]
 
     def draw(self) -> None:
         try:
@@ -290,7 +335,7 @@ class SimPanel(Panel):
         if at == len(self.past) or self.past[at].time > now:
             self.past.insert(at, self.instant)
         self._draw_curves(self.past[: at + 1], not self.playing)
-        del self.past[:-KEPT]
+        del self.past[:-MOST]
 
 
 class RunPanel(Panel):
@@ -298,19 +343,24 @@ class RunPanel(Panel):
 
     def __init__(self, server: Any, runs: Sequence[Replayed]) -> None:
         self.runs = runs
-        if len(runs) > 1:
-            server.gui.add_html(self._legend())
+        self.names = names = [run.label or f"run {k + 1}" for k, run in enumerate(runs)]
+        others = [(name, TINTS[k % len(TINTS)]) for k, name in enumerate(names[1:])]
+        if others:
+            lines = [f"{escape(names[0])}: in its own colours"]
+            lines += [f'<span style="color:{tint}">■</span> {escape(n)}' for n, tint in others]
+            style = "margin:0 0.65em;font-size:0.8em"
+            self.legend = server.gui.add_html(f'<div style="{style}">{"<br>".join(lines)}</div>')
         super().__init__(server, Stage(server, [run.drawing for run in runs]))
-        self.gaps = [distance(runs[0], run) for run in runs[1:]]
+        self.gaps = [1000 * distance(runs[0], run) for run in runs[1:]]
         self.times = [run.time for run in runs]
         self.begin, self.end = float(self.times[0][0]), max(float(t[-1]) for t in self.times)
         self.now = self.begin
-        span = max(self.end - self.begin, 1e-9)
-        self.slider = self.gui.add_slider("Time", 0.0, span, span / 5000, 0.0)
+        length = max(self.end - self.begin, 1e-9)
+        self.slider = self.gui.add_slider("Time", 0.0, length, length / 5000, 0.0)
         self.slider.on_update(self._locked(self._go))
-        self.apart = self._distances()
-        self._curves((self.begin, self.end))
-        self._shown()
+        span = self.begin, self.end
+        self.apart = Curves(self.gui, "distance [mm]", others, span) if others else None
+        self._overlays_and_curves(span)
         self.stage.look(runs[0].instants)
         self.draw()
 
@@ -323,25 +373,8 @@ class RunPanel(Panel):
         now = min(self.now, self.end) + 1e-9
         return [max(0, int(np.searchsorted(t, now, side="right")) - 1) for t in self.times]
 
-    def _distances(self) -> Curves | None:
-        """Add the plot of the distances of the other runs from the first."""
-        if not self.gaps:
-            return None
-        names = [(run.label or "the other", tint_of(k)) for k, run in enumerate(self.runs[1:])]
-        return Curves(self.gui, "distance [mm]", names, span=(self.begin, self.end))
-
-    def _legend(self) -> str:
-        """Add the legend of the runs."""
-        first = self.runs[0].label or "run 1"
-        lines = [f"{escape(first)}: in its own colours"]
-        lines += [
-            f'<span style="color:{tint_of(k)}">■</span> {escape(run.label or f"run {k + 2}")}'
-            for k, run in enumerate(self.runs[1:])
-        ]
-        return f'<div style="margin:0 0.65em;font-size:0.8em">{"<br>".join(lines)}</div>'
-
     def _go(self, event: Any) -> None:
-        if getattr(event, "client_id", None) is not None:
+        if event.client_id is not None:
             self.play(False)
             self.now = self.begin + self.slider.value
             self.draw()
@@ -363,19 +396,15 @@ class RunPanel(Panel):
         instants = [run.instants[k] for run, k in zip(self.runs, at, strict=True)]
         self.stage.show(instants)
         rows = figures_of(instants[0])
-        for run, gap in zip(self.runs[1:], self.gaps, strict=True):
-            apart = float(1000 * gap[at[0]])
+        for name, gap in zip(self.names[1:], self.gaps, strict=True):
             # Where the other run has ended nothing is compared.
-            value = f"{apart:.3g} mm" if np.isfinite(apart) else "–"
-            rows.append((f"distance of {run.label or 'the other'}", value))
+            apart = f"{gap[at[0]]:.3g} mm" if np.isfinite(gap[at[0]]) else "–"
+            rows.append((f"distance of {name}", apart))
         self.say(rows)
         self.slider.value = min(max(0.0, now - self.begin), self.end - self.begin)
         # Curves end where the motion is.
-        until = self.runs[0].instants[: at[0] + 1]
-        self._draw_curves(until, not self.playing)
+        end = at[0] + 1
+        self._draw_curves(self.runs[0].instants[:end], not self.playing)
         if self.apart is not None:
-            self.apart.draw(lambda: self._apart_until(at[0] + 1), not self.playing)
-
-    def _apart_until(self, end: int) -> Points:
-        """Return the distances of the other runs from the first [mm]."""
-        return self.times[0][:end], 1000 * np.array([gap[:end] for gap in self.gaps])
+            gaps = np.array([gap[:end] for gap in self.gaps])
+            self.apart.draw(lambda: (self.times[0][:end], gaps), not self.playing)

@@ -1,4 +1,4 @@
-"""Common parts of all plots: colours, figures, axes, bars, legends and short names."""
+"""The colours of plots, views and pictures; the common parts of all plots."""
 
 from __future__ import annotations
 
@@ -21,11 +21,36 @@ COLOURS = {
 BLUE, GREEN, ORANGE = COLOURS["rk4"], COLOURS["implicitfast"], COLOURS["euler"]
 RED = COLOURS["semi-implicit"]
 GREY = "#666666"
+# What pages, views and pictures draw, on light and on dark grounds.
+VIEW = {
+    "contact": "#F4A300",
+    "force": "#D7263D",
+    "tendon": "#C0392B",
+    "link": "#D1495B",
+    "kinetic": "#E07A1F",
+    "potential": "#2A7DE1",
+    "total": "#7A7F87",
+    "residual": "#D1495B",
+    "fixed": "#8C8C8C",
+    "ground": "#9EA8B3",
+}
+# Bodies of a scene without colours, by their index.
+BODIES = ("#4582B5", "#ED993D", "#59A166", "#B85C80")
+# Runs that are laid over another, which keeps its own colours.
+TINTS = ("#f2731a", "#338cf2", "#994dcc")
+# Behind everything, above and below.
+SKY = ("#EDF2FA", "#D1DEED")
 # Font sizes [points].
 TITLE, TEXT, SMALL = 11, 9, 8
 # Log axes below SHORT decades have ticks at 1, 2 and 5. Axes below NARROW decades have evenly
 # spaced ticks.
 SHORT, NARROW = 2.0, 0.5
+
+
+def rgb(colour: str) -> tuple[float, float, float]:
+    """Return a colour of this table as numbers from 0 to 1."""
+    red, green, blue = (int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))
+    return red, green, blue
 
 
 def new_figure(width: float = 8.0, height: float = 4.8) -> Any:
