@@ -140,7 +140,10 @@ def test_info(capsys):
         (["run", "BALL", "--horizon", "1", "--key", "home"], "home"),
         (["run", "BALL", "--horizon", "1", "--set", "sweps=3"], "nearest"),
         (["run", "BALL", "--horizon", "1", "--set", "sweeps"], "NAME=VALUE"),
-        (["run", "BALL", "--horizon", "1", "--set", "sweeps=few"], "must be 'auto' or a whole number"),
+        (
+            ["run", "BALL", "--horizon", "1", "--set", "sweeps=few"],
+            "must be 'auto' or a whole",
+        ),
         (["run", "BALL", "--horizon", "1", "--set", "refsafe=maybe"], "must be True or False"),
         (["run", "BROKEN", "--horizon", "1"], "broken.xml:1"),
         (["trade", "BALL", "--horizon", "-1"], "horizon"),

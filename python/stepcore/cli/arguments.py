@@ -67,38 +67,48 @@ def _read(parse: Callable[[str], float | None], limit: str) -> Callable[[str], f
 time = _read(time_of, "a time: seconds, 1ms or 20us")
 length = _read(length_of, "a length: metres, 1mm or 2cm")
 
+TYPES = {"int": int, "float": float, "float | None": float}
 LIST = "numbers a,b,c or FIRST:LAST:COUNT on a log scale"
 
 
 def add_options(
     command: argparse.ArgumentParser,
-    options: Mapping[str, Mapping[str, Any]],
+    options: Mapping[str, Any],
     function: Callable[..., Any],
     excluding: Collection[str] = (),
 ) -> None:
-    """Add options that are arguments of a function, with its words and defaults.
+    """Add options that are arguments of a function, with its words, types and defaults.
 
-    options: what argparse is told of each; see `Measurement`. excluding: mutually exclusive ones.
+    options: of each argument the metavar, the choices, or what argparse is told of it; "flags" are
+        the option's names if these differ. excluding: mutually exclusive ones.
     """
     takes, (_, words) = inspect.signature(function).parameters, documented(function)
     alternatives = command.add_mutually_exclusive_group() if excluding else command
     for argument, option in options.items():
-        keywords = {"help": words.get(argument, "").replace("%", "%%").rstrip(".")} | dict(option)
-        flags = keywords.pop("flags", (f"--{argument.replace('_', '-')}",))
-        default = takes[argument].default if argument in takes else None
-        if "action" not in keywords:
-            known = default not in (None, inspect.Parameter.empty)
-            default = keywords.setdefault("default", default if known else None)
-            if known and "default" not in keywords["help"]:
+        if isinstance(option, str):
+            option = {"metavar": option}
+        elif isinstance(option, tuple):
+            option = {"choices": option}
+        own = {"help": words.get(argument, "").replace("%", "%%").rstrip("."), **option}
+        flags = own.pop("flags", (f"--{argument.replace('_', '-')}",))
+        parameter = takes.get(argument, inspect.Parameter(argument, inspect.Parameter.KEYWORD_ONLY))
+        if parameter.annotation == "bool":
+            own["action"] = "store_true"
+        elif own.get("action") == "append":
+            own["help"] += "; may be given several times"
+        elif "action" not in own:
+            known = parameter.default not in (None, parameter.empty)
+            default = own.setdefault("default", parameter.default if known else None)
+            if kind := TYPES.get(parameter.annotation):
+                own["type"] = kind
+            if known and "default" not in own["help"]:
                 number = "g" if isinstance(default, float) else "s"
-                keywords["help"] += f" (default: %(default){number})"
-        elif keywords["action"] == "append":
-            keywords["help"] += "; may be given several times"
-        if keywords.get("metavar") == "LIST":
-            keywords["help"] += f" ({LIST})"
+                own["help"] += f" (default: %(default){number})"
+        if own.get("metavar") == "LIST":
+            own["help"] += f" ({LIST})"
         if flags[0].startswith("-"):
-            keywords["dest"] = argument
-        (alternatives if argument in excluding else command).add_argument(*flags, **keywords)
+            own["dest"] = argument
+        (alternatives if argument in excluding else command).add_argument(*flags, **own)
 
 
 # What a field of `Motion` is, in the first words that its docstring has of it.

@@ -7,7 +7,7 @@ import inspect
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import stepcore
@@ -41,22 +41,20 @@ More = Callable[[argparse.Namespace, Model], Mapping[str, Any]]
 class Measurement:
     """A command that calls the measuring function of the same name.
 
-    example: the arguments of an example.
-    options: what argparse is told of each option, by function argument. Its "help" is what the
-    function's docstring says of the argument; "flags" are the option's names if these differ.
-    excluding: mutually exclusive options. full: the description of --all in the help. warn: whether
-    to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
-    model: the settings of the argument FILE. motion: defaults shown in the help; None for a command
-    without a motion. source: whether the function may read the file itself. more: further arguments
-    of the function. done: what follows a call.
+    example: the arguments of an example. options: see `add_options`. excluding: mutually exclusive
+    options. full: the description of --all in the help. warn: whether to warn of stiffness, as
+    `stepcore.load` does; False if the result reports stiffness in detail. file: of the argument
+    FILE. motion: defaults shown in the help; None for a command without a motion. source: whether
+    the function may read the file itself. more: further arguments of the function. done: what
+    follows a call.
     """
 
     example: str
-    options: Mapping[str, Mapping[str, Any]]
+    options: Mapping[str, Any]
     excluding: tuple[str, ...] = ()
     full: str = "print every row of the tables"
     warn: bool = True
-    model: Mapping[str, Any] | None = None
+    file: Mapping[str, Any] = field(default_factory=dict)
     motion: Mapping[str, Any] | None = None
     source: bool = False
     more: More = lambda args, model: {}
@@ -79,7 +77,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
     """Add the options of a command, with the words and defaults of its function."""
     measurement, function = MEASUREMENTS[name], _function(name)
     takes = inspect.signature(function).parameters
-    add_file(command, **(measurement.model or {}))
+    add_file(command, **measurement.file)
     add_options(command, measurement.options, function, measurement.excluding)
     if measurement.motion is not None:
         module = sys.modules[function.__module__]
@@ -202,16 +200,13 @@ def _log(text: str) -> Any:
     return {name: file for name, _, file in parts} if apart else text
 
 
-LENGTH = {"metavar": "LENGTH"}
-DT = {"type": time, "metavar": "S"}
-COUNT = {"type": int, "metavar": "N"}
-ENGINE = {"choices": ("stepcore", "mujoco")}
+ENGINE = ("stepcore", "mujoco")
 NAMES = {"action": "append", "metavar": "NAME"}
 
 MEASUREMENTS = {
     "check": Measurement(
         "gymnasium:half_cheetah",
-        {"depth": LENGTH},
+        {"depth": "LENGTH"},
         warn=False,
         motion={},
         source=True,
@@ -220,17 +215,12 @@ MEASUREMENTS = {
     "trade": Measurement(
         "gymnasium:half_cheetah --error 1mm --plot trade.png",
         {
-            "error": LENGTH,
-            "budget": {"metavar": "COST"},
-            "further": COUNT,
-            "by": {"choices": ("time", "flops")},
+            **{"error": "LENGTH", "budget": "COST", "further": "N", "by": ("time", "flops")},
             "grid": {
                 "action": "store_true",
                 "help": "try a full grid of settings instead of a search",
             },
-            "effort": {"type": float, "metavar": "OPERATIONS"},
-            "engine": ENGINE,
-            "mujoco": {"action": "store_true"},
+            **{"effort": "OPERATIONS", "engine": ENGINE, "mujoco": {}},
         },
         excluding=("error", "budget"),
         full="print every setting",
@@ -246,7 +236,7 @@ MEASUREMENTS = {
     ),
     "diagnose": Measurement(
         "gymnasium:half_cheetah --dt 0.01",
-        {"dt": DT, "integrators": {"flags": ("--integrator",), **NAMES}},
+        {"dt": "S", "integrators": {"flags": ("--integrator",), **NAMES}},
         full="print every element on its own",
         warn=False,
         motion={},
@@ -255,14 +245,14 @@ MEASUREMENTS = {
         "lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png",
         {
             "path": {"flags": ("path",), "metavar": "VALUE", "nargs": "?"},
-            "values": {"metavar": "LIST"},
-            "dts": {"metavar": "LIST"},
-            "accuracies": {"metavar": "LIST"},
+            "values": "LIST",
+            "dts": "LIST",
+            "accuracies": "LIST",
             "integrators": {"flags": ("--integrator",), **NAMES},
             "deviation": {"flags": ("--deviation", "--error"), "metavar": "E"},
             "engine": ENGINE,
         },
-        model={
+        file={
             "nargs": "?",
             "default": "lesson:spring",
             "words": " (default: lesson:spring; also lesson:stack)",
@@ -273,7 +263,7 @@ MEASUREMENTS = {
     ),
     "converge": Measurement(
         "lesson:stack --plot residual.png",
-        {"states": COUNT, "engine": ENGINE},
+        {"states": "N", "engine": ENGINE},
         full="print every row, all runs of equal work, the residual by sweeps",
         motion={},
         source=True,
@@ -296,7 +286,7 @@ MEASUREMENTS = {
                 "help": "a value to find and its range, such as joint/knee/damping=0.01:2, or "
                 "delay=0:0.05 [s] of the controls",
             },
-            "most": COUNT,
+            "most": "N",
             "save": {"metavar": "OUT.xml", "help": "write the model with the values found as MJCF"},
         },
         more=_logs_and_ranges,
@@ -305,15 +295,8 @@ MEASUREMENTS = {
     "tune": Measurement(
         "arm.xml --bandwidth 5",
         {
-            "bandwidth": {"type": float, "metavar": "HZ"},
-            "settling": DT,
-            "sag": {"type": float, "metavar": "X"},
-            "stiffness": {"type": float, "metavar": "N/M"},
-            "depth": LENGTH,
-            "noise": {"type": float, "metavar": "N"},
-            "servo": NAMES,
-            "geom": NAMES,
-            "dt": DT,
+            **{"bandwidth": "HZ", "settling": "S", "sag": "X", "stiffness": "N/M"},
+            **{"depth": "LENGTH", "noise": "N", "servo": NAMES, "geom": NAMES, "dt": "S"},
         },
         excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),
         warn=False,
@@ -321,15 +304,15 @@ MEASUREMENTS = {
     ),
     "plan": Measurement(
         "gymnasium:half_cheetah --time",
-        {"time": {"action": "store_true"}, "key": {"help": f"{WORDS['key']} (default: the first)"}},
+        {"time": {}, "key": {"help": f"{WORDS['key']} (default: the first)"}},
         full="print every entry, the names of all its elements",
         more=_sim_at_key,
     ),
     "ablate": Measurement(
         "gymnasium:half_cheetah --error 5mm --save small.xml",
         {
-            "added": {"flags": ("--added", "--error"), "default": "1mm", **LENGTH},
-            "further": COUNT,
+            "added": {"flags": ("--added", "--error"), "default": "1mm", "metavar": "LENGTH"},
+            "further": "N",
             "engine": ENGINE,
             "save": {"metavar": "OUT.xml", "help": "write the smallest model as MJCF"},
         },
