@@ -15,8 +15,7 @@ from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.world import compiled
-from stepcore.gymnasium.draws import Draws
-from stepcore.gymnasium.snapshot import Moment, state_vector
+from stepcore.gymnasium.moment import Draws, Moment, state_vector
 from stepcore.reading import load
 from stepcore.scene.scene import Scene
 from stepcore.signatures import F, annotation, keyword, refuse_unknown, spell_out
