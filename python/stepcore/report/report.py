@@ -6,15 +6,17 @@ as JSON.
 
 from __future__ import annotations
 
+import base64
 import html
 import math
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import resources
 
 from stepcore import checks, escapes
-from stepcore.report import page as pages
+from stepcore.report.outputs import MARK
 from stepcore.report.table import Table
 from stepcore.report.terminal import window
 from stepcore.report.units import NAMES, counted
@@ -29,6 +31,23 @@ ITEM = "- "
 FIXED = "\N{NO-BREAK SPACE}"
 CODE = re.compile(r"`([^`]+)`")
 BEFORE_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, NAMES))})(?!\w))")
+
+
+# A result page: the answer, the plot and sortable tables; it needs no other file, no network.
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<meta name="generator" content="{mark}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>{style}</style></head>
+<body><header><h1>{title}</h1><button id="theme" type="button">light / dark</button></header>
+<section id="answer">
+{answer}
+</section>
+{picture}
+{details}
+<script>{script}</script>
+</body></html>
+"""
 
 
 @dataclass(frozen=True)
@@ -77,9 +96,19 @@ class Report:
 
     def page(self, plot: bytes) -> str:
         """Return the report and its plot (SVG) as a self-contained page."""
-        answer = "\n".join(_prose(self.sentences))
-        drawn = pages.picture(plot, self.title)
-        return pages.page(self.title, answer, drawn, self._details())
+        style, script = (
+            resources.files("stepcore.report").joinpath(name).read_text(encoding="utf-8")
+            for name in ("page.css", "page.js")
+        )
+        return PAGE.format(
+            title=html.escape(escapes.printable(self.title)),
+            mark=MARK,
+            style=style,
+            answer="\n".join(_prose(self.sentences)),
+            picture=picture(plot, self.title),
+            details=self._details(),
+            script=script,
+        )
 
     def _details(self) -> str:
         setup = [f"<p>{_marked(text)}</p>" for text in self.setup.splitlines()]
@@ -88,6 +117,14 @@ class Report:
         ]
         notes = [_small(_note(note)) for note in self.notes]
         return "\n".join([*setup, *tables, *notes])
+
+
+def picture(drawn: bytes, title: str) -> str:
+    """Return an SVG drawing as an inline image."""
+    coded = base64.b64encode(drawn).decode("ascii")
+    alt = html.escape(escapes.printable(title), quote=True)
+    style = "max-width: 100%; height: auto"
+    return f'<img alt="{alt}" style="{style}" src="data:image/svg+xml;base64,{coded}"/>'
 
 
 def _notes(notes: Sequence[str], size: int, room: float) -> Iterator[str]:

@@ -42,9 +42,6 @@ TINTS = ("#f2731a", "#338cf2", "#994dcc")
 SKY = ("#EDF2FA", "#D1DEED")
 # Font sizes [points].
 TITLE, TEXT, SMALL = 11, 9, 8
-# Log axes below SHORT decades have ticks at 1, 2 and 5. Axes below NARROW decades have evenly
-# spaced ticks.
-SHORT, NARROW = 2.0, 0.5
 
 
 def rgb(colour: str) -> tuple[float, float, float]:
@@ -96,7 +93,8 @@ def frame(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
 def log_ticks(axis: Any, words: Callable[[float], str] | None = None) -> None:
     """Set the ticks of a log axis so that labels do not collide.
 
-    Short ranges have ticks at 1, 2 and 5, longer ranges at decades.
+    Two decades and more have a tick at each; below there are ticks at 1, 2 and 5, and below half a
+    decade evenly spaced ones.
 
     axis: `axes.xaxis` or `axes.yaxis`, whose limits are set. words: a function that formats a tick.
     """
@@ -104,12 +102,12 @@ def log_ticks(axis: Any, words: Callable[[float], str] | None = None) -> None:
 
     low, high = sorted(axis.get_view_interval())
     decades = math.log10(high / low) if 0 < low < high else 0.0
-    if decades < NARROW:
+    if decades < 0.5:
         axis.set_major_locator(MaxNLocator(4))
     else:
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < SHORT else (1,), numticks=9))
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 2 else (1,), numticks=9))
     axis.set_minor_formatter(NullFormatter())
-    if decades < SHORT:
+    if decades < 2:
         words = words or "{:.3g}".format
     if words is not None:
         axis.set_major_formatter(FuncFormatter(lambda value, _: words(value)))
