@@ -101,15 +101,15 @@ def test_energy_and_residual_are_curves_beside(panel):
     for _ in range(5):
         panel.advance(0.05)
         panel.draw()
-    time, kinetic, potential, total = panel.energy.plot.data
+    time, kinetic, potential, total = panel.energy.data
     assert len(time) == 6 and time[-1] == pytest.approx(panel.sim.time)
     assert kinetic[-1] == pytest.approx(panel.sim.energy.kinetic)
     assert potential[0] == total[0] == 0
-    assert 10 ** panel.residual.plot.data[1][-1] == pytest.approx(max(panel.sim.residual, 1e-20))
+    assert 10 ** panel.residual.data[1][-1] == pytest.approx(max(panel.sim.residual, 1e-20))
     # Curves of a motion that goes on from an earlier time are that motion's.
     panel.back.value = 0.5
     panel._go_back(BY_HAND)
-    time = panel.energy.plot.data[0]
+    time = panel.energy.data[0]
     assert time[-1] == pytest.approx(panel.sim.time) and np.all(np.diff(time) > 0)
 
 
@@ -119,7 +119,7 @@ def test_a_motion_that_is_kept_keeps_its_curves(panel):
     def drag(to):
         panel.back.value = to
         panel._go_back(BY_HAND)
-        return panel.energy.plot.data
+        return panel.energy.data
 
     for _ in range(40):
         panel.advance(0.05)
@@ -134,7 +134,7 @@ def test_a_motion_that_is_kept_keeps_its_curves(panel):
     # Here another motion begins.
     panel._step()
     assert panel.past[-1].time == panel.sim.time >= panel.times[-1]
-    assert np.all(np.diff(panel.energy.plot.data[0]) > 0)
+    assert np.all(np.diff(panel.energy.data[0]) > 0)
 
 
 def test_a_start_begins_the_curves_anew():
@@ -150,7 +150,7 @@ def test_a_start_begins_the_curves_anew():
         panel.draw()
         panel.restart(0)
         assert [instant.time for instant in panel.past] == [5.0] == panel.times
-        assert panel.energy.plot.data[0].tolist() == [5.0]
+        assert panel.energy.data[0].tolist() == [5.0]
 
 
 def test_runs_are_gone_through_together():
@@ -167,8 +167,8 @@ def test_runs_are_gone_through_together():
         assert panel.now == pytest.approx(runs[0].time[1])
         panel.draw()
         assert re.search(r"distance of second</td>[^>]*>300 mm", panel.figures.content)
-        assert panel.apart.plot.data[1] == pytest.approx([300, 300], abs=5)
-        assert panel.apart.plot.series[1]["label"] == "second"
+        assert panel.apart.data[1] == pytest.approx([300, 300], abs=5)
+        assert panel.apart.series[1]["label"] == "second"
         part = live.several([one.run(1.0), other.run(0.5)], ["first", "second"])
     with live.view_runs(part, port=PORT) as view, view._panel.lock:
         view._panel.play(False)

@@ -178,9 +178,15 @@ def opened(view: View, wait: bool | None) -> View:
 
 
 def _view(host: str, port: int, panel: Callable[[Any], Panel]) -> View:
-    guard = Guard(host)
-    server = _server(guard, port)
+    checks.whole(1, 65535)("view", "port", port)
+    _check_host(host)
+    viser, guard = need("viser", "a view"), Guard(host)
+    with _quiet(), guard.before(need("viser.infra._infra", "a view")):
+        server = viser.ViserServer(host=host, port=port, label="stepcore", verbose=False)
     try:
+        if not guard.stands:
+            raise RuntimeError("this version of viser serves a view to any page: install another")
+        server.scene.set_up_direction("+z")
         return View(server, panel(server), guard)
     except BaseException:
         with _quiet():
@@ -208,17 +214,3 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         console.quiet = before
-
-
-def _server(guard: Guard, port: int) -> Any:
-    checks.whole(1, 65535)("view", "port", port)
-    _check_host(guard.host)
-    viser = need("viser", "a view")
-    with _quiet(), guard.before(need("viser.infra._infra", "a view")):
-        server = viser.ViserServer(host=guard.host, port=port, label="stepcore", verbose=False)
-    if not guard.stands:
-        with _quiet():
-            server.stop()
-        raise RuntimeError("this version of viser serves a view to any page: install another")
-    server.scene.set_up_direction("+z")
-    return server

@@ -6,14 +6,13 @@ import math
 import threading
 from abc import ABC, abstractmethod
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from html import escape
 from time import monotonic
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stepcore.engine.snapshots import MOST, RATE
 from stepcore.report.plot.style import TINTS, VIEW
@@ -22,8 +21,6 @@ from stepcore.viewing.drawing import ARROW, drawing_of
 from stepcore.viewing.frames import Instant, Replayed, distance, instant_of, poses_of
 from stepcore.viewing.needs import need
 from stepcore.viewing.stage import Stage
-
-Points = tuple[NDArray[Any], NDArray[Any]]
 
 SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
 # The curves of energy, and what stands before their names.
@@ -34,45 +31,21 @@ PAUSE = 0.2
 SLIDERS = 40
 
 
-class Curves:
-    """One plot: a few curves over time.
-
-    names: of the curves, each with its colour. span: the times of the ends of its axis [s]; by
-    default those of what is drawn.
-    """
-
-    def __init__(
-        self,
-        gui: Any,
-        title: str,
-        names: Sequence[tuple[str, str]],
-        span: tuple[float, float] | None = None,
-    ) -> None:
-        uplot = need("viser.uplot", "a view")
-        lines = [uplot.Series(label=name, stroke=colour, width=2) for name, colour in names]
-        axis = uplot.Scale(time=False, **({"auto": True} if span is None else {"range": span}))
-        self.plot = gui.add_uplot(
-            tuple(np.array([0.0]) for _ in range(len(lines) + 1)),
-            (uplot.Series(label="time [s]"), *lines),
-            title=title,
-            scales={"x": axis},
-            aspect=2.0,
-            height=150,
-        )
-        self.sent = 0.0
-
-    def draw(self, made: Callable[[], Points], now: bool = True) -> None:
-        """Draw the curves; without `now` only if they were not drawn lately.
-
-        made: makes the times, and the values of shape (names, times), where they are drawn.
-        """
-        if not (now or monotonic() - self.sent > PAUSE):
-            return
-        time, values = made()
-        self.sent = monotonic()
-        # A plot is some hundred points wide.
-        pick = np.unique(np.linspace(0, len(time) - 1, min(len(time), 1000)).astype(int))
-        self.plot.data = tuple(np.ascontiguousarray(row[pick], float) for row in (time, *values))
+def _plot(
+    gui: Any, title: str, names: Sequence[tuple[str, str]], span: tuple[float, float] | None
+) -> Any:
+    """Add a plot of curves over time; names: with their colours. span: of its axis [s]."""
+    uplot = need("viser.uplot", "a view")
+    lines = [uplot.Series(label=name, stroke=colour, width=2) for name, colour in names]
+    axis = uplot.Scale(time=False, **({"auto": True} if span is None else {"range": span}))
+    return gui.add_uplot(
+        tuple(np.array([0.0]) for _ in range(len(lines) + 1)),
+        (uplot.Series(label="time [s]"), *lines),
+        title=title,
+        scales={"x": axis},
+        aspect=2.0,
+        height=150,
+    )
 
 
 class Panel(ABC):
@@ -82,7 +55,7 @@ class Panel(ABC):
         self.server, self.stage, self.gui = server, stage, server.gui
         # What is pressed comes from other threads than time.
         self.lock = threading.RLock()
-        self.playing = True
+        self.playing, self.sent = True, 0.0
         self.pause = self.gui.add_button("Pause")
         self.on = self.gui.add_button("Step")
         self.speed = self.gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1 ×")
@@ -110,27 +83,30 @@ class Panel(ABC):
             if self.stage.hidden:
                 hidden = self.gui.add_checkbox("All geoms", False)
                 hidden.on_update(lambda _: self.stage.show_hidden(hidden.value))
-        drawn = [(f"{sign}{name}", VIEW[name]) for name, sign in ENERGIES.items()]
-        self.energy = Curves(self.gui, "energy [J]", drawn, span)
-        drawn = [("log10", VIEW["residual"])]
-        self.residual = Curves(self.gui, "log10 of the residual in m/s", drawn, span)
+        energies = [(f"{sign}{name}", VIEW[name]) for name, sign in ENERGIES.items()]
+        residual = [("log10", VIEW["residual"])]
+        self.energy = _plot(self.gui, "energy [J]", energies, span)
+        self.residual = _plot(self.gui, "log10 of the residual in m/s", residual, span)
 
-    def _draw_curves(self, instants: Sequence[Instant], now: bool) -> None:
-        def energies() -> Points:
-            kinetic, potential = np.array([instant.energy for instant in instants]).T
-            total = kinetic + potential
-            # Potential energy has no zero of its own.
-            return times(), np.array([kinetic, potential - potential[0], total - total[0]])
+    def _draw_curves(self, instants: Sequence[Instant], *more: tuple[Any, Any]) -> None:
+        """Draw the curves until now; while it plays only if they were not drawn lately.
 
-        def residuals() -> Points:
-            # A residual of zero has a logarithm too.
-            return times(), np.log10([[max(instant.residual, 1e-20) for instant in instants]])
-
-        def times() -> NDArray[Any]:
-            return np.array([instant.time for instant in instants])
-
-        self.energy.draw(energies, now)
-        self.residual.draw(residuals, now)
+        more: further plots, each with its values, (curves, times).
+        """
+        if self.playing and monotonic() - self.sent < PAUSE:
+            return
+        self.sent = monotonic()
+        time = np.array([instant.time for instant in instants])
+        kinetic, potential = np.array([instant.energy for instant in instants]).T
+        total = kinetic + potential
+        # Potential energy has no zero of its own.
+        energies = [kinetic, potential - potential[0], total - total[0]]
+        # A residual of zero has a logarithm too.
+        residuals = np.log10([[max(instant.residual, 1e-20) for instant in instants]])
+        # A plot is some hundred points wide.
+        pick = np.unique(np.linspace(0, len(time) - 1, min(len(time), 1000)).astype(int))
+        for plot, values in ((self.energy, energies), (self.residual, residuals), *more):
+            plot.data = tuple(np.ascontiguousarray(row[pick], float) for row in (time, *values))
 
     def _switch(self, name: str, event: Any) -> None:
         setattr(self.stage, name, event.target.value)
@@ -334,7 +310,7 @@ class SimPanel(Panel):
         at = bisect_left(self.past, now, key=lambda instant: instant.time)
         if at == len(self.past) or self.past[at].time > now:
             self.past.insert(at, self.instant)
-        self._draw_curves(self.past[: at + 1], not self.playing)
+        self._draw_curves(self.past[: at + 1])
         del self.past[:-MOST]
 
 
@@ -359,7 +335,7 @@ class RunPanel(Panel):
         self.slider = self.gui.add_slider("Time", 0.0, length, length / 5000, 0.0)
         self.slider.on_update(self._locked(self._go))
         span = self.begin, self.end
-        self.apart = Curves(self.gui, "distance [mm]", others, span) if others else None
+        self.apart = _plot(self.gui, "distance [mm]", others, span) if others else None
         self._overlays_and_curves(span)
         self.stage.look(runs[0].instants)
         self.draw()
@@ -404,7 +380,5 @@ class RunPanel(Panel):
         self.slider.value = min(max(0.0, now - self.begin), self.end - self.begin)
         # Curves end where the motion is.
         end = at[0] + 1
-        self._draw_curves(self.runs[0].instants[:end], not self.playing)
-        if self.apart is not None:
-            gaps = np.array([gap[:end] for gap in self.gaps])
-            self.apart.draw(lambda: (self.times[0][:end], gaps), not self.playing)
+        gaps = [(self.apart, [gap[:end] for gap in self.gaps])] if self.gaps else []
+        self._draw_curves(self.runs[0].instants[:end], *gaps)
