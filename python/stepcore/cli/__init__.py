@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import difflib
 import importlib
-import importlib.metadata
 import math
 import os
 import sys
@@ -182,7 +181,11 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     """Create the parser of all commands, with the arguments of the command in `argv`."""
     top = _Parser(prog="stepcore", description=DESCRIPTION, epilog=EPILOG)
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    version = importlib.metadata.version("stepcore") if "--version" in argv else ""
+    version = ""
+    if "--version" in argv:
+        from importlib import metadata
+
+        version = metadata.version("stepcore")
     words = "print the version and exit"
     top.add_argument("--version", action="version", version=f"stepcore {version}", help=words)
     commands = top.add_subparsers(metavar="COMMAND", required=True)

@@ -6,6 +6,7 @@ documented schemas (https://docs.foxglove.dev/docs/sdk/schemas), as far as they 
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -108,14 +109,22 @@ def write(
     """Write the log of a run; time, data: the recorded arrays. See `Trajectory.save_mcap`."""
     target = files.path("path", path)
     writer_of = need("mcap.writer", "Trajectory.save_mcap", "mcap").Writer
+    recorded = {
+        name: functools.reduce(lambda schema, _: _list(schema), values.shape[1:], NUMBER)
+        for name, values in data.items()
+    }
     schemas = {
         "/tf": FRAME_TRANSFORMS,
         "/scene": SCENE_UPDATE,
         "/contacts": SCENE_UPDATE,
         "/state": STATE,
-        "/recorded": _recorded_schema(data),
+        "/recorded": _object("stepcore.Recorded", **recorded),
     }
-    messages = sorted([*_seen(run), *_recorded(time, data)], key=lambda message: message[1])
+    messages = [*_seen(run)]
+    for step, at in enumerate(time.tolist() if data else ()):
+        row = {name: np.asarray(values[step]) for name, values in data.items()}
+        messages.append(("/recorded", _nanoseconds(at), jsonable(row)))
+    messages.sort(key=lambda message: message[1])
     with open(target, "wb") as file:
         writer = writer_of(file)
         writer.start(library=MARK)
@@ -240,23 +249,6 @@ def arrow(mark: Mark) -> Json:
         "head_diameter": 4 * mark.width,
         "color": _named("rgba", (*mark.colour, 1.0)),
     }
-
-
-def _recorded(time: NDArray[Any], data: Mapping[str, NDArray[Any]]) -> Iterator[Message]:
-    """Write the recorded arrays at every step."""
-    for step in range(len(time)) if data else ():
-        row = {name: np.asarray(values[step]) for name, values in data.items()}
-        yield "/recorded", _nanoseconds(float(time[step])), jsonable(row)
-
-
-def _recorded_schema(data: Mapping[str, NDArray[Any]]) -> Json:
-    properties = {}
-    for name, values in data.items():
-        schema: Json = NUMBER
-        for _ in values.shape[1:]:
-            schema = _list(schema)
-        properties[name] = schema
-    return _object("stepcore.Recorded", **properties)
 
 
 def _nanoseconds(seconds: float) -> int:

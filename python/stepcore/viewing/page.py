@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from stepcore import escapes, files
 from stepcore.report.outputs import MARK
 from stepcore.report.plot.style import TINTS, VIEW, rgb
-from stepcore.viewing.drawing import ARROW, Drawing, Shape
+from stepcore.viewing.drawing import ARROW, Drawing
 from stepcore.viewing.frames import Replayed, distance
 from stepcore.viewing.needs import need
 
@@ -123,9 +123,13 @@ def _drawing(drawing: Drawing) -> dict[str, Any]:
     packed: list[dict[str, Any]] = []
     shapes = []
     for shape in drawing.shapes:
-        entry = _shape(shape)
+        names = ("body", "kind", "size", "pos", "quat", "rgba", "shown")
+        entry = {name: getattr(shape, name) for name in names}
+        if shape.kind == "plane":
+            entry["squares"] = shape.checks
         if shape.surface is not None:
             vertices, faces = shape.surface
+            # Geoms of one mesh share its surface.
             key = np.asarray(vertices, "<f4").tobytes() + np.asarray(faces, "<u4").tobytes()
             if key not in surfaces:
                 surfaces[key] = len(packed)
@@ -136,22 +140,9 @@ def _drawing(drawing: Drawing) -> dict[str, Any]:
         "shapes": shapes,
         "surfaces": packed,
         "bodies": list(drawing.bodies),
-        "moving": [bool(moves) for moves in drawing.moving],
+        "moving": drawing.moving.tolist(),
         "lights": [asdict(light) for light in drawing.lights],
         "headlight": asdict(drawing.headlight),
-    }
-
-
-def _shape(shape: Shape) -> dict[str, Any]:
-    return {
-        "body": shape.body,
-        "kind": shape.kind,
-        "size": shape.size,
-        "pos": shape.pos,
-        "quat": shape.quat,
-        "rgba": shape.rgba,
-        "shown": shape.shown,
-        **({"squares": shape.checks} if shape.kind == "plane" else {}),
     }
 
 

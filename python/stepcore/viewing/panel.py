@@ -253,14 +253,6 @@ class SimPanel(Panel):
         self.failed = ""
         self.draw()
 
-    def _forget_what_comes(self) -> None:
-        """Drop later instants, because the motion continues from an earlier time."""
-        while len(self.times) > 1 and self.times[-1] > self.sim.time:
-            self.times.pop()
-            self.states.pop()
-        while self.past and self.past[-1].time > self.sim.time:
-            self.past.pop()
-
     def advance(self, seconds: float) -> None:
         dt = self.sim.settings.dt
         self.owed += seconds
@@ -277,7 +269,12 @@ class SimPanel(Panel):
     def step(self) -> None:
         if self.failed:
             return
-        self._forget_what_comes()
+        # The motion goes on from here: what came after an earlier time is forgotten.
+        while len(self.times) > 1 and self.times[-1] > self.sim.time:
+            self.times.pop()
+            self.states.pop()
+        while self.past and self.past[-1].time > self.sim.time:
+            self.past.pop()
         try:
             self.sim.step()
         except (RuntimeError, ValueError) as error:
@@ -300,18 +297,15 @@ class SimPanel(Panel):
         if self.failed:
             rows.append(("failed", self.failed))
         self.say(rows)
-        self._remember()
-        if self.playing:
-            self.back.value = 1.0
-
-    def _remember(self) -> None:
-        """Add the instant to the curves and end them there; keep later instants."""
+        # The curves end here; later instants are kept.
         now = self.instant.time
         at = bisect_left(self.past, now, key=lambda instant: instant.time)
         if at == len(self.past) or self.past[at].time > now:
             self.past.insert(at, self.instant)
         self._draw_curves(self.past[: at + 1])
         del self.past[:-MOST]
+        if self.playing:
+            self.back.value = 1.0
 
 
 class RunPanel(Panel):
