@@ -32,8 +32,6 @@ NAMES = {
         for name, _ in units
     ),
 }
-# A length below this is rounding error in any scene [m].
-ROUNDING = 1e-12
 
 # Units of joint and actuator values: of a rotating and of a sliding joint.
 FIELDS = {
@@ -74,7 +72,8 @@ def metres(value: float) -> str:
     >>> seconds(0.002), seconds(62.5e-6), metres(1.3e-4), percent(0.034), hertz(6.2831853e4)
     ('2 ms', '62.5 µs', '130 µm', '3.4 %', '10 kHz')
     """
-    return "< 1 pm" if 0 < value < ROUNDING else quantity(value, LENGTHS)
+    unit, least = LENGTHS[-1]
+    return f"< 1 {unit}" if 0 < value < least else quantity(value, LENGTHS)
 
 
 def hertz(omega: float) -> str:

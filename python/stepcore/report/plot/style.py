@@ -73,6 +73,12 @@ def named_bars(
     return figure, axes, places
 
 
+def stacked(panels: int) -> tuple[Any, Any]:
+    """Return a figure of panels above each other that share their time, and the panels."""
+    figure = new_figure(height=max(4.0, 2.0 * panels))
+    return figure, figure.subplots(panels, sharex=True, squeeze=False)[:, 0]
+
+
 def frame(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
     """Draw a light grid behind the data and the title at the left, without a box.
 
