@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import inspect
 import math
 import sys
@@ -10,7 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import stepcore
 from stepcore.cli.arguments import (
     LIST,
     OPTIONS,
@@ -41,7 +41,7 @@ More = Callable[[argparse.Namespace, Model], Mapping[str, Any]]
 class Measurement:
     """A command that calls the measuring function of the same name.
 
-    example: the arguments of an example. options: see `add_options`. excluding: mutually exclusive
+    module: of the function. example: the arguments of an example. options: see `add_options`. excluding: mutually exclusive
     options. full: the description of --all in the help. warn: whether to warn of stiffness, as
     `stepcore.load` does; False if the result reports stiffness in detail. file: of the argument
     FILE. motion: defaults shown in the help; None for a command without a motion. source: whether
@@ -49,6 +49,7 @@ class Measurement:
     follows a call.
     """
 
+    module: str
     example: str
     options: Mapping[str, Any]
     excluding: tuple[str, ...] = ()
@@ -63,7 +64,8 @@ class Measurement:
 
 def _function(name: str) -> Callable[..., Any]:
     """Return the function that a command calls."""
-    function: Callable[..., Any] = getattr(stepcore, name.replace("-", "_"))
+    module = importlib.import_module(f"stepcore.measure.{MEASUREMENTS[name].module}")
+    function: Callable[..., Any] = getattr(module, name.replace("-", "_"))
     return function
 
 
@@ -205,6 +207,7 @@ NAMES = {"action": "append", "metavar": "NAME"}
 
 MEASUREMENTS = {
     "check": Measurement(
+        "check",
         "gymnasium:half_cheetah",
         {"depth": "LENGTH"},
         warn=False,
@@ -213,6 +216,7 @@ MEASUREMENTS = {
         done=_name_the_file,
     ),
     "trade": Measurement(
+        "trade",
         "gymnasium:half_cheetah --error 1mm --plot trade.png",
         {
             **{"error": "LENGTH", "budget": "COST", "further": "N", "by": ("time", "flops")},
@@ -229,12 +233,14 @@ MEASUREMENTS = {
         more=lambda args, model: {"search": "grid" if args.grid else None},
     ),
     "predict": Measurement(
+        "predictability",
         "gymnasium:ant --horizon 5 --plot growth.png",
         {"engine": ENGINE},
         motion={},
         source=True,
     ),
     "diagnose": Measurement(
+        "diagnosis",
         "gymnasium:half_cheetah --dt 0.01",
         {"dt": "S", "integrators": {"flags": ("--integrator",), **NAMES}},
         full="print every element on its own",
@@ -242,6 +248,7 @@ MEASUREMENTS = {
         motion={},
     ),
     "stability-map": Measurement(
+        "stability",
         "lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png",
         {
             "path": {"flags": ("path",), "metavar": "VALUE", "nargs": "?"},
@@ -262,6 +269,7 @@ MEASUREMENTS = {
         more=_lists,
     ),
     "converge": Measurement(
+        "convergence",
         "lesson:stack --plot residual.png",
         {"states": "N", "engine": ENGINE},
         full="print every row, all runs of equal work, the residual by sweeps",
@@ -269,6 +277,7 @@ MEASUREMENTS = {
         source=True,
     ),
     "identify": Measurement(
+        "identification",
         "arm.xml log.csv --parameters joint/hinge/damping=0.01:2",
         {
             "logs": {
@@ -293,6 +302,7 @@ MEASUREMENTS = {
         done=lambda result, args: args.save and result.model.scene.save(args.save),
     ),
     "tune": Measurement(
+        "tune",
         "arm.xml --bandwidth 5",
         {
             **{"bandwidth": "HZ", "settling": "S", "sag": "X", "stiffness": "N/M"},
@@ -303,12 +313,14 @@ MEASUREMENTS = {
         motion={},
     ),
     "plan": Measurement(
+        "plan",
         "gymnasium:half_cheetah --time",
         {"time": {}, "key": {"help": f"{WORDS['key']} (default: the first)"}},
         full="print every entry, the names of all its elements",
         more=_sim_at_key,
     ),
     "ablate": Measurement(
+        "ablation",
         "gymnasium:half_cheetah --error 5mm --save small.xml",
         {
             "added": {"flags": ("--added", "--error"), "default": "1mm", "metavar": "LENGTH"},

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.engine.snapshots import MOST, RATE
 from stepcore.report.plot.style import TINTS, VIEW
 from stepcore.report.units import metres
 from stepcore.viewing.drawing import ARROW, drawing_of
@@ -25,6 +24,8 @@ from stepcore.viewing.stage import Stage
 SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
 # The curves of energy, and what stands before their names.
 ENERGIES = {"kinetic": "", "potential": "Δ ", "total": "Δ "}
+# The states that a live view can go back to, so many a second of motion.
+KEPT, RATE = 3000, 60.0
 # How long the page waits for steps or for new curves at most [s].
 PAUSE = 0.2
 # A model of more actuators has no slider for the others.
@@ -284,7 +285,7 @@ class SimPanel(Panel):
         if self.sim.time - self.times[-1] >= 1 / RATE - 1e-9:
             self.states.append(self.sim.state())
             self.times.append(self.sim.time)
-            del self.states[:-MOST], self.times[:-MOST]
+            del self.states[:-KEPT], self.times[:-KEPT]
 
     def draw(self) -> None:
         try:
@@ -303,7 +304,7 @@ class SimPanel(Panel):
         if at == len(self.past) or self.past[at].time > now:
             self.past.insert(at, self.instant)
         self._draw_curves(self.past[: at + 1])
-        del self.past[:-MOST]
+        del self.past[:-KEPT]
         if self.playing:
             self.back.value = 1.0
 
