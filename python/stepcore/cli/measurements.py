@@ -41,12 +41,12 @@ More = Callable[[argparse.Namespace, Model], Mapping[str, Any]]
 class Measurement:
     """A command that calls the measuring function of the same name.
 
-    module: of the function. example: the arguments of an example. options: see `add_options`. excluding: mutually exclusive
-    options. full: the description of --all in the help. warn: whether to warn of stiffness, as
-    `stepcore.load` does; False if the result reports stiffness in detail. file: of the argument
-    FILE. motion: defaults shown in the help; None for a command without a motion. source: whether
-    the function may read the file itself. more: further arguments of the function. done: what
-    follows a call.
+    module: of the function. example: the arguments of an example. options: see `add_options`.
+    excluding: mutually exclusive options. full: the description of --all in the help. warn: whether
+    to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
+    file: of the argument FILE. horizon: the default horizon in words, if it is no constant. source:
+    whether the function may read the file itself. more: further arguments of the function. done:
+    what follows a call.
     """
 
     module: str
@@ -56,8 +56,8 @@ class Measurement:
     full: str = "print every row of the tables"
     warn: bool = True
     file: Mapping[str, Any] = field(default_factory=dict)
-    motion: Mapping[str, Any] | None = None
-    source: bool = False
+    horizon: str = ""
+    source: bool = True
     more: More = lambda args, model: {}
     done: Callable[[Any, argparse.Namespace], object] = lambda result, args: None
 
@@ -81,12 +81,15 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
     takes = inspect.signature(function).parameters
     add_file(command, **measurement.file)
     add_options(command, measurement.options, function, measurement.excluding)
-    if measurement.motion is not None:
+    if "key" in takes:
         module = sys.modules[function.__module__]
-        usual = {name: getattr(module, name.upper(), None) for name in ("horizon", "starts")}
-        usual = {name: usual[name] or getattr(schedule, name.upper()) for name in usual}
+        usual = {
+            name: getattr(module, name.upper(), None) or getattr(schedule, name.upper())
+            for name in ("horizon", "starts")
+        }
+        usual["horizon"] = measurement.horizon or usual["horizon"]
         motion = command.add_argument_group("motion")
-        add_motion(motion, takes, **(usual | dict(measurement.motion)))
+        add_motion(motion, takes, **usual)
         motion.add_argument(
             "--threads",
             type=int,
@@ -117,7 +120,7 @@ def call(args: argparse.Namespace, name: str) -> Result:
             raise
     takes = inspect.signature(function).parameters
     given = {option: getattr(args, option) for option in measurement.options if option in takes}
-    if measurement.motion is not None:
+    if "key" in takes:
         given |= motion_of(args, model)
     if name in SECONDS:
         given["seconds"] = args.seconds
@@ -207,13 +210,7 @@ NAMES = {"action": "append", "metavar": "NAME"}
 
 MEASUREMENTS = {
     "check": Measurement(
-        "check",
-        "gymnasium:half_cheetah",
-        {"depth": "LENGTH"},
-        warn=False,
-        motion={},
-        source=True,
-        done=_name_the_file,
+        "check", "gymnasium:half_cheetah", {"depth": "LENGTH"}, warn=False, done=_name_the_file
     ),
     "trade": Measurement(
         "trade",
@@ -228,16 +225,10 @@ MEASUREMENTS = {
         },
         excluding=("error", "budget"),
         full="print every setting",
-        motion={},
-        source=True,
         more=lambda args, model: {"search": "grid" if args.grid else None},
     ),
     "predict": Measurement(
-        "predictability",
-        "gymnasium:ant --horizon 5 --plot growth.png",
-        {"engine": ENGINE},
-        motion={},
-        source=True,
+        "predictability", "gymnasium:ant --horizon 5 --plot growth.png", {"engine": ENGINE}
     ),
     "diagnose": Measurement(
         "diagnosis",
@@ -245,7 +236,7 @@ MEASUREMENTS = {
         {"dt": "S", "integrators": {"flags": ("--integrator",), **NAMES}},
         full="print every element on its own",
         warn=False,
-        motion={},
+        source=False,
     ),
     "stability-map": Measurement(
         "stability",
@@ -264,8 +255,7 @@ MEASUREMENTS = {
             "default": "lesson:spring",
             "words": " (default: lesson:spring; also lesson:stack)",
         },
-        motion={"horizon": "1, or 25 times the largest time step if that is longer"},
-        source=True,
+        horizon="1, or 25 times the largest time step if that is longer",
         more=_lists,
     ),
     "converge": Measurement(
@@ -273,8 +263,6 @@ MEASUREMENTS = {
         "lesson:stack --plot residual.png",
         {"states": "N", "engine": ENGINE},
         full="print every row, all runs of equal work, the residual by sweeps",
-        motion={},
-        source=True,
     ),
     "identify": Measurement(
         "identification",
@@ -300,6 +288,7 @@ MEASUREMENTS = {
         },
         more=_logs_and_ranges,
         done=lambda result, args: args.save and result.model.scene.save(args.save),
+        source=False,
     ),
     "tune": Measurement(
         "tune",
@@ -310,7 +299,7 @@ MEASUREMENTS = {
         },
         excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),
         warn=False,
-        motion={},
+        source=False,
     ),
     "plan": Measurement(
         "plan",
@@ -318,6 +307,7 @@ MEASUREMENTS = {
         {"time": {}, "key": {"help": f"{WORDS['key']} (default: the first)"}},
         full="print every entry, the names of all its elements",
         more=_sim_at_key,
+        source=False,
     ),
     "ablate": Measurement(
         "ablation",
@@ -329,8 +319,6 @@ MEASUREMENTS = {
             "save": {"metavar": "OUT.xml", "help": "write the smallest model as MJCF"},
         },
         full="print every feature",
-        motion={},
-        source=True,
         done=_save_smallest,
     ),
 }
