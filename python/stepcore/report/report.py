@@ -153,25 +153,14 @@ def _stopped(text: str) -> str:
 
 
 def _wrapped(sentence: str, size: int) -> list[str]:
-    return wrapped(sentence, size, item=sentence.startswith(ITEM))
-
-
-def wrapped(
-    sentence: str, size: int, *, item: bool = False, hanging: int = 0, whole: bool = False
-) -> list[str]:
-    """Wrap a sentence to lines of at most `size` characters, keeping each number with its unit.
-
-    item: whether the sentence is indented as a list item. hanging: indentation of the lines after
-        the first. whole: whether a word that is too long for a line, such as a path or a number, is
-        kept whole.
-    """
+    """Wrap a sentence to lines of at most `size` characters, keeping each number with its unit."""
+    item = sentence.startswith(ITEM)
     lines = textwrap.wrap(
         BEFORE_UNIT.sub(FIXED, escapes.printable(sentence)),
         min(size, PROSE),
         initial_indent="  " if item else "",
-        subsequent_indent=" " * (4 if item else hanging),
+        subsequent_indent="    " if item else "",
         break_on_hyphens=False,
-        break_long_words=not whole,
     )
     return [line.replace(FIXED, " ") for line in lines]
 
