@@ -21,8 +21,6 @@ from stepcore.report.table import Table
 from stepcore.report.terminal import window
 from stepcore.report.units import NAMES, counted
 
-# The minimum width of a line, and the maximum width of prose.
-NARROWEST, PROSE = 20, 100
 # The maximum number of lines of a short report; further notes are only counted.
 SCREEN = 40
 # The prefix of a sentence that is a list item below the preceding sentence.
@@ -77,11 +75,11 @@ class Report:
     setup: str = ""
 
     def text(self, width: int | None = None, full: bool = True) -> str:
-        """Return the report in lines of at most `width` characters (default: the terminal's).
+        """Return the report in lines of at most `width` >= 20 characters (default: the terminal's).
 
         full: every note; else the notes that fit on a screen, and the number of further notes.
         """
-        size = window() if width is None else checks.count("width", width, NARROWEST)
+        size = window() if width is None else checks.count("width", width, 20)
         said = [line for sentence in self.sentences for line in _wrapped(sentence, size)]
         setup = [line for text in self.setup.splitlines() for line in _wrapped(text, size)]
         tables = [[*_table(table, size)] for table in self.tables]
@@ -153,11 +151,14 @@ def _stopped(text: str) -> str:
 
 
 def _wrapped(sentence: str, size: int) -> list[str]:
-    """Wrap a sentence to lines of at most `size` characters, keeping each number with its unit."""
+    """Wrap a sentence to lines of at most `size` characters, keeping each number with its unit.
+
+    Prose has at most 100 characters in a line.
+    """
     item = sentence.startswith(ITEM)
     lines = textwrap.wrap(
         BEFORE_UNIT.sub(FIXED, escapes.printable(sentence)),
-        min(size, PROSE),
+        min(size, 100),
         initial_indent="  " if item else "",
         subsequent_indent="    " if item else "",
         break_on_hyphens=False,
