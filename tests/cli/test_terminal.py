@@ -61,8 +61,8 @@ def test_a_missing_mujoco_is_named(monkeypatch):
 
 START = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
 # What is known so far is told at once, however quick the machine is.
-MAIN = """from stepcore.cli import interrupts, main
-interrupts.OFTEN = (0.0, 0.0)
+MAIN = """from stepcore.cli import main, terminal
+terminal.OFTEN = (0.0, 0.0)
 sys.exit(main(sys.argv[1:]))"""
 
 

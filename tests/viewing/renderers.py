@@ -2,8 +2,8 @@
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.viewing.mujoco_picture import MujocoPicture
-from stepcore.viewing.picture import drawing_of
+from stepcore.viewing.drawing import drawing_of
+from stepcore.viewing.renderers import MujocoPicture
 
 
 def opengl():

@@ -6,7 +6,6 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.viewing.drawing import GROUND, corners, drawing_of, quat_of
-from stepcore.viewing.primitives import surface_of
 from stepcore.viewing.surfaces import of_hfield
 
 MODEL = """
@@ -114,7 +113,7 @@ def test_triangles_of_primitives_close_their_volume(kind):
     scene.add_geom(body, kind, (0.3, 0.4, 0.5), density=1.0)
     sim = sc.Sim(scene)
     shape = drawing_of(sim.model, sim).shapes[0]
-    vertices, faces = surface_of(shape, 1.0)
+    vertices, faces = shape.triangles(1.0)
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6
     assert volume == pytest.approx(float(sim.model.body_mass[1]), rel=0.03)

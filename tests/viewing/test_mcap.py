@@ -8,7 +8,8 @@ import pytest
 from mcap.reader import make_reader
 
 import stepcore as sc
-from stepcore.viewing import foxglove
+from stepcore.viewing.camera import Mark
+from stepcore.viewing.mcap_log import arrow as drawn_arrow
 from stepcore.viewing.mcap_log import frame_names
 
 TOPICS = {
@@ -134,7 +135,7 @@ def test_contact_forces_are_arrows_that_carry_the_weight(log, run):
 
 @pytest.mark.parametrize("along", [(1, 0, 0), (-1, 0, 0), (0, 2, 0), (0, 0, -3), (0.3, -0.4, 0.5)])
 def test_an_arrow_points_along_its_force(along):
-    arrow = foxglove.arrow(np.zeros(3), np.array(along, float), 0.01)
+    arrow = drawn_arrow(Mark("arrow", np.zeros(3), np.array(along, float), 0.005, (1, 0, 0)))
     w, x, y, z = (arrow["pose"]["orientation"][part] for part in "wxyz")
     pointing = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
     length = arrow["shaft_length"] + arrow["head_length"]

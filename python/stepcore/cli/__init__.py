@@ -14,9 +14,16 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn
 
-from stepcore.cli.terminal import INTERRUPTED, print_what_can_be_printed, reason, say
+from stepcore.cli.terminal import (
+    INTERRUPTED,
+    ends_early_on_ctrl_c,
+    print_what_can_be_printed,
+    reason,
+    say,
+    tells_so_far,
+)
 from stepcore.deadline import SECONDS, OutOfTime
 from stepcore.escapes import printable
 from stepcore.report.terminal import watched
@@ -59,9 +66,8 @@ exit status: 0 success, 1 run-time failure, 2 usage error, 130 interrupted
 """
 # Modules of the commands; all other commands are in `measurements`.
 MODULES = {
-    **dict.fromkeys(("run", "replay"), "run"),
+    **dict.fromkeys(("run", "replay", "view"), "run"),
     **dict.fromkeys(("lesson", "info"), "installation"),
-    "view": "view",
 }
 
 
@@ -88,16 +94,6 @@ class _Parser(argparse.ArgumentParser):
         self.error(f"no option {option}; {better}")
 
 
-class _Version(argparse.Action):
-    """The action of --version, which looks the version up only when needed."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from importlib.metadata import version
-
-        print(f"stepcore {version('stepcore')}")
-        parser.exit()
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return the exit status."""
     debug = False
@@ -119,20 +115,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             raise
-        return _failed(error)
+        say(reason(error))
+        if isinstance(error, OutOfTime) and error.interrupted:
+            return INTERRUPTED
+        return 2 if isinstance(error, (ValueError, OSError)) else 1
 
 
 def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     """Return the parsed arguments; report an unknown argument with the nearest option."""
+    argv = [ALIASES.get(word, word) if word == _asked(argv) else word for word in argv]
     asked = _asked(argv)
-    argv = [ALIASES.get(word, word) if word == asked else word for word in argv]
     if watched():
         _say_what_it_does(argv)
     top = parser(argv)
     if not argv:
         top.print_help()
         top.exit(0)
-    asked = _asked(argv)
     if asked is not None and asked not in COMMANDS:
         from stepcore.checks import nearest
 
@@ -161,12 +159,12 @@ def _asked(argv: Sequence[str]) -> str | None:
 
 def _run(args: argparse.Namespace) -> int:
     from stepcore import files
-    from stepcore.cli.interrupts import ends_early_on_ctrl_c, tells_so_far
     from stepcore.cli.output import check_output, deliver
     from stepcore.report.result import Result
 
     with warnings.catch_warnings():
-        warnings.showwarning = _warned
+        # In one line, without the source line that warned.
+        warnings.showwarning = lambda message, *_, **__: say(" ".join(str(message).split()))
         check_output(args)
         try:
             with ends_early_on_ctrl_c(), tells_so_far(bool(getattr(args, "json", None))):
@@ -179,30 +177,17 @@ def _run(args: argparse.Namespace) -> int:
         return int(result or 0)
 
 
-def _failed(error: Exception) -> int:
-    say(reason(error))
-    if isinstance(error, OutOfTime) and error.interrupted:
-        return INTERRUPTED
-    return 2 if isinstance(error, (ValueError, OSError)) else 1
-
-
-def _warned(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    """Print a warning in one line, without the source line that raised the warning."""
-    say(" ".join(str(message).split()))
-
-
 def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     """Create the parser of all commands, with the arguments of the command in `argv`."""
     top = _Parser(prog="stepcore", description=DESCRIPTION, epilog=EPILOG)
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    version = ""
+    if "--version" in argv:
+        from importlib import metadata
+
+        version = metadata.version("stepcore")
+    words = "print the version and exit"
+    top.add_argument("--version", action="version", version=f"stepcore {version}", help=words)
     commands = top.add_subparsers(metavar="COMMAND", required=True)
     asked = _asked(argv)
     for name, summary in COMMANDS.items():

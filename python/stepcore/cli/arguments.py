@@ -11,7 +11,7 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,75 +22,130 @@ from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
 from stepcore.experiment.control_table import PositionTable, control_table
 from stepcore.experiment.default_motion import KINDS
-from stepcore.experiment.motion import INTERPOLATIONS
+from stepcore.experiment.motion import INTERPOLATIONS, Motion
 from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
 from stepcore.experiment.policy import Policy
 from stepcore.experiment.user_table import ENDINGS, is_file
 from stepcore.loading import find_scene, load
 from stepcore.report.units import counted, length_of, time_of
 
-
-def time(text: str) -> float:
-    """Parse a time on the command line [s]."""
-    value = time_of(text)
-    if value is None:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a time: seconds, 1ms or 20us")
-    return value
+# A line of a docstring that begins the description of arguments: "dts [s], values: the axes".
+ARGUMENT = re.compile(r"((?:\w+(?: \[\w+\])?(?:, )?)+): (.*)")
 
 
-def limit(text: str) -> float:
-    """Parse a time limit on the command line [s]."""
-    return math.inf if text == "inf" else time(text)
+def documented(function: Callable[..., Any]) -> tuple[str, dict[str, str]]:
+    """Return what a docstring says of a function, and of each of its arguments."""
+    said, arguments = list[str](), dict[str, str]()
+    described = list[str]()
+    for line in (inspect.getdoc(function) or "").splitlines():
+        begins = ARGUMENT.match(line)
+        if begins:
+            described = re.sub(r" \[\w+\]", "", begins[1]).split(", ")
+            arguments |= dict.fromkeys(described, begins[2])
+        elif described and line.startswith("    "):
+            for name in described:
+                arguments[name] += " " + line.strip()
+        elif arguments:
+            break
+        else:
+            said.append(line)
+    return "\n".join(said).strip(), arguments
 
 
-def length(text: str) -> float:
-    """Parse a length on the command line [m]."""
-    value = length_of(text)
-    if value is None:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a length: metres, 1mm or 2cm")
-    return value
+def _read(parse: Callable[[str], float | None], limit: str) -> Callable[[str], float]:
+    def read(text: str) -> float:
+        value = parse(text)
+        if value is None:
+            raise argparse.ArgumentTypeError(f"'{text}' must be {limit}")
+        return value
+
+    return read
 
 
-CTRL = (
-    'constant controls, "1,0,-1" or "hip=1,knee=-1"; or a file (.csv, .npz, .npy, .parquet, .mcap) '
-    "with a row for each control period, or with a column for each actuator or joint by name and "
-    "one of times; of an MCAP log with several topics, log.mcap:/TOPIC or log.mcap:/TOPIC.FIELD"
-)
-# Options, by the field of `Motion` that the option sets.
+# A time [s] and a length [m] on the command line.
+time = _read(time_of, "a time: seconds, 1ms or 20us")
+length = _read(length_of, "a length: metres, 1mm or 2cm")
+
+TYPES = {"int": int, "float": float, "float | None": float}
+LIST = "numbers a,b,c or FIRST:LAST:COUNT on a log scale"
+
+
+def add_options(
+    command: argparse.ArgumentParser,
+    options: Mapping[str, Any],
+    function: Callable[..., Any],
+    excluding: Collection[str] = (),
+) -> None:
+    """Add options that are arguments of a function, with its words, types and defaults.
+
+    options: of each argument the metavar, the choices, or what argparse is told of it; "flags" are
+        the option's names if these differ. excluding: mutually exclusive ones.
+    """
+    takes, (_, words) = inspect.signature(function).parameters, documented(function)
+    alternatives = command.add_mutually_exclusive_group() if excluding else command
+    for argument, option in options.items():
+        if isinstance(option, str):
+            option = {"metavar": option}
+        elif isinstance(option, tuple):
+            option = {"choices": option}
+        own = {"help": words.get(argument, "").replace("%", "%%").rstrip("."), **option}
+        flags = own.pop("flags", (f"--{argument.replace('_', '-')}",))
+        parameter = takes.get(argument, inspect.Parameter(argument, inspect.Parameter.KEYWORD_ONLY))
+        if parameter.annotation == "bool":
+            own["action"] = "store_true"
+        elif own.get("action") == "append":
+            own["help"] += "; may be given several times"
+        elif "action" not in own:
+            known = parameter.default not in (None, parameter.empty)
+            default = own.setdefault("default", parameter.default if known else None)
+            if kind := TYPES.get(parameter.annotation):
+                own["type"] = kind
+            if known and "default" not in own["help"]:
+                number = "g" if isinstance(default, float) else "s"
+                own["help"] += f" (default: %(default){number})"
+        if own.get("metavar") == "LIST":
+            own["help"] += f" ({LIST})"
+        if flags[0].startswith("-"):
+            own["dest"] = argument
+        (alternatives if argument in excluding else command).add_argument(*flags, **own)
+
+
+# What a field of `Motion` is, in the first words that its docstring has of it.
+WORDS = {
+    name: re.split(r"[;.] [Bb]y default|, or a text|\.(?: |$)", words)[0]
+    for name, words in documented(Motion)[1].items()
+}
+# The options of a motion, by the field of `Motion` that each sets. "help" stands in place of the
+# field's own words; "usual" is what is taken without the option.
 OPTIONS: dict[str, dict[str, Any]] = {
-    "horizon": {"type": time, "metavar": "S", "help": "simulated time [s]"},
-    "starts": {
-        "type": int,
-        "metavar": "N",
-        "help": "number of initial states: the keyframe and random ones near it",
-    },
-    "seed": {
-        "type": int,
-        "metavar": "N",
-        "help": "random seed of the starts and of the default controls (default: 0)",
-    },
-    "key": {"help": "keyframe to start from, by name or index (default: the first)"},
+    "horizon": {"type": time, "metavar": "S"},
+    "starts": {"type": int, "metavar": "N"},
+    "seed": {"type": int, "metavar": "N", "usual": "0"},
+    "key": {"usual": "the first"},
     "control": {
         "metavar": "FILE.py:FUNCTION",
         "help": "a function (time, sim) -> controls, in a file or a module; or a policy (.onnx, or "
         ".pt of TorchScript) from qpos and qvel to controls",
     },
-    "ctrl": {"metavar": "VALUES", "help": CTRL},
+    "ctrl": {
+        "metavar": "VALUES",
+        "help": 'constant controls, "1,0,-1" or "hip=1,knee=-1"; or a file (.csv, .npz, .npy, '
+        ".parquet, .mcap) with a row for each control period, or with a column for each actuator "
+        "or joint by name and one of times; of an MCAP log with several topics, log.mcap:/TOPIC or "
+        "log.mcap:/TOPIC.FIELD",
+    },
     "control_dt": {
         "type": time,
         "metavar": "S",
-        "help": "control period [s] (default: the model's time step with --control or --ctrl, else "
-        "chosen to fit)",
+        "usual": "the model's time step with --control or --ctrl, else chosen to fit",
     },
-    "interpolation": {
-        "choices": INTERPOLATIONS,
-        "help": "between the rows of a log with times (default: held)",
-    },
+    "interpolation": {"choices": INTERPOLATIONS, "usual": "held"},
     "kind": {
         "flag": "--motion",
         "choices": KINDS,
         "help": "the motion without --ctrl and --control: move (point to point, within forces and "
-        "limits), hold (the start), sines, random or fall (default: chosen from the model)",
+        "limits), hold (the start), sines, random or fall",
+        "usual": "chosen from the model",
     },
     "follow": {
         "metavar": "FILE",
@@ -98,6 +153,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "for --ctrl",
     },
 }
+# A motion has one of these.
+DRIVES = ("control", "ctrl", "kind", "follow")
 
 
 def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
@@ -122,62 +179,17 @@ def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
     )
 
 
-def add_key(command: argparse.ArgumentParser) -> None:
-    """Add the option --key, the initial keyframe."""
-    command.add_argument("--key", **OPTIONS["key"])
-
-
-def add_horizon(command: Any, words: str) -> None:
-    """Add the option --horizon of a single run; words: the help. --duration means the same."""
-    command.add_argument("--horizon", type=time, metavar="S", help=words)
-    command.add_argument("--duration", type=time, dest="horizon", help=argparse.SUPPRESS)
-
-
-def add_seconds(command: argparse.ArgumentParser, default: float) -> None:
-    """Add the option --seconds, the time limit of a measurement; default: [s]."""
-    command.add_argument(
-        "--seconds",
-        type=limit,
-        default=default,
-        metavar="N",
-        help="longest time of the measurement [s], or inf; the answer then says what was not done, "
-        "as it does after Ctrl-C (default: %(default)g)",
-    )
-
-
-def flag_of(name: str) -> str:
-    """Return the option that sets a field of `Motion`."""
-    flag: str = OPTIONS[name].get("flag", f"--{name.replace('_', '-')}")
-    return flag
-
-
-def add_option(group: Any, name: str, **changed: Any) -> None:
-    """Add the option of a field of `Motion`; changed: replaces what argparse is told of it."""
-    option = {key: value for key, value in OPTIONS[name].items() if key != "flag"}
-    group.add_argument(flag_of(name), dest=name, **(option | changed))
-
-
-def add_motion(
-    command: argparse.ArgumentParser, fields: Collection[str] = tuple(OPTIONS), **default: Any
-) -> None:
-    """Add the options of the motion, and the number of threads.
-
-    fields: the fields of `Motion` that the measurement accepts. default: default values of these
-        fields, which the help shows.
-    """
-    motion = command.add_argument_group("motion")
+def add_motion(group: Any, fields: Collection[str], **usual: Any) -> None:
+    """Add the options of a motion; fields: of `Motion`. usual: what is taken without an option."""
+    drives = group.add_mutually_exclusive_group() if "ctrl" in fields else group
     for name, option in OPTIONS.items():
         if name in fields:
-            words = option["help"]
-            if default.get(name) is not None:
-                words += f" (default: {default[name]})"
-            add_option(motion, name, help=words)
-    motion.add_argument(
-        "--threads",
-        type=int,
-        metavar="N",
-        help="number of runs at the same time (default: one per core)",
-    )
+            own = {"help": WORDS[name], **option}
+            flag = own.pop("flag", f"--{name.replace('_', '-')}")
+            shown = usual.get(name) or own.get("usual")
+            own.pop("usual", None)
+            own["help"] += f" (default: {shown})" if shown else ""
+            (drives if name in DRIVES else group).add_argument(flag, dest=name, **own)
 
 
 def model_of(args: argparse.Namespace, warn: bool = True) -> Model:
@@ -195,13 +207,9 @@ def key_of(args: argparse.Namespace, model: Model | None) -> str | int | None:
 
 
 def motion_of(args: argparse.Namespace, model: Model | None) -> dict[str, Any]:
-    """Return the given options of `add_motion` as arguments of a measurement."""
+    """Return the given options of a motion, and the threads, as arguments of a measurement."""
     given = {name: getattr(args, name, None) for name in (*OPTIONS, "threads")}
     given["key"] = key_of(args, model)
-    drives = [name for name in ("kind", "ctrl", "control", "follow") if given[name] is not None]
-    if len(drives) > 1:
-        first, second = map(flag_of, drives[:2])
-        raise Usage(f"{first} and {second} are both given: a motion has one of them")
     if given["follow"] is not None:
         given["follow"] = _table("follow", given["follow"], PositionTable.of)
     if given["ctrl"] is not None:
@@ -224,7 +232,9 @@ def controls_of(text: str, model: Model | None) -> Any:
         raise Usage(f"--ctrl {text}: must end in {', '.join(ENDINGS)}")
     if model is None:
         raise Usage(f"--ctrl {text}: must be a file where stepcore cannot load the scene")
-    return _constants(text, model)
+    if not model.nu:
+        raise Usage(f"--ctrl {text}: this model has no actuators")
+    return _constants(text, model.nu)
 
 
 def _table(option: str, text: str, read: Callable[[str], Any]) -> Any:
@@ -237,29 +247,19 @@ def _table(option: str, text: str, read: Callable[[str], Any]) -> Any:
         raise Usage(f"--{option} {text}: {one_line(error)}") from None
 
 
-def _constants(text: str, model: Model) -> list[list[float]] | dict[str, float]:
-    """Return constant controls: a row for all actuators, or a dict by actuator name."""
-    if not model.nu:
-        raise Usage(f"--ctrl {text}: this model has no actuators")
+def _constants(text: str, nu: int) -> list[list[float]] | dict[str, float]:
+    """Return constant controls: a row for all actuators, or a dict by actuator or joint."""
     parts = [part.strip() for part in text.split(",")]
-    every = counted(model.nu, "number")
-    if not any("=" in part for part in parts):
-        if len(parts) != model.nu or os.path.splitext(text)[1][1:].isalpha():
-            limit = f"must be {every}, one for each actuator; NAME=VALUE pairs; "
-            raise Usage(f"--ctrl {text}: {limit}or a file that ends in {', '.join(ENDINGS)}")
-        return [[_number(text, part) for part in parts]]
-    if not any(model.actuator_names):
-        raise Usage(f"--ctrl {text}: no actuator of this model has a name: give {every}")
-    values = {}
-    for part in parts:
-        name, equals, value = (word.strip() for word in part.partition("="))
-        if not equals:
-            raise Usage(f"--ctrl {text}: '{part}' must be NAME=VALUE, as the others are")
-        if not name or name not in model.actuator_names:
-            near = nearest(name, model.actuator_names)
-            raise Usage(f"--ctrl {text}: no actuator is named '{name}'{near}")
-        values[name] = _number(text, value)
-    return values
+    if "=" in text:
+        pairs = [[word.strip() for word in part.partition("=")] for part in parts]
+        for part, (_, equals, _) in zip(parts, pairs, strict=True):
+            if not equals:
+                raise Usage(f"--ctrl {text}: '{part}' must be NAME=VALUE, as the others are")
+        return {name: _number(text, value) for name, _, value in pairs}
+    if len(parts) != nu or os.path.splitext(text)[1][1:].isalpha():
+        limit = f"{counted(nu, 'number')}, one for each actuator; NAME=VALUE pairs"
+        raise Usage(f"--ctrl {text}: must be {limit}; or a file that ends in {', '.join(ENDINGS)}")
+    return [[_number(text, part) for part in parts]]
 
 
 def _number(text: str, part: str) -> float:
@@ -277,27 +277,21 @@ def control_function(text: str) -> Callable[..., Any]:
 
     A module is found as by `python -m` in the working directory.
     """
-    if text.endswith(ENDINGS_OF_POLICIES):
-        try:
-            control = Policy(text)
-            control.network()
-            return control
-        except (ImportError, ValueError, OSError) as error:
-            raise Usage(f"--control {text}: {one_line(error)}") from None
     module, colon, name = text.rpartition(":")
-    if not colon or not module or not name:
-        raise Usage(f"--control {text}: must be FILE.py:FUNCTION or MODULE:FUNCTION")
-    if module.endswith(".py") and not os.path.isfile(module):
-        raise Usage(f"--control {text}: {module}: no such file")
     try:
-        imported = _file(module) if module.endswith(".py") else _module(module)
-    except Exception as error:
-        raise Usage(f"--control {text}: {_place(error)}") from None
-    function = getattr(imported, name, None)
-    if not callable(function):
-        known = [key for key, value in vars(imported).items() if callable(value)]
-        raise Usage(f"--control {text}: {module} has no function '{name}'{nearest(name, known)}")
-
+        if text.endswith(ENDINGS_OF_POLICIES):
+            policy = Policy(text)
+            policy.network()
+            return policy
+        if not colon or not module or not name:
+            raise ValueError("must be FILE.py:FUNCTION or MODULE:FUNCTION")
+        imported = _imported(module)
+        function = getattr(imported, name, None)
+        if not callable(function):
+            known = [key for key, value in vars(imported).items() if callable(value)]
+            raise ValueError(f"{module} has no function '{name}'{nearest(name, known)}")
+    except (ImportError, ValueError, OSError) as error:
+        raise Usage(f"--control {text}: {one_line(error)}") from None
     try:
         inspect.signature(function).bind("time", "sim")
     except TypeError:
@@ -324,29 +318,29 @@ class _NamedControl:
             raise RuntimeError(f"--control {self.text}: {_place(error)}") from error
 
 
-def _module(name: str) -> ModuleType:
-    if "" not in sys.path and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    return importlib.import_module(name)
-
-
-def _file(path: str) -> ModuleType:
-    """Import a file as a module, even if another module has the same name.
-
-    The file can import other files of its folder.
-    """
-    file = Path(path).resolve()
-    if str(file.parent) not in sys.path:
-        # Appended, so that files of this folder do not shadow standard modules.
+def _imported(name: str) -> ModuleType:
+    """Import a module, or a file as a module, even if another module has the same name."""
+    file = Path(name).resolve()
+    if not name.endswith(".py"):
+        if "" not in sys.path and os.getcwd() not in sys.path:
+            sys.path.insert(0, os.getcwd())
+    elif not file.is_file():
+        raise ValueError(f"{name}: no such file")
+    elif str(file.parent) not in sys.path:
+        # The file can import its neighbours, which do not stand before Python's own modules.
         sys.path.append(str(file.parent))
-    spec = importlib.util.spec_from_file_location(file.stem, file)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path}: is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    # Pickling the module's functions requires the module to be importable by name.
-    sys.modules.setdefault(file.stem, module)
-    spec.loader.exec_module(module)
-    return module
+    try:
+        if not name.endswith(".py"):
+            return importlib.import_module(name)
+        spec = importlib.util.spec_from_file_location(file.stem, file)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        # Pickling the module's functions requires the module to be importable by name.
+        sys.modules.setdefault(file.stem, module)
+        spec.loader.exec_module(module)
+        return module
+    except Exception as error:
+        raise ValueError(_place(error)) from None
 
 
 def _place(error: Exception) -> str:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import platform
 import sysconfig
 from importlib import metadata
 
-from stepcore.cli.output import add_json, print_json
 from stepcore.cli.terminal import put
+from stepcore.report.table import jsonable
 
 TEXTS = {
     "lesson": """\
@@ -32,7 +33,6 @@ PACKAGES = (
     *("stepcore", "numpy", "matplotlib", "trimesh", "viser", "mitsuba", "imageio-ffmpeg"),
     *("pillow", "pandas", "xarray", "mcap", "distributed", "gymnasium", "mujoco"),
 )
-WIDTH = 16
 
 
 def text(name: str) -> str:
@@ -52,30 +52,35 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
         command.add_argument(
             "--all", action="store_true", help="print every figure beside its reference"
         )
-    add_json(command)
+    command.add_argument("--json", action="store_true", help="print JSON instead of text")
 
 
 def call(args: argparse.Namespace, name: str) -> int:
     """Run a command; return the exit status."""
-    return _lesson(args) if name == "lesson" else _info(args)
-
-
-def _lesson(args: argparse.Namespace) -> int:
+    if name == "info":
+        facts = _facts()
+        said = "\n".join(f"{name:<16}{fact}" for name, fact in facts.items())
+        put(json.dumps(facts, indent=2) if args.json else said)
+        return 0
     from stepcore import lesson
 
     rows = lesson.run(args.engine)
-    if args.json:
-        print_json([row.to_dict() for row in rows])
-    else:
-        put(str(lesson.report(rows, full=args.all)))
+    plain = json.dumps(jsonable([row.to_dict() for row in rows]), indent=2) if args.json else ""
+    put(plain or str(lesson.report(rows, full=args.all)))
     return 0 if all(row.ok for row in rows) else 1
 
 
-def _info(args: argparse.Namespace) -> int:
+def _facts() -> dict[str, object]:
     from stepcore import _core, vectors
 
+    facts: dict[str, object] = {}
+    for package in PACKAGES:
+        try:
+            facts[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            facts[package] = "not installed"
     free_threaded = bool(sysconfig.get_config_var("Py_GIL_DISABLED"))
-    facts = {package: _version(package) for package in PACKAGES} | {
+    return facts | {
         # The file name shows whether this is a stable-ABI or a free-threaded build.
         "module": os.path.basename(_core.__file__),
         "vectors": _core.VECTORS,
@@ -85,16 +90,3 @@ def _info(args: argparse.Namespace) -> int:
         "machine": f"{platform.system()} {platform.machine()}",
         "cores": os.cpu_count(),
     }
-    if args.json:
-        print_json(facts)
-    else:
-        for name, fact in facts.items():
-            put(f"{name:<{WIDTH}}{fact}")
-    return 0
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"

@@ -6,17 +6,19 @@ import argparse
 import importlib
 import inspect
 import math
-import re
+import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from stepcore.cli.arguments import (
+    LIST,
     OPTIONS,
+    WORDS,
     add_file,
-    add_key,
     add_motion,
-    add_seconds,
+    add_options,
+    documented,
     key_of,
     length,
     model_of,
@@ -31,9 +33,6 @@ from stepcore.engine.sim import Sim
 from stepcore.experiment import schedule
 from stepcore.report.result import Result
 
-LIST = "numbers a,b,c or FIRST:LAST:COUNT on a log scale"
-# A line of a docstring that begins the description of arguments: "dts [s], values: the axes".
-ARGUMENT = re.compile(r"((?:\w+(?: \[\w+\])?(?:, )?)+): (.*)")
 # Returns further arguments of the measuring function, from the command line and the model.
 More = Callable[[argparse.Namespace, Model], Mapping[str, Any]]
 
@@ -42,33 +41,30 @@ More = Callable[[argparse.Namespace, Model], Mapping[str, Any]]
 class Measurement:
     """A command that calls the measuring function of the same name.
 
-    module: the module of the function. example: the arguments of an example.
-    options: what argparse is told of each option, by function argument. Its "help" is what the
-    function's docstring says of the argument; "flags" are the option's names if these differ.
+    module: of the function. example: the arguments of an example. options: see `add_options`.
     excluding: mutually exclusive options. full: the description of --all in the help. warn: whether
     to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
-    model: the settings of the argument FILE. motion: defaults shown in the help; None for a command
-    without a motion. key: whether such a command has a keyframe. source: whether the function may
-    read the file itself. more: further arguments of the function. done: what follows a call.
+    file: of the argument FILE. horizon: the default horizon in words, if it is no constant. source:
+    whether the function may read the file itself. more: further arguments of the function. done:
+    what follows a call.
     """
 
     module: str
     example: str
-    options: Mapping[str, Mapping[str, Any]]
+    options: Mapping[str, Any]
     excluding: tuple[str, ...] = ()
     full: str = "print every row of the tables"
     warn: bool = True
-    model: Mapping[str, Any] | None = None
-    motion: Mapping[str, Any] | None = None
-    key: bool = True
-    source: bool = False
+    file: Mapping[str, Any] = field(default_factory=dict)
+    horizon: str = ""
+    source: bool = True
     more: More = lambda args, model: {}
-    done: Callable[[Any, argparse.Namespace], None] = lambda result, args: None
+    done: Callable[[Any, argparse.Namespace], object] = lambda result, args: None
 
 
 def _function(name: str) -> Callable[..., Any]:
     """Return the function that a command calls."""
-    module = importlib.import_module(MEASUREMENTS[name].module)
+    module = importlib.import_module(f"stepcore.measure.{MEASUREMENTS[name].module}")
     function: Callable[..., Any] = getattr(module, name.replace("-", "_"))
     return function
 
@@ -79,70 +75,52 @@ def text(name: str) -> str:
     return f"{said}\n\nExample:\n  stepcore {name} {MEASUREMENTS[name].example}"
 
 
-def documented(function: Callable[..., Any]) -> tuple[str, dict[str, str]]:
-    """Return what a docstring says of a function, and of each of its arguments."""
-    said, arguments = list[str](), dict[str, str]()
-    described = list[str]()
-    for line in (inspect.getdoc(function) or "").splitlines():
-        begins = ARGUMENT.match(line)
-        if begins:
-            described = re.sub(r" \[\w+\]", "", begins[1]).split(", ")
-            arguments |= dict.fromkeys(described, begins[2])
-        elif described and line.startswith("    "):
-            for name in described:
-                arguments[name] += " " + line.strip()
-        elif arguments:
-            break
-        else:
-            said.append(line)
-    return "\n".join(said).strip(), arguments
-
-
 def add(command: argparse.ArgumentParser, name: str) -> None:
     """Add the options of a command, with the words and defaults of its function."""
     measurement, function = MEASUREMENTS[name], _function(name)
-    takes, (_, words) = inspect.signature(function).parameters, documented(function)
-    add_file(command, **(measurement.model or {}))
-    alternatives = command.add_mutually_exclusive_group() if measurement.excluding else command
-    for argument, option in measurement.options.items():
-        keywords = {"help": words.get(argument, "").replace("%", "%%").rstrip(".")} | dict(option)
-        flags = keywords.pop("flags", (f"--{argument}",))
-        default = takes[argument].default if argument in takes else None
-        if "action" not in keywords:
-            known = default not in (None, inspect.Parameter.empty)
-            default = keywords.setdefault("default", default if known else None)
-            if known and "default" not in keywords["help"]:
-                number = "g" if isinstance(default, float) else "s"
-                keywords["help"] += f" (default: %(default){number})"
-        elif keywords["action"] == "append":
-            keywords["help"] += "; may be given several times"
-        if keywords.get("metavar") == "LIST":
-            keywords["help"] += f" ({LIST})"
-        if flags[0].startswith("-"):
-            keywords["dest"] = argument
-        to = alternatives if argument in measurement.excluding else command
-        to.add_argument(*flags, **keywords)
-    if measurement.motion is None:
-        if measurement.key:
-            add_key(command)
-    else:
-        module = importlib.import_module(measurement.module)
-        shown = {field: getattr(module, field.upper(), None) for field in ("horizon", "starts")}
-        shown["horizon"] = shown["horizon"] or schedule.HORIZON
-        shown["starts"] = shown["starts"] or schedule.STARTS
-        add_motion(command, takes, **(shown | dict(measurement.motion)))
+    takes = inspect.signature(function).parameters
+    add_file(command, **measurement.file)
+    add_options(command, measurement.options, function, measurement.excluding)
+    if "key" in takes:
+        module = sys.modules[function.__module__]
+        usual = {
+            name: getattr(module, name.upper(), None) or getattr(schedule, name.upper())
+            for name in ("horizon", "starts")
+        }
+        usual["horizon"] = measurement.horizon or usual["horizon"]
+        motion = command.add_argument_group("motion")
+        add_motion(motion, takes, **usual)
+        motion.add_argument(
+            "--threads",
+            type=int,
+            metavar="N",
+            help="number of runs at the same time (default: one per core)",
+        )
     if name in SECONDS:
-        add_seconds(command, SECONDS[name])
+        command.add_argument(
+            "--seconds",
+            type=time,
+            default=SECONDS[name],
+            metavar="N",
+            help="longest time of the measurement [s], or inf; the answer then says what was not "
+            "done, as it does after Ctrl-C (default: %(default)g)",
+        )
     add_output(command, full=measurement.full)
 
 
 def call(args: argparse.Namespace, name: str) -> Result:
     """Run the measurement of a command."""
     measurement, function = MEASUREMENTS[name], _function(name)
-    model = _model(args, measurement)
+    model: Any = None
+    try:
+        model = model_of(args, warn=measurement.warn)
+    except ValueError:
+        # MuJoCo may run a file that stepcore cannot load.
+        if getattr(args, "engine", "stepcore") == "stepcore":
+            raise
     takes = inspect.signature(function).parameters
     given = {option: getattr(args, option) for option in measurement.options if option in takes}
-    if measurement.motion is not None:
+    if "key" in takes:
         given |= motion_of(args, model)
     if name in SECONDS:
         given["seconds"] = args.seconds
@@ -152,16 +130,6 @@ def call(args: argparse.Namespace, name: str) -> Result:
     result: Result = function(args.file if whole else model, **given)
     measurement.done(result, args)
     return result
-
-
-def _model(args: argparse.Namespace, measurement: Measurement) -> Any:
-    """Return stepcore's model of FILE; None where it has none and MuJoCo is to run the file."""
-    try:
-        return model_of(args, warn=measurement.warn)
-    except ValueError:
-        if getattr(args, "engine", "stepcore") == "stepcore":
-            raise
-        return None
 
 
 def _name_the_file(result: Any, args: argparse.Namespace) -> None:
@@ -180,11 +148,6 @@ def _save_smallest(result: Any, args: argparse.Namespace) -> None:
         result.smallest.save(args.save)
 
 
-def _save_identified(result: Any, args: argparse.Namespace) -> None:
-    if args.save is not None:
-        result.model.scene.save(args.save)
-
-
 def _sim_at_key(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
     if args.key is None:
         return {}
@@ -198,8 +161,7 @@ def _lists(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
     read: dict[str, Callable[[str], float]] = {"values": float, "dts": time, "accuracies": length}
     given = {name: getattr(args, name) for name in read}
     return {
-        name: None if words is None else numbers(f"--{name}", words, read[name])
-        for name, words in given.items()
+        name: words and numbers(f"--{name}", words, read[name]) for name, words in given.items()
     }
 
 
@@ -243,90 +205,67 @@ def _log(text: str) -> Any:
     return {name: file for name, _, file in parts} if apart else text
 
 
-LENGTH = {"metavar": "LENGTH"}
-DT = {"type": time, "metavar": "S"}
-COUNT = {"type": int, "metavar": "N"}
-ENGINE = {"choices": ("stepcore", "mujoco")}
+ENGINE = ("stepcore", "mujoco")
 NAMES = {"action": "append", "metavar": "NAME"}
 
 MEASUREMENTS = {
     "check": Measurement(
-        "stepcore.measure.check",
-        "gymnasium:half_cheetah",
-        {"depth": LENGTH},
-        warn=False,
-        motion={},
-        source=True,
-        done=_name_the_file,
+        "check", "gymnasium:half_cheetah", {"depth": "LENGTH"}, warn=False, done=_name_the_file
     ),
     "trade": Measurement(
-        "stepcore.measure.trade",
+        "trade",
         "gymnasium:half_cheetah --error 1mm --plot trade.png",
         {
-            "error": LENGTH,
-            "budget": {"metavar": "COST"},
-            "further": COUNT,
-            "by": {"choices": ("time", "flops")},
+            **{"error": "LENGTH", "budget": "COST", "further": "N", "by": ("time", "flops")},
             "grid": {
                 "action": "store_true",
                 "help": "try a full grid of settings instead of a search",
             },
-            "effort": {"type": float, "metavar": "OPERATIONS"},
-            "engine": ENGINE,
-            "mujoco": {"action": "store_true"},
+            **{"effort": "OPERATIONS", "engine": ENGINE, "mujoco": {}},
         },
         excluding=("error", "budget"),
         full="print every setting",
-        motion={},
-        source=True,
         more=lambda args, model: {"search": "grid" if args.grid else None},
     ),
     "predict": Measurement(
-        "stepcore.measure.predictability",
-        "gymnasium:ant --horizon 5 --plot growth.png",
-        {"engine": ENGINE},
-        motion={},
-        source=True,
+        "predictability", "gymnasium:ant --horizon 5 --plot growth.png", {"engine": ENGINE}
     ),
     "diagnose": Measurement(
-        "stepcore.measure.diagnosis",
+        "diagnosis",
         "gymnasium:half_cheetah --dt 0.01",
-        {"dt": DT, "integrators": {"flags": ("--integrator",), **NAMES}},
+        {"dt": "S", "integrators": {"flags": ("--integrator",), **NAMES}},
         full="print every element on its own",
         warn=False,
-        motion={},
+        source=False,
     ),
     "stability-map": Measurement(
-        "stepcore.measure.stability",
+        "stability",
         "lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png",
         {
             "path": {"flags": ("path",), "metavar": "VALUE", "nargs": "?"},
-            "values": {"metavar": "LIST"},
-            "dts": {"metavar": "LIST"},
-            "accuracies": {"metavar": "LIST"},
+            "values": "LIST",
+            "dts": "LIST",
+            "accuracies": "LIST",
             "integrators": {"flags": ("--integrator",), **NAMES},
             "deviation": {"flags": ("--deviation", "--error"), "metavar": "E"},
             "engine": ENGINE,
         },
-        model={
+        file={
             "nargs": "?",
             "default": "lesson:spring",
             "words": " (default: lesson:spring; also lesson:stack)",
         },
-        motion={"horizon": "1, or 25 times the largest time step if that is longer"},
-        source=True,
+        horizon="1, or 25 times the largest time step if that is longer",
         more=_lists,
     ),
     "converge": Measurement(
-        "stepcore.measure.convergence",
+        "convergence",
         "lesson:stack --plot residual.png",
-        {"states": COUNT, "engine": ENGINE},
+        {"states": "N", "engine": ENGINE},
         full="print every row, all runs of equal work, the residual by sweeps",
-        motion={},
-        source=True,
     ),
     "identify": Measurement(
-        "stepcore.measure.identification",
+        "identification",
         "arm.xml log.csv --parameters joint/hinge/damping=0.01:2",
         {
             "logs": {
@@ -344,50 +283,42 @@ MEASUREMENTS = {
                 "help": "a value to find and its range, such as joint/knee/damping=0.01:2, or "
                 "delay=0:0.05 [s] of the controls",
             },
-            "most": COUNT,
+            "most": "N",
             "save": {"metavar": "OUT.xml", "help": "write the model with the values found as MJCF"},
         },
-        key=False,
         more=_logs_and_ranges,
-        done=_save_identified,
+        done=lambda result, args: args.save and result.model.scene.save(args.save),
+        source=False,
     ),
     "tune": Measurement(
-        "stepcore.measure.tune",
+        "tune",
         "arm.xml --bandwidth 5",
         {
-            "bandwidth": {"type": float, "metavar": "HZ"},
-            "settling": DT,
-            "sag": {"type": float, "metavar": "X"},
-            "stiffness": {"type": float, "metavar": "N/M"},
-            "depth": LENGTH,
-            "noise": {"type": float, "metavar": "N"},
-            "servo": NAMES,
-            "geom": NAMES,
-            "dt": DT,
+            **{"bandwidth": "HZ", "settling": "S", "sag": "X", "stiffness": "N/M"},
+            **{"depth": "LENGTH", "noise": "N", "servo": NAMES, "geom": NAMES, "dt": "S"},
         },
         excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),
         warn=False,
-        motion={},
+        source=False,
     ),
     "plan": Measurement(
-        "stepcore.measure.plan",
+        "plan",
         "gymnasium:half_cheetah --time",
-        {"time": {"action": "store_true"}},
+        {"time": {}, "key": {"help": f"{WORDS['key']} (default: the first)"}},
         full="print every entry, the names of all its elements",
         more=_sim_at_key,
+        source=False,
     ),
     "ablate": Measurement(
-        "stepcore.measure.ablation",
+        "ablation",
         "gymnasium:half_cheetah --error 5mm --save small.xml",
         {
-            "added": {"flags": ("--added", "--error"), "default": "1mm", **LENGTH},
-            "further": COUNT,
+            "added": {"flags": ("--added", "--error"), "default": "1mm", "metavar": "LENGTH"},
+            "further": "N",
             "engine": ENGINE,
             "save": {"metavar": "OUT.xml", "help": "write the smallest model as MJCF"},
         },
         full="print every feature",
-        motion={},
-        source=True,
         done=_save_smallest,
     ),
 }

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import stat
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from stepcore import files
 from stepcore.cli.terminal import Usage, put
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
-from stepcore.report.table import jsonable
 
 # Arguments that name output files, and their options.
 OPTIONS = {name: f"--{name}" for name in ("plot", "html", "json", "save", "replay")}
@@ -49,45 +46,33 @@ def add_force(command: argparse._ActionsContainer) -> None:
     )
 
 
-def add_json(command: argparse.ArgumentParser) -> None:
-    """Add the option --json of a command that returns no `Result`."""
-    command.add_argument("--json", action="store_true", help="print JSON instead of text")
-
-
 def check_output(args: argparse.Namespace) -> None:
     """Check before the run that every output file can be written."""
     named = ((option, getattr(args, name, None)) for name, option in OPTIONS.items())
     outputs = [(option, out) for option, out in named if isinstance(out, str) and out != "-"]
     files.outputs.clear()
+    control = getattr(args, "control", None) or ""
+    inputs = [*(getattr(args, name, None) for name in ("file", "ctrl")), control.rpartition(":")[0]]
+    inputs += getattr(args, "logs", ())
     for option, out in outputs:
         path = Path(out).resolve()
         if path.is_dir():
             raise Usage(f"{option} {out}: is a folder, not a file")
         if not path.parent.is_dir():
             raise Usage(f"{option} {out}: no such folder")
-        _keep_inputs(args, option, out)
+        if any(given and _same(out, given) for given in inputs):
+            raise Usage(f"{option} {out}: is read by this command, so it is not written over")
+        with contextlib.suppress(OSError):
+            status = os.stat(out)
+            if stat.S_ISREG(status.st_mode):
+                # A file that the command may come to read later.
+                files.outputs.add((status.st_dev, status.st_ino))
         if any(_same(out, other) for name, other in outputs if name != option):
             raise Usage(f"{option} {out}: another output of the command is the same file")
         if not is_replaceable(out) and not args.force:
             what = "exists and is no earlier output of stepcore"
             raise Usage(f"{option} {out}: {what}; --force replaces it")
-    if getattr(args, "plot", None) is not None:
-        _need_matplotlib("--plot", args.plot)
-    if getattr(args, "html", None) is not None:
-        _need_matplotlib("--html")
-
-
-def _keep_inputs(args: argparse.Namespace, option: str, out: str) -> None:
-    """Refuse to overwrite a file that the command reads at any time."""
-    control = getattr(args, "control", None) or ""
-    inputs = [getattr(args, "file", None), getattr(args, "ctrl", None), control.rpartition(":")[0]]
-    for given in [*inputs, *getattr(args, "logs", ())]:
-        if given and _same(out, given):
-            raise Usage(f"{option} {out}: is read by this command, so it is not written over")
-    with contextlib.suppress(OSError):
-        status = os.stat(out)
-        if stat.S_ISREG(status.st_mode):
-            files.outputs.add((status.st_dev, status.st_ino))
+    _check_matplotlib(getattr(args, "plot", None), getattr(args, "html", None))
 
 
 def _same(one: str, other: str) -> bool:
@@ -99,17 +84,12 @@ def _same(one: str, other: str) -> bool:
 
 def deliver(result: Result, args: argparse.Namespace) -> None:
     """Write and print a result according to the options of `add_output`."""
-    writes: Writes = []
-    if args.plot is not None:
-        writes.append((args.plot, lambda: result.plot(args.plot)))
-    if args.html is not None:
-        writes.append((args.html, lambda: result.to_html(args.html)))
-    if args.json not in (None, "-"):
-        file = Path(args.json)
-        writes.append(
-            (args.json, lambda: file.write_text(result.to_json() + "\n", encoding="utf-8"))
-        )
-    failed = attempted(writes)
+    writes: Writes = [
+        (args.plot, lambda: result.plot(args.plot)),
+        (args.html, lambda: result.to_html(args.html)),
+        (args.json, lambda: Path(args.json).write_text(result.to_json() + "\n", encoding="utf-8")),
+    ]
+    failed = attempted([write for write in writes if write[0] not in (None, "-")])
     put(result.to_json() if args.json == "-" else result.text(full=args.all))
     for error in failed:
         raise error
@@ -128,16 +108,15 @@ def attempted(writes: Writes) -> list[Exception]:
     return failed
 
 
-def print_json(data: Any) -> None:
-    """Print plain data as JSON."""
-    put(json.dumps(jsonable(data), indent=2))
-
-
-def _need_matplotlib(option: str, out: str | None = None) -> None:
+def _check_matplotlib(plot: str | None, html: str | None) -> None:
+    """Check that a plot or a page can be drawn, and that the plot's format is known."""
+    if plot is None and html is None:
+        return
     try:
         from matplotlib.figure import Figure
     except ImportError:
+        option = "--html" if plot is None else "--plot"
         raise Usage(f"{option} needs matplotlib: pip install 'stepcore[plot]'") from None
     known = Figure().canvas.get_supported_filetypes()
-    if out is not None and Path(out).suffix.lstrip(".").lower() not in known:
-        raise Usage(f"{option} {out}: the extension must be one of {', '.join(sorted(known))}")
+    if plot is not None and Path(plot).suffix.lstrip(".").lower() not in known:
+        raise Usage(f"--plot {plot}: the extension must be one of {', '.join(sorted(known))}")

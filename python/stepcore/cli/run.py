@@ -1,42 +1,49 @@
-"""The commands `run`, which runs a model once, and `replay`, which repeats a failed run."""
+"""The commands `run`, which runs a model once, `replay` of a failed run, and `view`."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
-from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
+
+import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.arguments import (
     OPTIONS,
     add_file,
-    add_horizon,
-    add_option,
+    add_motion,
+    add_options,
+    controls_of,
+    key_of,
     model_of,
     motion_of,
     time,
 )
-from stepcore.cli.output import Writes, add_output, attempted, deliver
+from stepcore.cli.output import Writes, add_force, add_output, attempted, deliver
 from stepcore.cli.terminal import INTERRUPTED, Usage, put, reason, say
 from stepcore.engine.model import Model
 from stepcore.engine.replay import replay
-from stepcore.engine.trajectory import RECORDED, Trajectory, whole_steps
+from stepcore.engine.sim import Sim
+from stepcore.engine.trajectory import Trajectory
+from stepcore.experiment.control_table import control_table
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.single_run import PUSH, PUSH_FORM, Push
-from stepcore.measure.run import MOST_STEPS, sim_of, simulated
+from stepcore.measure import run as runs
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 from stepcore.report.units import time_of
 from stepcore.viewing.needs import need
 
-# Extensions of --save, and the quantities that --save records without --record.
-SAVED = (".npz", ".csv", ".mcap", ".html")
+# Extensions of --save, with the package that each needs; and what --save has without --record.
+SAVED = {".npz": "", ".csv": "", ".mcap": "mcap", ".html": "trimesh"}
 RECORD = ("qpos", "qvel", "ctrl", "energy", "overlap")
-# Settings with the unit of time.
-TIMES = ("dt", "sleep_time")
+# The default horizon of the run on a page [s].
+PAGE = 5.0
 TEXTS = {
     "run": """\
 Simulate a model and print its final state, energy and computing time, and what went
@@ -55,6 +62,43 @@ energy in the steps before the failure.
 Example:
   stepcore replay ball-step1201.replay.json --plot energy.png
 """,
+    "view": """\
+Watch a model move, in a browser: paused, stepped, taken back in time, with sliders for its
+controls, contact forces, energy and the residual. It prints the address of the page, which a
+browser on another machine can open too (--host 0.0.0.0). With --html it runs the model and writes
+a page that replays the run, which anybody opens without Python.
+
+Example:
+  stepcore view gymnasium:half_cheetah --ctrl bthigh=1,fthigh=-1 --html run.html
+""",
+}
+
+
+OPTIONS_OF_RUN: dict[str, dict[str, Any]] = {
+    "accuracy": {
+        "metavar": "LENGTH",
+        "help": "the error asked for at the end of the run, such as 1mm: each time step is made of "
+        "as many shorter ones as this takes (default: steps of --dt)",
+    },
+    "error_bar": {"action": argparse.BooleanOptionalAction},
+    "set": {
+        "action": "append",
+        "default": [],
+        "metavar": "NAME=VALUE",
+        "help": "change a setting (any field of stepcore.Settings)",
+    },
+    "replay": {"metavar": "OUT", "help": "where to write the replay if the run fails"},
+    "save": {
+        "metavar": "OUT",
+        "help": "write the run: .npz (arrays), .csv (columns by name), .mcap (a log for Foxglove) "
+        "or .html (a page that replays it)",
+    },
+    "record": {
+        "metavar": "NAMES",
+        "default": None,
+        "help": "what --plot, --html and --save have of every step, such as "
+        "qpos,ctrl,actuator_force (default: energy,overlap; --save: qpos,qvel,ctrl too)",
+    },
 }
 
 
@@ -70,59 +114,39 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
         add_output(command)
         return
     add_file(command)
-    command.add_argument("--key", **OPTIONS["key"])
-    add_horizon(command, f"simulated time [s] (default: {HORIZON:g})")
-    command.add_argument(
-        "--dt", type=time, metavar="S", help="time step [s] (default: the model's)"
-    )
-    command.add_argument(
-        "--accuracy",
-        metavar="LENGTH",
-        help="the error asked for at the end of the run, such as 1mm: each time step is made of as "
-        "many shorter ones as this takes (default: steps of --dt)",
-    )
-    command.add_argument(
-        "--error-bar",
-        action=argparse.BooleanOptionalAction,
-        help="estimate the error of the run from a finer run beside it (default: with --accuracy)",
-    )
-    command.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="change a setting (any field of stepcore.Settings); may be given several times",
-    )
-    command.add_argument(
-        "--replay", metavar="OUT", help="where to write the replay if the run fails"
-    )
-    command.add_argument(
-        "--save",
-        metavar="OUT",
-        help="write the run: .npz (arrays), .csv (columns by name), .mcap (a log for Foxglove) or "
-        ".html (a page that replays it)",
-    )
-    command.add_argument(
-        "--record",
-        metavar="NAMES",
-        help="what --plot, --html and --save have of every step, such as qpos,ctrl,actuator_force "
-        "(default: energy,overlap; --save: qpos,qvel,ctrl too)",
-    )
-    add_inputs(command)
-    add_output(command, full="print the whole final state")
+    add_motion(command, ("key",))
+    words = "time step [s] (default: the model's)"
+    command.add_argument("--dt", type=time, metavar="S", help=words)
+    if name == "view":
+        _add_view(command)
+    else:
+        add_options(command, OPTIONS_OF_RUN, runs.run)
+        _add_inputs(command, HORIZON)
+        add_output(command, full="print the whole final state")
 
 
-def add_inputs(command: argparse.ArgumentParser) -> None:
-    """Add the options of the inputs of a run."""
+def _add_view(command: argparse.ArgumentParser) -> None:
+    live = command.add_argument_group("live view")
+    live.add_argument(
+        "--host",
+        default="localhost",
+        help="where the page is served; 0.0.0.0 lets other machines open it (default: this machine "
+        "alone)",
+    )
+    live.add_argument("--port", type=int, default=8080, help="of the page (default: 8080)")
+    page = command.add_argument_group("page")
+    page.add_argument("--html", dest="page", metavar="OUT", help="write a page that replays a run")
+    add_force(page)
+    _add_inputs(command, PAGE)
+
+
+def _add_inputs(command: argparse.ArgumentParser, horizon: float) -> None:
+    """Add the options of the inputs of a run, with its default horizon [s]."""
     inputs = command.add_argument_group("inputs")
-    for name in ("ctrl", "interpolation", "follow", "control"):
-        add_option(inputs, name)
-    kind = OPTIONS["kind"]["help"].partition(" (default")[0]
-    add_option(inputs, "kind", help=f"{kind} (default: the keyframe's controls, held)")
-    add_option(inputs, "seed", help="random seed of --motion (default: 0)")
-    inputs.add_argument(
-        "--control-dt", type=time, metavar="S", help="control period [s] (default: every step)"
-    )
+    fields = OPTIONS.keys() - {"key", "starts"}
+    held = "the keyframe's controls, held"
+    add_motion(inputs, fields, horizon=f"{horizon:g}", kind=held, control_dt="every step")
+    inputs.add_argument("--duration", type=time, dest="horizon", help=argparse.SUPPRESS)
     inputs.add_argument(
         "--push",
         action="append",
@@ -135,31 +159,25 @@ def add_inputs(command: argparse.ArgumentParser) -> None:
 
 def call(args: argparse.Namespace, name: str) -> Result | int:
     """Run a command; return its result or its exit status."""
-    return replay(args.file) if name == "replay" else _run(args)
+    if name == "replay":
+        return replay(args.file)
+    if args.horizon is not None and not 0 <= args.horizon < float("inf"):
+        raise Usage(f"--horizon {args.horizon:g}: must be finite and >= 0 s")
+    return _view(args) if name == "view" else _run(args)
 
 
 def _run(args: argparse.Namespace) -> int:
-    changes = dict(_setting(text) for text in args.set)
-    if args.dt is not None:
-        changes["dt"] = args.dt
-    if args.accuracy is not None:
-        changes["accuracy"] = args.accuracy
-    horizon = HORIZON if args.horizon is None else args.horizon
-    if not 0 <= horizon < float("inf"):
-        raise Usage(f"--horizon {horizon:g}: must be finite and >= 0 s")
+    given = {"dt": args.dt, "accuracy": args.accuracy}
+    changes = dict(map(_setting, args.set))
+    changes |= {name: value for name, value in given.items() if value is not None}
     model = model_of(args).with_settings(**changes)
-    dt = model.settings.dt
-    if not horizon / dt < MOST_STEPS:
-        limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s"
-        raise Usage(f"--horizon {horizon:g} s: must be {limit} (2^64 steps)")
     record = _recorded(args)
-    pushes, motion = pushes_of(args, model), motion_of_run(args, model)
-    if args.horizon is None:
-        horizon = max(horizon, motion.duration)
+    motion, pushes = _inputs(args, model)
+    horizon = max(HORIZON, motion.duration) if args.horizon is None else args.horizon
     # The ledger is needed to explain a failure in full, and costs only a few per cent.
     ledger = changes.get("ledger", True)
-    sim = sim_of(model, horizon, ledger=ledger, error_bar=args.error_bar)
-    result = simulated(sim, model.settings, motion, horizon, pushes, record, None, True)
+    sim = runs.sim_of(model, horizon, ledger=ledger, error_bar=args.error_bar)
+    result = runs.simulated(sim, model.settings, motion, horizon, pushes, record, None, True)
     if result.error is not None:
         said = [f"{one_line(result.error)}.", *(finding.text for finding in result.findings)]
         # Printed first, because saving can fail too.
@@ -173,64 +191,52 @@ def _run(args: argparse.Namespace) -> int:
     return INTERRUPTED if result.interrupted else 0
 
 
-def motion_of_run(args: argparse.Namespace, model: Model) -> Motion:
-    """Return the motion of --key, --ctrl, --control and --control-dt."""
-    if args.control_dt is not None:
-        whole_steps("--control-dt", args.control_dt, model.settings.dt, least=1)
-    return Motion(**(motion_of(args, model) | {"horizon": args.horizon or None}))
-
-
-def pushes_of(args: argparse.Namespace, model: Model) -> list[Push]:
-    """Return the pushes of --push."""
+def _inputs(args: argparse.Namespace, model: Model) -> tuple[Motion, list[Push]]:
+    """Return the motion and the pushes of a run."""
+    motion = Motion(**(motion_of(args, model) | {"horizon": args.horizon or None}))
     try:
         pushes = [Push.of(text) for text in args.push]
         for push in pushes:
             push.on(model)
     except ValueError as error:
         raise Usage(f"--{one_line(error)}") from None
-    return pushes
+    return motion, pushes
 
 
 def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
-    """Return the quantities to record at every step, after checking them."""
+    """Return the quantities to record at every step; report a missing package before the run."""
     if args.plot is None and args.save is None and args.html is None:
         if args.record is not None:
             raise Usage("--record is what --plot and --save have: give one of them")
         return ()
-    if args.save is not None and not args.save.endswith(SAVED):
+    if args.save is not None and not args.save.endswith(tuple(SAVED)):
         raise Usage(f"--save {args.save}: must end in {', '.join(SAVED)}")
-    # A missing package is reported before the run.
-    if args.save is not None and args.save.endswith(".mcap"):
-        need("mcap", f"--save {args.save}", "mcap")
-    if args.save is not None and args.save.endswith(".html"):
-        need("trimesh", f"--save {args.save}")
+    for ending, package in SAVED.items():
+        if package and args.save is not None and args.save.endswith(ending):
+            need(package, f"--save {args.save}", "mcap" if package == "mcap" else "view")
     if args.record is not None:
-        names = tuple(name.strip() for name in args.record.split(","))
-        for name in names:
-            if name not in RECORDED:
-                near = nearest(name, RECORDED)
-                raise Usage(f"--record {args.record}: '{name}' cannot be recorded{near}")
-        return names
+        return tuple(name.strip() for name in args.record.split(","))
     return ("energy", "overlap") if args.save is None else RECORD
 
 
 def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:
-    saves: Writes = []
-    if run is not None and args.save is not None:
-        ending = SAVED.index(args.save[args.save.rindex(".") :])
-        save = (run.save, run.save, run.save_mcap, run.save_html)[ending]
-        saves.append((args.save, lambda: save(args.save)))
-    return saves
+    if run is None or args.save is None:
+        return []
+    others = {".mcap": run.save_mcap, ".html": run.save_html}
+    save: Any = others.get(args.save[args.save.rindex(".") :], run.save)
+    return [(args.save, lambda: save(args.save))]
 
 
 def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | None) -> None:
     """Save the replay of a failure, and the recorded run up to the failure."""
-    path = args.replay or _replay_name(error)
+    name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
+    path = args.replay or f"{name or 'run'}-step{error.step}.replay.json"
+    while not args.replay and not is_replaceable(path):
+        path = f"{path.removesuffix('.replay.json')}-new.replay.json"
     failed = attempted([(path, lambda: error.replay.save(path))])
+    said = [f"To see what failed: stepcore replay {path}"]
     if failed:
         said = [f"The replay was not saved: {reason(failed[0])}."]
-    else:
-        said = [f"To see what failed: stepcore replay {path}"]
     saves = _saves(args, run)
     if run is not None and args.plot is not None:
         saves.append((args.plot, lambda: run.plot(args.plot)))
@@ -238,44 +244,54 @@ def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | No
     put(" ".join(said), stream=sys.stderr)
 
 
-def _replay_name(error: SimulationError) -> str:
-    """Return an unused file name for the replay of a failure."""
-    name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
-    path = f"{name or 'run'}-step{error.step}.replay.json"
-    while not is_replaceable(path):
-        path = f"{path.removesuffix('.replay.json')}-new.replay.json"
-    return path
-
-
 def _setting(text: str) -> tuple[str, Any]:
-    """Parse "name=value" as a field of Settings and its value."""
+    """Parse "name=value" as a field of Settings and its value: a number, true, false or a text."""
     name, equals, value = text.partition("=")
     if not equals:
         raise Usage(f"--set {text}: must be NAME=VALUE")
     fields = Settings().as_dict()
     if name not in fields:
         raise Usage(f"--set {text}: settings have no '{name}'{nearest(name, fields)}")
-    if (name, value) == ("sweeps", "auto"):
-        return name, value
-    if name == "accuracy":
-        return name, value
-    if name == "max_recovery_speed":
-        return name, value if value in ("auto", "none") else _number(float, name, value)
-    if name in TIMES:
-        return name, _number(time_of, name, value)
-    kind = type(fields[name])
-    if kind is bool:
-        if value.lower() not in ("true", "false"):
-            raise Usage(f"--set {text}: must be true or false")
-        return name, value.lower() == "true"
-    return name, value if kind is str else _number(kind, name, value)
+    if name in ("dt", "sleep_time"):
+        return name, time_of(value) or value
+    with suppress(ValueError):
+        return name, json.loads(value.lower())
+    return name, value
 
 
-def _number(read: Callable[[str], Any], name: str, value: str) -> Any:
-    try:
-        number = read(value)
-    except ValueError:
-        number = None
-    if number is None:
-        raise Usage(f"--set {name}={value}: '{value}' is not a number")
-    return number
+def _view(args: argparse.Namespace) -> int:
+    """Show the model in a live view, or write the page of a run; return the exit status."""
+    if args.page is not None:
+        need("trimesh", f"--html {args.page}")
+    elif args.horizon is not None:
+        raise Usage("--horizon is of the run that --html writes; a live view has no end")
+    horizon = args.horizon = PAGE if args.horizon is None else args.horizon
+    model = model_of(args)
+    sim = Sim(model, **({} if args.dt is None else {"dt": args.dt}))
+    if args.page is None:
+        _live(args, sim)
+        return 0
+    motion, pushes = _inputs(args, sim.model)
+    run = runs.simulated(sim, sim.settings, motion, horizon, pushes, ("qpos",), None)
+    if run.error is not None:
+        say(one_line(run.error))
+    # The page of a failed run shows the motion up to the failure.
+    seen = run.trajectory
+    if seen is not None:
+        for unsaved in attempted([(args.page, lambda: seen.save_html(args.page))]):
+            raise unsaved
+        put(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
+    return 0 if run.success else 1
+
+
+def _live(args: Any, sim: Sim) -> None:
+    others = ("control", "control_dt", "follow", "kind", "push")
+    if any(getattr(args, name) for name in others):
+        options = "--control, --control-dt, --follow, --motion and --push"
+        raise Usage(f"{options} drive the run that --html writes")
+    key = key_of(args, sim.model)
+    sim.reset(key=0 if key is None and sim.model.keys else key)
+    if args.ctrl is not None:
+        table = control_table(controls_of(args.ctrl, sim.model))
+        sim.ctrl = table.log(sim.model, np.array(sim.ctrl), sim.settings.dt).rows[0]
+    sim.view(host=args.host, port=args.port, wait=True)

@@ -1,18 +1,29 @@
-"""Printing for commands: error stream, and terminals without some characters."""
+"""What commands say on a terminal: errors, characters that it lacks, answers so far, Ctrl-C.
+
+The first Ctrl-C ends a measurement with what is known, the second at once.
+"""
 
 from __future__ import annotations
 
 import codecs
 import os
+import signal
 import sys
-from typing import TextIO
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, TextIO
 
+from stepcore import deadline
 from stepcore.checks import one_line
 from stepcore.escapes import printable
-from stepcore.report.terminal import last_line
+from stepcore.report.terminal import last_line, watched
 
 # The exit status that shells report for a program interrupted by Ctrl-C.
 INTERRUPTED = 130
+# On a terminal, when a measurement that still runs says what it knows, and how often again [s].
+OFTEN = (1.0, 0.5)
 ERRORS = "stepcore.plain"
 REASONS = {FileNotFoundError: "no such file", IsADirectoryError: "is a folder, not a file"}
 # Errors caused by the user's arguments and files, or by failing runs.
@@ -70,3 +81,41 @@ def reason(error: BaseException) -> str:
     # Any other error is a bug in stepcore.
     kind = type(error).__name__
     return f"internal error ({kind}: {one_line(error)}); --debug shows the traceback"
+
+
+def stop(number: int, frame: FrameType | None) -> None:
+    """Handle Ctrl-C: stop the measurement that runs, or raise KeyboardInterrupt."""
+    measurement = deadline.current()
+    if measurement is None or measurement.interrupted:
+        raise KeyboardInterrupt
+    measurement.stop()
+    say("interrupted; what is known follows (Ctrl-C again ends at once)")
+
+
+@contextmanager
+def tells_so_far(json: bool) -> Iterator[None]:
+    """Print to the error stream what long measurements know so far; with JSON on terminals only."""
+    seldom = deadline.pace
+    if watched():
+        deadline.listener, deadline.pace = say, OFTEN
+    elif not json:
+        deadline.listener = say
+    try:
+        yield
+    finally:
+        deadline.listener, deadline.pace = None, seldom
+
+
+@contextmanager
+def ends_early_on_ctrl_c() -> Iterator[None]:
+    """Handle Ctrl-C with `stop`, where Python's own handler is in place."""
+    before: Any = signal.getsignal(signal.SIGINT)
+    main = threading.current_thread() is threading.main_thread()
+    if not main or before is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

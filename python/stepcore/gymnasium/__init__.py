@@ -22,12 +22,10 @@ except ModuleNotFoundError as error:
         "stepcore.gymnasium needs gymnasium: pip install 'stepcore[gymnasium]'"
     ) from None
 
-from stepcore.gymnasium.draws import Draws
-from stepcore.gymnasium.env import Env
-from stepcore.gymnasium.snapshot import Moment, TaskState
+from stepcore.gymnasium.env import Env, VectorEnv
+from stepcore.gymnasium.moment import Draws, Moment, TaskState
 from stepcore.gymnasium.task import Task
 from stepcore.gymnasium.tasks import TASKS as _TASKS
-from stepcore.gymnasium.vector_env import VectorEnv
 
 __all__ = ["Draws", "Env", "Moment", "Task", "TaskState", "VectorEnv", "register_envs"]
 

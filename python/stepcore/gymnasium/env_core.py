@@ -1,13 +1,13 @@
-"""`EnvCore`: steps the worlds of an environment by one action and reads them for its task."""
+"""`EnvCore`: what one world and many have in common as environments: steps, readings, pictures."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from stepcore import checks
@@ -15,9 +15,8 @@ from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.gymnasium.draws import Streams
+from stepcore.gymnasium.moment import Moment, Readings, Streams, TaskState
 from stepcore.gymnasium.mujoco_late_arrays import go_to_last_stage
-from stepcore.gymnasium.snapshot import Moment, Readings, TaskState
 from stepcore.gymnasium.task import Task
 
 # What tells of the last solve; the other arrays are of the present state.
@@ -31,96 +30,127 @@ OF_THE_SOLVE = frozenset(
 NOT_OF_FORWARD = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
 
 
-class EnvCore:
-    """A `Sim`, or a `Batch` of n worlds, with what its task reads.
+# What `render_mode` may be, besides None.
+MODES = ["rgb_array"]
+Picture = NDArray[np.uint8]
 
-    settings: a `Settings` or some fields of one, instead of the model's own.
+
+class EnvCore:
+    """A `Sim`, or a `Batch` of n worlds, with what its task reads, its spaces and its camera.
+
+    owner: the class of the environment, for errors. settings: a `Settings` or some fields of one,
+    instead of the model's own. dtype: of the observations; None for that of the task's space.
     n: the number of worlds, None for a Sim. how: further arguments of the Batch.
     """
 
     def __init__(
         self,
+        owner: str,
         task: Task,
         settings: Settings | Mapping[str, Any] | None,
+        dtype: Any,
+        render_mode: Any,
+        width: int,
+        height: int,
         n: int | None = None,
-        **how: Any,
+        how: Mapping[str, Any] | None = None,
     ) -> None:
+        checks.one_of(None, *MODES)(owner, "render_mode", render_mode)
+        self._camera = None if render_mode is None else WorldCamera(owner, width, height)
         self.task = task
         self.skip = checks.count("frame_skip", task.frame_skip)
         fields = settings if isinstance(settings, Mapping) else {"settings": settings}
         self.model = task.model().with_settings(**fields)
-        self.action_space = task.action_space(self.model)
-        self.world = self._made(n, how)
-        # All worlds: their indices, and as an index of arrays; a Sim's have no axis of worlds.
-        self._all: Any = 0 if n is None else np.arange(n)
-        self._rows: Any = 0 if n is None else slice(None)
-        # What the task remembers, by name, with an axis of worlds.
-        self.state: dict[str, NDArray[Any]] = {}
-        self._n = 1 if n is None else n
-        self.streams = Streams(self._n)
-        self._events = task.has("before_step")
-        self._random: set[str] = set()
-        self._on_all = len(inspect.signature(task.start).parameters) > 2
         self.dt = self.model.settings.dt * self.skip
+        render_fps = max(1, round(1 / self.dt))
+        self.metadata: dict[str, Any] = {"render_modes": MODES, "render_fps": render_fps}
         rk4 = self.model.settings.integrator == "rk4"
-        solved = not OF_THE_SOLVE.isdisjoint(task.late)
-        # A copy, for late arrays that this world does not have where they are asked for.
-        self._stage = self._made(n, how) if task.late and (rk4 or solved) else None
         if rk4 and task.late and self.model.na:
             raise ValueError(
                 f"{type(task).__name__}: reads what MuJoCo has after rk4's last stage, which is "
                 "not known for actuators with activations"
             )
+
+        def made() -> Sim | Batch:
+            if n is None:
+                return unwatched(Sim(self.model))
+            return Batch(self.model, n, on_failure="go on", **(how or {}))
+
+        self.world = made()
+        # A copy, for late arrays that this world does not have where they are asked for.
+        solved = not OF_THE_SOLVE.isdisjoint(task.late)
+        self._stage = made() if task.late and (rk4 or solved) else None
         # Resets are read in a world of their own, one after another.
         self._first = unwatched(Sim(self.model))
+        # All worlds: their indices, and as an index of arrays; a Sim's have no axis of worlds.
+        self._all: Any = 0 if n is None else np.arange(n)
+        self._rows: Any = 0 if n is None else slice(None)
+        self._n = 1 if n is None else n
+        # What the task remembers, by name, with an axis of worlds.
+        self.state: dict[str, NDArray[Any]] = {}
+        self.streams = Streams(self._n)
+        self._differs = False
+        self._on_all = len(inspect.signature(task.start).parameters) > 2
+        # The arrays that the functions read: of now, and of before the action.
         self._asked: set[str] = set()
         self._asked_before: set[str] = set(task.late)
         self._before: dict[str, Any] = {}
+        self.action_space = task.action_space(self.model)
+        space = self._observation_space()
+        self.observation_space = space if dtype is None else _of_type(space, dtype)
 
-    def _made(self, n: int | None, how: dict[str, Any]) -> Sim | Batch:
-        if n is None:
-            return unwatched(Sim(self.model))
-        return Batch(self.model, n, on_failure="go on", **how)
+    def _observation_space(self) -> Box:
+        """Try the functions: find the arrays that they read, and the space of observations.
 
-    # Moments.
-
-    @contextmanager
-    def trial(self) -> Iterator[Moment]:
-        """Give the present worlds for a trial of the functions; record which arrays they read."""
-        action = self._no_action(self.world.qpos.shape[:-1])
+        Raises ValueError if a function of the task returns something of another shape.
+        """
+        task, action = self.task, self._no_action(self.world.qpos.shape[:-1])
+        shape, nu = action.shape[:-1], self.model.nu
 
         def read(name: str) -> Any:
             return np.array(getattr(self.world, name))
 
-        before = Readings(read, self._asked_before, {"action": action})
-        now = self._moment(read, {}, action, before)
-        self.task.begin(now)
-        yield now
+        now = self._moment(read, {}, action, Readings(read, self._asked_before, {"action": action}))
+        task.begin(now)
+        controls = task.control(self._ahead(action))
+        if not task.has("control") and self.action_space.shape != (nu,):
+            raise ValueError(f"action_space has shape {self.action_space.shape}: must be ({nu},)")
+        _checked("control", controls, (*shape, nu))
+        task.after_action(now)
+        observation = _checked("observe", task.observe(now), (*shape, "k"))
+        reward, terminated, info = task.outcome(now)
+        _checked("reward", reward, shape)
+        _checked("terminated", terminated, shape)
+        for what, infos in (("info", info), ("info after a reset", task.reset_info(now))):
+            for key, value in infos.items():
+                if np.shape(value)[: len(shape)] != shape:
+                    raise _shaped(f'{what}["{key}"]', value, f"{shape} first")
+        space: Box = task.observation_space(observation.shape[-1])
+        if space.shape != observation.shape[-1:]:
+            limit = str(observation.shape[-1:])
+            raise ValueError(f"observation_space has shape {space.shape}: must be {limit}")
         # What the trial drew and remembered is no part of an episode.
         self.state.clear()
         self.streams = Streams(self._n)
+        return space
 
-    def moment(self, action: NDArray[Any], late: dict[str, Any]) -> Moment:
-        """Return the worlds after an action."""
-        before = Readings(_unknown, self._asked_before, self._before)
-        return self._moment(lambda name: getattr(self.world, name), late, action, before)
+    # Moments.
 
-    def ahead(self, action: NDArray[Any]) -> Moment:
+    def _ahead(self, action: NDArray[Any]) -> Moment:
         """Return the worlds before an action or a step, of which nothing is kept."""
         before = Readings(_not_before, set())
         return self._moment(lambda name: getattr(self.world, name), {}, action, before, set())
 
     def _moment(
         self,
-        read: Any,
+        read: Callable[[str], Any],
         kept: dict[str, Any],
         action: NDArray[Any],
         before: Readings,
         asked: set[str] | None = None,
         worlds: Any = None,
     ) -> Moment:
-        whole = worlds is None
-        here, rows = (self._all, self._rows) if whole else (worlds, worlds)
+        here, rows = (self._all, self._rows) if worlds is None else (worlds, worlds)
         return Moment(
             read,
             self._asked if asked is None else asked,
@@ -138,71 +168,86 @@ class EnvCore:
     def _no_action(self, shape: tuple[int, ...]) -> NDArray[Any]:
         return np.zeros((*shape, *(self.action_space.shape or ())), dtype=np.float32)
 
-    def keep(self, now: Moment) -> None:
-        """Keep the arrays that the functions will read as `now.before` after the next action."""
-        self._before = {name: np.array(getattr(now, name)) for name in self._asked_before}
+    def keep(self, now: Moment, worlds: NDArray[np.intp] | None = None) -> None:
+        """Keep the arrays that the functions will read as `now.before` after the next action.
+
+        worlds: those of a first moment; by default it is a moment of all.
+        """
+        for name in self._asked_before:
+            value = np.array(getattr(now, name))
+            if worlds is None:
+                self._before[name] = value
+            elif isinstance(self.world, Sim):
+                self._before[name] = value[0]
+            else:
+                empty = np.zeros((self._n, *value.shape[1:]), value.dtype)
+                self._before.setdefault(name, empty)[worlds] = value
 
     # Actions.
 
-    def act(self, action: NDArray[Any]) -> tuple[Moment, dict[int, SimulationError]]:
+    def act(self, action: Any) -> tuple[Moment, dict[int, SimulationError]]:
         """Take an action; return the moment after it, and the errors of worlds that failed.
 
-        A world that fails stands in its last finite state.
+        A world that fails stands in its last finite state. Raises ValueError for an action of
+        another shape than the space's.
         """
-        self.world.ctrl = np.asarray(self.task.control(self.ahead(action)))
+        action, shape = np.asarray(action), (*self.world.qpos.shape[:-1], *self.action_space.shape)
+        if action.shape != shape:
+            raise ValueError(f"action has shape {action.shape}: must be {shape}")
+        self.world.ctrl = np.asarray(self.task.control(self._ahead(action)))
         late: dict[str, Any] = {}
-        if not self.task.late:
-            errors = self._steps(action, 0, self.skip)
-        else:
-            errors = self._steps(action, 0, self.skip - 1)
+        single = isinstance(self.world, Sim)
+        first = self.skip - 1 if self.task.late else self.skip
+        errors = self._steps(action, 0, first)
+        if self.task.late:
             late = self._late()
-            if not (errors and isinstance(self.world, Sim)):
-                errors |= self._steps(action, self.skip - 1, self.skip)
-        for name, array in late.items():
-            for world in errors:
-                own = world if isinstance(self.world, Batch) else ...
-                array[own] = self._before[name][own]
-        now = self.moment(action, late)
+            if not (errors and single):
+                errors |= self._steps(action, first, self.skip)
+            for name, array in late.items():
+                for world in errors:
+                    own = ... if single else world
+                    array[own] = self._before[name][own]
+        before = Readings(_unknown, self._asked_before, self._before)
+        now = self._moment(lambda name: getattr(self.world, name), late, action, before)
         self.task.after_action(now)
         return now, errors
 
     def _steps(self, action: NDArray[Any], first: int, end: int) -> dict[int, SimulationError]:
         """Take some of the steps of an action; return the errors of worlds that failed."""
-        if not self._events:
-            return self._stepped(end - first)
         errors: dict[int, SimulationError] = {}
-        for step in range(first, end):
-            self.task.before_step(self.ahead(action), step)
-            errors |= self._stepped(1)
-            if errors and isinstance(self.world, Sim):
-                break
-        return errors
-
-    def _stepped(self, n: int) -> dict[int, SimulationError]:
-        if n:
+        each = self.task.has("before_step")
+        for step in range(first, end, 1 if each else max(1, end - first)):
+            if each:
+                self.task.before_step(self._ahead(action), step)
             try:
-                self.world.step(n)
+                self.world.step(1 if each else end - first)
             except SimulationError as error:
                 return {0: error}
-        return self.world.failures if isinstance(self.world, Batch) else {}
+            if isinstance(self.world, Batch):
+                errors |= self.world.failures
+        return errors
 
     def _late(self) -> dict[str, Any]:
         """Before the last step, read the arrays at the place where it last evaluates forces."""
-        source: Sim | Batch = self.world
-        if self._stage is not None:
-            source = self._stage
+        world, source = self.world, self._stage
+        if source is None:
+            return {name: np.array(getattr(world, name)) for name in self.task.late}
+        source.reset()
+        source.ctrl = world.ctrl
+        source.qfrc_applied, source.xfrc_applied = world.qfrc_applied, world.xfrc_applied
+        failed = False
+        try:
+            go_to_last_stage(source, world.qpos, world.qvel)
+        except SimulationError:
+            failed = True
+        # A world that failed can be read then, and does not fail again.
+        if isinstance(source, Batch) and source.failures:
+            failed = True
+            source.reset(worlds=list(source.failures))
+        elif failed:
             source.reset()
-            source.ctrl = self.world.ctrl
-            source.qfrc_applied, source.xfrc_applied = (
-                self.world.qfrc_applied,
-                self.world.xfrc_applied,
-            )
-            try:
-                go_to_last_stage(source, self.world.qpos, self.world.qvel)
-            except SimulationError:
-                _stand([0], source)
-            if isinstance(source, Batch) and source.failures:
-                _stand(list(source.failures), source)
+        if failed:
+            source.forward()
         return {name: np.array(getattr(source, name)) for name in self.task.late}
 
     # Resets.
@@ -220,8 +265,14 @@ class EnvCore:
         else:
             self.world.reset()
             self.world.qpos, self.world.qvel = qpos[0], qvel[0]
-        first = self._first_moment(worlds, qpos, qvel)
+        action = self._no_action((len(qpos),))
+        kept: dict[str, Any] = {"qpos": qpos, "qvel": qvel}
+        names = (self._asked | self._asked_before) - {*kept, "action"}
+        kept |= self._first_arrays(names, worlds, qpos, qvel)
+        before = Readings(_unknown, set(), {**kept, "action": action})
+        first = self._moment(_unknown, kept, action, before, worlds=worlds)
         self.task.begin(first)
+        self.keep(first, worlds)
         return first
 
     def _randomize(self, worlds: NDArray[np.intp]) -> None:
@@ -229,7 +280,7 @@ class EnvCore:
             return
         values = self.task.randomize(self.model, self.streams.of(worlds), worlds)
         given = {path: np.asarray(value, dtype=np.float64) for path, value in values.items()}
-        self._random |= given.keys()
+        self._differs = self._differs or bool(given)
         if isinstance(self.world, Sim):
             own = {path: value[0].tolist() for path, value in given.items()}
             self.world = unwatched(Sim(self.model.with_values(own)))
@@ -246,13 +297,13 @@ class EnvCore:
         self, worlds: NDArray[np.intp], rngs: Sequence[np.random.Generator]
     ) -> tuple[Floats, Floats]:
         """Draw first states of k worlds: qpos (k, nq) and qvel (k, nv)."""
+        start: Any = self.task.start
         if self._on_all:
-            start: Any = self.task.start
             drawn = start(self.model, self.streams.of(worlds), worlds)
             own = [np.atleast_2d(np.asarray(part, dtype=np.float64)) for part in drawn]
             tables = [np.broadcast_to(part, (len(worlds), part.shape[-1])) for part in own]
         else:
-            each = [self.task.start(self.model, rng) for rng in rngs]
+            each = [start(self.model, rng) for rng in rngs]
             tables = [np.array(values, dtype=np.float64) for values in zip(*each, strict=True)]
         qpos, qvel = tables
         for name, table, size in (("qpos", qpos, self.model.nq), ("qvel", qvel, self.model.nv)):
@@ -260,65 +311,111 @@ class EnvCore:
                 raise ValueError(f"reset gave {name} of shape {table.shape[1:]}: must be ({size},)")
         return qpos, qvel
 
-    def _first_moment(self, worlds: NDArray[np.intp], qpos: Floats, qvel: Floats) -> Moment:
-        """Return the moment of worlds that were just reset to these states, in their order."""
-        action = self._no_action((len(qpos),))
-        names = (self._asked | self._asked_before) - {"qpos", "qvel", "action"}
-        kept: dict[str, Any] = {"qpos": qpos, "qvel": qvel}
-        if names and self._random:
-            kept |= {name: self._read_own(name, worlds) for name in names}
-        elif names:
-            rows = [self._read_first(names, *state) for state in zip(qpos, qvel, strict=True)]
-            kept |= {name: np.array([row[name] for row in rows]) for name in names}
-        before = Readings(_unknown, set(), {**kept, "action": action})
-        return self._moment(_unknown, kept, action, before, worlds=worlds)
-
-    def _read_first(self, names: Iterable[str], qpos: Floats, qvel: Floats) -> dict[str, Any]:
-        sim = self._first
-        sim.reset()
-        sim.qpos, sim.qvel = qpos, qvel
+    def _first_arrays(
+        self, names: set[str], worlds: NDArray[np.intp], qpos: Floats, qvel: Floats
+    ) -> dict[str, Any]:
+        """Read arrays of worlds that were just reset to these states, in their order."""
         zero = NOT_OF_FORWARD if self.task.late else frozenset()
-        if any(name in OF_THE_SOLVE - zero for name in names):
-            sim.forward()
-        values = {name: np.array(getattr(sim, name)) for name in names}
-        return {name: value * 0 if name in zero else value for name, value in values.items()}
+        solved = OF_THE_SOLVE.intersection(names)
+        if self._differs and not solved:
+            # All at once: a model of its own for each world takes its time.
+            rows = worlds if isinstance(self.world, Batch) else None
+            return {name: np.array(getattr(self.world, name))[rows] for name in names}
+        found: dict[str, list[Any]] = {name: [] for name in names}
+        for world, place, speed in zip(worlds.tolist() if names else (), qpos, qvel, strict=False):
+            sim = self._first
+            if self._differs:
+                many = self.world if isinstance(self.world, Batch) else None
+                sim = unwatched(Sim(self.world.model if many is None else many.model_of(world)))
+            sim.reset()
+            sim.qpos, sim.qvel = place, speed
+            if solved - zero:
+                sim.forward()
+            for name in names:
+                found[name].append(np.array(getattr(sim, name)) * (name not in zero))
+        return {name: np.array(rows) for name, rows in found.items()}
 
-    def _read_own(self, name: str, worlds: NDArray[np.intp]) -> Any:
-        """Read an array of worlds that were just reset, whose models have values of their own."""
-        if name not in OF_THE_SOLVE:
-            array = np.array(getattr(self.world, name))
-            return array[worlds] if isinstance(self.world, Batch) else array[None]
-        rows = []
-        for world in worlds.tolist():
-            own = self.world.model_of(world) if isinstance(self.world, Batch) else self.world.model
-            sim = unwatched(Sim(own))
-            at = world if isinstance(self.world, Batch) else ...
-            sim.qpos, sim.qvel = self.world.qpos[at], self.world.qvel[at]
-            sim.forward()
-            rows.append(np.array(getattr(sim, name)))
-        return np.array(rows)
+    # Pictures.
 
-    def keep_first(self, worlds: Any, first: Moment) -> None:
-        """Keep a first moment as `before` for these worlds."""
-        for name in self._asked_before:
-            value = getattr(first, name)
-            if name not in self._before:
-                shape = (self._n, *value.shape[1:])
-                self._before[name] = np.zeros(shape, dtype=value.dtype)
-            self._before[name][worlds] = value
+    def draw(self, index: int | None = None) -> Picture | None:
+        """Draw a Sim, or one world of a Batch, (height, width, 3); None without a render mode."""
+        return None if self._camera is None else self._camera.draw(self.world, index)
 
-    def keep_only(self, first: Moment) -> None:
-        """Keep the first moment of a Sim, whose arrays have no axis of worlds."""
-        self._before = {name: np.array(getattr(first, name)[0]) for name in self._asked_before}
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._camera is not None:
+            self._camera.close()
 
 
-def _stand(worlds: list[int], source: Sim | Batch) -> None:
-    """Allow failed worlds to be read, without reporting the failure again."""
-    if isinstance(source, Batch):
-        source.reset(worlds=worlds)
-    else:
-        source.reset()
-    source.forward()
+class WorldCamera:
+    """Draws worlds of a model with a camera that follows the moving bodies.
+
+    width, height: of a picture, in points.
+    """
+
+    def __init__(self, owner: str, width: int, height: int) -> None:
+        # Drawing takes as long to import as to draw, and few environments are drawn.
+        from stepcore.viewing.camera import LARGEST
+
+        for name, size in (("width", width), ("height", height)):
+            checks.whole(2, LARGEST)(owner, name, size)
+        self.width, self.height = width, height
+        self._sim: Sim | None = None
+        self._renderer: Any = None
+        self._drawing: Any = None
+        self._follows: Any = None
+
+    def draw(self, world: Any, index: int | None) -> Picture:
+        from stepcore.viewing.camera import following, ropes
+        from stepcore.viewing.drawing import drawing_of
+        from stepcore.viewing.frames import poses_of
+        from stepcore.viewing.renderers import renderer_of
+
+        if self._sim is None:
+            self._sim = Sim(world.model)
+            self._drawing = drawing_of(world.model, self._sim)
+            self._renderer = renderer_of(self._drawing, self.width, self.height)
+        for name in self._sim._arrays:
+            values = world._arrays[name]
+            self._sim._arrays[name][...] = values if index is None else values[index]
+        instant = poses_of(self._sim)
+        self._follows = self._follows or following(self._drawing, instant)
+        marks = ropes(self._drawing, instant)
+        picture: Picture = self._renderer.draw(instant, self._follows(instant), marks)
+        return picture
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer = self._sim = None
+
+
+def _of_type(space: Box, dtype: Any) -> Box:
+    """Return a space in another number type."""
+    try:
+        own = np.dtype(dtype)
+    except TypeError:
+        own = np.dtype(object)
+    if own.kind != "f":
+        limit = "numpy.float32, numpy.float64 or another type of real numbers"
+        raise ValueError(f"dtype = {checks.shown(dtype)}: must be {limit}")
+    return Box(space.low.astype(own), space.high.astype(own), space.shape, own)
+
+
+def _checked(name: str, value: Any, shape: tuple[int | str, ...]) -> Any:
+    """Return what a function returned as an array; a letter of the shape is any size."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"{name} returned {checks.shown(value)}: must be numbers")
+    wanted = zip(array.shape, shape, strict=False)
+    if array.ndim != len(shape) or any(own != size for own, size in wanted if size != "k"):
+        raise _shaped(name, array, str(shape).replace("'", ""))
+    return array
+
+
+def _shaped(name: str, value: Any, limit: str) -> ValueError:
+    hint = "; write now.qpos[..., i] and axis=-1, which serve one world and many"
+    return ValueError(f"{name} returned shape {np.shape(value)}: must be {limit}{hint}")
 
 
 def _unknown(name: str) -> NoReturn:

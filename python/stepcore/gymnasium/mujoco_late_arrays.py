@@ -11,7 +11,7 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
-from stepcore.engine.coordinates import cross
+from stepcore.engine.coordinates import cross, product
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.scene.layout import DOFS, QPOS
@@ -23,8 +23,6 @@ REACHES = (0.5, 0.5, 1.0)
 def go_to_last_stage(scratch: Sim | Batch, qpos: Floats, qvel: Floats) -> None:
     """Put `scratch` at the last stage of the step from these states, and evaluate it there.
 
-    A step of one stage has it where it begins.
-
     scratch: a world, or as many as there are states, with the controls of the step.
     """
     settings = scratch.settings
@@ -35,10 +33,11 @@ def go_to_last_stage(scratch: Sim | Batch, qpos: Floats, qvel: Floats) -> None:
         scratch.forward()
         # A world whose speeds overflow fails in its step; what is read here is not reported.
         with np.errstate(over="ignore", invalid="ignore"):
-            place = _advanced(turns, qpos, dt * reach * rate)
+            turned = dt * reach * rate
+            place = _advanced(turns, qpos, turned)
             speed = qvel + dt * reach * scratch.qacc
             scratch.qpos[...], scratch.qvel[...] = _finite(place, qpos), _finite(speed, qvel)
-            turned, rate = dt * reach * rate, np.array(scratch.qvel)
+            rate = np.array(scratch.qvel)
             for _, dofs in turns:
                 rate[..., dofs] = _dexp_inverse(turned[..., dofs], rate[..., dofs])
     scratch.forward()
@@ -50,7 +49,7 @@ def _finite(values: Floats, otherwise: Floats) -> Floats:
 
 
 def _turns(model: Model) -> list[tuple[slice, slice]]:
-    """Yield the place of each quaternion in qpos and of its rate in qvel."""
+    """Return the place of each quaternion in qpos and of its rate in qvel."""
     ends = [
         (int(q) + QPOS[kind], int(v) + DOFS[kind])
         for kind, q, v in zip(model.jnt_type, model.jnt_qposadr, model.jnt_dofadr, strict=True)
@@ -61,29 +60,18 @@ def _turns(model: Model) -> list[tuple[slice, slice]]:
 
 def _advanced(turns: list[tuple[slice, slice]], qpos: Floats, move: Floats) -> Floats:
     """Return qpos ⊕ move: shift positions, and rotate quaternions about the axes of the body."""
-    out = np.empty_like(qpos)
-    at_qpos, at_move = 0, 0
+    lengths = np.ones(qpos.shape[-1], bool), np.ones(move.shape[-1], bool)
     for quat, dofs in turns:
-        out[..., at_qpos : quat.start] = (
-            qpos[..., at_qpos : quat.start] + move[..., at_move : dofs.start]
-        )
-        turned = _multiplied(qpos[..., quat], _exp(move[..., dofs]))
+        lengths[0][quat] = lengths[1][dofs] = False
+    out = np.array(qpos)
+    out[..., lengths[0]] += move[..., lengths[1]]
+    for quat, dofs in turns:
+        turn = move[..., dofs]
+        angle = np.sqrt(np.sum(turn * turn, axis=-1, keepdims=True))
+        by = [np.cos(angle / 2), np.sinc(angle / (2 * np.pi)) / 2 * turn]
+        turned = product(qpos[..., quat], np.concatenate(by, axis=-1))
         out[..., quat] = turned / np.sqrt(np.sum(turned * turned, axis=-1, keepdims=True))
-        at_qpos, at_move = quat.stop, dofs.stop
-    out[..., at_qpos:] = qpos[..., at_qpos:] + move[..., at_move:]
     return out
-
-
-def _exp(vector: Floats) -> Floats:
-    """Return the quaternions w x y z of rotation vectors."""
-    angle = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
-    return np.concatenate([np.cos(angle / 2), np.sinc(angle / (2 * np.pi)) / 2 * vector], axis=-1)
-
-
-def _multiplied(p: Floats, q: Floats) -> Floats:
-    w, u, a, v = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
-    scalar = w * a - np.sum(u * v, axis=-1, keepdims=True)
-    return np.concatenate([scalar, w * v + a * u + cross(u, v)], axis=-1)
 
 
 def _dexp_inverse(turned: Floats, rate: Floats) -> Floats:

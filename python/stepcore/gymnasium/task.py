@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, TypedDict
 
 import numpy as np
@@ -15,8 +16,7 @@ from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.world import compiled
-from stepcore.gymnasium.draws import Draws
-from stepcore.gymnasium.snapshot import Moment, state_vector
+from stepcore.gymnasium.moment import Draws, Moment, state_vector
 from stepcore.loading import load
 from stepcore.scene.scene import Scene
 from stepcore.signatures import F, annotation, keyword, refuse_unknown, spell_out
@@ -191,24 +191,22 @@ SPACES = ("action_space", "observation_space")
 
 
 class FunctionTask(Task):
-    """A task of a model and functions, which replace those of `Task`."""
+    """A task of a model, and functions and spaces, which replace those of `Task`."""
 
     def __init__(self, source: Source, frame_skip: int, given: Mapping[str, Any]) -> None:
         self.source, self.frame_skip = source, frame_skip
-        self.spaces = {name: given[name] for name in SPACES if name in given}
-        for name in given.keys() - self.spaces:
+        for name, value in given.items():
             # As a method of this task; it is no function of a class, so it gets no self.
-            setattr(self, "start" if name == "reset" else name, given[name])
+            own = partial(_space, value) if name in SPACES else value
+            setattr(self, "start" if name == "reset" else name, own)
 
     def model(self) -> Model:
         source = self.source
         return compiled(load(source) if isinstance(source, (str, os.PathLike)) else source)
 
-    def action_space(self, model: Model) -> Box:
-        return self.spaces.get("action_space") or super().action_space(model)
 
-    def observation_space(self, size: int) -> Box:
-        return self.spaces.get("observation_space") or super().observation_space(size)
+def _space(space: Box, *_: object) -> Box:
+    return space
 
 
 def task_of(owner: Callable[..., Any], model: Source | Task, fields: Mapping[str, Any]) -> Task:

@@ -32,7 +32,6 @@ from stepcore.report.units import seconds
 # function of the label, the count done and the total.
 Choice = Callable[[str, int, int], None] | bool | None
 
-BAR = 28
 # The remaining time is shown only after this time [s], because earlier estimates are unreliable.
 BEGUN = 2.0
 # The time between two lines where nobody watches, and the pause after which it counts anew [s].
@@ -78,8 +77,8 @@ class Progress:
                 _lines.write(f"{self.label}: {self.done} of {self.total}{self._left()}")
             return
         total, room = self.total, last_line.room
-        full = self.done * BAR // total
-        bar = f"[{'#' * full}{'.' * (BAR - full)}]"
+        full = self.done * 28 // total
+        bar = f"[{'#' * full:.<28}]"
         line = f"{self.label:<24} {bar} {self.done}/{total}{self._left()}"
         if len(line) > room:
             line = f"{self.label} {self.done}/{total}{self._left()}"[:room]

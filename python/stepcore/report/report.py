@@ -6,21 +6,21 @@ as JSON.
 
 from __future__ import annotations
 
+import base64
 import html
 import math
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import resources
 
 from stepcore import checks, escapes
-from stepcore.report import page as pages
+from stepcore.report.outputs import MARK
 from stepcore.report.table import Table
 from stepcore.report.terminal import window
 from stepcore.report.units import NAMES, counted
 
-# The minimum width of a line, and the maximum width of prose.
-NARROWEST, PROSE = 20, 100
 # The maximum number of lines of a short report; further notes are only counted.
 SCREEN = 40
 # Rows of a short table.
@@ -31,6 +31,23 @@ ITEM = "- "
 FIXED = "\N{NO-BREAK SPACE}"
 CODE = re.compile(r"`([^`]+)`")
 BEFORE_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, NAMES))})(?!\w))")
+
+
+# A result page: the answer, the plot and sortable tables; it needs no other file, no network.
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<meta name="generator" content="{mark}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>{style}</style></head>
+<body><header><h1>{title}</h1><button id="theme" type="button">light / dark</button></header>
+<section id="answer">
+{answer}
+</section>
+{picture}
+{details}
+<script>{script}</script>
+</body></html>
+"""
 
 
 @dataclass(frozen=True)
@@ -60,11 +77,11 @@ class Report:
     setup: str = ""
 
     def text(self, width: int | None = None, full: bool = True) -> str:
-        """Return the report in lines of at most `width` characters (default: the terminal's).
+        """Return the report in lines of at most `width` >= 20 characters (default: the terminal's).
 
         full: every note; else the notes that fit on a screen, and the number of further notes.
         """
-        size = window() if width is None else checks.count("width", width, NARROWEST)
+        size = window() if width is None else checks.count("width", width, 20)
         said = [line for sentence in self.sentences for line in _wrapped(sentence, size)]
         setup = [line for text in self.setup.splitlines() for line in _wrapped(text, size)]
         tables = [[*_table(table, size)] for table in self.tables]
@@ -79,9 +96,19 @@ class Report:
 
     def page(self, plot: bytes) -> str:
         """Return the report and its plot (SVG) as a self-contained page."""
-        answer = "\n".join(_prose(self.sentences))
-        drawn = pages.picture(plot, self.title)
-        return pages.page(self.title, answer, drawn, self._details())
+        style, script = (
+            resources.files("stepcore.report").joinpath(name).read_text(encoding="utf-8")
+            for name in ("page.css", "page.js")
+        )
+        return PAGE.format(
+            title=html.escape(escapes.printable(self.title)),
+            mark=MARK,
+            style=style,
+            answer="\n".join(_prose(self.sentences)),
+            picture=picture(plot, self.title),
+            details=self._details(),
+            script=script,
+        )
 
     def _details(self) -> str:
         setup = [f"<p>{_marked(text)}</p>" for text in self.setup.splitlines()]
@@ -90,6 +117,14 @@ class Report:
         ]
         notes = [_small(_note(note)) for note in self.notes]
         return "\n".join([*setup, *tables, *notes])
+
+
+def picture(drawn: bytes, title: str) -> str:
+    """Return an SVG drawing as an inline image."""
+    coded = base64.b64encode(drawn).decode("ascii")
+    alt = html.escape(escapes.printable(title), quote=True)
+    style = "max-width: 100%; height: auto"
+    return f'<img alt="{alt}" style="{style}" src="data:image/svg+xml;base64,{coded}"/>'
 
 
 def _notes(notes: Sequence[str], size: int, room: float) -> Iterator[str]:
@@ -121,25 +156,17 @@ def _stopped(text: str) -> str:
 
 
 def _wrapped(sentence: str, size: int) -> list[str]:
-    return wrapped(sentence, size, item=sentence.startswith(ITEM))
-
-
-def wrapped(
-    sentence: str, size: int, *, item: bool = False, hanging: int = 0, whole: bool = False
-) -> list[str]:
     """Wrap a sentence to lines of at most `size` characters, keeping each number with its unit.
 
-    item: whether the sentence is indented as a list item. hanging: indentation of the lines after
-        the first. whole: whether a word that is too long for a line, such as a path or a number, is
-        kept whole.
+    Prose has at most 100 characters in a line.
     """
+    item = sentence.startswith(ITEM)
     lines = textwrap.wrap(
         BEFORE_UNIT.sub(FIXED, escapes.printable(sentence)),
-        min(size, PROSE),
+        min(size, 100),
         initial_indent="  " if item else "",
-        subsequent_indent=" " * (4 if item else hanging),
+        subsequent_indent="    " if item else "",
         break_on_hyphens=False,
-        break_long_words=not whole,
     )
     return [line.replace(FIXED, " ") for line in lines]
 

@@ -13,8 +13,7 @@ from typing import Any, ClassVar
 
 from stepcore import checks, files
 from stepcore.report.outputs import MARK
-from stepcore.report.page import picture
-from stepcore.report.report import Report
+from stepcore.report.report import Report, picture
 from stepcore.report.table import Table, jsonable
 
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 from stepcore._core import Settings
 from stepcore.report.units import counted, metres, seconds
 
-# The number of iterations in which Newton converges, or not at all.
-CONVERGED = 10
-
 
 def label(settings: Settings, shipped: Settings | None = None, sweeps: bool = True) -> str:
     """Return integrator, solver and time step; with `shipped`, also further differences."""
@@ -27,18 +24,14 @@ def within(settings: Settings) -> str:
 
 def solver_words(settings: Settings) -> str:
     """Return the solver, and the number of PGS sweeps, or of Newton iterations if they are few."""
-    if few_iterations(settings):
+    # Newton converges in about ten iterations, or not at all.
+    if settings.solver == "newton" and settings.sweeps < 10:
         return f"newton {counted(int(settings.sweeps), 'iteration')}"
     if settings.solver != "pgs":
         return str(settings.solver)
     if settings.sweeps == "auto":
         return "pgs, sweeps auto"
     return f"pgs {counted(int(settings.sweeps), 'sweep')}"
-
-
-def few_iterations(settings: Settings) -> bool:
-    """Return whether Newton may end before it has converged, which takes about ten iterations."""
-    return settings.solver == "newton" and settings.sweeps < CONVERGED
 
 
 def differences(settings: Settings, shipped: Settings) -> list[str]:

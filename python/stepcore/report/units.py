@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from decimal import Decimal
 from functools import partial
 
@@ -31,8 +32,6 @@ NAMES = {
         for name, _ in units
     ),
 }
-# A length below this is rounding error in any scene [m].
-ROUNDING = 1e-12
 
 # Units of joint and actuator values: of a rotating and of a sliding joint.
 FIELDS = {
@@ -73,7 +72,8 @@ def metres(value: float) -> str:
     >>> seconds(0.002), seconds(62.5e-6), metres(1.3e-4), percent(0.034), hertz(6.2831853e4)
     ('2 ms', '62.5 µs', '130 µm', '3.4 %', '10 kHz')
     """
-    return "< 1 pm" if 0 < value < ROUNDING else quantity(value, LENGTHS)
+    unit, least = LENGTHS[-1]
+    return f"< 1 {unit}" if 0 < value < least else quantity(value, LENGTHS)
 
 
 def hertz(omega: float) -> str:
@@ -143,6 +143,7 @@ def unit_of(field: str, angular: bool) -> str:
 # Parsing of users' input.
 
 NUMBER = r"\s*([0-9]+\.?[0-9]*(?:[eE][+-]?[0-9]+)?|\.[0-9]+(?:[eE][+-]?[0-9]+)?)\s*"
+CENTIMETRES = ("cm", 1e-2)
 LENGTH_FORMS = 'a length > 0: metres, "1mm", or "0.1%" of the scene\'s size'
 
 
@@ -157,19 +158,20 @@ def time_of(text: str) -> float | None:
 
 def length_of(text: str) -> float | None:
     """Parse a length [m] such as "0.01" or "1cm"; return None for other text."""
-    return _in_units(text, (*LENGTHS, ("cm", 1e-2)))
+    return _in_units(text, (*LENGTHS, CENTIMETRES))
 
 
-def _in_units(text: str, units: Units) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        match = re.fullmatch(NUMBER + r"(\w+)\s*", text)
-        known = _spelt(units)
-        if match is None or match[2] not in known:
-            return None
-        # Decimals avoid rounding, so that "20us" is exactly the float 2e-05.
-        return float(Decimal(match[1]) * Decimal(repr(known[match[2]])))
+def _in_units(text: str, units: Units, plain: bool = True) -> float | None:
+    """Parse a number with one of these units, "us" as well as "µs"; plain: or without."""
+    if plain:
+        with suppress(ValueError):
+            return float(text)
+    match = re.fullmatch(NUMBER + r"(%|\w+)\s*", text)
+    known = dict(units) | {unit.replace("µ", "u"): size for unit, size in units}
+    if match is None or match[2] not in known:
+        return None
+    # Decimals avoid rounding, so that "20us" is exactly the float 2e-05.
+    return float(Decimal(match[1]) * Decimal(repr(known[match[2]])))
 
 
 def time(name: str, value: object) -> float:
@@ -192,12 +194,9 @@ def length(owner: str, name: str, value: object, size: float) -> float:
     >>> [length("trade", "error", value, 0.5) for value in ("2 mm", "1%", 1e-3)]
     [0.002, 0.005, 0.001]
     """
-    known = _spelt(LENGTHS) | {"cm": 1e-2, "": 1.0, "%": size / 100}
     result = checks.number(value)
     if result is None and isinstance(value, str):
-        match = re.fullmatch(NUMBER + r"(%|\w*)\s*", value)
-        if match is not None and match[2] in known:
-            result = float(match[1]) * known[match[2]]
+        result = _in_units(value, (*LENGTHS, CENTIMETRES, ("%", size / 100)))
     if result is None or not 0 < result < math.inf:
         raise checks.refuse(owner, name, value, LENGTH_FORMS)
     return result
@@ -211,32 +210,22 @@ def budget(owner: str, name: str, value: object, dt: float, by: str) -> float:
     >>> [budget("trade", "budget", b, 0.002, "time") for b in ("20us/step", "500x", 300)]
     [10000.0, 2000.0, 300.0]
     """
-    units = _spelt(OPERATIONS if by == "flops" else (*COMPUTING, ("ns", 1e-3)))
+    units = OPERATIONS if by == "flops" else (*COMPUTING, ("ns", 1e-3))
     example = "20kflop" if by == "flops" else "20us"
     limit = f'> 0, with its unit: "{example}/step" or "{example}/s"'
     if by != "flops":
         limit += ', or "100x" for that many times real time'
     result = checks.number(value)
     if result is None and isinstance(value, str):
-        result = _budget(value, units, dt, by != "flops")
+        amount, _, per = (part.strip() for part in value.partition("/"))
+        if per in ("step", "s"):
+            cost = _in_units(amount, units, plain=False)
+            result = cost and cost / (dt if per == "step" else 1.0)
+        elif by != "flops" and (times_real := _in_units(amount, (("x", 1.0),), plain=False)):
+            result = 1e6 / times_real
     if result is None or not 0 < result < math.inf:
         raise checks.refuse(owner, name, value, limit)
     return result
-
-
-def _budget(text: str, units: Mapping[str, float], dt: float, real_time: bool) -> float | None:
-    match = re.fullmatch(NUMBER + r"x\s*", text)
-    if match is not None and real_time:
-        return 1e6 / float(match[1]) if float(match[1]) > 0 else None
-    match = re.fullmatch(NUMBER + r"(\w+)\s*/\s*(step|s)\s*", text)
-    if match is None or match[2] not in units:
-        return None
-    return float(match[1]) * units[match[2]] / (dt if match[3] == "step" else 1.0)
-
-
-def _spelt(units: Units) -> dict[str, float]:
-    """Return units by the names that users type: "us" as well as "µs"."""
-    return dict(units) | {unit.replace("µ", "u"): size for unit, size in units}
 
 
 def rounded(value: float, digits: int = 3, *, up: bool | None = None) -> float:

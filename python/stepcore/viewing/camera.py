@@ -1,19 +1,21 @@
-"""Cameras."""
+"""What a picture shows of an instant: the camera, and marks for contacts, forces and tendons."""
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.viewing.drawing import Drawing, corners
+from stepcore.report.plot.style import VIEW, rgb
+from stepcore.viewing.drawing import ARROW, Drawing, corners
 from stepcore.viewing.frames import Instant
 
-# The angle of view from top to bottom [rad].
-ANGLE = np.deg2rad(40)
-# Where a camera stands that nobody placed: turn, lift [rad], and far, of the extent.
-ASIDE = (-0.9, 0.35, 1.7)
+# The angle of view from top to bottom [degrees].
+ANGLE = 40.0
 # The largest picture, in points.
 LARGEST = 8192
 
@@ -27,9 +29,9 @@ class Camera:
     """
 
     target: NDArray[np.float64]
-    turn: float = -0.9
-    lift: float = 0.35
-    far: float = 1.0
+    turn: float
+    lift: float
+    far: float
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -40,31 +42,59 @@ class Camera:
         return place
 
 
-class Following:
-    """A camera that follows the moving bodies, at the distance of the first instant."""
-
-    def __init__(self, drawing: Drawing, first: Instant) -> None:
-        self.moving = drawing.moving if drawing.moving.any() else ~drawing.moving
-        self.camera = camera_of(drawing, first, *ASIDE)
-        self.start = self._middle(first)
-
-    def _middle(self, instant: Instant) -> NDArray[np.float64]:
-        middle: NDArray[np.float64] = instant.xpos[self.moving].mean(axis=0)
-        return middle
-
-    def at(self, instant: Instant) -> Camera:
-        """Return the camera at an instant."""
-        return replace(self.camera, target=self.camera.target + self._middle(instant) - self.start)
-
-
-def camera_of(drawing: Drawing, instant: Instant, turn: float, lift: float, far: float) -> Camera:
-    """Return a camera that sees what moves; far: in extents of the drawing."""
-    moves = drawing.moving if drawing.moving.any() else ~drawing.moving
+def camera_of(
+    drawing: Drawing, instant: Instant, turn: float = -52.0, lift: float = 20.0, far: float = 1.7
+) -> Camera:
+    """Return a camera that sees what moves; turn, lift: [degrees], far: in extents."""
     points = [
         instant.placed(shape.body, corners(shape))
         for shape in drawing.shapes
-        if shape.shown and moves[shape.body]
+        if shape.shown and drawing.followed[shape.body]
     ]
     every = np.concatenate([*points, np.empty((0, 3))])
     middle = (every.min(axis=0) + every.max(axis=0)) / 2 if len(every) else np.zeros(3)
-    return Camera(middle, turn, lift, far * drawing.extent)
+    return Camera(middle, np.deg2rad(turn), np.deg2rad(lift), far * drawing.extent)
+
+
+def following(drawing: Drawing, first: Instant) -> Callable[[Instant], Camera]:
+    """Return the camera of each instant: it follows what moves, as far away as at the first."""
+    camera, begin = camera_of(drawing, first), drawing.middle(first.xpos)
+    return lambda instant: replace(
+        camera, target=camera.target + drawing.middle(instant.xpos) - begin
+    )
+
+
+class Mark(NamedTuple):
+    """kind: "ball" (start = end), "arrow" or "rod" from start to end [m]. width: radius [m]."""
+
+    kind: str
+    start: Any
+    end: Any
+    width: float
+    colour: tuple[float, float, float]
+
+
+def ropes(drawing: Drawing, instant: Instant) -> list[Mark]:
+    """Return the marks of the tendons of an instant."""
+    width, colour = 0.004 * drawing.extent, rgb(VIEW["tendon"])
+    return [
+        Mark("rod", start, end, width, colour)
+        for points in instant.tendons
+        for start, end in itertools.pairwise(points)
+    ]
+
+
+def loads(drawing: Drawing, instant: Instant, newtons: float) -> list[Mark]:
+    """Return the marks of the contacts of an instant and of their forces.
+
+    newtons: the force whose arrow has the length `ARROW` × extent.
+    """
+    extent, result = drawing.extent, []
+    scale = ARROW * extent / (newtons or 1.0)
+    contact, force = rgb(VIEW["contact"]), rgb(VIEW["force"])
+    for place, pushed in zip(instant.places, instant.forces, strict=True):
+        result.append(Mark("ball", place, place, 0.009 * extent, contact))
+        end = place + scale * pushed
+        if np.linalg.norm(end - place) > 0.01 * extent:
+            result.append(Mark("arrow", place, end, 0.007 * extent, force))
+    return result

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.mjcf.appearance import GREY, Headlight, Light, Look, Looks, read_looks
+from stepcore.report.plot.style import BODIES, VIEW, rgb
 from stepcore.scene import frames
-from stepcore.scene.elements import Geom
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.viewing import surfaces
@@ -21,15 +21,11 @@ if TYPE_CHECKING:
 
 # MuJoCo's viewers show geoms of these groups; others are most often what collides.
 SHOWN_GROUPS = (0, 1, 2)
-# Bodies of a scene without colours, by their index; fixed ones are grey.
-PALETTE = ((0.27, 0.51, 0.71), (0.93, 0.60, 0.24), (0.35, 0.63, 0.40), (0.72, 0.36, 0.50))
-# Colours of runs that are laid over another, which keeps its own.
-TINTS = ((0.95, 0.45, 0.1), (0.2, 0.55, 0.95), (0.6, 0.3, 0.8))
 # How long the arrow of a force is that bears all the weight, of the extent of the scene.
 ARROW = 0.35
 # Half the difference of the squares of a plane.
 CONTRAST = 0.07
-GROUND = (0.62, 0.66, 0.70, 1.0)
+GROUND = (*rgb(VIEW["ground"]), 1.0)
 
 
 @dataclass(frozen=True)
@@ -66,6 +62,10 @@ class Shape:
         mean = (one + other) / 2
         return tuple((mean + half).tolist()), tuple((mean - half).tolist())
 
+    def triangles(self, reach: float) -> surfaces.Surface:
+        """Return the triangles in the shape's frame; reach: half size of an endless plane [m]."""
+        return self.surface or surfaces.of_primitive(self.kind, self.size, reach)
+
 
 @dataclass(frozen=True)
 class Drawing:
@@ -89,6 +89,26 @@ class Drawing:
     lights: list[Light] = field(default_factory=list)
     headlight: Headlight = field(default_factory=Headlight)
 
+    @property
+    def reach(self) -> float:
+        """Half the size in which an endless plane is drawn [m]."""
+        return 20 * self.extent
+
+    @property
+    def cell(self) -> float:
+        """The size of a square of a plane [m]."""
+        return float(2.0 ** np.round(np.log2(self.extent / 2)))
+
+    @property
+    def followed(self) -> NDArray[np.bool_]:
+        """The bodies that a camera looks at: those that move, or all of them if none does."""
+        return self.moving if self.moving.any() else ~self.moving
+
+    def middle(self, xpos: NDArray[Any]) -> NDArray[Any]:
+        """Return the middle of these bodies [m], shape (3,)."""
+        middle: NDArray[Any] = xpos[self.followed].mean(axis=0)
+        return middle
+
 
 def drawing_of(model: Model, world: World) -> Drawing:
     """Return the drawing of a model.
@@ -96,95 +116,65 @@ def drawing_of(model: Model, world: World) -> Drawing:
     world: a Sim of the model at any state; its geoms are read where the engine has them.
     """
     scene = model.scene
+    looks = Looks(colours=[Look(GREY)] * model.ngeom)
     try:
-        looks = read_looks(scene)
-        notes = [] if looks is None else looks.notes
+        looks = read_looks(scene) or looks
     except (ValueError, OSError) as error:
-        looks, notes = None, [f"colours and visual geoms were not read: {error}"]
-    moving = np.array(
-        [bool(mocap) or bool(moves) for mocap, moves in zip(*_what_moves(model), strict=True)]
-    )
-    plain = looks is None or _plain(model, looks)
-    shapes = _colliding(model, world, looks, moving, plain)
-    if looks is not None:
-        visual = _visual(looks, moving, plain)
-        for index in looks.covered:
-            shapes[index] = replace(shapes[index], shown=False)
-        shapes += visual
+        looks.notes.append(f"colours and visual geoms were not read: {error}")
+    layout = Layout(scene)
+    moving = np.array([body.mocap or layout.moving(body) for body in layout.bodies])
+    shapes = _shapes(model, world, looks, moving)
     shapes = [shape for shape in shapes if shape.rgba[3] > 0]
     # A body of which nothing would be seen (it has a skin, or only what collides) is shown whole.
     seen = {shape.body for shape in shapes if shape.shown}
     shapes = [shape if shape.body in seen else replace(shape, shown=True) for shape in shapes]
     heavy = float(np.sum(model.body_mass[moving]))
     weight = heavy * float(np.linalg.norm(scene.gravity)) if scene.features.gravity else 0.0
-    extent = _extent(shapes, world, moving)
-    names = model.body_names
-    drawing = Drawing(scene.name, shapes, names, moving, extent, weight, notes)
-    if looks is None:
-        return drawing
-    return replace(drawing, lights=looks.lights, headlight=looks.headlight)
+    return Drawing(
+        scene.name,
+        shapes,
+        model.body_names,
+        moving,
+        extent=_extent(shapes, world, moving),
+        weight=weight,
+        notes=looks.notes,
+        lights=looks.lights,
+        headlight=looks.headlight,
+    )
 
 
-def _what_moves(model: Model) -> tuple[list[bool], list[bool]]:
-    jointed = set(model.jnt_body.tolist())
-    moves = [False] * model.nbody
-    for body in range(1, model.nbody):
-        moves[body] = body in jointed or moves[int(model.body_parent[body])]
-    by_name = [body.mocap for body in _in_order(model)]
-    return by_name, moves
-
-
-def _in_order(model: Model) -> list[Any]:
-    return Layout(model.scene).bodies
-
-
-def _plain(model: Model, looks: Looks) -> bool:
-    """Return whether nothing but the ground has a colour."""
-    pairs = [*zip(looks.colours, model.geom_body, strict=True)]
-    pairs += [(look, body) for body, _, look in looks.geoms]
-    return all(look.rgba == GREY for look, body in pairs if body)
-
-
-def _colliding(
-    model: Model,
-    world: World,
-    looks: Looks | None,
-    moving: NDArray[np.bool_],
-    plain: bool,
-) -> list[Shape]:
-    """Return the geoms of the engine, including primitives that only draw."""
+def _shapes(model: Model, world: World, looks: Looks, moving: NDArray[np.bool_]) -> list[Shape]:
+    """Return the geoms of the engine, then those that only draw and are not in it."""
+    coloured = [*zip(model.geom_body.tolist(), looks.colours, strict=True)]
+    coloured += [(body, look) for body, _, look in looks.geoms]
+    # Nothing but the ground has a colour.
+    plain = all(look.rgba == GREY for body, look in coloured if body)
     shapes = []
-    colours = [Look(GREY)] * model.ngeom if looks is None else looks.colours
     for index, geom in enumerate(Layout(model.scene).geoms):
         body = int(model.geom_body[index])
         kind, size = model.geom_type[index], tuple(model.geom_size[index].tolist())
-        rgba, squares = colours[index]
+        rgba, squares = looks.colours[index]
         if rgba == GREY and (plain or kind == "plane"):
             rgba = _own_colour(kind, body, moving)
-        surface = _surface(geom) if kind in ("mesh", "hfield") else None
+        surface = surfaces.of_geom(geom) if kind in ("mesh", "hfield") else None
+        pos, quat = tuple(geom.pos), tuple(geom.quat)
         if surface is None:
-            pos, quat = _in_body(world, body, index)
+            turn = world.xmat[body]
+            pos = tuple((turn.T @ (world.geom_xpos[index] - world.xpos[body])).tolist())
+            quat = quat_of(turn.T @ world.geom_xmat[index])
             if kind == "mesh":
                 surface = model.geom_hull(index)
-        else:
-            pos, quat = tuple(geom.pos), tuple(geom.quat)
-        shown = geom.group in SHOWN_GROUPS
+        shown = geom.group in SHOWN_GROUPS and index not in looks.covered
         drawn = "triangles" if surface is not None else kind
         shapes.append(Shape(body, drawn, size, pos, quat, rgba, shown, surface, geom.name, squares))
-    return shapes
-
-
-def _visual(looks: Looks, moving: NDArray[np.bool_], plain: bool) -> list[Shape]:
-    """Return the geoms that only draw and are not in the engine."""
-    shapes = []
     for body, geom, look in looks.geoms:
-        surface = _surface(geom)
+        surface = surfaces.of_geom(geom)
         if surface is None and (geom.type in ("mesh", "hfield") or geom.mesh is not None):
             continue
         kind = geom.type if surface is None else "triangles"
-        pos, quat, shown = tuple(geom.pos), tuple(geom.quat), geom.group in SHOWN_GROUPS
-        size = tuple(geom.size)
         rgba = _own_colour(kind, body, moving) if plain and look.rgba == GREY else look.rgba
+        pos, quat, size = tuple(geom.pos), tuple(geom.quat), tuple(geom.size)
+        shown = geom.group in SHOWN_GROUPS
         shapes.append(Shape(body, kind, size, pos, quat, rgba, shown, surface, geom.name))
     return shapes
 
@@ -192,37 +182,13 @@ def _visual(looks: Looks, moving: NDArray[np.bool_], plain: bool) -> list[Shape]
 def _own_colour(kind: str, body: int, moving: NDArray[np.bool_]) -> Vec:
     if kind == "plane":
         return GROUND
-    return (*PALETTE[body % len(PALETTE)], 1.0) if moving[body] else (0.55, 0.55, 0.55, 1.0)
-
-
-def _surface(geom: Geom) -> surfaces.Surface | None:
-    if geom.type == "mesh" and geom.mesh is not None:
-        return surfaces.of_mesh(geom.mesh)
-    if geom.type == "hfield" and geom.hfield is not None:
-        return surfaces.of_hfield(geom.hfield)
-    return None
-
-
-def _in_body(world: World, body: int, geom: int) -> tuple[Vec, Vec]:
-    """Return the pose of a geom in the frame of its body."""
-    turn = world.xmat[body]
-    pos = turn.T @ (world.geom_xpos[geom] - world.xpos[body])
-    return tuple(pos.tolist()), quat_of(turn.T @ world.geom_xmat[geom])
+    return (*rgb(BODIES[body % len(BODIES)] if moving[body] else VIEW["fixed"]), 1.0)
 
 
 def quat_of(matrix: NDArray[Any]) -> Vec:
-    """Return the quaternion w x y z of a rotation matrix (Shepperd's method)."""
-    m = matrix
-    trace = np.trace(m)
-    # Four times the square of each entry of the quaternion.
-    squares = 1 + np.array([trace, *(2 * np.diag(m) - trace)])
-    k = int(np.argmax(squares))
-    w = [squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]
-    x = [w[1], squares[1], m[1, 0] + m[0, 1], m[0, 2] + m[2, 0]]
-    y = [w[2], x[2], squares[2], m[2, 1] + m[1, 2]]
-    z = [w[3], x[3], y[3], squares[3]]
-    quat = np.array((w, x, y, z)[k]) / (2 * np.sqrt(squares[k]))
-    return tuple(float(entry) for entry in quat / np.linalg.norm(quat))
+    """Return the quaternion w x y z of a rotation matrix."""
+    x, y, _ = matrix.T.tolist()
+    return frames.from_xy_axes(x, y)
 
 
 def corners(shape: Shape) -> NDArray[Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,21 +19,26 @@ if TYPE_CHECKING:
 class Instant:
     """One instant.
 
-    time: [s]. xpos, xquat: of the bodies, shapes (nbody, 3) and (nbody, 4). places, forces: of the
-    contacts that carry load, in world axes [m] and [N], shape (n, 3). energy: kinetic and
-    potential [J]. residual: of the solve [m/s]. tendons: the paths of spatial tendons, each of
-    shape (points, 3) [m]. error: the largest estimated error of a body [m]; NaN if not measured.
+    time: [s]. xpos, xquat: of the bodies, shapes (nbody, 3) and (nbody, 4). tendons: the paths of
+    spatial tendons, each of shape (points, 3) [m]. places, forces: of the contacts that carry load,
+    in world axes [m] and [N], shape (n, 3). energy: kinetic and potential [J]. residual: of the
+    solve [m/s]. error: the largest estimated error of a body [m]; NaN if not measured.
     """
 
     time: float
     xpos: NDArray[Any]
     xquat: NDArray[Any]
-    places: NDArray[Any]
-    forces: NDArray[Any]
-    energy: tuple[float, float]
-    residual: float
     tendons: list[NDArray[Any]]
+    places: NDArray[Any] = field(default_factory=lambda: np.empty((0, 3)))
+    forces: NDArray[Any] = field(default_factory=lambda: np.empty((0, 3)))
+    energy: tuple[float, float] = (np.nan, np.nan)
+    residual: float = np.nan
     error: float = np.nan
+
+    @property
+    def strongest(self) -> float:
+        """The largest contact force [N]."""
+        return float(np.linalg.norm(self.forces, axis=1).max(initial=0.0))
 
     def placed(self, body: int, points: Any) -> NDArray[Any]:
         """Return points of a body's frame in world coordinates [m], shape (n, 3)."""
@@ -63,8 +68,7 @@ class Replayed:
     @property
     def strongest(self) -> float:
         """The largest contact force of the run [N]."""
-        sizes = [np.linalg.norm(i.forces, axis=1).max() for i in self.instants if len(i.forces)]
-        return float(max(sizes, default=0.0))
+        return max(instant.strongest for instant in self.instants)
 
 
 def instant_of(sim: Any) -> Instant:
@@ -84,17 +88,8 @@ def instant_of(sim: Any) -> Instant:
 
 def poses_of(sim: Any) -> Instant:
     """Return poses and tendons of a Sim without solving forces."""
-    nothing = np.empty((0, 3))
-    return Instant(
-        time=sim.time,
-        xpos=np.array(sim.xpos),
-        xquat=np.array(sim.xquat),
-        places=nothing,
-        forces=nothing,
-        energy=(np.nan, np.nan),
-        residual=np.nan,
-        tendons=[way for path in sim.tendon_paths() for way in path],
-    )
+    tendons = [way for path in sim.tendon_paths() for way in path]
+    return Instant(sim.time, np.array(sim.xpos), np.array(sim.xquat), tendons)
 
 
 def replayed(snapshots: Snapshots, label: str = "") -> Replayed:
@@ -118,18 +113,14 @@ def distance(one: Replayed, other: Replayed) -> NDArray[np.float64]:
     if one.drawing.bodies != other.drawing.bodies:
         counts = f"{len(one.drawing.bodies)} and {len(other.drawing.bodies)}"
         raise ValueError(f"runs to compare must be of the same bodies; these have {counts}")
-    moving = np.flatnonzero(one.drawing.moving)
-    there, time = other.xpos, other.time
-    # Between two instants a body goes straight on.
-    at = np.clip(np.searchsorted(time, one.time, side="right") - 1, 0, max(0, len(time) - 2))
-    after = np.minimum(at + 1, len(time) - 1)
-    span = np.where(after > at, time[after] - time[at], 1.0)
-    share = np.clip((one.time - time[at]) / span, 0.0, 1.0)[:, None, None]
-    gap = one.xpos - (there[at] * (1 - share) + there[after] * share)
-    if not len(moving):
+    moving, time = one.drawing.moving, other.time
+    if not moving.any():
         return np.zeros(len(one.instants))
-    squares = np.sum(gap[:, moving] ** 2, axis=-1)
-    apart = np.sqrt(np.mean(squares, axis=-1))
+    # Between two instants a body goes straight on.
+    there = other.xpos[:, moving].reshape(len(time), -1)
+    between = np.stack([np.interp(one.time, time, entry) for entry in there.T], axis=1)
+    gap = one.xpos[:, moving] - between.reshape(len(one.time), -1, 3)
+    apart = np.sqrt(np.mean(np.sum(gap**2, axis=-1), axis=-1))
     # The last instants of two runs of one duration may be a part of an interval apart.
     slack = max(np.max(np.diff(each), initial=0.0) for each in (one.time, time)) / 2
     there_too = (one.time >= time[0] - slack) & (one.time <= time[-1] + slack)

@@ -21,8 +21,7 @@ from stepcore.viewing.needs import need
 from stepcore.viewing.panel import Panel, RunPanel, SimPanel
 
 # Pictures a second.
-RATE = 30.0
-PORT = 8080
+FRAMES = 30.0
 # Hosts that serve every address of the machine.
 EVERYWHERE = ("0.0.0.0", "::")
 
@@ -49,7 +48,16 @@ class View:
     @property
     def outer_url(self) -> str:
         """The address for other machines, if `host` lets them in; otherwise ""."""
-        own = _own_address() if self._host in EVERYWHERE else self._host
+        own = self._host
+        if own in EVERYWHERE:
+            own = socket.gethostname()
+            with (
+                contextlib.suppress(OSError),
+                socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked,
+            ):
+                # Nothing is sent: the system only says from which address it would send.
+                asked.connect(("192.0.2.1", 9))
+                own = str(asked.getsockname()[0])
         return "" if is_loopback(own) else self._url(own)
 
     def _url(self, host: str) -> str:
@@ -80,7 +88,7 @@ class View:
             if self._server.get_clients():
                 self._panel.pass_time(min(now - last, 0.2))
             last = now
-            self._stop.wait(max(0.0, 1 / RATE - (monotonic() - now)))
+            self._stop.wait(max(0.0, 1 / FRAMES - (monotonic() - now)))
 
     def __enter__(self) -> View:
         return self
@@ -98,12 +106,12 @@ class View:
         return f'<iframe src="{self.url}" style="{style}"></iframe>'
 
 
-def view_sim(sim: Any, host: str = "localhost", port: int = PORT) -> View:
+def view_sim(sim: Any, host: str = "localhost", port: int = 8080) -> View:
     """Open a live view of a copy of a Sim; see `Sim.view`."""
     return _view(host, port, lambda server: SimPanel(server, sim))
 
 
-def view_runs(runs: Sequence[Replayed], host: str = "localhost", port: int = PORT) -> View:
+def view_runs(runs: Sequence[Replayed], host: str = "localhost", port: int = 8080) -> View:
     """Open a view of recorded runs over each other; see `Trajectory.view`."""
     return _view(host, port, lambda server: RunPanel(server, runs))
 
@@ -113,7 +121,7 @@ def view(
     *,
     labels: Sequence[str] = (),
     host: str = "localhost",
-    port: int = PORT,
+    port: int = 8080,
     wait: bool | None = None,
 ) -> View:
     """Open a view of a Sim, a scene or a recorded run, or of several runs laid over each other.
@@ -170,23 +178,20 @@ def opened(view: View, wait: bool | None) -> View:
 
 
 def _view(host: str, port: int, panel: Callable[[Any], Panel]) -> View:
-    guard = Guard(host)
-    server = _server(guard, port)
+    checks.whole(1, 65535)("view", "port", port)
+    _check_host(host)
+    viser, guard = need("viser", "a view"), Guard(host)
+    with _quiet(), guard.before(need("viser.infra._infra", "a view")):
+        server = viser.ViserServer(host=host, port=port, label="stepcore", verbose=False)
     try:
+        if not guard.stands:
+            raise RuntimeError("this version of viser serves a view to any page: install another")
+        server.scene.set_up_direction("+z")
         return View(server, panel(server), guard)
     except BaseException:
         with _quiet():
             server.stop()
         raise
-
-
-def _own_address() -> str:
-    """Return the address or name by which other machines reach this one."""
-    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-        # Nothing is sent: the system only says which of its addresses it would send from.
-        asked.connect(("192.0.2.1", 9))
-        return str(asked.getsockname()[0])
-    return socket.gethostname()
 
 
 def _check_host(host: str) -> None:
@@ -209,17 +214,3 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         console.quiet = before
-
-
-def _server(guard: Guard, port: int) -> Any:
-    checks.whole(1, 65535)("view", "port", port)
-    _check_host(guard.host)
-    viser = need("viser", "a view")
-    with _quiet(), guard.before(need("viser.infra._infra", "a view")):
-        server = viser.ViserServer(host=guard.host, port=port, label="stepcore", verbose=False)
-    if not guard.stands:
-        with _quiet():
-            server.stop()
-        raise RuntimeError("this version of viser serves a view to any page: install another")
-    server.scene.set_up_direction("+z")
-    return server

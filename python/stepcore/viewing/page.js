@@ -42,7 +42,7 @@
   const camera = new THREE.PerspectiveCamera(40, 1, extent / 200, extent * 200);
   camera.up.set(0, 0, 1);
 
-  const { lamp, meshOf, stretch, surfaceOf, tendon } = shapeMakers(renderer, extent, bytes);
+  const { lamp, meshOf, stretch, surfaceOf, tendon } = shapeMakers(renderer, data, bytes);
   const extras = [];
 
   function build(run, number) {
@@ -77,7 +77,7 @@
   // Lines between the bodies of the first run and those of the others.
   const links = runs.slice(1).map(() => {
     const line = new THREE.LineSegments(
-      new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: 0xd1495b }),
+      new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: data.colours.link }),
     );
     line.frustumCulled = false;
     scene.add(line);
@@ -88,8 +88,8 @@
   const dot = new THREE.SphereGeometry(0.008 * extent, 12, 8);
   const shaft = new THREE.CylinderGeometry(1, 1, 1, 10).translate(0, 0.5, 0);
   const tip = new THREE.ConeGeometry(1, 1, 14).translate(0, 0.5, 0);
-  const amber = new THREE.MeshBasicMaterial({ color: 0xf4a300, depthTest: false });
-  const red = new THREE.MeshBasicMaterial({ color: 0xd7263d, depthTest: false });
+  const amber = new THREE.MeshBasicMaterial({ color: data.colours.contact, depthTest: false });
+  const red = new THREE.MeshBasicMaterial({ color: data.colours.force, depthTest: false });
   const up = new THREE.Vector3(0, 1, 0);
 
   function mark(run, k) {
@@ -133,7 +133,7 @@
   const end = Math.max(...runs.map((run) => run.time[run.time.length - 1]));
   const begin = Math.min(...runs.map((run) => run.time[0]));
   let now = begin;
-  const sheet = figureSheet(runs, gaps, { begin, end }, byId);
+  const sheet = figureSheet(runs, gaps, data.colours, { begin, end }, byId);
   let playing = true;
 
   function frameAt(run, time) {

@@ -27,21 +27,27 @@ from numpy.typing import NDArray
 
 from stepcore import escapes, files
 from stepcore.report.outputs import MARK
-from stepcore.viewing.drawing import ARROW, TINTS, Drawing, Shape
+from stepcore.report.plot.style import TINTS, VIEW, rgb
+from stepcore.viewing.drawing import ARROW, Drawing
 from stepcore.viewing.frames import Replayed, distance
 from stepcore.viewing.needs import need
 
 
 def page(runs: Sequence[Replayed], title: str = "") -> str:
     """Return the page that replays these runs over each other."""
-    title = title or runs[0].drawing.name or "stepcore"
+    first = runs[0].drawing
+    title = title or first.name or "stepcore"
+    tints = [None, *(rgb(TINTS[k % len(TINTS)]) for k in range(len(runs) - 1))]
+    weight = max(run.drawing.weight for run in runs)
     data = {
         "title": title,
-        "extent": runs[0].drawing.extent,
-        "runs": [_run(run, tint) for run, tint in zip(runs, _tints(len(runs)), strict=True)],
-        "newtons": _newtons(runs),
-        "notes": [f"Not drawn: {note}." for note in runs[0].drawing.notes],
-        "arrow": ARROW * runs[0].drawing.extent,
+        "extent": first.extent,
+        "runs": [_run(run, tint) for run, tint in zip(runs, tints, strict=True)],
+        # The force of an arrow of length `ARROW`.
+        "newtons": weight or max(run.strongest for run in runs) or 1.0,
+        "arrow": ARROW * first.extent,
+        "colours": VIEW,
+        "notes": [f"Not drawn: {note}." for note in first.notes],
     }
     if len(runs) > 1:
         data["distance"] = [_packed(distance(runs[0], run)) for run in runs[1:]]
@@ -93,16 +99,6 @@ def _own(name: str) -> str:
     return resources.files("stepcore.viewing").joinpath(name).read_text(encoding="utf-8")
 
 
-def _tints(count: int) -> list[Any]:
-    return [TINTS[(k - 1) % len(TINTS)] if k else None for k in range(count)]
-
-
-def _newtons(runs: Sequence[Replayed]) -> float:
-    """Return the force of an arrow of length `ARROW`: the weight, else the largest force."""
-    weight = max(run.drawing.weight for run in runs)
-    return weight or max(run.strongest for run in runs) or 1.0
-
-
 def _run(run: Replayed, tint: Any) -> dict[str, Any]:
     instants = run.instants
     poses = [np.concatenate([i.xpos, i.xquat], axis=1) for i in instants]
@@ -127,9 +123,13 @@ def _drawing(drawing: Drawing) -> dict[str, Any]:
     packed: list[dict[str, Any]] = []
     shapes = []
     for shape in drawing.shapes:
-        entry = _shape(shape)
+        names = ("body", "kind", "size", "pos", "quat", "rgba", "shown")
+        entry = {name: getattr(shape, name) for name in names}
+        if shape.kind == "plane":
+            entry["squares"] = shape.checks
         if shape.surface is not None:
             vertices, faces = shape.surface
+            # Geoms of one mesh share its surface.
             key = np.asarray(vertices, "<f4").tobytes() + np.asarray(faces, "<u4").tobytes()
             if key not in surfaces:
                 surfaces[key] = len(packed)
@@ -140,22 +140,9 @@ def _drawing(drawing: Drawing) -> dict[str, Any]:
         "shapes": shapes,
         "surfaces": packed,
         "bodies": list(drawing.bodies),
-        "moving": [bool(moves) for moves in drawing.moving],
+        "moving": drawing.moving.tolist(),
         "lights": [asdict(light) for light in drawing.lights],
         "headlight": asdict(drawing.headlight),
-    }
-
-
-def _shape(shape: Shape) -> dict[str, Any]:
-    return {
-        "body": shape.body,
-        "kind": shape.kind,
-        "size": shape.size,
-        "pos": shape.pos,
-        "quat": shape.quat,
-        "rgba": shape.rgba,
-        "shown": shape.shown,
-        **({"squares": shape.checks} if shape.kind == "plane" else {}),
     }
 
 

@@ -1,6 +1,6 @@
 // The figures beside a replay, and their curves over time.
 "use strict";
-function figureSheet(runs, gaps, { begin, end }, byId) {
+function figureSheet(runs, gaps, colours, { begin, end }, byId) {
   const labelOf = (k) => runs[k].label || `run ${k + 1}`;
   const number = (x) => (Math.abs(x) >= 1e4 || (x !== 0 && Math.abs(x) < 1e-3)
     ? x.toExponential(2) : x.toPrecision(4));
@@ -40,13 +40,13 @@ function figureSheet(runs, gaps, { begin, end }, byId) {
       // Potential energy has no zero of its own.
       const since = (values) => values.map((x) => x - values[0]);
       return [
-        { name: "kinetic [J]", colour: "#e07a1f", values: kinetic },
-        { name: "Δ potential", colour: "#2a7de1", values: since(potential) },
-        { name: "Δ total", colour: "#7a7f87", values: since(total) },
+        { name: "kinetic [J]", colour: colours.kinetic, values: kinetic },
+        { name: "Δ potential", colour: colours.potential, values: since(potential) },
+        { name: "Δ total", colour: colours.total, values: since(total) },
       ];
     },
     residual: () => [{
-      name: "log10 of the residual in m/s", colour: "#d1495b",
+      name: "log10 of the residual in m/s", colour: colours.residual,
       values: Array.from(runs[0].residual, (x) => Math.log10(Math.max(x, 1e-20))),
     }],
   };
@@ -107,7 +107,7 @@ function figureSheet(runs, gaps, { begin, end }, byId) {
       pen.strokeText(number(value), width - 4, at);
       pen.fillText(number(value), width - 4, at);
     }
-    pen.strokeStyle = "#d7263d";
+    pen.strokeStyle = colours.force;
     pen.lineWidth = 2;
     pen.beginPath();
     pen.moveTo(x(now), 0);

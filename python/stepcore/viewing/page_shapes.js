@@ -1,6 +1,6 @@
 // What a page draws: geoms, tendons and lights as things of three.js.
 "use strict";
-function shapeMakers(renderer, extent, bytes) {
+function shapeMakers(renderer, { extent, colours }, bytes) {
   function surfaceOf(packedSurface) {
     const grid = new Uint16Array(bytes(packedSurface.places).buffer);
     const places = new Float32Array(grid.length);
@@ -81,7 +81,7 @@ function shapeMakers(renderer, extent, bytes) {
 
   // A tendon between two sites: rods from point to point, as lines are one pixel wide.
   const rope = new THREE.CylinderGeometry(1, 1, 1, 8).translate(0, 0.5, 0);
-  const brick = new THREE.MeshStandardMaterial({ color: 0xc0392b, roughness: 0.8 });
+  const brick = new THREE.MeshStandardMaterial({ color: colours.tendon, roughness: 0.8 });
   function tendon(ways, instants) {
     const count = ways.length / instants / 3;
     const rods = Array.from({ length: count - 1 }, () => new THREE.Mesh(rope, brick));

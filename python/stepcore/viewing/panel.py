@@ -7,25 +7,46 @@ import threading
 from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Sequence
+from functools import partial
 from html import escape
 from time import monotonic
 from typing import Any
 
 import numpy as np
 
+from stepcore.report.plot.style import TINTS, VIEW
 from stepcore.report.units import metres
-from stepcore.viewing.curves import ENERGY, RED, Curves, Points, energies, residuals
-from stepcore.viewing.drawing import ARROW, TINTS, drawing_of
+from stepcore.viewing.drawing import ARROW, drawing_of
 from stepcore.viewing.frames import Instant, Replayed, distance, instant_of, poses_of
+from stepcore.viewing.needs import need
 from stepcore.viewing.stage import Stage
 
 SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
+# The curves of energy, and what stands before their names.
+ENERGIES = {"kinetic": "", "potential": "Δ ", "total": "Δ "}
 # The states that a live view can go back to, so many a second of motion.
 KEPT, RATE = 3000, 60.0
-# How long steps may keep the page waiting [s].
-LONGEST = 0.2
+# How long the page waits for steps or for new curves at most [s].
+PAUSE = 0.2
 # A model of more actuators has no slider for the others.
 SLIDERS = 40
+
+
+def _plot(
+    gui: Any, title: str, names: Sequence[tuple[str, str]], span: tuple[float, float] | None
+) -> Any:
+    """Add a plot of curves over time; names: with their colours. span: of its axis [s]."""
+    uplot = need("viser.uplot", "a view")
+    lines = [uplot.Series(label=name, stroke=colour, width=2) for name, colour in names]
+    axis = uplot.Scale(time=False, **({"auto": True} if span is None else {"range": span}))
+    return gui.add_uplot(
+        tuple(np.array([0.0]) for _ in range(len(lines) + 1)),
+        (uplot.Series(label="time [s]"), *lines),
+        title=title,
+        scales={"x": axis},
+        aspect=2.0,
+        height=150,
+    )
 
 
 class Panel(ABC):
@@ -35,7 +56,7 @@ class Panel(ABC):
         self.server, self.stage, self.gui = server, stage, server.gui
         # What is pressed comes from other threads than time.
         self.lock = threading.RLock()
-        self.playing = True
+        self.playing, self.sent = True, 0.0
         self.pause = self.gui.add_button("Pause")
         self.on = self.gui.add_button("Step")
         self.speed = self.gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1 ×")
@@ -50,35 +71,47 @@ class Panel(ABC):
 
         return locked
 
-    def _shown(self) -> None:
-        """Add the check boxes of the overlays."""
+    def _overlays_and_curves(self, span: tuple[float, float] | None = None) -> None:
+        """Add the check boxes of the overlays, and the plots of energy and residual."""
         with self.gui.add_folder("Shown"):
             for name in ("contacts", "forces"):
                 box = self.gui.add_checkbox(name.capitalize(), True)
-                box.on_update(self._locked(self._switch(name, box)))
+                box.on_update(self._locked(partial(self._switch, name)))
             follow = self.gui.add_checkbox("Follow", False, hint="keep what moves in the picture")
             follow.on_update(self._locked(lambda _: self.stage.follow(follow.value, self.seen)))
             through = self.gui.add_checkbox("See through", False, hint="forces inside bodies too")
             through.on_update(lambda _: self.stage.see_through(through.value))
             if self.stage.hidden:
-                box = self.gui.add_checkbox("All geoms", False)
-                box.on_update(lambda _: self.stage.show_hidden(box.value))
+                hidden = self.gui.add_checkbox("All geoms", False)
+                hidden.on_update(lambda _: self.stage.show_hidden(hidden.value))
+        energies = [(f"{sign}{name}", VIEW[name]) for name, sign in ENERGIES.items()]
+        residual = [("log10", VIEW["residual"])]
+        self.energy = _plot(self.gui, "energy [J]", energies, span)
+        self.residual = _plot(self.gui, "log10 of the residual in m/s", residual, span)
 
-    def _curves(self, span: tuple[float, float] | None = None) -> None:
-        """Add the plots of energy and residual."""
-        self.energy = Curves(self.gui, "energy [J]", ENERGY, span=span)
-        self.residual = Curves(self.gui, "log10 of the residual in m/s", (("log10", RED),), span)
+    def _draw_curves(self, instants: Sequence[Instant], *more: tuple[Any, Any]) -> None:
+        """Draw the curves until now; while it plays only if they were not drawn lately.
 
-    def _draw_curves(self, instants: Sequence[Instant], now: bool) -> None:
-        self.energy.draw(lambda: energies(instants), now)
-        self.residual.draw(lambda: residuals(instants), now)
+        more: further plots, each with its values, (curves, times).
+        """
+        if self.playing and monotonic() - self.sent < PAUSE:
+            return
+        self.sent = monotonic()
+        time = np.array([instant.time for instant in instants])
+        kinetic, potential = np.array([instant.energy for instant in instants]).T
+        total = kinetic + potential
+        # Potential energy has no zero of its own.
+        energies = [kinetic, potential - potential[0], total - total[0]]
+        # A residual of zero has a logarithm too.
+        residuals = np.log10([[max(instant.residual, 1e-20) for instant in instants]])
+        # A plot is some hundred points wide.
+        pick = np.unique(np.linspace(0, len(time) - 1, min(len(time), 1000)).astype(int))
+        for plot, values in ((self.energy, energies), (self.residual, residuals), *more):
+            plot.data = tuple(np.ascontiguousarray(row[pick], float) for row in (time, *values))
 
-    def _switch(self, name: str, box: Any) -> Any:
-        def switch(_: Any) -> None:
-            setattr(self.stage, name, box.value)
-            self.draw()
-
-        return switch
+    def _switch(self, name: str, event: Any) -> None:
+        setattr(self.stage, name, event.target.value)
+        self.draw()
 
     def play(self, on: bool) -> None:
         """Play or pause."""
@@ -142,11 +175,6 @@ def figures_of(instant: Instant) -> list[tuple[str, str]]:
     ]
 
 
-def tint_of(k: int) -> str:
-    """Return the colour of the k-th overlaid run, in the form of a page."""
-    return "#" + "".join(f"{round(255 * c):02x}" for c in TINTS[k % len(TINTS)])
-
-
 class SimPanel(Panel):
     """Runs a copy of a Sim with sliders for its controls, and can go back in time."""
 
@@ -163,7 +191,8 @@ class SimPanel(Panel):
         self.past: list[Instant] = []
         reset = self.gui.add_button("Reset")
         reset.on_click(self._locked(lambda _: self.restart(None)))
-        if keys := self._keys():
+        keys = {name or f"#{k}": k for k, name in enumerate(sim.model.key_names)}
+        if keys:
             key = self.gui.add_dropdown("Keyframe", ("(start)", *keys))
             key.on_update(self._locked(lambda _: self.restart(keys.get(key.value))))
         self.back = self.gui.add_slider(
@@ -171,17 +200,13 @@ class SimPanel(Panel):
         )
         self.back.on_update(self._locked(self._go_back))
         self.sliders = self._controls()
-        self._shown()
-        self._curves()
+        self._overlays_and_curves()
         self.draw()
         self.stage.look([self.instant])
 
     @property
     def seen(self) -> Instant:
         return self.instant
-
-    def _keys(self) -> dict[str, int]:
-        return {name or f"#{k}": k for k, name in enumerate(self.sim.model.key_names)}
 
     def _controls(self) -> list[Any]:
         model, sliders = self.sim.model, []
@@ -196,17 +221,14 @@ class SimPanel(Panel):
                 name = model.called("actuator")[k].replace("`", "")
                 start = min(max(now, low), high)
                 slider = self.gui.add_slider(name, low, high, (high - low) / 1000, start)
-                slider.on_update(self._locked(self._set(k, slider)))
+                slider.on_update(self._locked(partial(self._set, k)))
                 sliders.append(slider)
         return sliders
 
-    def _set(self, k: int, slider: Any) -> Any:
-        def put(event: Any) -> None:
-            # Only a person's hand has a client; values that the view sets have none.
-            if getattr(event, "client_id", None) is not None:
-                self.sim.ctrl[k] = slider.value
-
-        return put
+    def _set(self, k: int, event: Any) -> None:
+        # Only a person's hand has a client; values that the view sets have none.
+        if event.client_id is not None:
+            self.sim.ctrl[k] = self.sliders[k].value
 
     def restart(self, key: int | None) -> None:
         """Begin again, from the start of the view or a keyframe."""
@@ -222,7 +244,7 @@ class SimPanel(Panel):
         self.draw()
 
     def _go_back(self, event: Any) -> None:
-        if getattr(event, "client_id", None) is None:
+        if event.client_id is None:
             return
         self.play(False)
         k = round(self.back.value * (len(self.states) - 1))
@@ -231,14 +253,6 @@ class SimPanel(Panel):
         self.sim.ctrl[:] = ctrl
         self.failed = ""
         self.draw()
-
-    def _forget_what_comes(self) -> None:
-        """Drop later instants, because the motion continues from an earlier time."""
-        while len(self.times) > 1 and self.times[-1] > self.sim.time:
-            self.times.pop()
-            self.states.pop()
-        while self.past and self.past[-1].time > self.sim.time:
-            self.past.pop()
 
     def advance(self, seconds: float) -> None:
         dt = self.sim.settings.dt
@@ -249,14 +263,19 @@ class SimPanel(Panel):
         for _ in range(count):
             self.step()
             # A scene that is slower than its time still answers.
-            if self.failed or monotonic() - begin > LONGEST:
+            if self.failed or monotonic() - begin > PAUSE:
                 self.owed = 0.0
                 return
 
     def step(self) -> None:
         if self.failed:
             return
-        self._forget_what_comes()
+        # The motion goes on from here: what came after an earlier time is forgotten.
+        while len(self.times) > 1 and self.times[-1] > self.sim.time:
+            self.times.pop()
+            self.states.pop()
+        while self.past and self.past[-1].time > self.sim.time:
+            self.past.pop()
         try:
             self.sim.step()
         except (RuntimeError, ValueError) as error:
@@ -279,18 +298,15 @@ class SimPanel(Panel):
         if self.failed:
             rows.append(("failed", self.failed))
         self.say(rows)
-        self._remember()
-        if self.playing:
-            self.back.value = 1.0
-
-    def _remember(self) -> None:
-        """Add the instant to the curves and end them there; keep later instants."""
+        # The curves end here; later instants are kept.
         now = self.instant.time
         at = bisect_left(self.past, now, key=lambda instant: instant.time)
         if at == len(self.past) or self.past[at].time > now:
             self.past.insert(at, self.instant)
-        self._draw_curves(self.past[: at + 1], not self.playing)
+        self._draw_curves(self.past[: at + 1])
         del self.past[:-KEPT]
+        if self.playing:
+            self.back.value = 1.0
 
 
 class RunPanel(Panel):
@@ -298,19 +314,24 @@ class RunPanel(Panel):
 
     def __init__(self, server: Any, runs: Sequence[Replayed]) -> None:
         self.runs = runs
-        if len(runs) > 1:
-            server.gui.add_html(self._legend())
+        self.names = names = [run.label or f"run {k + 1}" for k, run in enumerate(runs)]
+        others = [(name, TINTS[k % len(TINTS)]) for k, name in enumerate(names[1:])]
+        if others:
+            lines = [f"{escape(names[0])}: in its own colours"]
+            lines += [f'<span style="color:{tint}">■</span> {escape(n)}' for n, tint in others]
+            style = "margin:0 0.65em;font-size:0.8em"
+            self.legend = server.gui.add_html(f'<div style="{style}">{"<br>".join(lines)}</div>')
         super().__init__(server, Stage(server, [run.drawing for run in runs]))
-        self.gaps = [distance(runs[0], run) for run in runs[1:]]
+        self.gaps = [1000 * distance(runs[0], run) for run in runs[1:]]
         self.times = [run.time for run in runs]
         self.begin, self.end = float(self.times[0][0]), max(float(t[-1]) for t in self.times)
         self.now = self.begin
-        span = max(self.end - self.begin, 1e-9)
-        self.slider = self.gui.add_slider("Time", 0.0, span, span / 5000, 0.0)
+        length = max(self.end - self.begin, 1e-9)
+        self.slider = self.gui.add_slider("Time", 0.0, length, length / 5000, 0.0)
         self.slider.on_update(self._locked(self._go))
-        self.apart = self._distances()
-        self._curves((self.begin, self.end))
-        self._shown()
+        span = self.begin, self.end
+        self.apart = _plot(self.gui, "distance [mm]", others, span) if others else None
+        self._overlays_and_curves(span)
         self.stage.look(runs[0].instants)
         self.draw()
 
@@ -323,25 +344,8 @@ class RunPanel(Panel):
         now = min(self.now, self.end) + 1e-9
         return [max(0, int(np.searchsorted(t, now, side="right")) - 1) for t in self.times]
 
-    def _distances(self) -> Curves | None:
-        """Add the plot of the distances of the other runs from the first."""
-        if not self.gaps:
-            return None
-        names = [(run.label or "the other", tint_of(k)) for k, run in enumerate(self.runs[1:])]
-        return Curves(self.gui, "distance [mm]", names, span=(self.begin, self.end))
-
-    def _legend(self) -> str:
-        """Add the legend of the runs."""
-        first = self.runs[0].label or "run 1"
-        lines = [f"{escape(first)}: in its own colours"]
-        lines += [
-            f'<span style="color:{tint_of(k)}">■</span> {escape(run.label or f"run {k + 2}")}'
-            for k, run in enumerate(self.runs[1:])
-        ]
-        return f'<div style="margin:0 0.65em;font-size:0.8em">{"<br>".join(lines)}</div>'
-
     def _go(self, event: Any) -> None:
-        if getattr(event, "client_id", None) is not None:
+        if event.client_id is not None:
             self.play(False)
             self.now = self.begin + self.slider.value
             self.draw()
@@ -363,19 +367,13 @@ class RunPanel(Panel):
         instants = [run.instants[k] for run, k in zip(self.runs, at, strict=True)]
         self.stage.show(instants)
         rows = figures_of(instants[0])
-        for run, gap in zip(self.runs[1:], self.gaps, strict=True):
-            apart = float(1000 * gap[at[0]])
+        for name, gap in zip(self.names[1:], self.gaps, strict=True):
             # Where the other run has ended nothing is compared.
-            value = f"{apart:.3g} mm" if np.isfinite(apart) else "–"
-            rows.append((f"distance of {run.label or 'the other'}", value))
+            apart = f"{gap[at[0]]:.3g} mm" if np.isfinite(gap[at[0]]) else "–"
+            rows.append((f"distance of {name}", apart))
         self.say(rows)
         self.slider.value = min(max(0.0, now - self.begin), self.end - self.begin)
         # Curves end where the motion is.
-        until = self.runs[0].instants[: at[0] + 1]
-        self._draw_curves(until, not self.playing)
-        if self.apart is not None:
-            self.apart.draw(lambda: self._apart_until(at[0] + 1), not self.playing)
-
-    def _apart_until(self, end: int) -> Points:
-        """Return the distances of the other runs from the first [mm]."""
-        return self.times[0][:end], 1000 * np.array([gap[:end] for gap in self.gaps])
+        end = at[0] + 1
+        gaps = [(self.apart, [gap[:end] for gap in self.gaps])] if self.gaps else []
+        self._draw_curves(self.runs[0].instants[:end], *gaps)

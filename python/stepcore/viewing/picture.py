@@ -10,19 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks, files
-from stepcore.viewing.camera import LARGEST, Following, camera_of
-from stepcore.viewing.drawing import Drawing, drawing_of
+from stepcore.viewing.camera import LARGEST, camera_of, following, loads, ropes
+from stepcore.viewing.drawing import drawing_of
 from stepcore.viewing.frames import Replayed, instant_of
-from stepcore.viewing.marks import loads, ropes
-from stepcore.viewing.mitsuba_picture import MitsubaPicture
-from stepcore.viewing.mujoco_picture import MujocoPicture
 from stepcore.viewing.needs import need
+from stepcore.viewing.renderers import renderer_of
 
-RENDERERS = {"mujoco": MujocoPicture, "mitsuba": MitsubaPicture}
 # What ffmpeg puts H.264 in.
 ENDINGS = (".mp4", ".mov", ".mkv")
-# Frames a second of a video.
-RATES = 1.0, 240.0
 
 
 def picture(
@@ -63,10 +58,10 @@ def picture(
     own = type(sim)(sim.model)
     own.restore(sim.state())
     instant, drawing = instant_of(own), drawing_of(own.model, own)
-    camera = camera_of(drawing, instant, np.deg2rad(turn), np.deg2rad(lift), far)
+    camera = camera_of(drawing, instant, turn, lift, far)
     made = renderer_of(drawing, width, height, renderer)
     try:
-        newtons = drawing.weight or float(np.abs(instant.forces).max(initial=0.0))
+        newtons = drawing.weight or instant.strongest
         marks = ropes(drawing, instant) + (loads(drawing, instant, newtons) if forces else [])
         drawn: NDArray[np.uint8] = made.draw(instant, camera, marks)
     finally:
@@ -85,7 +80,7 @@ def save_video(
     renderer: str | None,
 ) -> None:
     """See `Trajectory.save_video`."""
-    checks.real(*RATES[:1], high=RATES[1])("save_video", "fps", fps)
+    checks.real(1, high=240)("save_video", "fps", fps)
     checks.real(above=0)("save_video", "speed", speed)
     _check_ending("save_video", path, ENDINGS, " or ".join(ENDINGS))
     ffmpeg = need("imageio_ffmpeg", "a video", "video")
@@ -94,7 +89,7 @@ def save_video(
             raise checks.refuse("save_video", field, value, "an even number")
     drawing, time = run.drawing, run.time
     made = renderer_of(drawing, *size, renderer)
-    following = Following(drawing, run.instants[0])
+    camera = following(drawing, run.instants[0])
     newtons = drawing.weight or run.strongest
     count = max(1, round((time[-1] - time[0]) / speed * fps) + 1)
     writer = ffmpeg.write_frames(os.fspath(path), size, fps=fps, macro_block_size=2)
@@ -104,7 +99,7 @@ def save_video(
             now = time[0] + k * speed / fps
             instant = run.instants[int(np.argmin(np.abs(time - now)))]
             marks = ropes(drawing, instant) + loads(drawing, instant, newtons)
-            drawn = made.draw(instant, following.at(instant), marks)
+            drawn = made.draw(instant, camera(instant), marks)
             writer.send(np.ascontiguousarray(drawn))
     finally:
         writer.close()
@@ -117,16 +112,3 @@ def _check_ending(
     """Refuse a file that cannot be written, before seconds of drawing."""
     if os.path.splitext(files.path("path", path))[1].lower() not in known:
         raise checks.refuse(owner, "path", path, f"a name that ends in {such}")
-
-
-def renderer_of(drawing: Drawing, width: int, height: int, name: str | None = None) -> Any:
-    """Return the renderer of this name, or the first that works."""
-    for field, value in (("width", width), ("height", height)):
-        checks.whole(2, LARGEST)("picture", field, value)
-    checks.one_of(None, *RENDERERS)("picture", "renderer", name)
-    if name is not None:
-        return RENDERERS[name](drawing, width, height)
-    try:
-        return MujocoPicture(drawing, width, height)
-    except (ImportError, RuntimeError, ValueError):
-        return MitsubaPicture(drawing, width, height)

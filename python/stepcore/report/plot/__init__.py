@@ -25,17 +25,9 @@ def plot(kind: str, result: Any, path: str | os.PathLike[str] | None) -> Any:
     target = None if path is None else files.path("path", path)
     module = importlib.import_module(f"stepcore.report.plot.{MODULES[kind]}")
     figure = getattr(module, kind)(result)
-    _make_printable(figure)
+    # Fonts lack control characters, which names may have.
+    for text in figure.findobj(importlib.import_module("matplotlib.text").Text):
+        text.set_text(escapes.printable(text.get_text()))
     if target is not None:
         figure.savefig(target, **remark(target))
     return figure
-
-
-def _make_printable(figure: Any) -> None:
-    """Escape control characters in titles, axes and legends, because fonts lack them."""
-    from matplotlib.text import Text
-
-    for text in figure.findobj(Text):
-        shown = escapes.printable(text.get_text())
-        if shown != text.get_text():
-            text.set_text(shown)

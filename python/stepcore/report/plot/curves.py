@@ -21,6 +21,7 @@ from stepcore.report.plot.style import (
     log_ticks,
     new_figure,
     say,
+    stacked,
 )
 from stepcore.report.units import joules, metres, seconds
 
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
 LINES = tuple(COLOURS.values())
 # More lines than this cannot be distinguished by colour and have no legend.
 NAMED = len(LINES)
-# Height of a panel [inches].
-PANEL = 2.2
 UNITS = {
     "overlap": "deepest overlap [m]",
     "residual": "residual [m/s]",
@@ -58,8 +57,7 @@ def trajectory(run: Trajectory) -> Any:
     names = wanted or list(run.data)
     if not names:
         raise ValueError("the run recorded nothing that can be drawn")
-    figure = new_figure(height=max(4.0, PANEL * len(names)))
-    panels = figure.subplots(len(names), sharex=True, squeeze=False)[:, 0]
+    figure, panels = stacked(len(names))
     time = run.time - run.time[0]
     for axes, name in zip(panels, names, strict=True):
         if name == "energy":

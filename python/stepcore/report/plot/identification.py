@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stepcore.report.plot.style import BLUE, GREY, ORANGE, frame, legend, line, new_figure
+from stepcore.report.plot.style import BLUE, GREY, ORANGE, frame, legend, line, stacked
 
 if TYPE_CHECKING:
     from stepcore.measure.identification.result import Curve, Identification
 
-# The most panels, and the height of one [inches].
-PANELS, PANEL = 8, 1.9
+# The most panels.
+PANELS = 8
 
 
 def identification(result: Identification) -> Any:
@@ -24,8 +24,7 @@ def identification(result: Identification) -> Any:
     own = [curve for curve in result.curves if curve.log == worst.log]
     kept = sorted(range(len(own)), key=lambda k: -_share(own[k]))[:PANELS]
     drawn = [own[k] for k in sorted(kept)]
-    figure = new_figure(height=max(4.0, PANEL * len(drawn)))
-    panels = figure.subplots(len(drawn), sharex=True, squeeze=False)[:, 0]
+    figure, panels = stacked(len(drawn))
     for axes, curve in zip(panels, drawn, strict=True):
         axes.plot(curve.time, curve.before, color=GREY, lw=1.0, ls=":")
         axes.plot(curve.time, curve.measured, ls="none", marker=".", ms=3, color=ORANGE)

@@ -1,4 +1,4 @@
-"""Common parts of all plots: colours, figures, axes, bars, legends and short names."""
+"""The colours of plots, views and pictures; the common parts of all plots."""
 
 from __future__ import annotations
 
@@ -21,11 +21,33 @@ COLOURS = {
 BLUE, GREEN, ORANGE = COLOURS["rk4"], COLOURS["implicitfast"], COLOURS["euler"]
 RED = COLOURS["semi-implicit"]
 GREY = "#666666"
+# What pages, views and pictures draw, on light and on dark grounds.
+VIEW = {
+    "contact": "#F4A300",
+    "force": "#D7263D",
+    "tendon": "#C0392B",
+    "link": "#D1495B",
+    "kinetic": "#E07A1F",
+    "potential": "#2A7DE1",
+    "total": "#7A7F87",
+    "residual": "#D1495B",
+    "fixed": "#8C8C8C",
+    "ground": "#9EA8B3",
+}
+# Bodies of a scene without colours, by their index.
+BODIES = ("#4582B5", "#ED993D", "#59A166", "#B85C80")
+# Runs that are laid over another, which keeps its own colours.
+TINTS = ("#f2731a", "#338cf2", "#994dcc")
+# Behind everything, above and below.
+SKY = ("#EDF2FA", "#D1DEED")
 # Font sizes [points].
 TITLE, TEXT, SMALL = 11, 9, 8
-# Log axes below SHORT decades have ticks at 1, 2 and 5. Axes below NARROW decades have evenly
-# spaced ticks.
-SHORT, NARROW = 2.0, 0.5
+
+
+def rgb(colour: str) -> tuple[float, float, float]:
+    """Return a colour of this table as numbers from 0 to 1."""
+    red, green, blue = (int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))
+    return red, green, blue
 
 
 def new_figure(width: float = 8.0, height: float = 4.8) -> Any:
@@ -51,6 +73,12 @@ def named_bars(
     return figure, axes, places
 
 
+def stacked(panels: int) -> tuple[Any, Any]:
+    """Return a figure of panels above each other that share their time, and the panels."""
+    figure = new_figure(height=max(4.0, 2.0 * panels))
+    return figure, figure.subplots(panels, sharex=True, squeeze=False)[:, 0]
+
+
 def frame(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
     """Draw a light grid behind the data and the title at the left, without a box.
 
@@ -71,7 +99,8 @@ def frame(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
 def log_ticks(axis: Any, words: Callable[[float], str] | None = None) -> None:
     """Set the ticks of a log axis so that labels do not collide.
 
-    Short ranges have ticks at 1, 2 and 5, longer ranges at decades.
+    Two decades and more have a tick at each; below there are ticks at 1, 2 and 5, and below half a
+    decade evenly spaced ones.
 
     axis: `axes.xaxis` or `axes.yaxis`, whose limits are set. words: a function that formats a tick.
     """
@@ -79,12 +108,12 @@ def log_ticks(axis: Any, words: Callable[[float], str] | None = None) -> None:
 
     low, high = sorted(axis.get_view_interval())
     decades = math.log10(high / low) if 0 < low < high else 0.0
-    if decades < NARROW:
+    if decades < 0.5:
         axis.set_major_locator(MaxNLocator(4))
     else:
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < SHORT else (1,), numticks=9))
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 2 else (1,), numticks=9))
     axis.set_minor_formatter(NullFormatter())
-    if decades < SHORT:
+    if decades < 2:
         words = words or "{:.3g}".format
     if words is not None:
         axis.set_major_formatter(FuncFormatter(lambda value, _: words(value)))
