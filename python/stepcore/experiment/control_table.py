@@ -10,7 +10,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -20,33 +20,10 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.engine.trajectory import Trajectory
-from stepcore.experiment.control_files import MCAP, mcap_rows
 from stepcore.experiment.controls import ControlLog, Controls
-from stepcore.experiment.moves import Moves, resting
-from stepcore.experiment.user_table import TIME, Content, numbers, read_table, times_of
+from stepcore.experiment.moves import LONGEST, Moves, resting
+from stepcore.experiment.user_table import MCAP, TIME, mcap_rows, numbers, read_table, times_of
 from stepcore.report.units import seconds
-
-# The largest number of constant controls that are listed, not counted.
-NAMED = 8
-# A period that follows from a log has at least this many of the model's steps, so that steps longer
-# than the model's can be tried.
-SOME = 4
-# Names of the columns of an array of a recorded run.
-RECORDED = r"{}\[(.+)\]"
-
-
-class Actuated(Protocol):
-    """The actuators that a table is matched to: those of a Model, which describes the members."""
-
-    @property
-    def nu(self) -> int: ...
-    @property
-    def joint_names(self) -> Sequence[str]: ...
-    @property
-    def actuator_names(self) -> Sequence[str]: ...
-    @property
-    def actuator_joint(self) -> np.ndarray: ...
-    def called(self, kind: str) -> Sequence[str]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +69,7 @@ class ControlTable:
     def constants(self) -> str:
         """The first row in words: "a=1, b=3", or "1, 3" without column names."""
         count = np.atleast_2d(self.rows).shape[1]
-        return f"{count} constant controls" if count > NAMED else self._first(", ")
+        return f"{count} constant controls" if count > 8 else self._first(", ")
 
     @property
     def option(self) -> str:
@@ -126,7 +103,8 @@ class ControlTable:
         """Return the control period [s], or None if the rows do not determine one; dt: [s].
 
         Rows without times have a period of dt. Rows at equal times have a period in which all steps
-        can end on their times: the spacing or a whole part of it, in at least `SOME` steps of dt.
+        can end on their times: the spacing or a whole part of it, in at least `LONGEST` steps of
+        dt, so that longer steps can be tried.
         Otherwise the rows follow their own times whatever the period; see `ControlLog`.
         """
         if self.times is None:
@@ -136,7 +114,7 @@ class ControlTable:
             return None
         steps = round(gap / dt)
         parts = [steps // k for k in range(1, steps + 1) if steps % k == 0]
-        return min((n for n in parts if n >= SOME), default=0) * dt or None
+        return min((n for n in parts if n >= LONGEST), default=0) * dt or None
 
     def paced(self, period: str) -> str:
         """Return when rows take effect, in words; period: the control period in words."""
@@ -147,7 +125,7 @@ class ControlTable:
 
     def log(
         self,
-        model: Actuated,
+        model: Any,
         held: np.ndarray,
         period: float,
         linear: bool = False,
@@ -155,6 +133,7 @@ class ControlTable:
     ) -> ControlLog:
         """Return the controls over time.
 
+        model: a Model, or what names actuators and their joints as one does.
         held: the controls of actuators without a column, (nu,). period: of rows without times [s].
         linear: whether to interpolate the rows. sampled: whether rows that are held take effect at
         the beginning of a period.
@@ -174,7 +153,7 @@ class ControlTable:
             return ControlLog(periods, rows[index])
         return ControlLog(times, rows, linear)
 
-    def _complete(self, model: Actuated, held: np.ndarray) -> np.ndarray:
+    def _complete(self, model: Any, held: np.ndarray) -> np.ndarray:
         """Return the rows with the controls of all actuators, shape (n, nu)."""
         if self.columns is None:
             rows = self.rows[:, None] if self.rows.ndim == 1 and model.nu == 1 else self.rows
@@ -283,67 +262,57 @@ def control_table(ctrl: Any, array: str = "ctrl") -> ControlTable:
         times, rows, columns = mcap_rows(path, array)
         return ControlTable(rows, columns, times, os.path.basename(path), path)
     source, content = read_table(ctrl, array)
-    return replace(_of_content(source, content, array), path=path)
+    if isinstance(content, np.ndarray):
+        return ControlTable(content, source=source, path=path)
+    if not isinstance(content, Trajectory):
+        return replace(_of_columns(source, content, array), path=path)
+    if array not in content.data:
+        raise ValueError(f"{source}: this run recorded no {array}")
+    return replace(_recorded(source, content[array], None, content.time, array), path=path)
 
 
-def _of_content(source: str, content: Content, array: str) -> ControlTable:
-    if isinstance(content, Trajectory):
-        return _of_run(content, source, array)
-    if not isinstance(content, dict):
-        return ControlTable(content, source=source)
+def _recorded(
+    source: str,
+    rows: np.ndarray,
+    columns: tuple[str, ...] | None,
+    times: np.ndarray | None,
+    array: str,
+) -> ControlTable:
+    """Return an array of a recorded run; an instant has the controls of the last step."""
+    if array == "ctrl" and times is not None:
+        rows, times = rows[1:], times[:-1]
+    return ControlTable(rows, columns, times, source)
+
+
+def _of_columns(source: str, content: Mapping[str, Any], array: str) -> ControlTable:
+    """Return a table of named columns; a single number applies to all rows.
+
+    Columns such as "ctrl[knee]" are of a run that `Trajectory.save` or `to_pandas` wrote.
+    """
     if source.endswith(".npz") and array in content:
         rows = numbers(source, content[array])
-        times = times_of(source, content.get("time"), len(rows))
-        return ControlTable(rows, times=times, source=source)
-    return _named(source, content, array)
-
-
-def _of_run(run: Trajectory, source: str, array: str) -> ControlTable:
-    """Return an array of a recorded run; an instant has the controls of the last step."""
-    if array not in run.data:
-        raise ValueError(f"{source}: this run recorded no {array}")
-    if array != "ctrl":
-        return ControlTable(run[array], times=run.time, source=source)
-    return ControlTable(run["ctrl"][1:], times=run.time[:-1], source=source)
-
-
-def _named(source: str, columns: Mapping[str, Any], array: str) -> ControlTable:
-    """Return a table of named columns; a single number applies to all rows."""
-    names = list(columns)
-    own = re.compile(RECORDED.format(array))
-    recorded = {name: found[1] for name in names if (found := own.fullmatch(str(name)))}
-    clocks = [name for name in names if TIME.fullmatch(str(name))]
-    if recorded and clocks:
-        return _of_table(source, columns, clocks[0], recorded, array == "ctrl")
-    drives = [str(name) for name in names if name not in clocks[:1]]
-    values = [np.ravel(numbers(f"{source}, column {name}", columns[name])) for name in names]
-    count = max((len(column) for column in values), default=0)
-    table = {}
-    for name, column in zip(names, values, strict=True):
-        if len(column) not in (1, count):
+        return ControlTable(rows, None, times_of(source, content.get("time"), len(rows)), source)
+    columns = {
+        str(name): np.ravel(numbers(f"{source}, column {name}", values))
+        for name, values in content.items()
+    }
+    count = max(map(len, columns.values()), default=0)
+    for name, values in columns.items():
+        if len(values) not in (1, count):
             raise ValueError(f"{source}: column {checks.quoted(name)} has another length")
-        table[str(name)] = np.broadcast_to(column, count)
-    rows = np.array([table[name] for name in drives]).reshape(len(drives), count).T
-    times = times_of(source, table[clocks[0]], count) if clocks else None
-    return ControlTable(rows, tuple(drives), times, source)
+    clock = next((name for name in columns if TIME.fullmatch(name)), None)
+    times = None if clock is None else np.broadcast_to(columns.pop(clock), count)
+    own = re.compile(rf"{array}\[(.+)\]")
+    recorded = {found[1]: columns[name] for name in columns if (found := own.fullmatch(name))}
+    some = recorded if recorded and clock else columns
+    rows = np.array([np.broadcast_to(values, count) for values in some.values()])
+    rows = rows.reshape(len(some), count).T
+    if some is recorded:
+        return _recorded(source, rows, tuple(some), times, array)
+    return ControlTable(rows, tuple(some), times, source)
 
 
-def _of_table(
-    source: str, columns: Mapping[str, Any], clock: str, recorded: Mapping[str, str], later: bool
-) -> ControlTable:
-    """Return an array of a recorded run that `Trajectory.save` or `to_pandas` wrote.
-
-    clock: the name of the column of times. recorded: the actuator or joint of each other column.
-    later: whether an instant has the values of the last step, as in `_of_run`.
-    """
-    rows = np.column_stack([numbers(f"{source}, column {n}", columns[n]) for n in recorded])
-    times = times_of(source, columns[clock], len(rows))
-    if later and times is not None:
-        rows, times = rows[1:], times[:-1]
-    return ControlTable(rows, tuple(recorded.values()), times, source)
-
-
-def _actuators(source: str, columns: Sequence[str], model: Actuated) -> list[int]:
+def _actuators(source: str, columns: Sequence[str], model: Any) -> list[int]:
     """Return the index of the actuator of each column, by the name of the actuator or its joint."""
     by_joint: dict[str, list[int]] = {}
     for index, joint in enumerate(model.actuator_joint.tolist()):

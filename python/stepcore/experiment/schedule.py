@@ -23,7 +23,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.control_table import Actuated, PositionTable, control_table
+from stepcore.experiment.control_table import PositionTable, control_table
 from stepcore.experiment.controls import ControlLog, Controls
 from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.motion import Motion
@@ -248,7 +248,7 @@ def grid(
     return periods - periods % every, every
 
 
-def played(motion: Motion, model: Actuated, held: np.ndarray, period: float) -> ControlLog:
+def played(motion: Motion, model: Any, held: np.ndarray, period: float) -> ControlLog:
     """Return the rows of a motion's `ctrl` over time; see `given_controls`."""
     table = control_table(motion.ctrl)
     linear = motion.interpolation == "linear"
