@@ -17,7 +17,7 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
-from stepcore.engine.control import ControlError
+from stepcore.engine.control import Control, ControlError
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.follow import COUNTED, Followed, follow
 from stepcore.engine.linear_maps import STAGED
@@ -326,14 +326,13 @@ def visits(
             yield start, float(time), sim
 
 
-def check_repeatable(model: Model, schedule: Schedule) -> None:
-    """Raise ControlError if the user's control function is not repeatable.
+def check_repeatable(model: Model, schedule: Schedule, control: Control) -> None:
+    """Raise ControlError if the user's control function of a schedule is not repeatable.
 
     The beginning of a run is made twice. If the controls differ, they depend on more than the
     motion, and runs cannot be compared.
     """
-    periods = min(32, schedule.periods)
-    beginning = dataclasses.replace(schedule, periods=periods, every=1)
+    beginning = dataclasses.replace(schedule, periods=min(32, schedule.periods), every=1)
     first, again = (run(model, beginning, [0], record=("ctrl",))["ctrl"] for _ in range(2))
-    if schedule.control is not None and not np.array_equal(first, again, equal_nan=True):
-        raise ControlError.not_repeatable(schedule.control, "the same run was made again")
+    if not np.array_equal(first, again, equal_nan=True):
+        raise ControlError.not_repeatable(control, "the same run was made again")

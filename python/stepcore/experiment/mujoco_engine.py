@@ -39,7 +39,7 @@ from stepcore.experiment.controls import Controls
 from stepcore.experiment.default_motion import by_rule
 from stepcore.experiment.engines import FAR, Engine, Stepcore, Way, spread
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.schedule import HORIZON, Schedule, laid_out, played
+from stepcore.experiment.schedule import HORIZON, Schedule, given_controls, laid_out
 from stepcore.experiment.sizes import scene_size
 from stepcore.loading import find_asset, find_model, find_scene
 from stepcore.mjcf.reader import read_text
@@ -671,7 +671,7 @@ def _scheduled(
 
     def drive(begin: Sequence[Start], periods: int) -> Controls:
         if motion.ctrl is not None:
-            return Controls(played(motion, drives, held, period))
+            return given_controls(motion, drives, held, period)
         free = scene.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_CLAMPCTRL)
         clamped = scene.actuator_ctrllimited & (not free)
         ranges = np.where(clamped[:, None], scene.actuator_ctrlrange, (-np.inf, np.inf))

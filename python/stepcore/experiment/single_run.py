@@ -19,10 +19,9 @@ from stepcore.engine.sim import Sim
 from stepcore.engine.snapshots import Taking
 from stepcore.engine.trajectory import Trajectory, pieces
 from stepcore.experiment.change import Servo
-from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import drive_in_words, held_in_words
-from stepcore.experiment.schedule import given_controls, home
+from stepcore.experiment.schedule import driving, home
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import metres, seconds, time_of
 
@@ -141,10 +140,7 @@ def drive_of(sim: Sim, motion: Motion, horizon: float) -> Drive:
         return Drive(None, every, held_in_words(model, held))
     begin, periods = home(model, motion.key)[0], int(np.ceil(horizon / period)) + 1
     begin = replace(begin, qpos=np.array(sim.qpos))
-    controls = given_controls(motion, model, begin, held, period)
-    if controls is None:
-        how = (motion.kind, begin, held, [begin], motion.seed, period, periods)
-        controls = default_motion(model, *how)
+    controls = driving(motion, model, begin, held, [begin], period, periods)
     said = controls.words or drive_in_words(model, motion, "", f"every {seconds(period)}")
     if controls.function is not None:
         return Drive(controls.function, every, said)

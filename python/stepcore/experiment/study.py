@@ -98,8 +98,8 @@ class Study:
         self._tracks: dict[tuple[Change, int], Tracks] = {}
         self._truths: dict[Change, Converging] = {}
         self._blocks, self._dearer = 0, 1.0
-        if self.schedule.calls_user:
-            check_repeatable(self.model, self.schedule)
+        if self.schedule.control is not None:
+            check_repeatable(self.model, self.schedule, self.schedule.control)
 
     @property
     def model(self) -> Model:
