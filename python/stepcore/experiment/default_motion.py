@@ -36,12 +36,9 @@ from stepcore.experiment.moves import HELD, MOVE, Chosen, Moves, moves_about
 from stepcore.report.units import counted, metres, percent, radians, seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
-# A control range within ±1 has no unit: it is an action, as of gymnasium and dm_control.
-ACTION = 1.0
 # The sines of a control: their number, frequencies [Hz], and amplitude as a share of the control
-# range, and without one of the keyframe's control. They grow over a time [s], because a jump would
-# shock a stiff servo.
-SINES, HERTZ, RANGED, UNRANGED, RAMP = 3, (0.3, 3.0), 0.4, 0.25, 0.25
+# range. They grow over a time [s], because a jump would shock a stiff servo.
+SINES, HERTZ, RANGED, RAMP = 3, (0.3, 3.0), 0.4, 0.25
 # The most names in a list.
 NAMED = 4
 
@@ -53,7 +50,8 @@ def kind_of(model: Model) -> str:
     drives = actuators(model)
     if any(drive.kind in (SERVO, VELOCITY_SERVO) for drive in drives):
         return "move"
-    actions = all(abs(end) <= ACTION for drive in drives for end in drive.ctrlrange)
+    # A control range within ±1 has no unit: it is an action, as of gymnasium and dm_control.
+    actions = all(abs(end) <= 1.0 for drive in drives for end in drive.ctrlrange)
     moves = any(drive.kind == MOTOR for drive in drives)
     return "move" if moves and not (actions and moves_about(model, drives)) else "sines"
 
@@ -212,10 +210,7 @@ def by_rule(
         return Controls(ControlLog(times, rows), words=said)
     rows = np.stack([_sines(ranges, held, times, rng) for rng in draws])
     free = ~np.isfinite(ranges).all(axis=1)
-    still = [name for name, own, at in zip(names, free, held, strict=True) if own and not at]
-    remark = f"actuators without a control range are not driven: {', '.join(still)}"
-    said = _sines_in_words(what, len(names), int(free.sum()), still)
-    return Controls(ControlLog(times, rows), None, said, (remark,) if still else ())
+    return Controls(ControlLog(times, rows), words=_sines_in_words(what, names, free, held))
 
 
 def _sines(
@@ -233,24 +228,19 @@ def _sines(
             middle = begun + ramp * (centre - begun)
             values[:, k] = np.clip(middle + RANGED * (high - low) * wave, low, high)
         else:
-            values[:, k] = held[k] + UNRANGED * abs(held[k]) * wave
+            values[:, k] = held[k]
     return values
 
 
-def _sines_in_words(what: str, nu: int, free: int, still: list[str]) -> str:
-    """Describe sines; free: how many have no range; still: those of them that are constant."""
-    if len(still) == nu:
-        return f"{what} are held at zero, because nothing gives their range"
+def _sines_in_words(what: str, names: Sequence[str], free: np.ndarray, held: np.ndarray) -> str:
+    """Describe sines; free: which controls have no range, and keep the keyframe's value."""
+    at = "at the keyframe's controls" if held[free].any() else "at zero"
+    if free.all():
+        return f"{what} are held {at}, because nothing gives their range"
     low, high = HERTZ
     said = f"test motion: random sines of {low:g} to {high:g} Hz, "
-    if free == nu:
-        said += f"±{UNRANGED:.0%} of the keyframe's controls"
-    else:
-        said += f"±{RANGED:.0%} of the control range, as policies look"
-        if free > len(still):
-            swings = free - len(still)
-            said += f" ({swings} without a range: ±{UNRANGED:.0%} of the keyframe's control)"
-    if still:
-        names = still[0] if len(still) == 1 else f"{len(still)} of them"
-        said += f"; {names} without a range held at zero"
-    return said.replace("%", " %")
+    said += f"±{RANGED:.0%} of the control range, as policies look".replace("%", " %")
+    if free.any():
+        some = names[int(free.argmax())] if free.sum() == 1 else f"{free.sum()} of them"
+        said += f"; {some} without a range held {at}"
+    return said

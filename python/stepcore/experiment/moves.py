@@ -42,7 +42,8 @@ HELD = 1e-3
 SHARE, TURN, SLIDE, BASE = 0.1, 0.5, 0.05, 0.2
 # The share of a joint's range, at each end, into which no target leads.
 MARGIN = 0.05
-# The largest bandwidth of our servos [rad/s], the largest 2 ω μ T, and T in shipped steps.
+# The largest bandwidth of our servos [rad/s], the largest 2 ω μ T, and the longest time step that
+# is tried by default, in shipped ones.
 OMEGA, SAMPLED, LONGEST = 30.0, 0.7, 4
 # The largest force, as a share of its bound, and of what holding the start leaves of it; the
 # largest share of a run in which an actuator is at its bound.
@@ -50,10 +51,10 @@ FORCE, LEFT, FULL = 0.6, 0.5, 0.05
 # The parts of a move that are tried, also the opposite way, before the start is held.
 FACTORS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 0.125, -0.125)
 # Speeds and forces of this time [s] belong to the start: it may jump to its servos' targets, or
-# out of an overlap.
+# out of an overlap. Contacts are looked at as often.
 SHOCK = 0.1
-# The time between samples of a trial, and between looks at its contacts [s].
-SAMPLE, LOOK = 0.008, 0.1
+# The time between samples of a trial [s].
+SAMPLE = 0.008
 # A robot falls if it tilts by more than this [rad], or the height of its centre of mass above the
 # lowest of its geoms shrinks by this share. What sinks into the floor as a whole has not fallen.
 TILT, SINKS = 0.35, 0.25
@@ -142,8 +143,8 @@ class Moves:
         driven = self.of(SERVO, VELOCITY_SERVO, MOTOR)
         self.joints = sorted({drive.joint for drive in driven if drive.joint is not None})
         self.others = [drive for drive in driven if drive.joint is None]
-        self.dofs = model.jnt_dofadr[self.joints]
-        self.about, self.roots = moves_about(model, self.drives), roots(model, self.drives)
+        self.dofs, self.roots = model.jnt_dofadr[self.joints], roots(model, self.drives)
+        self.about = moves_about(model, self.drives)
         self.kept = self._jacobian(home, touching(_put(Sim(model), home)))
         self.hold, self.held = self._balanced(np.array(ctrl, float))
         if self.held.fell is None and self.held.end is not None:
@@ -210,8 +211,7 @@ class Moves:
 
     def _jacobian(self, state: Start, points: Sequence[tuple[int, int, np.ndarray]]) -> np.ndarray:
         """Return the Jacobian of the contacts of the driven trees, (3 contacts, nv)."""
-        sim, rows = Sim(self.model), [np.zeros((0, self.model.nv))]
-        state.put(sim)
+        sim, rows = _put(Sim(self.model), state), [np.zeros((0, self.model.nv))]
         for first, second, place in points:
             if {self.model.root(first), self.model.root(second)} & self.roots:
                 ends = [sim.jacobian(body, place)[:3] for body in (second, first) if body]
@@ -220,10 +220,7 @@ class Moves:
 
     def lengths(self, qpos: np.ndarray) -> np.ndarray:
         """Return the lengths of the actuators at a pose, (nu,)."""
-        sim = Sim(self.model)
-        self.home.put(sim)
-        sim.qpos[:] = qpos
-        return np.array(sim.actuator_length)
+        return np.array(_put(Sim(self.model), replace(self.home, qpos=qpos)).actuator_length)
 
     def _drawn(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a change of the pose, (nv,), of the joints that actuators drive."""
@@ -324,7 +321,7 @@ class Moves:
                     seen.met.add(joint)
         _put(sim, start)
         stood = {body: _stance(sim, body) for body in (self.roots if self.about else ())}
-        stride = max(1, round(LOOK / times[1])) if len(times) > 1 else 1
+        stride = max(1, round(SHOCK / times[1])) if len(times) > 1 else 1
         looks = dict.fromkeys([*range(stride, len(times), stride), len(times) - 1])
         for place in () if seen.failure else looks:
             sim.qpos[:], sim.qvel[:] = qpos[place], qvel[place]
@@ -350,42 +347,44 @@ class Moves:
 
         What a start does by itself, without a move, is no trouble.
         """
-        count, joints, nu = len(starts), len(self.joints), self.model.nu
-        spans, rates, far = (np.zeros((count, size)) for size in (nu, nu, joints))
+        count, nu = len(starts), self.model.nu
+        ways, speeds, part = np.zeros((count, nu)), np.zeros((count, nu)), np.zeros((count, 1))
+        reach = np.zeros((count, len(self.joints)))
         seen, alone = [self.held] * count, dict[int, Seen]()
-        todo: list[int] = []
-        if not (self.keep or self.held.failure or self.held.fell is not None):
-            todo = list(range(count))
-        ways, speeds, reach = spans.copy(), rates.copy(), far.copy()
+        still = self.keep or self.held.failure or self.held.fell is not None
+        todo = [] if still else list(range(count))
         for k in todo:
             rng = np.random.default_rng([seed, k])
             change = self._drawn(rng)
             ways[k], speeds[k] = self._toward(change, float(rng.uniform(-1.0, 1.0)))
             reach[k] = np.abs(change[self.dofs])
-
-        def pick(some: Sequence[int]) -> list[Start]:
-            return [starts[k] for k in some]
-
         room = [d.ctrlrange if d.kind == SERVO else (-math.inf, math.inf) for d in self.drives]
         low, high = np.reshape(room, (-1, 2)).T - self.hold.ctrl
+
+        def tried(some: Sequence[int]) -> dict[int, Seen]:
+            """Return the trials of some starts, with their part of the move."""
+            spans, rates = np.clip(part * ways, low, high)[some], (part * speeds)[some]
+            made = self.trials(self.hold, [starts[k] for k in some], spans, rates)
+            return dict(zip(some, made, strict=True))
+
         for factor in FACTORS:
             if not todo:
                 break
-            part = np.clip(factor * ways[todo], low, high), factor * speeds[todo]
-            spans[todo], rates[todo] = part
-            far[todo] = abs(factor) * reach[todo]
-            for k, made in zip(todo, self.trials(self.hold, pick(todo), *part), strict=True):
-                seen[k] = made
-            bad = [k for k in todo if self._trouble(seen[k], self.held)]
-            new = [k for k in bad if k not in alone]
-            if new:
-                still = np.zeros((len(new), nu))
-                rest = self.trials(self.hold, pick(new), still, still)
-                alone |= dict(zip(new, rest, strict=True))
+            part[todo] = factor
+            now = tried(todo)
+            bad = [k for k in todo if self._trouble(now[k], self.held)]
+            if new := [k for k in bad if k not in alone]:
+                part[new] = 0.0
+                alone |= tried(new)
+                part[new] = factor
+            for k in todo:
+                seen[k] = now[k]
             todo = [k for k in bad if self._trouble(seen[k], alone[k])]
+        part[todo] = 0.0
         for k in todo:
-            spans[k], rates[k], far[k], seen[k] = 0.0, 0.0, 0.0, alone[k]
-        return Chosen(spans, rates, far.max(axis=0, initial=0.0), seen)
+            seen[k] = alone[k]
+        far = (np.abs(part) * reach).max(axis=0, initial=0.0)
+        return Chosen(np.clip(part * ways, low, high), part * speeds, far, seen)
 
     def _trouble(self, seen: Seen, alone: Seen) -> bool:
         """Return whether a move asks too much; alone: what happens without it."""

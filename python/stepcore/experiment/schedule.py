@@ -27,11 +27,12 @@ from stepcore.experiment.control_table import PositionTable, control_table
 from stepcore.experiment.controls import ControlLog, Controls
 from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.moves import LONGEST
 from stepcore.report import units
 from stepcore.report.units import seconds
 
 # Default time steps, relative to the shipped step.
-FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
+FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, LONGEST)
 # The approximate number of samples.
 SAMPLES = 50
 # The default horizon, approximately [s], and the default number of starts.
