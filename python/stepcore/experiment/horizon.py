@@ -25,7 +25,6 @@ from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.control_table import control_table
 from stepcore.experiment.default_motion import kind_of
 from stepcore.experiment.engines import run, spread
 from stepcore.experiment.motion import Motion
@@ -87,16 +86,17 @@ def horizon_of(
         return Horizon(motion.horizon)
     dt = model.settings.dt
     longest = min(LONGEST, STEPS * dt)
-    if motion.duration > default:
+    table = motion.table
+    if table is not None and table.duration > default:
         sim = Sim(model)
         sim.reset(key=0 if model.keys else None)
-        length = max(default, min(motion.duration, longest, _paid(sim, sim.count_flops(), cost)))
-        lasts = f"{control_table(motion.ctrl).source} lasts {seconds(motion.duration)}"
-        if length < motion.duration:
+        length = max(default, min(table.duration, longest, _paid(sim, sim.count_flops(), cost)))
+        lasts = f"{table.source} lasts {seconds(table.duration)}"
+        if length < table.duration:
             lasts += f", of which {seconds(length)} are run; --horizon sets more"
         return Horizon(length, lasts)
-    if motion.ctrl is not None:
-        tried = not control_table(motion.ctrl).changes
+    if table is not None:
+        tried = not table.changes
     else:
         tried = motion.control is not None or (motion.kind or kind_of(model)) in ("fall", "hold")
     if not tried or dt > LOOK or longest <= default:

@@ -23,7 +23,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.control_table import PositionTable, control_table
+from stepcore.experiment.control_table import PositionTable
 from stepcore.experiment.controls import ControlLog, Controls
 from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.motion import Motion
@@ -242,11 +242,11 @@ def driving(
 
 def given_controls(motion: Motion, model: Any, held: np.ndarray, period: float) -> Controls:
     """Return the function or the rows that a user gave; see `driving` and `ControlTable.log`."""
-    if motion.control is not None:
+    if motion.table is None:
         return Controls(function=motion.control)
     # Without linear rows, a control period takes the row in effect at the beginning of each.
     linear, sampled = motion.interpolation == "linear", motion.control_dt is not None
-    return Controls(control_table(motion.ctrl).log(model, held, period, linear, sampled))
+    return Controls(motion.table.log(model, held, period, linear, sampled))
 
 
 def time_steps(
