@@ -30,9 +30,10 @@ import numpy as np
 
 from stepcore.engine.actuator import MOTOR, OTHER, SERVO, VELOCITY_SERVO, actuators
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
-from stepcore.experiment.controls import ControlLog, Controls
-from stepcore.experiment.moves import HELD, MOVE, Chosen, Moves, moves_about
+from stepcore.experiment.control_table import ControlLog, Controls, PositionTable
+from stepcore.experiment.moves import HELD, MOVE, Chosen, Moves, moves_about, resting
 from stepcore.report.units import counted, metres, percent, radians, seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
@@ -244,3 +245,47 @@ def _sines_in_words(what: str, names: Sequence[str], free: np.ndarray, held: np.
         some = names[int(free.argmax())] if free.sum() == 1 else f"{free.sum()} of them"
         said += f"; {some} without a range held {at}"
     return said
+
+
+# --- recorded positions ---------------------------------------------------------------------------
+
+
+def followed(
+    table: PositionTable, model: Model, start: Start, held: np.ndarray, period: float
+) -> Controls:
+    """Return the controls that follow the positions; between rows they are interpolated.
+
+    start: the first pose, for which servos in place of motors are made. held: the controls of
+    the keyframe, (nu,). period: of rows without times [s].
+    """
+    poses = table.poses(model, start.qpos)
+    moves = Moves(model, start, held, keep=True)
+    servos, motors = moves.of(SERVO), moves.of(MOTOR)
+    if not servos and not motors:
+        what = "position servo or motor, which could follow"
+        raise ValueError(f"{table.source}: no actuator is a {what}")
+    times = period * np.arange(len(poses)) if table.times is None else table.times - table.times[0]
+    rates = np.gradient(poses, times, axis=0) if len(poses) > 1 else np.zeros_like(poses)
+    sim, rows = Sim(model), np.tile(moves.hold.ctrl, (len(poses), 1))
+    gains = {servo.actuator: servo.kp for servo in moves.hold.servos}
+    dofs = [motor.dof for motor in motors]
+    first: np.ndarray | None = None
+    for row, pose, rate in zip(rows, poses, rates, strict=True):
+        sim.qpos = pose
+        lengths = sim.actuator_length
+        for servo in servos:
+            row[servo.index] = servo.holding(lengths[servo.index])
+        if not motors:
+            continue
+        # What the pose needs more than the first one, which servos carry.
+        sim.forward()
+        load = resting(sim, dofs, np.zeros((0, model.nv)))
+        first = load if first is None else first
+        for motor, more in zip(motors, load - first, strict=True):
+            k, at = motor.index, motor.qposadr
+            ahead = pose[at] - poses[0, at] + moves.hold.lag[k] * rate[at]
+            kp = gains[model.actuator_names[k] or k]
+            share = more / dofs.count(motor.dof) / motor.gear
+            row[k] += motor.gear * ahead + share / kp
+    log = ControlLog(times, rows, linear=table.times is not None)
+    return Controls(log, servos=moves.hold.servos)

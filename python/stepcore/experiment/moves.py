@@ -30,7 +30,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change, Servo
-from stepcore.experiment.controls import ControlLog, Controls
+from stepcore.experiment.control_table import LONGEST, ControlLog, Controls
 
 # The duration of a move, and of the rest after it [s].
 MOVE, REST = 0.8, 0.2
@@ -42,9 +42,8 @@ HELD = 1e-3
 SHARE, TURN, SLIDE, BASE = 0.1, 0.5, 0.05, 0.2
 # The share of a joint's range, at each end, into which no target leads.
 MARGIN = 0.05
-# The largest bandwidth of our servos [rad/s], the largest 2 ω μ T, and the longest time step that
-# is tried by default, in shipped ones.
-OMEGA, SAMPLED, LONGEST = 30.0, 0.7, 4
+# The largest bandwidth of our servos [rad/s], and the largest 2 ω μ T.
+OMEGA, SAMPLED = 30.0, 0.7
 # The largest force, as a share of its bound, and of what holding the start leaves of it; the
 # largest share of a run in which an actuator is at its bound.
 FORCE, LEFT, FULL = 0.6, 0.5, 0.05

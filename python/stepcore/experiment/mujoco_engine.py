@@ -34,8 +34,7 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
-from stepcore.experiment.control_table import PositionTable
-from stepcore.experiment.controls import Controls
+from stepcore.experiment.control_table import Controls, PositionTable
 from stepcore.experiment.default_motion import by_rule
 from stepcore.experiment.engines import FAR, Engine, Stepcore, Way, spread
 from stepcore.experiment.motion import Motion

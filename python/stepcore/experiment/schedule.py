@@ -1,7 +1,7 @@
 """The schedule of a motion for one model: starts, controls and a common time grid.
 
 A control period is a multiple of every time step. Coarse and fine runs therefore get the same
-controls at the same times. A log has times of its own: see `stepcore.experiment.controls`.
+controls at the same times. A log has times of its own: see `stepcore.experiment.control_table`.
 """
 
 from __future__ import annotations
@@ -23,11 +23,9 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.control_table import PositionTable
-from stepcore.experiment.controls import ControlLog, Controls
-from stepcore.experiment.default_motion import default_motion
+from stepcore.experiment.control_table import LONGEST, ControlLog, Controls, PositionTable
+from stepcore.experiment.default_motion import default_motion, followed
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.moves import LONGEST
 from stepcore.report import units
 from stepcore.report.units import seconds
 
@@ -232,7 +230,7 @@ def driving(
     begin: all starts. period: the control period [s]. periods: their number.
     """
     if isinstance(motion.ctrl, PositionTable):
-        return motion.ctrl.followed(model, first, held, period)
+        return followed(motion.ctrl, model, first, held, period)
     if motion.is_users:
         return given_controls(motion, model, held, period)
     whole = motion.control_dt is not None
