@@ -29,6 +29,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from stepcore.engine.actuator import MOTOR, OTHER, SERVO, VELOCITY_SERVO, actuators
+from stepcore.engine.element import listed
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
@@ -40,8 +41,6 @@ KINDS = ("hold", "move", "sines", "fall", "random")
 # The sines of a control: their number, frequencies [Hz], and amplitude as a share of the control
 # range. They grow over a time [s], because a jump would shock a stiff servo.
 SINES, HERTZ, RANGED, RAMP = 3, (0.3, 3.0), 0.4, 0.25
-# The most names in a list.
-NAMED = 4
 
 
 def kind_of(model: Model) -> str:
@@ -87,7 +86,10 @@ def default_motion(
     parts = 1 if whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
     log = moves.hold.log(chosen.spans, chosen.rates, periods * period, period / parts)
     said = "; ".join(_said(moves, chosen))
-    return Controls(log, None, said, tuple(_unmoved(moves)), moves.hold.servos)
+    others = [_name(model, "actuator", drive.index) for drive in moves.of(OTHER)]
+    remark = "actuators that are no servos, and no motors of a joint, keep their controls: "
+    remarks = (remark + listed(others),) if others else ()
+    return Controls(log, None, said, remarks, moves.hold.servos)
 
 
 # --- moves in words -------------------------------------------------------------------------------
@@ -104,17 +106,17 @@ def actuators_in_words(model: Model) -> str:
 def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
     """Yield the motion, its loads, and why the machine, or some starts, do not move."""
     far, motors = _far(moves, chosen), bool(moves.hold.servos)
-    path = f"point to point over {seconds(MOVE)} to poses {far} away and back (minimum jerk)"
     if far:
-        said = f"a PD controller drives the joints {path}" if motors else f"servos move {path}"
+        who = "a PD controller drives the joints" if motors else "servos move"
+        how = f"point to point over {seconds(MOVE)} to poses {far} away and back (minimum jerk)"
+        yield f"test motion: {who} {how}"
     else:
-        said = f"{'a PD controller holds' if motors else 'servos hold'} the start"
-    yield f"test motion: {said}"
-    if not moves.held.failure:
-        yield ", ".join(_loads(moves, chosen))
+        yield f"test motion: {'a PD controller holds' if motors else 'servos hold'} the start"
     if moves.held.failure:
         yield f"it only holds the start, and that fails: {moves.held.failure}"
-    elif moves.held.fell is not None:
+        return
+    yield ", ".join(_loads(moves, chosen))
+    if moves.held.fell is not None:
         after = seconds(moves.held.fell)
         yield f"nothing holds this pose: the robot falls over within {after}"
     elif not moves.keep and chosen.still:
@@ -127,11 +129,11 @@ def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
 def _far(moves: Moves, chosen: Chosen) -> str:
     """Return how far joints go: "up to 0.35 rad and 5 mm", or "" if none moves."""
     slides = np.array([moves.model.jnt_type[joint] == "slide" for joint in moves.joints], bool)
-    parts = [radians(float(chosen.far[~slides].max(initial=0.0)))] * bool(chosen.far[~slides].any())
-    parts += [metres(float(chosen.far[slides].max(initial=0.0)))] * bool(chosen.far[slides].any())
+    ends = (radians, chosen.far[~slides]), (metres, chosen.far[slides])
+    parts = [said(float(far.max())) for said, far in ends if far.any()]
     most = float(np.abs(chosen.spans).max(initial=0.0))
     if not parts and most:
-        return f"up to {most:.2g} of control"
+        parts = [f"{most:.2g} of control"]
     return f"up to {' and '.join(parts)}" if parts else ""
 
 
@@ -155,17 +157,6 @@ def _loads(moves: Moves, chosen: Chosen) -> Iterator[str]:
         if force.any():
             yield f"largest force {percent(float(force[most]))} of its bound ({name})"
         yield "never saturated"
-
-
-def _unmoved(moves: Moves) -> Iterator[str]:
-    """Yield which actuators do not move."""
-    others = [_name(moves.model, "actuator", drive.index) for drive in moves.of(OTHER)]
-    if others:
-        more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
-        yield (
-            "actuators that are no servos, and no motors of a joint, keep their controls: "
-            f"{', '.join(others[:NAMED])}{more}"
-        )
 
 
 def _name(model: Model, kind: str, index: int) -> str:

@@ -25,8 +25,8 @@ from stepcore.experiment.schedule import driving, home
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import metres, seconds, time_of
 
-# The approximate number of readings of a run, and of its progress reports.
-READINGS, TOLD = 400, 100
+# The approximate number of readings of a run.
+READINGS = 400
 # The default duration of a push [s], and the text form of a push.
 PUSH = 0.1
 PUSH_FORM = "BODY:FX,FY,FZ@T or BODY:FX,FY,FZ@T+DURATION, in N and s"
@@ -218,7 +218,7 @@ class SingleRun:
         spans = [(push.on(sim.model), push.force, push.span(dt)) for push in self.pushes]
         edges = {edge for *_, span in spans for edge in (span.start, span.stop)}
         every = max(1, steps // READINGS)
-        often = [every, max(1, steps // TOLD), *([math.gcd(*edges) or steps] if edges else [])]
+        often = [every, max(1, steps // 100), *([math.gcd(*edges) or steps] if edges else [])]
         arrays, taking = self._arrays(steps), Taking(sim, steps) if self.record else None
         begun = process_time()
         try:
