@@ -5,12 +5,11 @@ at rest, the one with the least squared jerk (Flash and Hogan, 1985). Where the 
 d keeps their places, to first order.
 
 Motors get servos in their place. The gains of joint j are kp = ω² I and kv = 2 ω I, where 1/I is
-entry jj of the inverse mass matrix; for a robot that stands, of the mass matrix with its contacts
-fixed. ω is at most 30 rad/s, and small enough for the longest time step T that is tried by default,
-four shipped ones: with μ the largest eigenvalue of M⁻¹I, an explicit step changes a velocity by the
-factor 1 − 2 ω μ T, and ω ≤ 0.35/(μT) leaves a stability margin of 3. Their targets carry the load
-of the start: bias − passive − Jᵀf, where f are the contact forces of least norm that balance the
-dofs without a motor.
+entry jj of the inverse mass matrix. ω is at most 30 rad/s, and small enough for the longest time
+step T that is tried by default, four shipped ones: with μ the largest eigenvalue of M⁻¹I, an
+explicit step changes a velocity by the factor 1 − 2 ω μ T, and ω ≤ 0.35/(μT) leaves a stability
+margin of 3. Their targets carry the load of the start: bias − passive − Jᵀf, where f are the
+contact forces of least norm that balance the dofs without a motor.
 """
 
 from __future__ import annotations
@@ -94,12 +93,6 @@ class Seen:
     fell: float | None = None
     failure: str = ""
 
-    @property
-    def bad(self) -> tuple[bool, float, float]:
-        """How badly a trial holds the start, for comparison."""
-        standing = math.inf if self.fell is None else self.fell
-        return bool(self.failure), -standing, float(max(0.0, (self.full - FULL).max(initial=0.0)))
-
 
 @dataclass(frozen=True)
 class Hold:
@@ -145,7 +138,9 @@ class Moves:
         self.dofs, self.roots = model.jnt_dofadr[self.joints], roots(model, self.drives)
         self.about = moves_about(model, self.drives)
         self.kept = self._jacobian(home, touching(_put(Sim(model), home)))
-        self.hold, self.held = self._balanced(np.array(ctrl, float))
+        self.hold = self._hold(np.array(ctrl, float))
+        still = np.zeros((1, model.nu))
+        (self.held,) = self.trials(self.hold, [home], still, still, 2 * (MOVE + REST))
         if self.held.fell is None and self.held.end is not None:
             self.kept = self._jacobian(self.held.end, self.held.points)
 
@@ -153,57 +148,32 @@ class Moves:
         """Return the actuators of some kinds."""
         return [drive for drive in self.drives if drive.kind in kinds]
 
-    def _balanced(self, ctrl: np.ndarray) -> tuple[Hold, Seen]:
-        """Return the controls that hold the start, and their trial.
+    def _hold(self, ctrl: np.ndarray) -> Hold:
+        """Return the controls that hold the start, with servos in place of motors.
 
-        Of motors, the first trial shows the contacts on which the machine comes to stand.
+        ctrl: the controls of the keyframe, (nu,). Where they are 0, servos hold its pose.
         """
-        held, servos = np.array(ctrl), [servo.index for servo in self.of(SERVO)]
+        model, positions = self.model, [servo.index for servo in self.of(SERVO)]
         if not self.keep:
-            if not ctrl[servos].any():
+            if not ctrl[positions].any():
                 lengths = self.lengths(self.home.qpos)
-                held[servos] = [self.drives[k].holding(lengths[k]) for k in servos]
-            held[[drive.index for drive in self.of(VELOCITY_SERVO)]] = 0.0
-        held = np.clip(held, *np.reshape([drive.ctrlrange for drive in self.drives], (-1, 2)).T)
-
-        def tried(stands: Start, contacts: np.ndarray, fixed: bool) -> tuple[Hold, Seen]:
-            hold = self._hold(held, stands, contacts, fixed)
-            still = np.zeros((1, self.model.nu))
-            return hold, self.trials(hold, [self.home], still, still, 2 * (MOVE + REST))[0]
-
-        first = tried(self.home, self.kept, False)
-        seen = first[1]
-        if seen.bad <= (False, -math.inf, 0.0) or not seen.points or not self.of(MOTOR):
-            return first
-        assert seen.end is not None
-        contacts = self._jacobian(seen.end, seen.points)
-        others = (tried(seen.end, contacts, fixed) for fixed in (True, False))
-        return min((first, *others), key=lambda pair: pair[1].bad)
-
-    def _hold(self, held: np.ndarray, stands: Start, contacts: np.ndarray, fixed: bool) -> Hold:
-        """Return the controls at home, with servos in place of motors.
-
-        stands: the state in which the machine stands. contacts: the Jacobian of its contacts.
-        fixed: whether the gains are those of the inertia with the contact points fixed.
-        """
-        motors, ctrl, lag = self.of(MOTOR), np.array(held), np.zeros(self.model.nu)
-        sim, dofs, servos = _put(Sim(self.model), stands), [m.dof for m in motors], []
+                ctrl[positions] = [self.drives[k].holding(lengths[k]) for k in positions]
+            ctrl[[drive.index for drive in self.of(VELOCITY_SERVO)]] = 0.0
+        ctrl = np.clip(ctrl, *np.reshape([drive.ctrlrange for drive in self.drives], (-1, 2)).T)
+        motors, lag = self.of(MOTOR), np.zeros(model.nu)
         if not motors:
             return Hold(ctrl, (), lag)
-        mass = sim.mass_matrix()
-        if fixed and len(contacts):
-            # A million times the largest inertia is as good as fixed, and far above rounding.
-            mass = mass + 1e6 * mass.max() * contacts.T @ contacts
-        inverse = np.linalg.inv(mass)
+        sim, dofs, servos = _put(Sim(model), self.home), [m.dof for m in motors], []
+        inverse = np.linalg.inv(sim.mass_matrix())
         inertia = 1.0 / np.diag(inverse)[dofs]
         largest = float(np.abs(np.linalg.eigvals(inverse[np.ix_(dofs, dofs)] * inertia)).max())
-        omega = min(OMEGA, SAMPLED / (2 * largest * LONGEST * self.model.settings.dt))
-        load = resting(sim, dofs, contacts)
+        omega = min(OMEGA, SAMPLED / (2 * largest * LONGEST * model.settings.dt))
+        load = resting(sim, dofs, self.kept)
         for motor, own, force in zip(motors, inertia.tolist(), load.tolist(), strict=True):
             # Several motors on a joint share its force.
             k, share = motor.index, 1 / dofs.count(motor.dof)
             kp, kv = (gain * own * share / motor.gear**2 for gain in (omega**2, 2 * omega))
-            servos.append(Servo(self.model.actuator_names[k] or k, kp, kv, motor.forces))
+            servos.append(Servo(model.actuator_names[k] or k, kp, kv, motor.forces))
             target = self.home.qpos[motor.qposadr]
             ctrl[k], lag[k] = motor.gear * target + force * share / motor.gear / kp, kv / kp
         return Hold(ctrl, tuple(servos), lag)
