@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import process_time
@@ -70,15 +71,14 @@ class Push:
                 limit = "(body, force, start, duration)"
                 raise ValueError(f"push = {checks.shown(push)}: must be {limit} or {PUSH_FORM}")
             return cls(*fields)
-        body, colon, rest = push.rpartition(":")
-        force, at, when = rest.partition("@")
-        parts = force.split(",")
-        if not colon or not at or len(parts) != 3:
-            raise ValueError(f"push {push}: must be {PUSH_FORM}")
         # The "+" may belong to an exponent, as in "1e+0".
-        start, plus, length = when.partition("+") if "e+" not in when else (when, "", "")
-        x, y, z = (_finite(push, part) for part in parts)
-        times = _finite(push, start, time_of), _finite(push, length, time_of) if plus else PUSH
+        form = re.fullmatch(r"(.*):([^,@]*),([^,@]*),([^,@]*)@(.*?)((?<!e)\+.*)?", push)
+        if form is None:
+            raise ValueError(f"push {push}: must be {PUSH_FORM}")
+        body, *force, start, lasting = form.groups()
+        x, y, z = (_finite(push, part) for part in force)
+        duration = PUSH if lasting is None else _finite(push, lasting[1:], time_of)
+        times = _finite(push, start, time_of), duration
         if min(times) < 0:
             raise ValueError(f"push {push}: its times must be >= 0 s")
         return cls(body, (x, y, z), *times)
