@@ -143,7 +143,9 @@ class Change:
     @property
     def words(self) -> str:
         """The change as a person says it; "as shipped" for none."""
-        parts = [_setting(name, value) for name, value in sorted(self.settings, key=_order)]
+        settings = dict(self.settings)
+        order = dict.fromkeys([*(name for name in FIRST if name in settings), *settings])
+        parts = [_setting(name, settings[name]) for name in order]
         parts += [f"{path} {_number(value)}" for path, value in self.values]
         parts += [f"without {removal.label}" for removal in self.without]
         parts += [f"servo {s.actuator} (kp {s.kp:g}, kv {s.kv:g})" for s in self.servos]
@@ -219,11 +221,6 @@ def _constant(value: Any) -> Any:
 
 # The order in which settings are said; the others follow by name.
 FIRST = ("integrator", "solver", "sweeps", "accuracy", "dt")
-
-
-def _order(pair: tuple[str, Any]) -> tuple[int, str]:
-    name = pair[0]
-    return (FIRST.index(name) if name in FIRST else len(FIRST), name)
 
 
 def _setting(name: str, value: Any) -> str:

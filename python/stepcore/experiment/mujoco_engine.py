@@ -184,8 +184,14 @@ class MuJoCo(Engine):
         self.title = scene.names.split(b"\0", 1)[0].decode(errors="replace") or "scene"
         self.shipped, self.nv = MujocoSettings.of(opt), int(scene.nv)
         self.coordinates = _coordinates(scene)
-        self.matter = _matter(scene, self.coordinates.moving)
-        self.size = scene_size(self.model.scene) if self.known else _extent(scene)
+        moving = self.coordinates.moving
+        mass = np.maximum(scene.body_mass[moving], 1e-300)
+        gyration = np.sqrt(scene.body_inertia[moving].sum(axis=1) / 2 / mass)
+        self.matter = Matter(moving, scene.body_ipos[moving].copy(), gyration)
+        # As `scene_size` has it for a scene.
+        extent = scene.geom_rbound.max(initial=0.0)
+        extent += np.linalg.norm(scene.body_pos, axis=1).max(initial=0.0)
+        self.size = scene_size(self.model.scene) if self.known else float(extent) or UNKNOWN
         self._rows, self._looks = False, list[tuple[np.ndarray, np.ndarray]]()
         self._free, self._lock = list[_World](), threading.Lock()
 
@@ -594,19 +600,6 @@ def _coordinates(scene: Any) -> Coordinates:
     firsts = [scene.body_dofadr[own[scene.body_dofnum[own] == 3]] for own in bodies]
     made.flexes = [first[:, None] + np.arange(3) for first in firsts if len(first)]
     return made
-
-
-def _matter(scene: Any, moving: Sequence[int]) -> Matter:
-    """Return the moving bodies of MuJoCo's model."""
-    mass = np.maximum(scene.body_mass[moving], 1e-300)
-    gyration = np.sqrt(scene.body_inertia[moving].sum(axis=1) / 2 / mass)
-    return Matter(moving, scene.body_ipos[moving].copy(), gyration)
-
-
-def _extent(scene: Any) -> float:
-    """Return the size of MuJoCo's model at rest [m], as `scene_size` does for a scene."""
-    thick = float(scene.geom_rbound.max(initial=0.0))
-    return thick + float(np.linalg.norm(scene.body_pos, axis=1).max(initial=0.0)) or UNKNOWN
 
 
 _quiets, _handlers = threading.Lock(), list[Any]()
