@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,35 +57,38 @@ def kind_of(model: Model) -> str:
     return "move" if moves and not (actions and moves_about(model, drives)) else "sines"
 
 
-def default_motion(
-    model: Model,
-    kind: str | None,
-    home: Start,
-    ctrl: np.ndarray,
-    starts: Sequence[Start],
-    seed: int,
-    period: float,
-    periods: int,
-    *,
-    whole: bool = False,
-) -> Controls:
-    """Return the controls of a motion without controls of its own.
+class Asked(NamedTuple):
+    """What controls are made for.
 
-    kind: one of `KINDS`; None chooses it. home, ctrl: the state and the controls of the keyframe.
-    starts: the starts of the runs. period: the control period [s]. periods: their number.
+    home, held: the state and the controls of the keyframe, (nu,). starts: those of the runs.
     seed: of the controls; those of a start depend on its index alone, not on how many there are.
+    period: the control period [s]. periods: their number.
     whole: whether controls are constant over each period.
     """
-    kind = kind or kind_of(model)
+
+    home: Start
+    held: np.ndarray
+    starts: Sequence[Start]
+    seed: int
+    period: float
+    periods: int
+    whole: bool
+
+
+def default_motion(model: Model, kind: str | None, asked: Asked) -> Controls:
+    """Return the controls of a motion without controls of its own.
+
+    kind: one of `KINDS`; None chooses it.
+    """
+    kind, period = kind or kind_of(model), asked.period
     if kind not in ("move", "hold") or not model.nu:
         ranges = np.reshape([drive.ctrlrange for drive in actuators(model)], (-1, 2))
         names = model.called("actuator")
-        what = actuators_in_words(model)
-        return by_rule(kind, what, names, ranges, ctrl, len(starts), seed, period, periods)
-    moves = Moves(model, home, ctrl, keep=kind == "hold")
-    chosen = moves.choose(starts, seed)
-    parts = 1 if whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
-    log = moves.hold.log(chosen.spans, chosen.rates, periods * period, period / parts)
+        return by_rule(kind, actuators_in_words(model), names, ranges, asked)
+    moves = Moves(model, asked.home, asked.held, keep=kind == "hold")
+    chosen = moves.choose(asked.starts, asked.seed)
+    parts = 1 if asked.whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
+    log = moves.hold.log(chosen.spans, chosen.rates, asked.periods * period, period / parts)
     said = "; ".join(_said(moves, chosen))
     others = [_name(model, "actuator", drive.index) for drive in moves.of(OTHER)]
     remark = "actuators that are no servos, and no motors of a joint, keep their controls: "
@@ -169,36 +173,30 @@ def _name(model: Model, kind: str, index: int) -> str:
 
 
 def by_rule(
-    kind: str,
-    what: str,
-    names: Sequence[str],
-    ranges: np.ndarray,
-    held: np.ndarray,
-    starts: int,
-    seed: int,
-    period: float,
-    periods: int,
+    kind: str, what: str, names: Sequence[str], ranges: np.ndarray, asked: Asked
 ) -> Controls:
     """Return controls that follow from their ranges alone: "hold", "fall", "random" or "sines".
 
     what: the actuators in words; names: of each. ranges: of the controls, (nu, 2), infinite without
-    one. held: the keyframe's controls, (nu,). The rest is as in `default_motion`.
+    one.
     """
-    times = period * np.arange(periods)
+    held, periods = asked.held, asked.periods
+    times = asked.period * np.arange(periods)
     if not len(names):
         return Controls(ControlLog(times[:1], np.zeros((1, 0))), words="no motors")
     if kind in ("hold", "fall"):
         row = held if kind == "hold" else np.zeros(len(names))
         said = "at the keyframe's controls" if kind == "hold" else "at zero"
         return Controls(ControlLog(times[:1], row[None]), words=f"{what} are held {said}")
-    draws = [np.random.default_rng([seed, k]) for k in range(starts)]
+    draws = [np.random.default_rng([asked.seed, k]) for k in range(len(asked.starts))]
     if kind == "random":
         ranged = np.isfinite(ranges).all(axis=1)
-        rows = np.tile(held, (starts, periods, 1))
+        rows = np.tile(held, (len(draws), periods, 1))
         for own, rng in zip(rows, draws, strict=True):
             low, high = ranges[ranged].T
             own[:, ranged] = rng.uniform(low, high, (periods, len(low)))
-        said = f"{what} get new random controls within their range every {seconds(period)}"
+        pace = f"every {seconds(asked.period)}"
+        said = f"{what} get new random controls within their range {pace}"
         return Controls(ControlLog(times, rows), words=said)
     rows = np.stack([_sines(ranges, held, times, rng) for rng in draws])
     free = ~np.isfinite(ranges).all(axis=1)
@@ -241,21 +239,21 @@ def _sines_in_words(what: str, names: Sequence[str], free: np.ndarray, held: np.
 # --- recorded positions ---------------------------------------------------------------------------
 
 
-def followed(
-    table: PositionTable, model: Model, start: Start, held: np.ndarray, period: float
-) -> Controls:
+def followed(table: PositionTable, model: Model, asked: Asked) -> Controls:
     """Return the controls that follow the positions; between rows they are interpolated.
 
-    start: the first pose, for which servos in place of motors are made. held: the controls of
-    the keyframe, (nu,). period: of rows without times [s].
+    Servos in place of motors are made for the first pose.
     """
+    start = asked.home
     poses = table.poses(model, start.qpos)
-    moves = Moves(model, start, held, keep=True)
+    moves = Moves(model, start, asked.held, keep=True)
     servos, motors = moves.of(SERVO), moves.of(MOTOR)
     if not servos and not motors:
         what = "position servo or motor, which could follow"
         raise ValueError(f"{table.source}: no actuator is a {what}")
-    times = period * np.arange(len(poses)) if table.times is None else table.times - table.times[0]
+    times = asked.period * np.arange(len(poses))
+    if table.times is not None:
+        times = table.times - table.times[0]
     rates = np.gradient(poses, times, axis=0) if len(poses) > 1 else np.zeros_like(poses)
     sim, rows = Sim(model), np.tile(moves.hold.ctrl, (len(poses), 1))
     gains = {servo.actuator: servo.kp for servo in moves.hold.servos}

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,10 +36,10 @@ from stepcore.engine.start import Start
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import Controls, PositionTable
-from stepcore.experiment.default_motion import by_rule
+from stepcore.experiment.default_motion import Asked, by_rule
 from stepcore.experiment.engines import FAR, Engine, Stepcore, Way, spread
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.schedule import HORIZON, Schedule, given_controls, laid_out
+from stepcore.experiment.schedule import HORIZON, Schedule, given_controls, laid_out, near
 from stepcore.experiment.sizes import scene_size
 from stepcore.loading import find_asset, find_model, find_scene
 from stepcore.mjcf.reader import read_text
@@ -667,11 +668,12 @@ def _scheduled(
         free = scene.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_CLAMPCTRL)
         clamped = scene.actuator_ctrllimited & (not free)
         ranges = np.where(clamped[:, None], scene.actuator_ctrlrange, (-np.inf, np.inf))
-        how = (ranges, held, len(begin), motion.seed, period, periods)
-        return by_rule(kind, "actuators", drives.called("actuator"), *how)
+        asked = Asked(first, held, begin, motion.seed, period, periods, True)
+        return by_rule(kind, "actuators", drives.called("actuator"), ranges, asked)
 
-    where = coordinates, first, _overlaps(scene), 1e-4
-    return laid_out(motion, float(scene.opt.timestep), *where, drive, period, starts, horizon)
+    nearby = partial(near, coordinates, first, _overlaps(scene), 1e-4)
+    dt = float(scene.opt.timestep)
+    return laid_out(motion, dt, first, nearby, drive, period, starts, horizon)
 
 
 def _home(scene: Any, key: str | int | None) -> tuple[Start, np.ndarray]:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import LONGEST, ControlLog, Controls, PositionTable
-from stepcore.experiment.default_motion import default_motion, followed
+from stepcore.experiment.default_motion import Asked, default_motion, followed
 from stepcore.experiment.motion import Motion
 from stepcore.report import units
 from stepcore.report.units import seconds
@@ -178,20 +178,20 @@ def scheduled(
         first = dataclasses.replace(first, qpos=motion.ctrl.begin(model, first.qpos))
 
     def drive(begin: Sequence[Start], periods: int) -> Controls:
-        return driving(motion, model, first, held, begin, period, periods)
+        whole = motion.control_dt is not None
+        asked = Asked(first, held, begin, motion.seed, period, periods, whole)
+        return driving(motion, model, asked)
 
     slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
-    where = Coordinates(model), first, overlaps(model), slack
-    return laid_out(motion, model.settings.dt, *where, drive, period, starts, horizon)
+    nearby = partial(near, Coordinates(model), first, overlaps(model), slack)
+    return laid_out(motion, model.settings.dt, first, nearby, drive, period, starts, horizon)
 
 
 def laid_out(
     motion: Motion,
     dt: float,
-    coordinates: Coordinates,
     first: Start,
-    overlap: Callable[[Start], float],
-    slack: float,
+    nearby: Callable[[np.random.Generator], Start],
     drive: Callable[[Sequence[Start], int], Controls],
     period: float,
     starts: int | None,
@@ -211,31 +211,17 @@ def laid_out(
     every = _every(periods)
     periods -= periods % every
     rng = np.random.default_rng(motion.seed)
-    begin = [first, *(near(coordinates, first, rng, overlap, slack) for _ in range(count - 1))]
-    return Schedule(period, periods, every, tuple(begin), drive(begin, periods))
+    begin = (first, *(nearby(rng) for _ in range(count - 1)))
+    return Schedule(period, periods, every, begin, drive(begin, periods))
 
 
-def driving(
-    motion: Motion,
-    model: Model,
-    first: Start,
-    held: np.ndarray,
-    begin: Sequence[Start],
-    period: float,
-    periods: int,
-) -> Controls:
-    """Return what drives a motion: the controls that a user gave, or those of its kind.
-
-    first, held: the first start, and the controls of actuators without a column, (nu,).
-    begin: all starts. period: the control period [s]. periods: their number.
-    """
+def driving(motion: Motion, model: Model, asked: Asked) -> Controls:
+    """Return what drives a motion: the controls that a user gave, or those of its kind."""
     if isinstance(motion.ctrl, PositionTable):
-        return followed(motion.ctrl, model, first, held, period)
+        return followed(motion.ctrl, model, asked)
     if motion.is_users:
-        return given_controls(motion, model, held, period)
-    whole = motion.control_dt is not None
-    how = (first, held, begin, motion.seed, period, periods)
-    return default_motion(model, motion.kind, *how, whole=whole)
+        return given_controls(motion, model, asked.held, asked.period)
+    return default_motion(model, motion.kind, asked)
 
 
 def given_controls(motion: Motion, model: Any, held: np.ndarray, period: float) -> Controls:
@@ -341,9 +327,9 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
 def near(
     coordinates: Coordinates,
     home: Start,
-    rng: np.random.Generator,
     overlap: Callable[[Start], float],
     slack: float,
+    rng: np.random.Generator,
 ) -> Start:
     """Return a random start near `home`, within the joint ranges.
 

@@ -20,6 +20,7 @@ from stepcore.engine.sim import Sim
 from stepcore.engine.snapshots import Taking
 from stepcore.engine.trajectory import Trajectory, pieces
 from stepcore.experiment.change import Servo
+from stepcore.experiment.default_motion import Asked
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import drive_in_words, held_in_words
 from stepcore.experiment.schedule import driving, home
@@ -140,7 +141,9 @@ def drive_of(sim: Sim, motion: Motion, horizon: float) -> Drive:
         return Drive(None, every, held_in_words(model, held))
     begin, periods = home(model, motion.key)[0], int(np.ceil(horizon / period)) + 1
     begin = replace(begin, qpos=np.array(sim.qpos))
-    controls = driving(motion, model, begin, held, [begin], period, periods)
+    whole = motion.control_dt is not None
+    asked = Asked(begin, held, [begin], motion.seed, period, periods, whole)
+    controls = driving(motion, model, asked)
     said = controls.words or drive_in_words(model, motion, "", f"every {seconds(period)}")
     if controls.function is not None:
         return Drive(controls.function, every, said)
