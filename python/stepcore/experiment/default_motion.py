@@ -88,12 +88,12 @@ def default_motion(model: Model, kind: str | None, asked: Asked) -> Controls:
     moves = Moves(model, asked.home, asked.held, keep=kind == "hold")
     chosen = moves.choose(asked.starts, asked.seed)
     parts = 1 if asked.whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
-    log = moves.hold.log(chosen.spans, chosen.rates, asked.periods * period, period / parts)
+    log = moves.log(chosen.spans, chosen.rates, asked.periods * period, period / parts)
     said = "; ".join(_said(moves, chosen))
     others = [_name(model, "actuator", drive.index) for drive in moves.of(OTHER)]
     remark = "actuators that are no servos, and no motors of a joint, keep their controls: "
     remarks = (remark + listed(others),) if others else ()
-    return Controls(log, None, said, remarks, moves.hold.servos)
+    return Controls(log, None, said, remarks, moves.servos)
 
 
 # --- moves in words -------------------------------------------------------------------------------
@@ -109,7 +109,7 @@ def actuators_in_words(model: Model) -> str:
 
 def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
     """Yield the motion, its loads, and why the machine, or some starts, do not move."""
-    far, motors = _far(moves, chosen), bool(moves.hold.servos)
+    far, motors = _far(moves, chosen), bool(moves.servos)
     if far:
         who = "a PD controller drives the joints" if motors else "servos move"
         how = f"point to point over {seconds(MOVE)} to poses {far} away and back (minimum jerk)"
@@ -255,8 +255,8 @@ def followed(table: PositionTable, model: Model, asked: Asked) -> Controls:
     if table.times is not None:
         times = table.times - table.times[0]
     rates = np.gradient(poses, times, axis=0) if len(poses) > 1 else np.zeros_like(poses)
-    sim, rows = Sim(model), np.tile(moves.hold.ctrl, (len(poses), 1))
-    gains = {servo.actuator: servo.kp for servo in moves.hold.servos}
+    sim, rows = Sim(model), np.tile(moves.ctrl, (len(poses), 1))
+    gains = {servo.actuator: servo.kp for servo in moves.servos}
     dofs = [motor.dof for motor in motors]
     first: np.ndarray | None = None
     for row, pose, rate in zip(rows, poses, rates, strict=True):
@@ -272,9 +272,9 @@ def followed(table: PositionTable, model: Model, asked: Asked) -> Controls:
         first = load if first is None else first
         for motor, more in zip(motors, load - first, strict=True):
             k, at = motor.index, motor.qposadr
-            ahead = pose[at] - poses[0, at] + moves.hold.lag[k] * rate[at]
+            ahead = pose[at] - poses[0, at] + moves.lag[k] * rate[at]
             kp = gains[model.actuator_names[k] or k]
             share = more / dofs.count(motor.dof) / motor.gear
             row[k] += motor.gear * ahead + share / kp
     log = ControlLog(times, rows, linear=table.times is not None)
-    return Controls(log, servos=moves.hold.servos)
+    return Controls(log, servos=moves.servos)

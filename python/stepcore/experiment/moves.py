@@ -15,7 +15,7 @@ contact forces of least norm that balance the dofs without a motor.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -94,35 +94,13 @@ class Seen:
     failure: str = ""
 
 
-@dataclass(frozen=True)
-class Hold:
-    """Controls that hold a start.
-
-    ctrl: the controls, (nu,). servos: in place of motors. lag: kv/kp of these, by which their
-    targets go ahead of the path [s], (nu,).
-    """
-
-    ctrl: np.ndarray
-    servos: tuple[Servo, ...]
-    lag: np.ndarray
-
-    def log(self, spans: np.ndarray, rates: np.ndarray, end: float, period: float) -> ControlLog:
-        """Return the controls of moves, a row for each period, until a time [s].
-
-        spans: the change of the controls from the start to the target, (starts, nu).
-        rates: the controls per 1/s of ds/dt, (starts, nu).
-        """
-        times = period * np.arange(max(1, round(end / period)))
-        way, rate = profile(times + period / 2)
-        moved = way[:, None] * spans[:, None] + rate[:, None] * rates[:, None]
-        return ControlLog(times, self.ctrl + moved)
-
-
 class Moves:
     """Moves of a model from starts near one home.
 
     drives: the actuators. joints: the hinges and slides that they drive. others: actuators of other
-    things. about: whether the machine moves about. hold: the controls at home. held: their trial.
+    things. about: whether the machine moves about.
+    ctrl: the controls that hold home, (nu,). servos: in place of motors. lag: kv/kp of these, by
+    which their targets go ahead of the path [s], (nu,). held: the trial of these controls.
     """
 
     def __init__(self, model: Model, home: Start, ctrl: np.ndarray, *, keep: bool) -> None:
@@ -138,9 +116,11 @@ class Moves:
         self.dofs, self.roots = model.jnt_dofadr[self.joints], roots(model, self.drives)
         self.about = moves_about(model, self.drives)
         self.kept = self._jacobian(home, touching(_put(Sim(model), home)))
-        self.hold = self._hold(np.array(ctrl, float))
+        self.ctrl, self.lag = self._holding(np.array(ctrl, float)), np.zeros(model.nu)
+        self.servos = tuple(self._servos())
+        self.driven = Change(servos=self.servos).of(model)
         still = np.zeros((1, model.nu))
-        (self.held,) = self.trials(self.hold, [home], still, still, 2 * (MOVE + REST))
+        (self.held,) = self.trials([home], still, still, 2 * (MOVE + REST))
         if self.held.fell is None and self.held.end is not None:
             self.kept = self._jacobian(self.held.end, self.held.points)
 
@@ -148,22 +128,25 @@ class Moves:
         """Return the actuators of some kinds."""
         return [drive for drive in self.drives if drive.kind in kinds]
 
-    def _hold(self, ctrl: np.ndarray) -> Hold:
-        """Return the controls that hold the start, with servos in place of motors.
+    def _holding(self, ctrl: np.ndarray) -> np.ndarray:
+        """Return the controls that hold the start, (nu,); ctrl: those of the keyframe.
 
-        ctrl: the controls of the keyframe, (nu,). Where they are 0, servos hold its pose.
+        Where they are 0, servos hold its pose.
         """
-        model, positions = self.model, [servo.index for servo in self.of(SERVO)]
+        positions = [servo.index for servo in self.of(SERVO)]
         if not self.keep:
             if not ctrl[positions].any():
                 lengths = self.lengths(self.home.qpos)
                 ctrl[positions] = [self.drives[k].holding(lengths[k]) for k in positions]
             ctrl[[drive.index for drive in self.of(VELOCITY_SERVO)]] = 0.0
-        ctrl = np.clip(ctrl, *np.reshape([drive.ctrlrange for drive in self.drives], (-1, 2)).T)
-        motors, lag = self.of(MOTOR), np.zeros(model.nu)
+        return np.clip(ctrl, *np.reshape([drive.ctrlrange for drive in self.drives], (-1, 2)).T)
+
+    def _servos(self) -> Iterator[Servo]:
+        """Yield servos in place of motors, and set their controls and lags."""
+        model, motors = self.model, self.of(MOTOR)
         if not motors:
-            return Hold(ctrl, (), lag)
-        sim, dofs, servos = _put(Sim(model), self.home), [m.dof for m in motors], []
+            return
+        sim, dofs = _put(Sim(model), self.home), [motor.dof for motor in motors]
         inverse = np.linalg.inv(sim.mass_matrix())
         inertia = 1.0 / np.diag(inverse)[dofs]
         largest = float(np.abs(np.linalg.eigvals(inverse[np.ix_(dofs, dofs)] * inertia)).max())
@@ -173,10 +156,9 @@ class Moves:
             # Several motors on a joint share its force.
             k, share = motor.index, 1 / dofs.count(motor.dof)
             kp, kv = (gain * own * share / motor.gear**2 for gain in (omega**2, 2 * omega))
-            servos.append(Servo(model.actuator_names[k] or k, kp, kv, motor.forces))
-            target = self.home.qpos[motor.qposadr]
-            ctrl[k], lag[k] = motor.gear * target + force * share / motor.gear / kp, kv / kp
-        return Hold(ctrl, tuple(servos), lag)
+            target = motor.gear * self.home.qpos[motor.qposadr]
+            self.ctrl[k], self.lag[k] = target + force * share / motor.gear / kp, kv / kp
+            yield Servo(model.actuator_names[k] or k, kp, kv, motor.forces)
 
     def _jacobian(self, state: Start, points: Sequence[tuple[int, int, np.ndarray]]) -> np.ndarray:
         """Return the Jacobian of the contacts of the driven trees, (3 contacts, nv)."""
@@ -237,31 +219,40 @@ class Moves:
         for drive in self.of(SERVO, VELOCITY_SERVO, MOTOR):
             k = drive.index
             if drive.kind == MOTOR:
-                spans[k], rates[k] = ways[k], ways[k] * self.hold.lag[k]
+                spans[k], rates[k] = ways[k], ways[k] * self.lag[k]
             elif drive.kind == VELOCITY_SERVO:
                 rates[k] = ways[k] * (drive.kp if drive.integrates else drive.kv) / drive.gain
             else:
                 spans[k] = ways[k] * drive.kp / drive.gain
         return spans, rates
 
+    def log(self, spans: np.ndarray, rates: np.ndarray, end: float, period: float) -> ControlLog:
+        """Return the controls of moves, a row for each period, until a time [s].
+
+        spans: the change of the controls from the start to the target, (starts, nu).
+        rates: the controls per 1/s of ds/dt, (starts, nu).
+        """
+        times = period * np.arange(max(1, round(end / period)))
+        way, rate = profile(times + period / 2)
+        moved = way[:, None] * spans[:, None] + rate[:, None] * rates[:, None]
+        return ControlLog(times, self.ctrl + moved)
+
     def trials(
         self,
-        hold: Hold,
         starts: Sequence[Start],
         spans: np.ndarray,
         rates: np.ndarray,
         horizon: float = MOVE + REST,
     ) -> list[Seen]:
-        """Run moves of some starts under the model's settings, all at once; see `Hold.log`."""
+        """Run moves of some starts under the model's settings, all at once; see `log`."""
         model, dt = self.model, self.model.settings.dt
         every = max(1, round(SAMPLE / dt))
         steps = every * max(1, round(horizon / (every * dt)))
-        log = hold.log(spans, rates, steps * dt, min(HELD, dt))
+        log = self.log(spans, rates, steps * dt, min(HELD, dt))
         rows, held = Controls(log).rows(range(len(starts)), dt, steps)
         record = ("qpos", "qvel", "act", "actuator_force")
-        driven = Change(servos=hold.servos).of(model)
         try:
-            ran = follow(driven, starts, steps, every, ctrl=rows, hold=held, record=record)
+            ran = follow(self.driven, starts, steps, every, ctrl=rows, hold=held, record=record)
         except (SimulationError, ValueError) as error:
             nothing = Seen(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
             return [replace(nothing, failure=one_line(error)) for _ in starts]
@@ -328,12 +319,12 @@ class Moves:
             ways[k], speeds[k] = self._toward(change, float(rng.uniform(-1.0, 1.0)))
             reach[k] = np.abs(change[self.dofs])
         room = [d.ctrlrange if d.kind == SERVO else (-math.inf, math.inf) for d in self.drives]
-        low, high = np.reshape(room, (-1, 2)).T - self.hold.ctrl
+        low, high = np.reshape(room, (-1, 2)).T - self.ctrl
 
         def tried(some: Sequence[int]) -> dict[int, Seen]:
             """Return the trials of some starts, with their part of the move."""
             spans, rates = np.clip(part * ways, low, high)[some], (part * speeds)[some]
-            made = self.trials(self.hold, [starts[k] for k in some], spans, rates)
+            made = self.trials([starts[k] for k in some], spans, rates)
             return dict(zip(some, made, strict=True))
 
         for factor in FACTORS:
@@ -367,7 +358,7 @@ class Moves:
 
 @dataclass
 class Chosen:
-    """The moves of some starts; see `Hold.log`.
+    """The moves of some starts; see `Moves.log`.
 
     far: the longest way of each joint, (joints,). seen: the trial of each start.
     """
