@@ -46,7 +46,7 @@ WINDOW = 0.25
 # repeats may be from where it was, over its way.
 STILL, ALIKE = 0.01, 0.02
 # The most that growth until the bound may count, as an exponent: rounding grows to any size.
-GROWTH = 40.0
+GROWTH = -math.log(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,6 @@ HELD = 1e-3
 # How far a joint goes: this share of its range, and at most this far [rad], [m]. A base that stands
 # on contacts goes as far as a fifth of that lets it.
 SHARE, TURN, SLIDE, BASE = 0.1, 0.5, 0.05, 0.2
-# The share of a joint's range, at each end, into which no target leads.
-MARGIN = 0.05
 # The largest bandwidth of our servos [rad/s], and the largest 2 ω μ T.
 OMEGA, SAMPLED = 30.0, 0.7
 # The largest force, as a share of its bound, and of what holding the start leaves of it; the
@@ -184,9 +182,7 @@ class Moves:
                 weights[v : v + 6] = np.repeat((SLIDE, BASE * TURN), 3)
         weights[self.dofs] = np.minimum(far, SHARE * (high - low))
         change = rng.uniform(0.5, 1.0, model.nv) * rng.choice([-1.0, 1.0], model.nv) * weights
-        with np.errstate(invalid="ignore"):
-            short = np.where(np.isfinite(high - low), MARGIN * (high - low), 0.0)
-        low, high = np.minimum(q, low + short), np.maximum(q, high - short)
+        low, high = np.minimum(q, low), np.maximum(q, high)
         if len(self.kept):
             spread = (self.kept * weights**2).T
             back = np.linalg.pinv(self.kept @ spread, 1e-6) @ self.kept @ change

@@ -29,7 +29,7 @@ from stepcore.experiment.truth import SHARE, Converging, Truth
 from stepcore.report.units import metres, seconds
 
 # Starts that run together: the worlds of a vector register.
-TOGETHER = 8
+TOGETHER = STARTS
 # The most operations of a whole study: about half a minute of a core.
 EFFORT = 1e11
 # An operation of steps within an accuracy, which go one world at a time, takes as long as this many

@@ -21,7 +21,7 @@ import numpy as np
 from stepcore.engine.norm import Tracks, apart, rms
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, Way
-from stepcore.experiment.predictable import Growth, settled
+from stepcore.experiment.predictable import GROWTH, Growth, settled
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.settings import label
 from stepcore.report.units import metres, seconds
@@ -36,9 +36,7 @@ RUNGS, HOPELESS = 20, 5
 # The share of a study's effort that finding the method may take.
 FINDING = 0.25
 # Where growth ends within the horizon it is measured at so many finer rungs too, until two agree.
-FINER = 3
-# Nudges that grow less than this from all starts of a search are not measured from further ones.
-TAME = 30.0
+FINER = PATIENCE
 SHIPPED = Change()
 
 
@@ -285,8 +283,8 @@ class Converging:
                 break
         if now.failure:
             raise self._fails(why)
-        if self.grown and max(g.factor.max() for g in self.grown.values()) < TAME:
-            # Where nothing grows from the starts of a search, nothing will nearby.
+        if self.grown and max(g.factor.max() for g in self.grown.values()) < math.sqrt(GROWTH):
+            # Where nothing grows half the way from the starts of a search, nothing ends nearby.
             like = next(iter(self.grown.values()))
             self.grown |= dict.fromkeys(starts, like)
         else:
