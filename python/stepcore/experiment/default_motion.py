@@ -13,7 +13,7 @@
   dm_control), muscles and all else: "sines", which are what policies look like.
 
 A motion is tried by running it under the shipped settings, from all starts at once. It is made
-smaller until forces stay below 60 % of their bounds (or half of what holding the start leaves), no
+smaller until no force takes more than half of what holding the start leaves of its bound, no
 actuator is at its bound for more than 5 % of the time, and no limit or contact is met that holding
 the start does not meet. What cannot be reached is said.
 
