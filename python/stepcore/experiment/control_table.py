@@ -183,7 +183,7 @@ class Controls:
 class ControlTable:
     """Controls in rows.
 
-    rows: shape (n, columns), or (n,) for a model with one actuator.
+    rows: shape (n, columns).
     columns: the actuator or joint of each column; None for all actuators in order.
     times: when each row takes effect [s], relative to the first; None for one row per control
         period.
@@ -200,6 +200,8 @@ class ControlTable:
     def __post_init__(self) -> None:
         if not self.rows.size:
             raise ValueError(f"{self.source}: is empty; must hold a row of controls")
+        if self.rows.ndim < 2:
+            object.__setattr__(self, "rows", self.rows.reshape(-1, 1))
         bad = np.argwhere(~np.isfinite(self.rows)).tolist()
         if bad:
             place = [str(index) for index in bad[0]]
@@ -221,7 +223,7 @@ class ControlTable:
     @property
     def constants(self) -> str:
         """The first row in words: "a=1, b=3", or "1, 3" without column names."""
-        count = np.atleast_2d(self.rows).shape[1]
+        count = len(self.rows[0])
         return f"{count} constant controls" if count > 8 else self._first(", ")
 
     @property
@@ -232,7 +234,7 @@ class ControlTable:
         return "FILE.npy" if self.changes else self._first(",")
 
     def _first(self, separator: str) -> str:
-        values = [f"{value:g}" for value in np.atleast_2d(self.rows)[0]]
+        values = [f"{value:g}" for value in self.rows[0]]
         if self.columns is not None:
             values = [f"{name}={value}" for name, value in zip(self.columns, values, strict=True)]
         return separator.join(values)
@@ -306,14 +308,17 @@ class ControlTable:
             return ControlLog(periods, rows[index])
         return ControlLog(times, rows, linear)
 
+    def _whole(self, count: int, limit: str) -> np.ndarray:
+        """Return rows without names of columns, of which there must be so many."""
+        if self.rows.ndim != 2 or self.rows.shape[1] != count:
+            shape = f"{self.source} has shape {self.rows.shape}"
+            raise ValueError(f"{shape}: must be (n, {count}), {limit}")
+        return self.rows
+
     def _complete(self, model: Any, held: np.ndarray) -> np.ndarray:
         """Return the rows with the controls of all actuators, shape (n, nu)."""
         if self.columns is None:
-            rows = self.rows[:, None] if self.rows.ndim == 1 and model.nu == 1 else self.rows
-            if rows.ndim != 2 or rows.shape[1] != model.nu:
-                limit = f"(n, {model.nu}), one row a period"
-                raise ValueError(f"{self.source} has shape {rows.shape}: must be {limit}")
-            return rows
+            return self._whole(model.nu, "one row a period")
         values = np.tile(held, (len(self.rows), 1))
         values[:, _actuators(self.source, self.columns, model)] = self.rows
         return values
@@ -344,15 +349,11 @@ class PositionTable(ControlTable):
 
     def poses(self, model: Model, qpos: np.ndarray) -> np.ndarray:
         """Return a pose for each row, shape (n, nq); qpos: of the joints without a column."""
-        rows = self.rows[:, None] if self.rows.ndim == 1 and model.nq == 1 else self.rows
         if self.columns is None:
-            if rows.ndim != 2 or rows.shape[1] != model.nq:
-                limit = f"(n, {model.nq}), or have columns by joint"
-                raise ValueError(f"{self.source} has shape {rows.shape}: must be {limit}")
-            return rows
-        poses: np.ndarray = np.tile(np.array(qpos, float), (len(rows), 1))
+            return self._whole(model.nq, "or have columns by joint")
+        poses: np.ndarray = np.tile(np.array(qpos, float), (len(self.rows), 1))
         names = model.called("joint")
-        for name, column in zip(self.columns, rows.T, strict=True):
+        for name, column in zip(self.columns, self.rows.T, strict=True):
             joint = name.partition(".")[0]
             # Joints with several coordinates, of a recorded run, are not followed.
             if name in names and model.jnt_type[names.index(name)] in ("hinge", "slide"):
