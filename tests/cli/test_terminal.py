@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from stepcore.experiment import mujoco_schedule
+from stepcore.experiment import mujoco_engine
 
 
 def output(*args, encoding="utf-8", columns=100, **more):
@@ -50,13 +50,13 @@ def test_ctrl_c_while_mujoco_is_imported_is_no_missing_package(monkeypatch):
     monkeypatch.delitem(sys.modules, "mujoco", raising=False)
     monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
     with pytest.raises(KeyboardInterrupt):
-        mujoco_schedule.mujoco()
+        mujoco_engine.mujoco()
 
 
 def test_a_missing_mujoco_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ImportError, match="pip install mujoco"):
-        mujoco_schedule.mujoco()
+        mujoco_engine.mujoco()
 
 
 START = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"

@@ -7,7 +7,7 @@ import pytest
 from covering import every_pair
 
 import stepcore as sc
-from stepcore.experiment.controls import ControlLog, Controls
+from stepcore.experiment.control_table import ControlLog, Controls
 from stepcore.experiment.engines import run
 from stepcore.experiment.schedule import scheduled
 

@@ -6,7 +6,7 @@ from arm_log import DAMPING, HIDDEN, RANGES, SENSORS, controls, guess, mujoco_lo
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.experiment.controls import ControlLog
+from stepcore.experiment.control_table import ControlLog
 from stepcore.measure.identification.log import read_log
 from stepcore.measure.identification.predictions import Predictions
 

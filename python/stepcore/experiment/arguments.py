@@ -91,7 +91,7 @@ class Workers:
 
 
 class Setup(NamedTuple):
-    """The checked arguments that measurements share. name: the name of the scene."""
+    """The checked arguments that measurements share."""
 
     engine: Engine
     motion: Motion
@@ -103,6 +103,7 @@ class Setup(NamedTuple):
 
     @property
     def name(self) -> str:
+        """The name of the scene."""
         return self.engine.title
 
 

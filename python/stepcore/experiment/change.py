@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.features import Edit, Removal, without
+from stepcore.engine.features import Removal, without
 from stepcore.engine.model import Model
 from stepcore.mjcf.option import said, shortest
 from stepcore.report.settings import label
@@ -39,6 +40,7 @@ class Servo(NamedTuple):
     forcerange: tuple[float, float] = (-np.inf, np.inf)
 
 
+@dataclass(frozen=True, init=False, repr=False)
 class Change:
     """Settings, values of the model, features left out, and servos in place of actuators.
 
@@ -59,13 +61,10 @@ class Change:
     (0.001, 20.0)
     """
 
-    __slots__ = ("_hash", "servos", "settings", "values", "without")
-
     settings: tuple[tuple[str, Any], ...]
     values: tuple[tuple[str, Any], ...]
     without: tuple[Removal, ...]
     servos: tuple[Servo, ...]
-    _hash: int
 
     def __init__(
         self,
@@ -74,32 +73,17 @@ class Change:
         servos: Iterable[Servo] = (),
         **settings: Unpack[SettingsFields],
     ) -> None:
-        removed = (_removal(one) if isinstance(one, str) else one for one in without)
         own = {path: _constant(value) for path, value in (values or {}).items()}
+        # A name is that of a feature that the scene has a flag for.
+        removed = {
+            Removal(one, "", (("feature", one),)) if isinstance(one, str) else one
+            for one in without
+        }
         fields: dict[str, Any] = {**settings}
         object.__setattr__(self, "settings", tuple(sorted(fields.items())))
         object.__setattr__(self, "values", tuple(sorted(own.items())))
-        object.__setattr__(self, "without", tuple(sorted(set(removed), key=lambda r: r.label)))
+        object.__setattr__(self, "without", tuple(sorted(removed, key=lambda r: r.label)))
         object.__setattr__(self, "servos", tuple(servos))
-        object.__setattr__(self, "_hash", hash(self._parts))
-
-    @property
-    def _parts(self) -> tuple[Any, ...]:
-        return self.settings, self.values, self.without, self.servos
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"a Change is constant: make another one to change {name}")
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Change):
-            return NotImplemented
-        return self._parts == other._parts
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _made, (dict(self.settings), dict(self.values), self.without, self.servos)
 
     def __repr__(self) -> str:
         return f"<Change: {self.words}>"
@@ -159,7 +143,9 @@ class Change:
     @property
     def words(self) -> str:
         """The change as a person says it; "as shipped" for none."""
-        parts = [_setting(name, value) for name, value in sorted(self.settings, key=_order)]
+        settings = dict(self.settings)
+        order = dict.fromkeys([*(name for name in FIRST if name in settings), *settings])
+        parts = [_setting(name, settings[name]) for name in order]
         parts += [f"{path} {_number(value)}" for path, value in self.values]
         parts += [f"without {removal.label}" for removal in self.without]
         parts += [f"servo {s.actuator} (kp {s.kp:g}, kv {s.kv:g})" for s in self.servos]
@@ -194,31 +180,24 @@ class Change:
             kind, _, name = element.partition("/")
             head = f'{kind} name="{name}"' if name else "option"
             lines.append(f"<{head} {_attributes(fields)}/>")
-        lines += [f"<general {_attributes(_of_servo(servo))}/>" for servo in self.servos]
+        for servo in self.servos:
+            known = {"name": servo.actuator, **_law(servo)}.items()
+            fields = {name: _number(value) for name, value in known if value is not None}
+            lines.append(f"<general {_attributes(fields)}/>")
         lines += [f"<!-- without {removal.label} -->" for removal in self.without]
         lines += [f"<!-- {name} = {value} -->" for name, value in rest.items()]
         return "\n".join(lines)
 
 
-def _made(
-    settings: dict[str, Any],
-    values: dict[str, Any],
-    without: tuple[Removal, ...],
-    servos: tuple[Servo, ...],
-) -> Change:
-    return Change(values, without, servos, **settings)
-
-
-def _of_servo(servo: Servo) -> dict[str, str]:
-    """Return the attributes of a servo."""
-    fields = {
-        "name": str(servo.actuator),
-        "gainprm": _number(servo.kp),
-        "biastype": "affine",
-        "biasprm": _number((0.0, -servo.kp, -servo.kv)),
-    }
+def _law(servo: Servo) -> dict[str, Any]:
+    """Return the fields of a general actuator that is a servo."""
     bounded = bool(np.isfinite(servo.forcerange).all())
-    return fields | ({"forcerange": _number(servo.forcerange)} if bounded else {})
+    return {
+        "gainprm": (servo.kp,),
+        "biastype": "affine",
+        "biasprm": (0.0, -servo.kp, -servo.kv),
+        "forcerange": servo.forcerange if bounded else None,
+    }
 
 
 def _with_servos(model: Model, servos: Iterable[Servo]) -> Model:
@@ -227,20 +206,12 @@ def _with_servos(model: Model, servos: Iterable[Servo]) -> Model:
     for servo in servos:
         actuator = scene.actuators[model.index("actuator", servo.actuator)]
         law = actuator.law
-        for field in ALL_LAW_FIELDS:
-            setattr(actuator, field, None)
-        actuator.type, actuator.gaintype, actuator.biastype = "general", "fixed", "affine"
-        actuator.gainprm, actuator.biasprm = (servo.kp,), (0.0, -servo.kp, -servo.kv)
-        actuator.dyntype, actuator.dynprm = law.dyntype, law.dynprm
-        bounded = bool(np.isfinite(servo.forcerange).all())
-        actuator.ctrlrange, actuator.forcerange = None, servo.forcerange if bounded else None
+        cleared: dict[str, Any] = dict.fromkeys([*ALL_LAW_FIELDS, "ctrlrange"])
+        kept: dict[str, Any] = {"type": "general", "gaintype": "fixed"}
+        kept |= {"dyntype": law.dyntype, "dynprm": law.dynprm}
+        for field, value in (cleared | kept | _law(servo)).items():
+            setattr(actuator, field, value)
     return Model(scene, model.settings)
-
-
-def _removal(feature: str) -> Removal:
-    """Return the removal of a feature that the scene has a flag for."""
-    edits: tuple[Edit, ...] = (("feature", feature),)
-    return Removal(feature, "", edits)
 
 
 def _constant(value: Any) -> Any:
@@ -250,11 +221,6 @@ def _constant(value: Any) -> Any:
 
 # The order in which settings are said; the others follow by name.
 FIRST = ("integrator", "solver", "sweeps", "accuracy", "dt")
-
-
-def _order(pair: tuple[str, Any]) -> tuple[int, str]:
-    name = pair[0]
-    return (FIRST.index(name) if name in FIRST else len(FIRST), name)
 
 
 def _setting(name: str, value: Any) -> str:

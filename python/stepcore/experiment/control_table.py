@@ -1,6 +1,14 @@
-"""`ControlTable`: a user's controls in rows, from an array, a file, a DataFrame or a dict.
+"""Controls over time, and the tables of users that they come from.
 
-`PositionTable`: recorded positions of joints, which servos follow.
+`ControlTable`: a user's controls in rows, from an array, a file, a DataFrame or a dict.
+`PositionTable`: recorded positions of joints, which servos follow. `ControlLog`: controls at times
+of their own. `Controls`: what drives a motion: rows or a function, and servos that obey the rows.
+
+The true controls are those of a log at its own times, held or interpolated. The controls of a step
+are the mean of these over the step. The mean neither delays a row nor loses one, whatever the step:
+the impulse of a motor is exact, and the rest of the sampling error falls as dt². (Controls that are
+read at the beginning of a step come half a step late on average, so that their error falls as dt
+and hides that of the integrator.) The error of a run at a coarse step includes the sampling error.
 """
 
 from __future__ import annotations
@@ -10,50 +18,172 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.actuator import MOTOR, SERVO
+from stepcore.engine.control import Control
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
-from stepcore.engine.start import Start
 from stepcore.engine.trajectory import Trajectory
-from stepcore.experiment.control_files import MCAP, mcap_rows
-from stepcore.experiment.controls import ControlLog, Controls
-from stepcore.experiment.moves import Moves, resting
-from stepcore.experiment.user_table import TIME, Content, numbers, read_table, times_of
+from stepcore.experiment.change import Servo
+from stepcore.experiment.user_table import MCAP, TIME, mcap_rows, numbers, read_table, times_of
 from stepcore.report.units import seconds
 
-# The largest number of constant controls that are listed, not counted.
-NAMED = 8
-# A period that follows from a log has at least this many of the model's steps, so that steps longer
-# than the model's can be tried.
-SOME = 4
-# Names of the columns of an array of a recorded run.
-RECORDED = r"{}\[(.+)\]"
+# The longest time step that is tried by default, in shipped ones. A period that follows from a log
+# has at least as many of the model's steps.
+LONGEST = 4
+# A row takes effect at the beginning of a step if it is this close to it, in steps: rounding of
+# the times of a file.
+ROUNDING = 1e-6
 
 
-class Actuated(Protocol):
-    """The actuators that a table is matched to: those of a Model, which describes the members."""
+@dataclass(frozen=True, eq=False)
+class ControlLog:
+    """Controls at times of their own.
+
+    times: when each row takes effect, from 0 on [s], shape (n,).
+    rows: the controls of all actuators, (n, nu); or those of several starts, (starts, n, nu).
+    linear: whether the controls between two rows are interpolated; by default a row is held until
+        the next. The last row stays to the end.
+    """
+
+    times: np.ndarray
+    rows: np.ndarray
+    linear: bool = False
+
+    def steps(self, start: float, dt: float, count: int) -> np.ndarray:
+        """Return the controls of `count` steps, shape (…, count, nu): the means over the steps.
+
+        start: when the first step begins [s]. dt: the time step [s].
+        """
+        edges = start + dt * np.arange(count + 1)
+        first, last = self._row(edges[:-1] + ROUNDING * dt), self._row(edges[1:] - ROUNDING * dt)
+        values: np.ndarray = self._within(first, (edges[:-1] + edges[1:]) / 2)
+        across = last > first
+        if across.any():
+            begin, end = edges[:-1][across], edges[1:][across]
+            values[..., across, :] = (self._area(end) - self._area(begin)) / dt
+        return values
+
+    def slopes(self, start: float, dt: float, count: int) -> np.ndarray:
+        """Return the derivatives of `steps` by `start`, as it falls, shape (…, count, nu)."""
+        edges = start + dt * (np.arange(count + 1) - ROUNDING)
+        slopes: np.ndarray = np.diff(self._within(self._row(edges), edges), axis=-2) / dt
+        return slopes
+
+    def held(self, dt: float) -> int:
+        """Return for how many steps of dt [s] every row is held; 0 if they are no whole steps."""
+        gaps = np.diff(self.times)
+        if self.linear or not len(gaps):
+            return int(not len(gaps))
+        steps = round(float(gaps[0]) / dt)
+        return steps if np.allclose(gaps, steps * dt, rtol=1e-9) else 0
+
+    def ends_on(self, period: float) -> bool:
+        """Return whether rows are held from one end of a period to another [s]."""
+        count = self.times / period
+        return not self.linear and bool(np.all(np.abs(count - np.round(count)) <= ROUNDING))
+
+    def _row(self, times: np.ndarray) -> np.ndarray:
+        """Return the index of the row that is in effect."""
+        return np.maximum(np.searchsorted(self.times, times, side="right") - 1, 0)
+
+    @cached_property
+    def _slopes(self) -> np.ndarray:
+        """The derivative of the controls after each row by time, shaped as the rows."""
+        slopes = np.zeros_like(self.rows)
+        if self.linear:
+            slopes[..., :-1, :] = np.diff(self.rows, axis=-2) / np.diff(self.times)[:, None]
+        return slopes
+
+    def _within(self, row: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return the controls at times at which the given rows are in effect."""
+        values: np.ndarray = self.rows[..., row, :]
+        if self.linear:
+            values = values + self._slopes[..., row, :] * (times - self.times[row])[:, None]
+        return values
+
+    @cached_property
+    def _before(self) -> np.ndarray:
+        """The integral of the controls from 0 to each row, shaped as the rows."""
+        gaps, before = np.diff(self.times)[:, None], np.zeros_like(self.rows)
+        parts = self.rows[..., :-1, :] * gaps + self._slopes[..., :-1, :] * gaps**2 / 2
+        before[..., 1:, :] = np.cumsum(parts, axis=-2)
+        return before
+
+    def _area(self, times: np.ndarray) -> np.ndarray:
+        """Return the integrals of the controls from 0 to the times."""
+        row = self._row(times)
+        since = (times - self.times[row])[:, None]
+        area: np.ndarray = self._before[..., row, :] + self.rows[..., row, :] * since
+        return area + self._slopes[..., row, :] * since**2 / 2 if self.linear else area
+
+
+@dataclass(frozen=True, eq=False)
+class Controls:
+    """What drives a motion.
+
+    log: rows over time; None with a function.
+    function: the user's function of (time, sim), which is called once a control period.
+    words: of controls that nobody gave; "" for the user's own.
+    remarks: sentences on what controls that nobody gave could not do.
+    servos: take the place of actuators of the model, and get the rows as their targets.
+    """
+
+    log: ControlLog | None = None
+    function: Control | None = None
+    words: str = ""
+    remarks: tuple[str, ...] = ()
+    servos: tuple[Servo, ...] = ()
 
     @property
-    def nu(self) -> int: ...
+    def nu(self) -> int:
+        """The number of controls in a row."""
+        return 0 if self.log is None else self.log.rows.shape[-1]
+
     @property
-    def joint_names(self) -> Sequence[str]: ...
-    @property
-    def actuator_names(self) -> Sequence[str]: ...
-    @property
-    def actuator_joint(self) -> np.ndarray: ...
-    def called(self, kind: str) -> Sequence[str]: ...
+    def shared(self) -> bool:
+        """Whether all starts have the same controls."""
+        return self.log is None or self.log.rows.ndim == 2
+
+    def rows(self, starts: Sequence[int], dt: float, count: int) -> tuple[np.ndarray | None, int]:
+        """Return the controls of some starts, and for how many steps a row is held.
+
+        The shape is (starts, rows, nu), or (1, rows, nu) for controls that all starts share; None
+        without controls.
+
+        dt: time step [s]. count: the number of steps.
+        """
+        if self.log is None or not self.nu:
+            return None, count
+        log = self.picked(starts).log
+        assert log is not None
+        held = log.held(dt)
+        rows = log.rows if held else log.steps(0.0, dt, count)
+        return rows[None] if rows.ndim == 2 else rows, max(1, held)
+
+    def picked(self, starts: Sequence[int]) -> Controls:
+        """Return the controls of some starts, which may be repeated."""
+        if self.shared or self.log is None:
+            return self
+        log = replace(self.log, rows=self.log.rows[list(starts)])
+        return replace(self, log=log)
+
+    def joined(self, other: Controls) -> Controls:
+        """Return the controls with those of further starts after these."""
+        if self.shared or self.log is None or other.log is None:
+            return self
+        rows = np.concatenate([self.log.rows, other.log.rows])
+        return replace(self, log=replace(self.log, rows=rows))
 
 
 @dataclass(frozen=True, eq=False)
 class ControlTable:
     """Controls in rows.
 
-    rows: shape (n, columns), or (n,) for a model with one actuator.
+    rows: shape (n, columns).
     columns: the actuator or joint of each column; None for all actuators in order.
     times: when each row takes effect [s], relative to the first; None for one row per control
         period.
@@ -70,6 +200,8 @@ class ControlTable:
     def __post_init__(self) -> None:
         if not self.rows.size:
             raise ValueError(f"{self.source}: is empty; must hold a row of controls")
+        if self.rows.ndim < 2:
+            object.__setattr__(self, "rows", self.rows.reshape(-1, 1))
         bad = np.argwhere(~np.isfinite(self.rows)).tolist()
         if bad:
             place = [str(index) for index in bad[0]]
@@ -91,8 +223,8 @@ class ControlTable:
     @property
     def constants(self) -> str:
         """The first row in words: "a=1, b=3", or "1, 3" without column names."""
-        count = np.atleast_2d(self.rows).shape[1]
-        return f"{count} constant controls" if count > NAMED else self._first(", ")
+        count = len(self.rows[0])
+        return f"{count} constant controls" if count > 8 else self._first(", ")
 
     @property
     def option(self) -> str:
@@ -102,7 +234,7 @@ class ControlTable:
         return "FILE.npy" if self.changes else self._first(",")
 
     def _first(self, separator: str) -> str:
-        values = [f"{value:g}" for value in np.atleast_2d(self.rows)[0]]
+        values = [f"{value:g}" for value in self.rows[0]]
         if self.columns is not None:
             values = [f"{name}={value}" for name, value in zip(self.columns, values, strict=True)]
         return separator.join(values)
@@ -126,7 +258,8 @@ class ControlTable:
         """Return the control period [s], or None if the rows do not determine one; dt: [s].
 
         Rows without times have a period of dt. Rows at equal times have a period in which all steps
-        can end on their times: the spacing or a whole part of it, in at least `SOME` steps of dt.
+        can end on their times: the spacing or a whole part of it, in at least `LONGEST` steps of
+        dt, so that longer steps can be tried.
         Otherwise the rows follow their own times whatever the period; see `ControlLog`.
         """
         if self.times is None:
@@ -136,7 +269,7 @@ class ControlTable:
             return None
         steps = round(gap / dt)
         parts = [steps // k for k in range(1, steps + 1) if steps % k == 0]
-        return min((n for n in parts if n >= SOME), default=0) * dt or None
+        return min((n for n in parts if n >= LONGEST), default=0) * dt or None
 
     def paced(self, period: str) -> str:
         """Return when rows take effect, in words; period: the control period in words."""
@@ -147,7 +280,7 @@ class ControlTable:
 
     def log(
         self,
-        model: Actuated,
+        model: Any,
         held: np.ndarray,
         period: float,
         linear: bool = False,
@@ -155,6 +288,7 @@ class ControlTable:
     ) -> ControlLog:
         """Return the controls over time.
 
+        model: a Model, or what names actuators and their joints as one does.
         held: the controls of actuators without a column, (nu,). period: of rows without times [s].
         linear: whether to interpolate the rows. sampled: whether rows that are held take effect at
         the beginning of a period.
@@ -174,14 +308,17 @@ class ControlTable:
             return ControlLog(periods, rows[index])
         return ControlLog(times, rows, linear)
 
-    def _complete(self, model: Actuated, held: np.ndarray) -> np.ndarray:
+    def _whole(self, count: int, limit: str) -> np.ndarray:
+        """Return rows without names of columns, of which there must be so many."""
+        if self.rows.ndim != 2 or self.rows.shape[1] != count:
+            shape = f"{self.source} has shape {self.rows.shape}"
+            raise ValueError(f"{shape}: must be (n, {count}), {limit}")
+        return self.rows
+
+    def _complete(self, model: Any, held: np.ndarray) -> np.ndarray:
         """Return the rows with the controls of all actuators, shape (n, nu)."""
         if self.columns is None:
-            rows = self.rows[:, None] if self.rows.ndim == 1 and model.nu == 1 else self.rows
-            if rows.ndim != 2 or rows.shape[1] != model.nu:
-                limit = f"(n, {model.nu}), one row a period"
-                raise ValueError(f"{self.source} has shape {rows.shape}: must be {limit}")
-            return rows
+            return self._whole(model.nu, "one row a period")
         values = np.tile(held, (len(self.rows), 1))
         values[:, _actuators(self.source, self.columns, model)] = self.rows
         return values
@@ -212,15 +349,11 @@ class PositionTable(ControlTable):
 
     def poses(self, model: Model, qpos: np.ndarray) -> np.ndarray:
         """Return a pose for each row, shape (n, nq); qpos: of the joints without a column."""
-        rows = self.rows[:, None] if self.rows.ndim == 1 and model.nq == 1 else self.rows
         if self.columns is None:
-            if rows.ndim != 2 or rows.shape[1] != model.nq:
-                limit = f"(n, {model.nq}), or have columns by joint"
-                raise ValueError(f"{self.source} has shape {rows.shape}: must be {limit}")
-            return rows
-        poses: np.ndarray = np.tile(np.array(qpos, float), (len(rows), 1))
+            return self._whole(model.nq, "or have columns by joint")
+        poses: np.ndarray = np.tile(np.array(qpos, float), (len(self.rows), 1))
         names = model.called("joint")
-        for name, column in zip(self.columns, rows.T, strict=True):
+        for name, column in zip(self.columns, self.rows.T, strict=True):
             joint = name.partition(".")[0]
             # Joints with several coordinates, of a recorded run, are not followed.
             if name in names and model.jnt_type[names.index(name)] in ("hinge", "slide"):
@@ -229,44 +362,6 @@ class PositionTable(ControlTable):
                 near = checks.nearest(name, names)
                 raise ValueError(f"{self.source}: no joint is named {checks.quoted(name)}{near}")
         return poses
-
-    def followed(self, model: Model, start: Start, held: np.ndarray, period: float) -> Controls:
-        """Return the controls that follow the positions; between rows they are interpolated.
-
-        start: the first pose, for which servos in place of motors are made. held: the controls of
-        the keyframe, (nu,). period: of rows without times [s].
-        """
-        poses = self.poses(model, start.qpos)
-        moves = Moves(model, start, held, keep=True)
-        servos, motors = moves.of(SERVO), moves.of(MOTOR)
-        if not servos and not motors:
-            what = "position servo or motor, which could follow"
-            raise ValueError(f"{self.source}: no actuator is a {what}")
-        times = period * np.arange(len(poses)) if self.times is None else self.times - self.times[0]
-        rates = np.gradient(poses, times, axis=0) if len(poses) > 1 else np.zeros_like(poses)
-        sim, rows = Sim(model), np.tile(moves.hold.ctrl, (len(poses), 1))
-        gains = {servo.actuator: servo.kp for servo in moves.hold.servos}
-        dofs = [motor.dof for motor in motors]
-        first: np.ndarray | None = None
-        for row, pose, rate in zip(rows, poses, rates, strict=True):
-            sim.qpos = pose
-            lengths = sim.actuator_length
-            for servo in servos:
-                row[servo.index] = servo.holding(lengths[servo.index])
-            if not motors:
-                continue
-            # What the pose needs more than the first one, which servos carry.
-            sim.forward()
-            load = resting(sim, dofs, np.zeros((0, model.nv)))
-            first = load if first is None else first
-            for motor, more in zip(motors, load - first, strict=True):
-                k, at = motor.index, motor.qposadr
-                ahead = pose[at] - poses[0, at] + moves.hold.lag[k] * rate[at]
-                kp = gains[model.actuator_names[k] or k]
-                share = more / dofs.count(motor.dof) / motor.gear
-                row[k] += motor.gear * ahead + share / kp
-        log = ControlLog(times, rows, linear=self.times is not None)
-        return Controls(log, servos=moves.hold.servos)
 
 
 def control_table(ctrl: Any, array: str = "ctrl") -> ControlTable:
@@ -283,67 +378,57 @@ def control_table(ctrl: Any, array: str = "ctrl") -> ControlTable:
         times, rows, columns = mcap_rows(path, array)
         return ControlTable(rows, columns, times, os.path.basename(path), path)
     source, content = read_table(ctrl, array)
-    return replace(_of_content(source, content, array), path=path)
+    if isinstance(content, np.ndarray):
+        return ControlTable(content, source=source, path=path)
+    if not isinstance(content, Trajectory):
+        return replace(_of_columns(source, content, array), path=path)
+    if array not in content.data:
+        raise ValueError(f"{source}: this run recorded no {array}")
+    return replace(_recorded(source, content[array], None, content.time, array), path=path)
 
 
-def _of_content(source: str, content: Content, array: str) -> ControlTable:
-    if isinstance(content, Trajectory):
-        return _of_run(content, source, array)
-    if not isinstance(content, dict):
-        return ControlTable(content, source=source)
+def _recorded(
+    source: str,
+    rows: np.ndarray,
+    columns: tuple[str, ...] | None,
+    times: np.ndarray | None,
+    array: str,
+) -> ControlTable:
+    """Return an array of a recorded run; an instant has the controls of the last step."""
+    if array == "ctrl" and times is not None:
+        rows, times = rows[1:], times[:-1]
+    return ControlTable(rows, columns, times, source)
+
+
+def _of_columns(source: str, content: Mapping[str, Any], array: str) -> ControlTable:
+    """Return a table of named columns; a single number applies to all rows.
+
+    Columns such as "ctrl[knee]" are of a run that `Trajectory.save` or `to_pandas` wrote.
+    """
     if source.endswith(".npz") and array in content:
         rows = numbers(source, content[array])
-        times = times_of(source, content.get("time"), len(rows))
-        return ControlTable(rows, times=times, source=source)
-    return _named(source, content, array)
-
-
-def _of_run(run: Trajectory, source: str, array: str) -> ControlTable:
-    """Return an array of a recorded run; an instant has the controls of the last step."""
-    if array not in run.data:
-        raise ValueError(f"{source}: this run recorded no {array}")
-    if array != "ctrl":
-        return ControlTable(run[array], times=run.time, source=source)
-    return ControlTable(run["ctrl"][1:], times=run.time[:-1], source=source)
-
-
-def _named(source: str, columns: Mapping[str, Any], array: str) -> ControlTable:
-    """Return a table of named columns; a single number applies to all rows."""
-    names = list(columns)
-    own = re.compile(RECORDED.format(array))
-    recorded = {name: found[1] for name in names if (found := own.fullmatch(str(name)))}
-    clocks = [name for name in names if TIME.fullmatch(str(name))]
-    if recorded and clocks:
-        return _of_table(source, columns, clocks[0], recorded, array == "ctrl")
-    drives = [str(name) for name in names if name not in clocks[:1]]
-    values = [np.ravel(numbers(f"{source}, column {name}", columns[name])) for name in names]
-    count = max((len(column) for column in values), default=0)
-    table = {}
-    for name, column in zip(names, values, strict=True):
-        if len(column) not in (1, count):
+        return ControlTable(rows, None, times_of(source, content.get("time"), len(rows)), source)
+    columns = {
+        str(name): np.ravel(numbers(f"{source}, column {name}", values))
+        for name, values in content.items()
+    }
+    count = max(map(len, columns.values()), default=0)
+    for name, values in columns.items():
+        if len(values) not in (1, count):
             raise ValueError(f"{source}: column {checks.quoted(name)} has another length")
-        table[str(name)] = np.broadcast_to(column, count)
-    rows = np.array([table[name] for name in drives]).reshape(len(drives), count).T
-    times = times_of(source, table[clocks[0]], count) if clocks else None
-    return ControlTable(rows, tuple(drives), times, source)
+    clock = next((name for name in columns if TIME.fullmatch(name)), None)
+    times = None if clock is None else np.broadcast_to(columns.pop(clock), count)
+    own = re.compile(rf"{array}\[(.+)\]")
+    recorded = {found[1]: columns[name] for name in columns if (found := own.fullmatch(name))}
+    some = recorded if recorded and clock else columns
+    rows = np.array([np.broadcast_to(values, count) for values in some.values()])
+    rows = rows.reshape(len(some), count).T
+    if some is recorded:
+        return _recorded(source, rows, tuple(some), times, array)
+    return ControlTable(rows, tuple(some), times, source)
 
 
-def _of_table(
-    source: str, columns: Mapping[str, Any], clock: str, recorded: Mapping[str, str], later: bool
-) -> ControlTable:
-    """Return an array of a recorded run that `Trajectory.save` or `to_pandas` wrote.
-
-    clock: the name of the column of times. recorded: the actuator or joint of each other column.
-    later: whether an instant has the values of the last step, as in `_of_run`.
-    """
-    rows = np.column_stack([numbers(f"{source}, column {n}", columns[n]) for n in recorded])
-    times = times_of(source, columns[clock], len(rows))
-    if later and times is not None:
-        rows, times = rows[1:], times[:-1]
-    return ControlTable(rows, tuple(recorded.values()), times, source)
-
-
-def _actuators(source: str, columns: Sequence[str], model: Actuated) -> list[int]:
+def _actuators(source: str, columns: Sequence[str], model: Any) -> list[int]:
     """Return the index of the actuator of each column, by the name of the actuator or its joint."""
     by_joint: dict[str, list[int]] = {}
     for index, joint in enumerate(model.actuator_joint.tolist()):

@@ -13,7 +13,7 @@
   dm_control), muscles and all else: "sines", which are what policies look like.
 
 A motion is tried by running it under the shipped settings, from all starts at once. It is made
-smaller until forces stay below 60 % of their bounds (or half of what holding the start leaves), no
+smaller until no force takes more than half of what holding the start leaves of its bound, no
 actuator is at its bound for more than 5 % of the time, and no limit or contact is met that holding
 the start does not meet. What cannot be reached is said.
 
@@ -25,25 +25,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from stepcore.engine.actuator import MOTOR, OTHER, SERVO, VELOCITY_SERVO, actuators
+from stepcore.engine.element import listed
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
-from stepcore.experiment.controls import ControlLog, Controls
-from stepcore.experiment.moves import HELD, MOVE, Chosen, Moves, moves_about
+from stepcore.experiment.control_table import ControlLog, Controls, PositionTable
+from stepcore.experiment.moves import HELD, MOVE, Chosen, Moves, moves_about, resting
 from stepcore.report.units import counted, metres, percent, radians, seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
-# A control range within ±1 has no unit: it is an action, as of gymnasium and dm_control.
-ACTION = 1.0
 # The sines of a control: their number, frequencies [Hz], and amplitude as a share of the control
-# range, and without one of the keyframe's control. They grow over a time [s], because a jump would
-# shock a stiff servo.
-SINES, HERTZ, RANGED, UNRANGED, RAMP = 3, (0.3, 3.0), 0.4, 0.25, 0.25
-# The most names in a list.
-NAMED = 4
+# range. They grow over a time [s], because a jump would shock a stiff servo.
+SINES, HERTZ, RANGED, RAMP = 3, (0.3, 3.0), 0.4, 0.25
 
 
 def kind_of(model: Model) -> str:
@@ -53,42 +51,49 @@ def kind_of(model: Model) -> str:
     drives = actuators(model)
     if any(drive.kind in (SERVO, VELOCITY_SERVO) for drive in drives):
         return "move"
-    actions = all(abs(end) <= ACTION for drive in drives for end in drive.ctrlrange)
+    # A control range within ±1 has no unit: it is an action, as of gymnasium and dm_control.
+    actions = all(abs(end) <= 1.0 for drive in drives for end in drive.ctrlrange)
     moves = any(drive.kind == MOTOR for drive in drives)
     return "move" if moves and not (actions and moves_about(model, drives)) else "sines"
 
 
-def default_motion(
-    model: Model,
-    kind: str | None,
-    home: Start,
-    ctrl: np.ndarray,
-    starts: Sequence[Start],
-    seed: int,
-    period: float,
-    periods: int,
-    *,
-    whole: bool = False,
-) -> Controls:
-    """Return the controls of a motion without controls of its own.
+class Asked(NamedTuple):
+    """What controls are made for.
 
-    kind: one of `KINDS`; None chooses it. home, ctrl: the state and the controls of the keyframe.
-    starts: the starts of the runs. period: the control period [s]. periods: their number.
+    home, held: the state and the controls of the keyframe, (nu,). starts: those of the runs.
     seed: of the controls; those of a start depend on its index alone, not on how many there are.
+    period: the control period [s]. periods: their number.
     whole: whether controls are constant over each period.
     """
-    kind = kind or kind_of(model)
+
+    home: Start
+    held: np.ndarray
+    starts: Sequence[Start]
+    seed: int
+    period: float
+    periods: int
+    whole: bool
+
+
+def default_motion(model: Model, kind: str | None, asked: Asked) -> Controls:
+    """Return the controls of a motion without controls of its own.
+
+    kind: one of `KINDS`; None chooses it.
+    """
+    kind, period = kind or kind_of(model), asked.period
     if kind not in ("move", "hold") or not model.nu:
         ranges = np.reshape([drive.ctrlrange for drive in actuators(model)], (-1, 2))
         names = model.called("actuator")
-        what = actuators_in_words(model)
-        return by_rule(kind, what, names, ranges, ctrl, len(starts), seed, period, periods)
-    moves = Moves(model, home, ctrl, keep=kind == "hold")
-    chosen = moves.choose(starts, seed)
-    parts = 1 if whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
-    log = moves.hold.log(chosen.spans, chosen.rates, periods * period, period / parts)
+        return by_rule(kind, actuators_in_words(model), names, ranges, asked)
+    moves = Moves(model, asked.home, asked.held, keep=kind == "hold")
+    chosen = moves.choose(asked.starts, asked.seed)
+    parts = 1 if asked.whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
+    log = moves.log(chosen.spans, chosen.rates, asked.periods * period, period / parts)
     said = "; ".join(_said(moves, chosen))
-    return Controls(log, None, said, tuple(_unmoved(moves)), moves.hold.servos)
+    others = [_name(model, "actuator", drive.index) for drive in moves.of(OTHER)]
+    remark = "actuators that are no servos, and no motors of a joint, keep their controls: "
+    remarks = (remark + listed(others),) if others else ()
+    return Controls(log, None, said, remarks, moves.servos)
 
 
 # --- moves in words -------------------------------------------------------------------------------
@@ -104,18 +109,18 @@ def actuators_in_words(model: Model) -> str:
 
 def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
     """Yield the motion, its loads, and why the machine, or some starts, do not move."""
-    far, motors = _far(moves, chosen), bool(moves.hold.servos)
-    path = f"point to point over {seconds(MOVE)} to poses {far} away and back (minimum jerk)"
+    far, motors = _far(moves, chosen), bool(moves.servos)
     if far:
-        said = f"a PD controller drives the joints {path}" if motors else f"servos move {path}"
+        who = "a PD controller drives the joints" if motors else "servos move"
+        how = f"point to point over {seconds(MOVE)} to poses {far} away and back (minimum jerk)"
+        yield f"test motion: {who} {how}"
     else:
-        said = f"{'a PD controller holds' if motors else 'servos hold'} the start"
-    yield f"test motion: {said}"
-    if not moves.held.failure:
-        yield ", ".join(_loads(moves, chosen))
+        yield f"test motion: {'a PD controller holds' if motors else 'servos hold'} the start"
     if moves.held.failure:
         yield f"it only holds the start, and that fails: {moves.held.failure}"
-    elif moves.held.fell is not None:
+        return
+    yield ", ".join(_loads(moves, chosen))
+    if moves.held.fell is not None:
         after = seconds(moves.held.fell)
         yield f"nothing holds this pose: the robot falls over within {after}"
     elif not moves.keep and chosen.still:
@@ -128,11 +133,11 @@ def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
 def _far(moves: Moves, chosen: Chosen) -> str:
     """Return how far joints go: "up to 0.35 rad and 5 mm", or "" if none moves."""
     slides = np.array([moves.model.jnt_type[joint] == "slide" for joint in moves.joints], bool)
-    parts = [radians(float(chosen.far[~slides].max(initial=0.0)))] * bool(chosen.far[~slides].any())
-    parts += [metres(float(chosen.far[slides].max(initial=0.0)))] * bool(chosen.far[slides].any())
+    ends = (radians, chosen.far[~slides]), (metres, chosen.far[slides])
+    parts = [said(float(far.max())) for said, far in ends if far.any()]
     most = float(np.abs(chosen.spans).max(initial=0.0))
     if not parts and most:
-        return f"up to {most:.2g} of control"
+        parts = [f"{most:.2g} of control"]
     return f"up to {' and '.join(parts)}" if parts else ""
 
 
@@ -158,17 +163,6 @@ def _loads(moves: Moves, chosen: Chosen) -> Iterator[str]:
         yield "never saturated"
 
 
-def _unmoved(moves: Moves) -> Iterator[str]:
-    """Yield which actuators do not move."""
-    others = [_name(moves.model, "actuator", drive.index) for drive in moves.of(OTHER)]
-    if others:
-        more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
-        yield (
-            "actuators that are no servos, and no motors of a joint, keep their controls: "
-            f"{', '.join(others[:NAMED])}{more}"
-        )
-
-
 def _name(model: Model, kind: str, index: int) -> str:
     """Return the name of an element in backticks, or what describes it."""
     name = model.names[kind][index]
@@ -179,43 +173,34 @@ def _name(model: Model, kind: str, index: int) -> str:
 
 
 def by_rule(
-    kind: str,
-    what: str,
-    names: Sequence[str],
-    ranges: np.ndarray,
-    held: np.ndarray,
-    starts: int,
-    seed: int,
-    period: float,
-    periods: int,
+    kind: str, what: str, names: Sequence[str], ranges: np.ndarray, asked: Asked
 ) -> Controls:
     """Return controls that follow from their ranges alone: "hold", "fall", "random" or "sines".
 
     what: the actuators in words; names: of each. ranges: of the controls, (nu, 2), infinite without
-    one. held: the keyframe's controls, (nu,). The rest is as in `default_motion`.
+    one.
     """
-    times = period * np.arange(periods)
+    held, periods = asked.held, asked.periods
+    times = asked.period * np.arange(periods)
     if not len(names):
         return Controls(ControlLog(times[:1], np.zeros((1, 0))), words="no motors")
     if kind in ("hold", "fall"):
         row = held if kind == "hold" else np.zeros(len(names))
         said = "at the keyframe's controls" if kind == "hold" else "at zero"
         return Controls(ControlLog(times[:1], row[None]), words=f"{what} are held {said}")
-    draws = [np.random.default_rng([seed, k]) for k in range(starts)]
+    draws = [np.random.default_rng([asked.seed, k]) for k in range(len(asked.starts))]
     if kind == "random":
         ranged = np.isfinite(ranges).all(axis=1)
-        rows = np.tile(held, (starts, periods, 1))
+        rows = np.tile(held, (len(draws), periods, 1))
         for own, rng in zip(rows, draws, strict=True):
             low, high = ranges[ranged].T
             own[:, ranged] = rng.uniform(low, high, (periods, len(low)))
-        said = f"{what} get new random controls within their range every {seconds(period)}"
+        pace = f"every {seconds(asked.period)}"
+        said = f"{what} get new random controls within their range {pace}"
         return Controls(ControlLog(times, rows), words=said)
     rows = np.stack([_sines(ranges, held, times, rng) for rng in draws])
     free = ~np.isfinite(ranges).all(axis=1)
-    still = [name for name, own, at in zip(names, free, held, strict=True) if own and not at]
-    remark = f"actuators without a control range are not driven: {', '.join(still)}"
-    said = _sines_in_words(what, len(names), int(free.sum()), still)
-    return Controls(ControlLog(times, rows), None, said, (remark,) if still else ())
+    return Controls(ControlLog(times, rows), words=_sines_in_words(what, names, free, held))
 
 
 def _sines(
@@ -233,24 +218,63 @@ def _sines(
             middle = begun + ramp * (centre - begun)
             values[:, k] = np.clip(middle + RANGED * (high - low) * wave, low, high)
         else:
-            values[:, k] = held[k] + UNRANGED * abs(held[k]) * wave
+            values[:, k] = held[k]
     return values
 
 
-def _sines_in_words(what: str, nu: int, free: int, still: list[str]) -> str:
-    """Describe sines; free: how many have no range; still: those of them that are constant."""
-    if len(still) == nu:
-        return f"{what} are held at zero, because nothing gives their range"
+def _sines_in_words(what: str, names: Sequence[str], free: np.ndarray, held: np.ndarray) -> str:
+    """Describe sines; free: which controls have no range, and keep the keyframe's value."""
+    at = "at the keyframe's controls" if held[free].any() else "at zero"
+    if free.all():
+        return f"{what} are held {at}, because nothing gives their range"
     low, high = HERTZ
     said = f"test motion: random sines of {low:g} to {high:g} Hz, "
-    if free == nu:
-        said += f"±{UNRANGED:.0%} of the keyframe's controls"
-    else:
-        said += f"±{RANGED:.0%} of the control range, as policies look"
-        if free > len(still):
-            swings = free - len(still)
-            said += f" ({swings} without a range: ±{UNRANGED:.0%} of the keyframe's control)"
-    if still:
-        names = still[0] if len(still) == 1 else f"{len(still)} of them"
-        said += f"; {names} without a range held at zero"
-    return said.replace("%", " %")
+    said += f"±{RANGED:.0%} of the control range, as policies look".replace("%", " %")
+    if free.any():
+        some = names[int(free.argmax())] if free.sum() == 1 else f"{free.sum()} of them"
+        said += f"; {some} without a range held {at}"
+    return said
+
+
+# --- recorded positions ---------------------------------------------------------------------------
+
+
+def followed(table: PositionTable, model: Model, asked: Asked) -> Controls:
+    """Return the controls that follow the positions; between rows they are interpolated.
+
+    Servos in place of motors are made for the first pose.
+    """
+    start = asked.home
+    poses = table.poses(model, start.qpos)
+    moves = Moves(model, start, asked.held, keep=True)
+    servos, motors = moves.of(SERVO), moves.of(MOTOR)
+    if not servos and not motors:
+        what = "position servo or motor, which could follow"
+        raise ValueError(f"{table.source}: no actuator is a {what}")
+    times = asked.period * np.arange(len(poses))
+    if table.times is not None:
+        times = table.times - table.times[0]
+    rates = np.gradient(poses, times, axis=0) if len(poses) > 1 else np.zeros_like(poses)
+    sim, rows = Sim(model), np.tile(moves.ctrl, (len(poses), 1))
+    gains = {servo.actuator: servo.kp for servo in moves.servos}
+    dofs = [motor.dof for motor in motors]
+    first: np.ndarray | None = None
+    for row, pose, rate in zip(rows, poses, rates, strict=True):
+        sim.qpos = pose
+        lengths = sim.actuator_length
+        for servo in servos:
+            row[servo.index] = servo.holding(lengths[servo.index])
+        if not motors:
+            continue
+        # What the pose needs more than the first one, which servos carry.
+        sim.forward()
+        load = resting(sim, dofs, np.zeros((0, model.nv)))
+        first = load if first is None else first
+        for motor, more in zip(motors, load - first, strict=True):
+            k, at = motor.index, motor.qposadr
+            ahead = pose[at] - poses[0, at] + moves.lag[k] * rate[at]
+            kp = gains[model.actuator_names[k] or k]
+            share = more / dofs.count(motor.dof) / motor.gear
+            row[k] += motor.gear * ahead + share / kp
+    log = ControlLog(times, rows, linear=table.times is not None)
+    return Controls(log, servos=moves.servos)

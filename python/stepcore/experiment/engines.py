@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
-from stepcore.engine.control import ControlError
+from stepcore.engine.control import Control, ControlError
 from stepcore.engine.coordinates import Coordinates
-from stepcore.engine.follow import Followed, follow
+from stepcore.engine.follow import COUNTED, Followed, follow
 from stepcore.engine.linear_maps import STAGED
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter, Tracks
@@ -27,19 +28,16 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
+from stepcore.experiment.sizes import scene_size
 
 # A run has failed if a body is so many sizes of the scene away from where it began. A distance of a
 # few sizes is an error that is told; at a hundred, bodies have left the scene that was modelled.
 FAR = 100.0
-# States of the motion at which the work of a step is counted.
-LOOKS = 8
 # The integrators that are tried under MuJoCo's law, and under the laws on velocities.
 CONVEX = ("rk4", "implicitfast", "euler", "semi-implicit", "discrete", "midpoint", "implicit")
 ON_VELOCITIES = ("rk4", "semi-implicit", "midpoint", "explicit")
 # Numbers of sweeps that are tried.
 SWEEPS = (2, 8, 30)
-# Control periods in the test whether a control function is repeatable.
-REPEATED = 32
 
 
 @dataclass(frozen=True)
@@ -55,37 +53,83 @@ class Way:
     fixed: bool = True
 
 
-class Engine(Protocol):
+class Engine(ABC):
     """What runs changes of one scene.
 
-    name: of the engine. title: of the scene. matter: the moving bodies. coordinates: of the states.
-    known: whether stepcore has a model of the scene.
-    dt: the shipped time step [s]. nv: the number of dofs. size: the size of the scene [m].
+    name: of the engine. title: of the scene. refusal: why stepcore has no model of it; else "".
+    shipped: the settings of the scene. dt: its time step [s]. nv: the number of dofs.
+    matter: the moving bodies. coordinates: of the states. size: the size of the scene [m].
     """
 
     name: str
+    title: str
+    shipped: Any
     matter: Matter
     coordinates: Coordinates
-    dt: float
     nv: int
     size: float
 
+    def __init__(self, model: Model | None, refusal: str = "") -> None:
+        self._model, self.refusal = model, refusal
+        self._counts = dict[Change, float]()
+
     @property
-    def title(self) -> str: ...
-    @property
-    def known(self) -> bool: ...
+    def known(self) -> bool:
+        """Whether stepcore has a model of the scene."""
+        return self._model is not None
+
     @property
     def model(self) -> Model:
         """stepcore's model of the scene; ValueError if there is none."""
+        if self._model is None:
+            raise ValueError(f"stepcore cannot load this scene: {self.refusal}")
+        return self._model
+
+    @property
+    def dt(self) -> float:
+        return float(self.shipped.dt)
 
     def scheduled(
         self, motion: Motion, period: float, starts: int | None = None, horizon: float = HORIZON
     ) -> Schedule:
         """Return the schedule of a motion; see `stepcore.experiment.schedule.scheduled`."""
+        return scheduled(motion, self.model, period, starts, horizon)
 
     def settings(self, change: Change) -> Any:
-        """Return all settings of a change."""
+        """Return all settings of a change; ValueError for what the engine does not have."""
+        return self.shipped.replace(**dict(change.settings))
 
+    def work(self, change: Change, schedule: Schedule) -> float:
+        """Count the operations of a simulated second; inf where no step can be made.
+
+        They are counted at the same states for all changes. A step costs about the same at all
+        lengths, so each method is counted at one of them; steps within an accuracy at their own.
+        """
+        try:
+            settings = self.settings(change)
+            if settings.accuracy is None:
+                change = change.also(Change(dt=self.dt))
+            if change not in self._counts:
+                self._counts[change] = self._counted(change, schedule)
+        except (ValueError, SimulationError):
+            self._counts[change] = math.inf
+            return math.inf
+        return self._counts[change] / float(settings.dt)
+
+    def evaluation(self, change: Change, schedule: Schedule) -> float:
+        """Count the operations of an evaluation of the forces, in steps within an accuracy."""
+        return math.nan
+
+    def halved(self, schedule: Schedule, integrator: str) -> Way:
+        """Return the way of an integrator whose steps are halved from rung to rung."""
+        steps = schedule.steps(self.dt)
+
+        def at(k: int) -> Change:
+            return self._exact(integrator=integrator, dt=schedule.period / (steps * 2**k))
+
+        return Way(integrator, at)
+
+    @abstractmethod
     def follow(
         self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
     ) -> Tracks:
@@ -94,51 +138,54 @@ class Engine(Protocol):
         first: 0 for tracks that have the start itself before the samples of the schedule.
         """
 
-    def work(self, change: Change, schedule: Schedule) -> float:
-        """Count the floating-point operations of a simulated second; inf where none can be run."""
-
-    def evaluation(self, change: Change, schedule: Schedule) -> float:
-        """Count the operations of an evaluation of the forces, in steps within an accuracy."""
-
+    @abstractmethod
     def ways(self, schedule: Schedule, goal: float) -> list[Way]:
         """Return ways to the converged motion; goal: how exact it should be [m]."""
 
+    @abstractmethod
     def families(self, schedule: Schedule) -> list[Change]:
-        """Return the settings to try, all but the time step."""
+        """Return the settings to try, all but the time step: integrators with solvers.
 
+        One solver is enough where no row acts.
+        """
+
+    @abstractmethod
     def has_rows(self, schedule: Schedule) -> bool:
         """Return whether a contact, limit or other row acts at a sample of the shipped motion."""
 
+    @abstractmethod
     def seconds(self, change: Change, schedule: Schedule) -> float:
         """Return the processor time of a run from the first start [s]; NaN if it fails."""
 
+    @abstractmethod
+    def _counted(self, change: Change, schedule: Schedule) -> float:
+        """Return the operations of a step: the mean over states of the shipped motion."""
 
-class Stepcore:
-    """This package's engine, for one model.
+    @abstractmethod
+    def _exact(self, **fields: Any) -> Change:
+        """Return the change to settings of a converged motion."""
 
-    size: the size of the scene [m].
-    """
 
-    name, known = "stepcore", True
+def spread(states: np.ndarray) -> np.ndarray:
+    """Return the places of a few finite states, evenly spread over a motion; states: (n, …)."""
+    whole = np.flatnonzero(np.isfinite(states).all(axis=-1))
+    return whole[np.unique(np.linspace(0, len(whole) - 1, COUNTED).astype(int))]
 
-    def __init__(self, model: Model, size: float) -> None:
-        self.model, self.size = model, size
-        self.matter, self.coordinates = Matter.of(model), Coordinates(model)
-        self.dt, self.nv = float(model.settings.dt), model.nv
+
+class Stepcore(Engine):
+    """This package's engine, for one model."""
+
+    name = "stepcore"
+
+    def __init__(self, model: Model) -> None:
+        super().__init__(model)
+        self.title, self.shipped = model.scene.name or "scene", model.settings
+        self.matter, self.coordinates, self.nv = Matter.of(model), Coordinates(model), model.nv
+        self.size = scene_size(model.scene)
         self._models: dict[Change, Model] = {}
         self._looks: list[tuple[np.ndarray, ...]] = []
-        self._counts: dict[Change, float] = {}
         self._evaluations: dict[Change, float] = {}
         self._rows: bool | None = None
-
-    @property
-    def title(self) -> str:
-        return self.model.scene.name or "scene"
-
-    def scheduled(
-        self, motion: Motion, period: float, starts: int | None = None, horizon: float = HORIZON
-    ) -> Schedule:
-        return scheduled(motion, self.model, period, starts, horizon)
 
     def of(self, change: Change) -> Model:
         """Return the changed model; each physics is compiled once."""
@@ -146,9 +193,6 @@ class Stepcore:
         if physics not in self._models:
             self._models[physics] = physics.of(self.model)
         return change.with_settings(self._models[physics])
-
-    def settings(self, change: Change) -> Any:
-        return self.model.settings.replace(**dict(change.settings))
 
     def follow(
         self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
@@ -167,19 +211,6 @@ class Stepcore:
         within = model.settings.accuracy is not None
         return dataclasses.replace(tracks, evaluations=ran.inner) if within else tracks
 
-    def work(self, change: Change, schedule: Schedule) -> float:
-        """Count the operations of a simulated second, at the same states for all changes.
-
-        A step costs about the same at all lengths, so each method is counted at one of them. Steps
-        within an accuracy are counted at their own.
-        """
-        settings = self.settings(change)
-        if settings.accuracy is None:
-            change = change.also(Change(dt=self.dt))
-        if change not in self._counts:
-            self._counts[change] = self._counted(change, schedule)
-        return self._counts[change] / settings.dt
-
     def evaluation(self, change: Change, schedule: Schedule) -> float:
         self.work(change, schedule)
         return self._evaluations.get(change, math.inf)
@@ -192,28 +223,24 @@ class Stepcore:
         return math.nan if ran.failures else ran.seconds
 
     def _counted(self, change: Change, schedule: Schedule) -> float:
-        """Count the operations of a step: the mean over states of the shipped motion."""
+        names = ("qpos", "qvel", "act", "ctrl")
         if not self._looks:
-            names = ("qpos", "qvel", "act", "ctrl")
             seen = run(self.model, schedule, schedule.indices[:1], record=names)
-            whole = np.flatnonzero(np.isfinite(seen["qpos"][0]).all(axis=-1))
-            some = whole[np.unique(np.linspace(0, len(whole) - 1, LOOKS).astype(int))]
-            self._looks = [tuple(seen[name][0, k] for name in names) for k in some]
+            places = spread(seen["qpos"][0])
+            self._looks = [tuple(seen[name][0, k] for name in names) for k in places]
         total = evaluations = 0
-        try:
-            sim = unwatched(Sim(schedule.on(self.of(change))))
-            for qpos, qvel, act, ctrl in self._looks:
-                sim.reset()
-                sim.qpos[:], sim.qvel[:], sim.act[:], sim.ctrl[:] = qpos, qvel, act, ctrl
-                # The second step has impulses to begin from.
+        sim = unwatched(Sim(schedule.on(self.of(change))))
+        for look in self._looks:
+            sim.reset()
+            for name, values in zip(names, look, strict=True):
+                getattr(sim, name)[:] = values
+            # The second step has impulses to begin from.
+            sim.step(1)
+            total += sim.count_flops()
+            if sim.settings.accuracy is not None:
+                before = sim._core.evaluations
                 sim.step(1)
-                total += sim.count_flops()
-                if sim.settings.accuracy is not None:
-                    before = sim._core.evaluations
-                    sim.step(1)
-                    evaluations += sim._core.evaluations - before
-        except (ValueError, SimulationError):
-            return math.inf
+                evaluations += sim._core.evaluations - before
         self._evaluations[change] = total / max(1, evaluations)
         return total / len(self._looks)
 
@@ -224,7 +251,6 @@ class Stepcore:
         return bool(self._rows)
 
     def families(self, schedule: Schedule) -> list[Change]:
-        """Return every integrator with every solver; one solver is enough where no row acts."""
         shipped = self.model.settings
         convex, rows = shipped.law == "solref", self.has_rows(schedule)
         names = dict.fromkeys([shipped.integrator, *(CONVEX if convex else ON_VELOCITIES)])
@@ -232,33 +258,26 @@ class Stepcore:
         if rows or not solvers:
             solvers += [{"solver": "pgs", "sweeps": n} for n in SWEEPS]
             solvers += [{"solver": "newton", "sweeps": 100}] * (convex and {} not in solvers)
-        staged = [name for name in names if not (shipped.sleep and name in STAGED)]
-        every = [Change(integrator=name, **solver) for name in staged for solver in solvers]
-        return (
-            [family.also(Change(accuracy=None)) for family in every] if shipped.accuracy else every
-        )
+        if shipped.accuracy:
+            solvers = [{**solver, "accuracy": None} for solver in solvers]
+        able = [name for name in names if not (shipped.sleep and name in STAGED)]
+        return [Change(integrator=name, **solver) for name in able for solver in solvers]
+
+    def _exact(self, **fields: Any) -> Change:
+        # As the scene's rows are, so soft are those of its converged motion.
+        shipped = self.shipped.replace(sleep=False)
+        exact = converged_settings(shipped, warm_start=True, refsafe=False, **fields)
+        return Change.between(exact, self.shipped)
 
     def ways(self, schedule: Schedule, goal: float) -> list[Way]:
-        shipped = self.model.settings.replace(sleep=False)
-        steps, convex = schedule.steps(self.dt), shipped.law == "solref"
-
-        def exact(**fields: Any) -> Change:
-            # As the scene's rows are, so soft are those of its converged motion.
-            full = {"warm_start": True, "refsafe": False, **fields}
-            return Change.between(converged_settings(shipped, **full), self.model.settings)
-
-        def halved(integrator: str) -> Way:
-            def at(k: int) -> Change:
-                return exact(integrator=integrator, dt=schedule.period / (steps * 2**k))
-
-            return Way(integrator, at)
+        convex = self.shipped.law == "solref"
 
         def within(k: int) -> Change:
-            fixed = exact(integrator="rk4", dt=schedule.period)
+            fixed = self._exact(integrator="rk4", dt=schedule.period)
             return fixed.also(Change(accuracy=goal / schedule.horizon / 4**k))
 
         second = "implicitfast" if convex else "semi-implicit"
-        ways = [halved(second), halved("rk4")]
+        ways = [self.halved(schedule, second), self.halved(schedule, "rk4")]
         adapts = convex and schedule.control is None and schedule.log is None
         return [*ways, Way("accuracy", within, fixed=False)] if adapts else ways
 
@@ -307,14 +326,13 @@ def visits(
             yield start, float(time), sim
 
 
-def check_repeatable(model: Model, schedule: Schedule) -> None:
-    """Raise ControlError if the user's control function is not repeatable.
+def check_repeatable(model: Model, schedule: Schedule, control: Control) -> None:
+    """Raise ControlError if the user's control function of a schedule is not repeatable.
 
     The beginning of a run is made twice. If the controls differ, they depend on more than the
     motion, and runs cannot be compared.
     """
-    periods = min(REPEATED, schedule.periods)
-    beginning = dataclasses.replace(schedule, periods=periods, every=1)
+    beginning = dataclasses.replace(schedule, periods=min(32, schedule.periods), every=1)
     first, again = (run(model, beginning, [0], record=("ctrl",))["ctrl"] for _ in range(2))
-    if schedule.control is not None and not np.array_equal(first, again, equal_nan=True):
-        raise ControlError.not_repeatable(schedule.control, "the same run was made again")
+    if not np.array_equal(first, again, equal_nan=True):
+        raise ControlError.not_repeatable(control, "the same run was made again")

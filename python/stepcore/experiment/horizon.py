@@ -25,10 +25,10 @@ from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.control_table import control_table
 from stepcore.experiment.default_motion import kind_of
-from stepcore.experiment.engines import Engine, run
+from stepcore.experiment.engines import Engine, run, spread
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.predictable import APART
 from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.experiment.sizes import scene_size
 from stepcore.report.units import seconds
@@ -38,18 +38,15 @@ from stepcore.report.units import seconds
 LONGEST, STEPS, COST = 10.0, 20_000, 1e9
 # The share of the cost of a converged motion that one run from each start may have.
 SHARE = 1 / 30
-# The states at which the cost of a step is counted.
-COUNTED = 8
-# The time between samples, and between two judgements of them [s].
-SAMPLE, LOOK = 0.02, 0.1
+# The time between two judgements, and the shortest period of a motion that repeats [s].
+LOOK = 0.1
 # The time over which a speed is averaged [s]. Growth is that from one such time to the next.
 WINDOW = 0.25
-# The way that a motion at rest may go in `LONGEST`, over the scene's size.
-STILL = 0.01
-# The shortest period of a motion that repeats [s], and the largest deviation, over its way.
-PERIOD, ALIKE = 0.1, 0.02
+# The way that a motion at rest may go in `LONGEST`, over the scene's size; and how far one that
+# repeats may be from where it was, over its way.
+STILL, ALIKE = 0.01, 0.02
 # The most that growth until the bound may count, as an exponent: rounding grows to any size.
-GROWTH = 40.0
+GROWTH = -math.log(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -80,24 +77,24 @@ def horizon_of(
     if motion.horizon is not None:
         return Horizon(motion.horizon)
     dt = model.settings.dt
-    if motion.duration > default:
-        return _whole(model, motion, default, cost)
-    if not _is_tried(model, motion) or dt > LOOK or min(LONGEST, STEPS * dt) <= default:
+    longest = min(LONGEST, STEPS * dt)
+    table = motion.table
+    if table is not None and table.duration > default:
+        sim = Sim(model)
+        sim.reset(key=0 if model.keys else None)
+        length = max(default, min(table.duration, longest, _paid(sim, sim.count_flops(), cost)))
+        lasts = f"{table.source} lasts {seconds(table.duration)}"
+        if length < table.duration:
+            lasts += f", of which {seconds(length)} are run; --horizon sets more"
+        return Horizon(length, lasts)
+    if table is not None:
+        tried = not table.changes
+    else:
+        tried = motion.control is not None or (motion.kind or kind_of(model)) in ("fall", "hold")
+    if not tried or dt > LOOK or longest <= default:
         return Horizon(default)
     pilot = _Pilot(model, motion, default, cost)
     return replace(pilot.horizon(), ran=pilot.ran)
-
-
-def _whole(model: Model, motion: Motion, default: float, cost: float) -> Horizon:
-    """Return the horizon of a log: all of it, as far as the bounds allow."""
-    dt, sim = model.settings.dt, Sim(model)
-    sim.reset(key=0 if model.keys else None)
-    paid = dt * cost / max(1.0, sim.count_flops())
-    length = max(default, min(motion.duration, LONGEST, STEPS * dt, paid))
-    lasts = f"{control_table(motion.ctrl).source} lasts {seconds(motion.duration)}"
-    if length < motion.duration:
-        lasts += f", of which {seconds(length)} are run; --horizon sets more"
-    return Horizon(length, lasts)
 
 
 def settled_motion(
@@ -113,10 +110,9 @@ def settled_motion(
     return replace(motion, horizon=far.length if far.words else motion.horizon), far
 
 
-def _is_tried(model: Model, motion: Motion) -> bool:
-    if motion.ctrl is not None:
-        return not control_table(motion.ctrl).changes
-    return motion.control is not None or (motion.kind or kind_of(model)) in ("fall", "hold")
+def _paid(sim: Sim, flops: float, cost: float) -> float:
+    """Return for how long a motion may run for its cost [s]; flops: of a step."""
+    return float(cost * sim.settings.dt / max(flops, 1.0))
 
 
 class _Pilot:
@@ -127,11 +123,11 @@ class _Pilot:
 
     def __init__(self, model: Model, motion: Motion, default: float, cost: float) -> None:
         dt = model.settings.dt
-        self.model, self.default, self.longest = model, default, min(LONGEST, STEPS * dt)
-        self.cost = cost
-        period = motion.period(dt) or dt * max(1, round(SAMPLE / dt))
+        self.model, self.default, self.cost = model, default, cost
+        self.longest = min(LONGEST, STEPS * dt)
+        period = motion.period(dt) or dt * max(1, round(APART / dt))
         whole = replace(motion, horizon=max(self.longest, period), starts=1)
-        self.count = max(1, round(SAMPLE / period))
+        self.count = max(1, round(APART / period))
         self.every = self.count * period
         self.schedule = replace(scheduled(whole, model, period), every=self.count)
         self.matter, self.size = Matter.of(model), scene_size(model.scene)
@@ -141,7 +137,7 @@ class _Pilot:
         """Run until the motion is at rest, and return the horizon."""
         first = max(1, math.ceil(self.default / self.every - 0.5))
         places, paid, failed = self._places(first)
-        if not failed and (self._rests(places) or self._repeats(places)):
+        if not failed and self._ends(places):
             return Horizon(self.default)
         whole, look = self.schedule.periods // self.count, max(1, round(LOOK / self.every))
         most = min(whole, look * math.ceil(paid / self.every / look))
@@ -151,17 +147,15 @@ class _Pilot:
             most = max(first + 1, min(most, look * math.ceil(paid / self.every / look)))
             places = places[: most + 1]
         for end in range(look * math.ceil((first + 1) / look), len(places), look):
-            time = round(end * self.every, 9)
-            at, late = seconds(time), f"not at rest after {seconds(self.default)}"
-            if self._rests(places[: end + 1]):
-                return Horizon(time, f"{late}: went on to {at}")
-            if self._repeats(places[: end + 1]):
-                return Horizon(time, f"{late}: went on to {at}, where it repeats")
+            if why := self._ends(places[: end + 1]):
+                time = round(end * self.every, 9)
+                late = f"not at rest after {seconds(self.default)}: went on to {seconds(time)}"
+                return Horizon(time, late + why.removeprefix("at rest"))
         length = round((len(places) - 1) * self.every, 9)
         if failed:
             # A run over this horizon shows the failure.
             length = min(self.longest, math.ceil((length + LOOK) / LOOK) * LOOK)
-            return Horizon(max(self.default, length), "")
+            return Horizon(max(self.default, length))
         if length <= self.default + self.every / 2:
             return Horizon(self.default)
         further = "; --horizon goes on further" if most < whole else ", the longest run"
@@ -174,7 +168,8 @@ class _Pilot:
         may be run for its cost [s], and whether the run failed.
         """
         part = replace(self.schedule, periods=samples * self.count)
-        record = ["qpos", "qvel", "act", "ctrl", "xpos", "xquat"]
+        states = ["qpos", "qvel", "act", "ctrl"]
+        record = [*states, "xpos", "xquat"]
         if self.model.settings.accuracy is None:
             record.append("actuator_force")
         try:
@@ -190,18 +185,17 @@ class _Pilot:
         flips = np.sum(quat[1:] * quat[:-1], axis=2) < 0
         quat[1:][np.logical_xor.accumulate(flips, axis=0)] *= -1
         turned = 2 * self.matter.gyration[:, None] * quat
-        states = {name: ran[name][0, :good] for name in record[:4]}
-        return np.concatenate([xpos, turned], axis=2), self._paid(states), bool(ran.failures)
+        sim, flops = unwatched(Sim(self.schedule.on(self.model))), []
+        for k in spread(ran["qpos"][0, :good]):
+            for name in states:
+                getattr(sim, name)[:] = ran[name][0, k]
+            flops.append(sim.count_flops())
+        paid = _paid(sim, float(np.mean(flops)), self.cost)
+        return np.concatenate([xpos, turned], axis=2), paid, bool(ran.failures)
 
-    def _paid(self, states: dict[str, np.ndarray]) -> float:
-        """Return for how long the motion may run for its cost [s], by steps at some states."""
-        model = self.schedule.on(self.model)
-        sim, flops, count = unwatched(Sim(model)), 0.0, len(states["qpos"])
-        for k in np.unique(np.linspace(0, count - 1, COUNTED).astype(int)):
-            for name, values in states.items():
-                getattr(sim, name)[:] = values[k]
-            flops += sim.count_flops() / min(COUNTED, count)
-        return self.cost * model.settings.dt / max(flops, 1.0)
+    def _ends(self, places: np.ndarray) -> str:
+        """Return why a motion needs to go no further; "" if it does."""
+        return "at rest" if self._rests(places) else ", where it repeats" * self._repeats(places)
 
     def _rests(self, places: np.ndarray) -> bool:
         """Return whether the bodies move slowly at the end, and will."""
@@ -218,7 +212,7 @@ class _Pilot:
     def _repeats(self, places: np.ndarray) -> bool:
         """Return whether the bodies are where they were a period before, for a whole period."""
         back = places[::-1]
-        lags = np.arange(max(1, round(PERIOD / self.every)), (len(places) - 1) // 2 + 1)
+        lags = np.arange(max(1, round(LOOK / self.every)), (len(places) - 1) // 2 + 1)
         if not len(lags):
             return False
         spans = np.maximum.accumulate(back) - np.minimum.accumulate(back)

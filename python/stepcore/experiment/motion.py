@@ -7,6 +7,7 @@ import os
 import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, TypedDict
 
 from numpy.typing import ArrayLike
@@ -14,53 +15,32 @@ from numpy.typing import ArrayLike
 from stepcore import checks
 from stepcore.engine.control import Control
 from stepcore.engine.sim import Sim
-from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.control_table import ControlTable, PositionTable, control_table
 from stepcore.experiment.default_motion import KINDS
 from stepcore.report import units
 from stepcore.signatures import F, keyword, refuse_unknown, spell_out
 
 
-@dataclass(frozen=True)
-class LostControl:
-    """A placeholder for a control function that could not be pickled; a call raises ValueError.
-
-    name: the name of the function.
-    """
-
-    name: str
-
-    def __call__(self, time: float, sim: Sim) -> ArrayLike:
-        raise ValueError(
-            f"control `{self.name}` could not be pickled: make the Motion with it again"
-        )
+def _lost(name: str, time: float, sim: Sim) -> ArrayLike:
+    raise ValueError(f"control `{name}` could not be pickled: make the Motion with it again")
 
 
 def picklable(control: Control) -> Control:
-    """Return the control function, or a `LostControl` if it cannot be pickled.
+    """Return the control function, or one that raises ValueError if it cannot be pickled.
 
     Results of a lambda or a notebook's function can therefore still be pickled.
     """
     try:
         pickle.dumps(control)
     except Exception:  # pickling a user's object can raise any exception
-        return LostControl(getattr(control, "__qualname__", "control"))
+        return partial(_lost, getattr(control, "__qualname__", "control"))
     return control
 
 
 # Rows of controls, or a source of rows; see `Motion`.
 Controls = ArrayLike | ControlTable | Mapping[str, Any] | str | os.PathLike[str] | Any
-
-
 # How rows with times are continued between these times.
 INTERPOLATIONS = ("held", "linear")
-
-
-def _is_array(ctrl: object) -> bool:
-    """Return whether controls are a plain array, which `Motion` keeps unchanged."""
-    kinds = (str, os.PathLike, Mapping, Trajectory, ControlTable)
-    named = isinstance(ctrl, kinds) or hasattr(ctrl, "columns")
-    return not named and getattr(getattr(ctrl, "dtype", None), "names", None) is None
 
 
 class MotionFields(TypedDict, total=False):
@@ -95,7 +75,8 @@ class Motion:
         ``{"hip": 1.0, "knee": [0.0, 0.5]}``. An actuator without a column keeps the keyframe's
         control. In a table with a column "time" [s], each row takes effect at its time, relative to
         the first row, at any rate: a step gets the mean of the controls over the step, whatever its
-        length. A file without column names (.csv, .npy) is read as an array.
+        length. A file without column names (.csv, .npy) is read as an array. The Motion keeps the
+        table: its `rows`, `columns` and `times`.
     control: a function of (time, sim) that returns the controls, in place of `ctrl`. The function
         is called once per control period, possibly from several threads, and must depend on
         nothing but its arguments. A callable object may keep state in its attributes; each run gets
@@ -142,26 +123,24 @@ class Motion:
         if self.starts is not None:
             object.__setattr__(self, "starts", checks.count("starts", self.starts))
         object.__setattr__(self, "seed", checks.count("seed", self.seed, least=0))
-        if self.follow is not None:
-            if self.control is not None or not isinstance(self.ctrl, PositionTable | None):
-                given = "control" if self.ctrl is None else "ctrl"
-                raise ValueError(f"follow and {given} are both given: a motion has one of them")
-            object.__setattr__(self, "ctrl", PositionTable.of(self.follow))
         checks.one_of(*INTERPOLATIONS)("motion", "interpolation", self.interpolation)
         if self.control is not None:
             checks.function("time", "sim")("motion", "control", self.control)
-            if self.ctrl is not None:
-                raise ValueError("control and ctrl are both given: a motion has one of them")
         if self.kind is not None:
             checks.one_of(*KINDS)("motion", "kind", self.kind)
-            if self.control is not None or self.ctrl is not None:
-                given = "ctrl" if self.control is None else "control"
-                raise ValueError(f"kind and {given} are both given: a motion has one of them")
+        drives = {name: getattr(self, name) for name in ("kind", "follow", "control", "ctrl")}
+        if self.follow is not None and isinstance(self.ctrl, PositionTable):
+            del drives["ctrl"]
+        given = [name for name, value in drives.items() if value is not None]
+        if len(given) > 1:
+            raise ValueError(f"{given[0]} and {given[1]} are both given: a motion has one of them")
         if isinstance(self.ctrl, str) and self.ctrl in KINDS:
             raise ValueError(
                 f'ctrl = {self.ctrl!r}: write kind="{self.ctrl}" (--motion {self.ctrl})'
             )
-        if self.ctrl is not None and not _is_array(self.ctrl):
+        if self.follow is not None:
+            object.__setattr__(self, "ctrl", PositionTable.of(self.follow))
+        elif self.ctrl is not None:
             object.__setattr__(self, "ctrl", control_table(self.ctrl))
 
     @property
@@ -172,9 +151,12 @@ class Motion:
     @property
     def duration(self) -> float:
         """How long the user's rows last [s]; 0 without rows that have times."""
-        if self.ctrl is None or _is_array(self.ctrl):
-            return 0.0
-        return control_table(self.ctrl).duration
+        return 0.0 if self.table is None else self.table.duration
+
+    @property
+    def table(self) -> ControlTable | None:
+        """The user's rows, or recorded positions; None without."""
+        return self.ctrl if isinstance(self.ctrl, ControlTable) else None
 
     def period(self, dt: float) -> float | None:
         """Return the control period [s], or None if this motion does not determine a period.
@@ -185,15 +167,10 @@ class Motion:
         """
         if self.control_dt is not None or self.control is not None:
             return self.control_dt or dt
-        if self.ctrl is None:
+        if self.table is None or not self.table.changes:
             return None
-        try:
-            table = control_table(self.ctrl)
-        except ValueError:
-            # The error is raised later, where the controls are matched to a model.
-            return None
-        linear = table.times is not None and self.interpolation == "linear"
-        return table.period(dt) if table.changes and not linear else None
+        linear = self.table.times is not None and self.interpolation == "linear"
+        return None if linear else self.table.period(dt)
 
     @classmethod
     def of(

@@ -6,7 +6,6 @@ import numpy as np
 
 from stepcore.engine.control import control_name
 from stepcore.engine.model import Model
-from stepcore.experiment.control_table import control_table
 from stepcore.experiment.default_motion import actuators_in_words
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import Schedule
@@ -42,8 +41,8 @@ def without_in_words(model: Model) -> str:
 
 def begin_in_words(model: Model, motion: Motion) -> str:
     """Describe the first start of a motion."""
-    if motion.follow is not None:
-        return f"the first pose of {control_table(motion.ctrl).source}"
+    if motion.follow is not None and motion.table is not None:
+        return f"the first pose of {motion.table.source}"
     return start_in_words(model, motion.key)
 
 
@@ -83,8 +82,7 @@ def drive_in_words(model: Model, motion: Motion, drive: str, sampled: str) -> st
     what = actuators_in_words(model)
     if motion.control is not None:
         return f"{what} driven by {control_name(motion.control)}, sampled {sampled}"
-    if motion.ctrl is not None:
-        table = control_table(motion.ctrl)
+    if (table := motion.table) is not None:
         if not table.changes:
             return f"{what} hold {table.constants}"
         source = "the controls given" if table.source == "ctrl" else table.source

@@ -5,18 +5,17 @@ at rest, the one with the least squared jerk (Flash and Hogan, 1985). Where the 
 d keeps their places, to first order.
 
 Motors get servos in their place. The gains of joint j are kp = ω² I and kv = 2 ω I, where 1/I is
-entry jj of the inverse mass matrix; for a robot that stands, of the mass matrix with its contacts
-fixed. ω is at most 30 rad/s, and small enough for the longest time step T that is tried by default,
-four shipped ones: with μ the largest eigenvalue of M⁻¹I, an explicit step changes a velocity by the
-factor 1 − 2 ω μ T, and ω ≤ 0.35/(μT) leaves a stability margin of 3. Their targets carry the load
-of the start: bias − passive − Jᵀf, where f are the contact forces of least norm that balance the
-dofs without a motor.
+entry jj of the inverse mass matrix. ω is at most 30 rad/s, and small enough for the longest time
+step T that is tried by default, four shipped ones: with μ the largest eigenvalue of M⁻¹I, an
+explicit step changes a velocity by the factor 1 − 2 ω μ T, and ω ≤ 0.35/(μT) leaves a stability
+margin of 3. Their targets carry the load of the start: bias − passive − Jᵀf, where f are the
+contact forces of least norm that balance the dofs without a motor.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,7 +29,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change, Servo
-from stepcore.experiment.controls import ControlLog, Controls
+from stepcore.experiment.control_table import LONGEST, ControlLog, Controls
 
 # The duration of a move, and of the rest after it [s].
 MOVE, REST = 0.8, 0.2
@@ -38,22 +37,20 @@ MOVE, REST = 0.8, 0.2
 # by 8 mrad, which a stiff servo answers with its whole force.
 HELD = 1e-3
 # How far a joint goes: this share of its range, and at most this far [rad], [m]. A base that stands
-# on contacts goes as far as a fifth of that lets it.
+# on contacts goes as far as a fifth of that lets it (Go2's joints by 0.26 rad; without, by 0.34).
 SHARE, TURN, SLIDE, BASE = 0.1, 0.5, 0.05, 0.2
-# The share of a joint's range, at each end, into which no target leads.
-MARGIN = 0.05
-# The largest bandwidth of our servos [rad/s], the largest 2 ω μ T, and T in shipped steps.
-OMEGA, SAMPLED, LONGEST = 30.0, 0.7, 4
-# The largest force, as a share of its bound, and of what holding the start leaves of it; the
-# largest share of a run in which an actuator is at its bound.
-FORCE, LEFT, FULL = 0.6, 0.5, 0.05
+# The largest bandwidth of our servos [rad/s], and the largest 2 ω μ T.
+OMEGA, SAMPLED = 30.0, 0.7
+# The largest force, as a share of what holding the start leaves of its bound; the largest share of
+# a run in which an actuator is at its bound (Panda's light wrist: 4 %, at the speed of a start).
+LEFT, FULL = 0.5, 0.05
 # The parts of a move that are tried, also the opposite way, before the start is held.
 FACTORS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 0.125, -0.125)
 # Speeds and forces of this time [s] belong to the start: it may jump to its servos' targets, or
-# out of an overlap.
+# out of an overlap. Contacts are looked at as often.
 SHOCK = 0.1
-# The time between samples of a trial, and between looks at its contacts [s].
-SAMPLE, LOOK = 0.008, 0.1
+# The time between samples of a trial [s].
+SAMPLE = 0.008
 # A robot falls if it tilts by more than this [rad], or the height of its centre of mass above the
 # lowest of its geoms shrinks by this share. What sinks into the floor as a whole has not fallen.
 TILT, SINKS = 0.35, 0.25
@@ -94,42 +91,14 @@ class Seen:
     fell: float | None = None
     failure: str = ""
 
-    @property
-    def bad(self) -> tuple[bool, float, float]:
-        """How badly a trial holds the start, for comparison."""
-        standing = math.inf if self.fell is None else self.fell
-        return bool(self.failure), -standing, float(max(0.0, (self.full - FULL).max(initial=0.0)))
-
-
-@dataclass(frozen=True)
-class Hold:
-    """Controls that hold a start.
-
-    ctrl: the controls, (nu,). servos: in place of motors. lag: kv/kp of these, by which their
-    targets go ahead of the path [s], (nu,).
-    """
-
-    ctrl: np.ndarray
-    servos: tuple[Servo, ...]
-    lag: np.ndarray
-
-    def log(self, spans: np.ndarray, rates: np.ndarray, end: float, period: float) -> ControlLog:
-        """Return the controls of moves, a row for each period, until a time [s].
-
-        spans: the change of the controls from the start to the target, (starts, nu).
-        rates: the controls per 1/s of ds/dt, (starts, nu).
-        """
-        times = period * np.arange(max(1, round(end / period)))
-        way, rate = profile(times + period / 2)
-        moved = way[:, None] * spans[:, None] + rate[:, None] * rates[:, None]
-        return ControlLog(times, self.ctrl + moved)
-
 
 class Moves:
     """Moves of a model from starts near one home.
 
     drives: the actuators. joints: the hinges and slides that they drive. others: actuators of other
-    things. about: whether the machine moves about. hold: the controls at home. held: their trial.
+    things. about: whether the machine moves about.
+    ctrl: the controls that hold home, (nu,). servos: in place of motors. lag: kv/kp of these, by
+    which their targets go ahead of the path [s], (nu,). held: the trial of these controls.
     """
 
     def __init__(self, model: Model, home: Start, ctrl: np.ndarray, *, keep: bool) -> None:
@@ -142,10 +111,14 @@ class Moves:
         driven = self.of(SERVO, VELOCITY_SERVO, MOTOR)
         self.joints = sorted({drive.joint for drive in driven if drive.joint is not None})
         self.others = [drive for drive in driven if drive.joint is None]
-        self.dofs = model.jnt_dofadr[self.joints]
-        self.about, self.roots = moves_about(model, self.drives), roots(model, self.drives)
+        self.dofs, self.roots = model.jnt_dofadr[self.joints], roots(model, self.drives)
+        self.about = moves_about(model, self.drives)
         self.kept = self._jacobian(home, touching(_put(Sim(model), home)))
-        self.hold, self.held = self._balanced(np.array(ctrl, float))
+        self.ctrl, self.lag = self._holding(np.array(ctrl, float)), np.zeros(model.nu)
+        self.servos = tuple(self._servos())
+        self.driven = Change(servos=self.servos).of(model)
+        still = np.zeros((1, model.nu))
+        (self.held,) = self.trials([home], still, still, 2 * (MOVE + REST))
         if self.held.fell is None and self.held.end is not None:
             self.kept = self._jacobian(self.held.end, self.held.points)
 
@@ -153,65 +126,41 @@ class Moves:
         """Return the actuators of some kinds."""
         return [drive for drive in self.drives if drive.kind in kinds]
 
-    def _balanced(self, ctrl: np.ndarray) -> tuple[Hold, Seen]:
-        """Return the controls that hold the start, and their trial.
+    def _holding(self, ctrl: np.ndarray) -> np.ndarray:
+        """Return the controls that hold the start, (nu,); ctrl: those of the keyframe.
 
-        Of motors, the first trial shows the contacts on which the machine comes to stand.
+        Where they are 0, servos hold its pose.
         """
-        held, servos = np.array(ctrl), [servo.index for servo in self.of(SERVO)]
+        positions = [servo.index for servo in self.of(SERVO)]
         if not self.keep:
-            if not ctrl[servos].any():
+            if not ctrl[positions].any():
                 lengths = self.lengths(self.home.qpos)
-                held[servos] = [self.drives[k].holding(lengths[k]) for k in servos]
-            held[[drive.index for drive in self.of(VELOCITY_SERVO)]] = 0.0
-        held = np.clip(held, *np.reshape([drive.ctrlrange for drive in self.drives], (-1, 2)).T)
+                ctrl[positions] = [self.drives[k].holding(lengths[k]) for k in positions]
+            ctrl[[drive.index for drive in self.of(VELOCITY_SERVO)]] = 0.0
+        return np.clip(ctrl, *np.reshape([drive.ctrlrange for drive in self.drives], (-1, 2)).T)
 
-        def tried(stands: Start, contacts: np.ndarray, fixed: bool) -> tuple[Hold, Seen]:
-            hold = self._hold(held, stands, contacts, fixed)
-            still = np.zeros((1, self.model.nu))
-            return hold, self.trials(hold, [self.home], still, still, 2 * (MOVE + REST))[0]
-
-        first = tried(self.home, self.kept, False)
-        seen = first[1]
-        if seen.bad <= (False, -math.inf, 0.0) or not seen.points or not self.of(MOTOR):
-            return first
-        assert seen.end is not None
-        contacts = self._jacobian(seen.end, seen.points)
-        others = (tried(seen.end, contacts, fixed) for fixed in (True, False))
-        return min((first, *others), key=lambda pair: pair[1].bad)
-
-    def _hold(self, held: np.ndarray, stands: Start, contacts: np.ndarray, fixed: bool) -> Hold:
-        """Return the controls at home, with servos in place of motors.
-
-        stands: the state in which the machine stands. contacts: the Jacobian of its contacts.
-        fixed: whether the gains are those of the inertia with the contact points fixed.
-        """
-        motors, ctrl, lag = self.of(MOTOR), np.array(held), np.zeros(self.model.nu)
-        sim, dofs, servos = _put(Sim(self.model), stands), [m.dof for m in motors], []
+    def _servos(self) -> Iterator[Servo]:
+        """Yield servos in place of motors, and set their controls and lags."""
+        model, motors = self.model, self.of(MOTOR)
         if not motors:
-            return Hold(ctrl, (), lag)
-        mass = sim.mass_matrix()
-        if fixed and len(contacts):
-            # A million times the largest inertia is as good as fixed, and far above rounding.
-            mass = mass + 1e6 * mass.max() * contacts.T @ contacts
-        inverse = np.linalg.inv(mass)
+            return
+        sim, dofs = _put(Sim(model), self.home), [motor.dof for motor in motors]
+        inverse = np.linalg.inv(sim.mass_matrix())
         inertia = 1.0 / np.diag(inverse)[dofs]
         largest = float(np.abs(np.linalg.eigvals(inverse[np.ix_(dofs, dofs)] * inertia)).max())
-        omega = min(OMEGA, SAMPLED / (2 * largest * LONGEST * self.model.settings.dt))
-        load = resting(sim, dofs, contacts)
+        omega = min(OMEGA, SAMPLED / (2 * largest * LONGEST * model.settings.dt))
+        load = resting(sim, dofs, self.kept)
         for motor, own, force in zip(motors, inertia.tolist(), load.tolist(), strict=True):
             # Several motors on a joint share its force.
             k, share = motor.index, 1 / dofs.count(motor.dof)
             kp, kv = (gain * own * share / motor.gear**2 for gain in (omega**2, 2 * omega))
-            servos.append(Servo(self.model.actuator_names[k] or k, kp, kv, motor.forces))
-            target = self.home.qpos[motor.qposadr]
-            ctrl[k], lag[k] = motor.gear * target + force * share / motor.gear / kp, kv / kp
-        return Hold(ctrl, tuple(servos), lag)
+            target = motor.gear * self.home.qpos[motor.qposadr]
+            self.ctrl[k], self.lag[k] = target + force * share / motor.gear / kp, kv / kp
+            yield Servo(model.actuator_names[k] or k, kp, kv, motor.forces)
 
     def _jacobian(self, state: Start, points: Sequence[tuple[int, int, np.ndarray]]) -> np.ndarray:
         """Return the Jacobian of the contacts of the driven trees, (3 contacts, nv)."""
-        sim, rows = Sim(self.model), [np.zeros((0, self.model.nv))]
-        state.put(sim)
+        sim, rows = _put(Sim(self.model), state), [np.zeros((0, self.model.nv))]
         for first, second, place in points:
             if {self.model.root(first), self.model.root(second)} & self.roots:
                 ends = [sim.jacobian(body, place)[:3] for body in (second, first) if body]
@@ -220,10 +169,7 @@ class Moves:
 
     def lengths(self, qpos: np.ndarray) -> np.ndarray:
         """Return the lengths of the actuators at a pose, (nu,)."""
-        sim = Sim(self.model)
-        self.home.put(sim)
-        sim.qpos[:] = qpos
-        return np.array(sim.actuator_length)
+        return np.array(_put(Sim(self.model), replace(self.home, qpos=qpos)).actuator_length)
 
     def _drawn(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a change of the pose, (nv,), of the joints that actuators drive."""
@@ -236,9 +182,7 @@ class Moves:
                 weights[v : v + 6] = np.repeat((SLIDE, BASE * TURN), 3)
         weights[self.dofs] = np.minimum(far, SHARE * (high - low))
         change = rng.uniform(0.5, 1.0, model.nv) * rng.choice([-1.0, 1.0], model.nv) * weights
-        with np.errstate(invalid="ignore"):
-            short = np.where(np.isfinite(high - low), MARGIN * (high - low), 0.0)
-        low, high = np.minimum(q, low + short), np.maximum(q, high - short)
+        low, high = np.minimum(q, low), np.maximum(q, high)
         if len(self.kept):
             spread = (self.kept * weights**2).T
             back = np.linalg.pinv(self.kept @ spread, 1e-6) @ self.kept @ change
@@ -271,31 +215,40 @@ class Moves:
         for drive in self.of(SERVO, VELOCITY_SERVO, MOTOR):
             k = drive.index
             if drive.kind == MOTOR:
-                spans[k], rates[k] = ways[k], ways[k] * self.hold.lag[k]
+                spans[k], rates[k] = ways[k], ways[k] * self.lag[k]
             elif drive.kind == VELOCITY_SERVO:
                 rates[k] = ways[k] * (drive.kp if drive.integrates else drive.kv) / drive.gain
             else:
                 spans[k] = ways[k] * drive.kp / drive.gain
         return spans, rates
 
+    def log(self, spans: np.ndarray, rates: np.ndarray, end: float, period: float) -> ControlLog:
+        """Return the controls of moves, a row for each period, until a time [s].
+
+        spans: the change of the controls from the start to the target, (starts, nu).
+        rates: the controls per 1/s of ds/dt, (starts, nu).
+        """
+        times = period * np.arange(max(1, round(end / period)))
+        way, rate = profile(times + period / 2)
+        moved = way[:, None] * spans[:, None] + rate[:, None] * rates[:, None]
+        return ControlLog(times, self.ctrl + moved)
+
     def trials(
         self,
-        hold: Hold,
         starts: Sequence[Start],
         spans: np.ndarray,
         rates: np.ndarray,
         horizon: float = MOVE + REST,
     ) -> list[Seen]:
-        """Run moves of some starts under the model's settings, all at once; see `Hold.log`."""
+        """Run moves of some starts under the model's settings, all at once; see `log`."""
         model, dt = self.model, self.model.settings.dt
         every = max(1, round(SAMPLE / dt))
         steps = every * max(1, round(horizon / (every * dt)))
-        log = hold.log(spans, rates, steps * dt, min(HELD, dt))
+        log = self.log(spans, rates, steps * dt, min(HELD, dt))
         rows, held = Controls(log).rows(range(len(starts)), dt, steps)
         record = ("qpos", "qvel", "act", "actuator_force")
-        driven = Change(servos=hold.servos).of(model)
         try:
-            ran = follow(driven, starts, steps, every, ctrl=rows, hold=held, record=record)
+            ran = follow(self.driven, starts, steps, every, ctrl=rows, hold=held, record=record)
         except (SimulationError, ValueError) as error:
             nothing = Seen(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
             return [replace(nothing, failure=one_line(error)) for _ in starts]
@@ -324,7 +277,7 @@ class Moves:
                     seen.met.add(joint)
         _put(sim, start)
         stood = {body: _stance(sim, body) for body in (self.roots if self.about else ())}
-        stride = max(1, round(LOOK / times[1])) if len(times) > 1 else 1
+        stride = max(1, round(SHOCK / times[1])) if len(times) > 1 else 1
         looks = dict.fromkeys([*range(stride, len(times), stride), len(times) - 1])
         for place in () if seen.failure else looks:
             sim.qpos[:], sim.qvel[:] = qpos[place], qvel[place]
@@ -350,47 +303,50 @@ class Moves:
 
         What a start does by itself, without a move, is no trouble.
         """
-        count, joints, nu = len(starts), len(self.joints), self.model.nu
-        spans, rates, far = (np.zeros((count, size)) for size in (nu, nu, joints))
+        count, nu = len(starts), self.model.nu
+        ways, speeds, part = np.zeros((count, nu)), np.zeros((count, nu)), np.zeros((count, 1))
+        reach = np.zeros((count, len(self.joints)))
         seen, alone = [self.held] * count, dict[int, Seen]()
-        todo: list[int] = []
-        if not (self.keep or self.held.failure or self.held.fell is not None):
-            todo = list(range(count))
-        ways, speeds, reach = spans.copy(), rates.copy(), far.copy()
+        still = self.keep or self.held.failure or self.held.fell is not None
+        todo = [] if still else list(range(count))
         for k in todo:
             rng = np.random.default_rng([seed, k])
             change = self._drawn(rng)
             ways[k], speeds[k] = self._toward(change, float(rng.uniform(-1.0, 1.0)))
             reach[k] = np.abs(change[self.dofs])
-
-        def pick(some: Sequence[int]) -> list[Start]:
-            return [starts[k] for k in some]
-
         room = [d.ctrlrange if d.kind == SERVO else (-math.inf, math.inf) for d in self.drives]
-        low, high = np.reshape(room, (-1, 2)).T - self.hold.ctrl
+        low, high = np.reshape(room, (-1, 2)).T - self.ctrl
+
+        def tried(some: Sequence[int]) -> dict[int, Seen]:
+            """Return the trials of some starts, with their part of the move."""
+            spans, rates = np.clip(part * ways, low, high)[some], (part * speeds)[some]
+            made = self.trials([starts[k] for k in some], spans, rates)
+            return dict(zip(some, made, strict=True))
+
         for factor in FACTORS:
             if not todo:
                 break
-            part = np.clip(factor * ways[todo], low, high), factor * speeds[todo]
-            spans[todo], rates[todo] = part
-            far[todo] = abs(factor) * reach[todo]
-            for k, made in zip(todo, self.trials(self.hold, pick(todo), *part), strict=True):
-                seen[k] = made
-            bad = [k for k in todo if self._trouble(seen[k], self.held)]
-            new = [k for k in bad if k not in alone]
-            if new:
-                still = np.zeros((len(new), nu))
-                rest = self.trials(self.hold, pick(new), still, still)
-                alone |= dict(zip(new, rest, strict=True))
+            part[todo] = factor
+            now = tried(todo)
+            bad = [k for k in todo if self._trouble(now[k], self.held)]
+            if new := [k for k in bad if k not in alone]:
+                part[new] = 0.0
+                alone |= tried(new)
+                part[new] = factor
+            for k in todo:
+                seen[k] = now[k]
             todo = [k for k in bad if self._trouble(seen[k], alone[k])]
+        part[todo] = 0.0
         for k in todo:
-            spans[k], rates[k], far[k], seen[k] = 0.0, 0.0, 0.0, alone[k]
-        return Chosen(spans, rates, far.max(axis=0, initial=0.0), seen)
+            seen[k] = alone[k]
+        far = (np.abs(part) * reach).max(axis=0, initial=0.0)
+        return Chosen(np.clip(part * ways, low, high), part * speeds, far, seen)
 
     def _trouble(self, seen: Seen, alone: Seen) -> bool:
         """Return whether a move asks too much; alone: what happens without it."""
-        allowed = np.maximum(FORCE, alone.force + LEFT * (1 - alone.force))
-        over = (seen.force > allowed) | (seen.full > alone.full + FULL)
+        over = (seen.force > alone.force + LEFT * (1 - alone.force)) | (
+            seen.full > alone.full + FULL
+        )
         met = seen.met - alone.met - self.held.met
         left = self.about and bool(alone.ends_on - seen.ends_on)
         falls = seen.fell is not None and alone.fell is None
@@ -399,7 +355,7 @@ class Moves:
 
 @dataclass
 class Chosen:
-    """The moves of some starts; see `Hold.log`.
+    """The moves of some starts; see `Moves.log`.
 
     far: the longest way of each joint, (joints,). seen: the trial of each start.
     """

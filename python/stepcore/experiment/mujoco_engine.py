@@ -2,8 +2,12 @@
 
 The package mujoco is imported here alone, where it is used. Settings have stepcore's words (dt,
 integrator, solver, sweeps, …), and `Change.mjcf` says them as `<option>`. Truth, norm and choice
-are those of every engine. Starts and controls come from stepcore's model of the scene; where
-stepcore refuses a file that MuJoCo loads, `mujoco_schedule` makes them.
+are those of every engine. Starts and controls come from stepcore's model of the scene.
+
+Where stepcore refuses a file that MuJoCo loads, they come from MuJoCo's model: starts are near the
+keyframe, a flex moves as a whole, and controls are the user's rows, or by a rule: "hold" holds the
+keyframe's controls, "sines" (the default) sums random sines within the control ranges, "random"
+draws new controls in every period, and "fall" sets all controls to 0.
 """
 
 from __future__ import annotations
@@ -14,9 +18,10 @@ import math
 import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,18 +35,27 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
-from stepcore.experiment.engines import FAR, LOOKS, Engine, Stepcore, Way
+from stepcore.experiment.control_table import Controls, PositionTable
+from stepcore.experiment.default_motion import Asked, by_rule
+from stepcore.experiment.engines import FAR, Engine, Stepcore, Way, spread
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.mujoco_schedule import mujoco, scheduled_by_mujoco
-from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
+from stepcore.experiment.schedule import HORIZON, Schedule, given_controls, laid_out, near
+from stepcore.experiment.sizes import scene_size
 from stepcore.loading import find_asset, find_model, find_scene
 from stepcore.mjcf.reader import read_text
 from stepcore.scene.scene import Scene
-from stepcore.scene.softness import UNKNOWN, extent
+from stepcore.scene.softness import UNKNOWN
 
-# MuJoCo's enumerations, in stepcore's words.
+# MuJoCo's enumerations and numbers of `MjOption`, in stepcore's words.
 INTEGRATORS = ("euler", "rk4", "implicit", "implicitfast", "discrete")
 SOLVERS, CONES = ("pgs", "cg", "newton"), ("pyramidal", "elliptic")
+KINDS = {"integrator": INTEGRATORS, "solver": SOLVERS, "cone": CONES}
+NUMBERS = {
+    "dt": "timestep",
+    "sweeps": "iterations",
+    "cost_tolerance": "tolerance",
+    **{name: name for name in ("impratio", "noslip_iterations", "noslip_tolerance")},
+}
 # Solvers that a trade tries. MuJoCo's newton ends by its tolerance after a few iterations.
 SOLVED: tuple[dict[str, Any], ...] = (
     {"solver": "newton"},
@@ -49,24 +63,21 @@ SOLVED: tuple[dict[str, Any], ...] = (
     {"solver": "cg"},
     *({"solver": "pgs", "sweeps": sweeps} for sweeps in (4, 16, 64)),
 )
-# The most steps of one call, after which the deadline is asked.
-CHUNK = 2000
-# Worlds that wait for their next run; those of changed scenes are many.
-KEPT = 16
+# The most steps of one call, after which the deadline is asked; and worlds that wait for a run.
+CHUNK, KEPT = 2000, 16
 # Flags by which features are left out; those of MJCF, as in `Features`.
 FLAGS = (
     *("constraint", "equality", "frictionloss", "limit", "contact", "spring", "damper", "gravity"),
     *("clampctrl", "actuation", "filterparent", "eulerdamp"),
 )
-# Values that can be changed: (kind, field) and the array that has them.
+# Values that can be changed, by kind of element.
 VALUES = {
-    **{("joint", name): f"dof_{name}" for name in ("damping", "armature", "frictionloss")},
-    ("joint", "stiffness"): "jnt_stiffness",
-    **{("tendon", n): f"tendon_{n}" for n in ("stiffness", "damping", "armature", "frictionloss")},
-    **{("geom", name): f"geom_{name}" for name in ("friction", "solref", "solimp", "margin")},
-    ("actuator", "gear"): "actuator_gear",
+    "joint": ("damping", "armature", "frictionloss", "stiffness"),
+    "tendon": ("damping", "armature", "frictionloss", "stiffness"),
+    "geom": ("friction", "solref", "solimp", "margin"),
+    "actuator": ("gear", "kp", "kv"),
 }
-# Why MuJoCo warns.
+# Why MuJoCo warns and a run ends.
 WARNINGS = {
     "BADQPOS": "its position is not finite",
     "BADQVEL": "its velocity is not finite",
@@ -105,30 +116,21 @@ class MujocoSettings:
     @classmethod
     def of(cls, opt: Any) -> MujocoSettings:
         """Return the settings of an `MjOption`."""
-        bits = mujoco().mjtDisableBit
-        numbers = {name: getattr(opt, mine) for name, mine in _NUMBERS.items()}
-        return cls(
-            **numbers,
-            integrator=INTEGRATORS[opt.integrator],
-            solver=SOLVERS[opt.solver],
-            cone=CONES[opt.cone],
-            refsafe=not opt.disableflags & bits.mjDSBL_REFSAFE,
-            warm_start=not opt.disableflags & bits.mjDSBL_WARMSTART,
-            sleep=bool(opt.enableflags & mujoco().mjtEnableBit.mjENBL_SLEEP),
-        )
+        fields = {name: getattr(opt, mine) for name, mine in NUMBERS.items()}
+        fields |= {name: known[getattr(opt, name)] for name, known in KINDS.items()}
+        for name, (flags, bit, on) in _switches().items():
+            fields[name] = bool(getattr(opt, flags) & bit) == on
+        return cls(**fields)
 
     def put(self, opt: Any) -> None:
         """Write the settings into an `MjOption`."""
-        bits = mujoco().mjtDisableBit
-        for name, mine in _NUMBERS.items():
+        for name, mine in NUMBERS.items():
             setattr(opt, mine, getattr(self, name))
-        opt.integrator = INTEGRATORS.index(self.integrator)
-        opt.solver, opt.cone = SOLVERS.index(self.solver), CONES.index(self.cone)
-        for on, bit in ((self.refsafe, "REFSAFE"), (self.warm_start, "WARMSTART")):
-            flag = int(getattr(bits, f"mjDSBL_{bit}"))
-            opt.disableflags = opt.disableflags & ~flag if on else opt.disableflags | flag
-        sleep = int(mujoco().mjtEnableBit.mjENBL_SLEEP)
-        opt.enableflags = opt.enableflags | sleep if self.sleep else opt.enableflags & ~sleep
+        for name, known in KINDS.items():
+            setattr(opt, name, known.index(getattr(self, name)))
+        for name, (flags, bit, on) in _switches().items():
+            bits = getattr(opt, flags)
+            setattr(opt, flags, bits | bit if getattr(self, name) == on else bits & ~bit)
 
     def as_dict(self) -> dict[str, Any]:
         """Return all settings by name."""
@@ -136,37 +138,35 @@ class MujocoSettings:
 
     def replace(self, **fields: Any) -> MujocoSettings:
         """Return other settings; ValueError for what MuJoCo does not have."""
+        own = {field.name for field in dataclasses.fields(self)}
         for name, value in fields.items():
-            if name not in _FIELDS and value != getattr(type(self), name, None):
+            if name not in own and value != getattr(type(self), name, None):
                 raise ValueError(f"{name} = {checks.shown(value)}: MuJoCo has no such setting")
-        for name, known in (("integrator", INTEGRATORS), ("solver", SOLVERS), ("cone", CONES)):
-            if name in fields:
-                checks.one_of(*known)("MuJoCo", name, fields[name])
+            if name in KINDS:
+                checks.one_of(*KINDS[name])("MuJoCo", name, value)
         if not fields.get("dt", self.dt) > 0:
             raise ValueError(f"dt = {fields['dt']}: must be > 0 s")
-        if "sweeps" in fields:
-            checks.count("sweeps", fields["sweeps"])
-        return dataclasses.replace(self, **{k: v for k, v in fields.items() if k in _FIELDS})
+        checks.count("sweeps", fields.get("sweeps", self.sweeps))
+        return dataclasses.replace(self, **{k: v for k, v in fields.items() if k in own})
 
 
-_FIELDS = {field.name for field in dataclasses.fields(MujocoSettings)}
-# The numbers of `MjOption`.
-_NUMBERS = {
-    "dt": "timestep",
-    "sweeps": "iterations",
-    "cost_tolerance": "tolerance",
-    **{name: name for name in ("impratio", "noslip_iterations", "noslip_tolerance")},
-}
+def _switches() -> dict[str, tuple[str, int, bool]]:
+    """Return the flags and the bit of each setting that is one, and whether a bit means on."""
+    off, on = mujoco().mjtDisableBit, mujoco().mjtEnableBit
+    return {
+        "refsafe": ("disableflags", int(off.mjDSBL_REFSAFE), False),
+        "warm_start": ("disableflags", int(off.mjDSBL_WARMSTART), False),
+        "sleep": ("enableflags", int(on.mjENBL_SLEEP), True),
+    }
 
 
-class MuJoCo:
+class MuJoCo(Engine):
     """MuJoCo as the engine of a `Study`, for one scene.
 
     source: the path of an MJCF file, or its text; "package:name"; an MjModel or MjSpec of MuJoCo; a
         Scene or a Model.
 
-    scene: MuJoCo's model. title: its name. size: the size of the scene [m].
-    refusal: why stepcore cannot load the scene; "" if it can.
+    scene: MuJoCo's model.
 
     Raises ImportError without MuJoCo, ValueError and OSError for what MuJoCo cannot load.
     """
@@ -174,27 +174,26 @@ class MuJoCo:
     name = "mujoco"
 
     def __init__(self, source: Any) -> None:
-        self.scene, (self._model, self.refusal) = load(source), _read_by_stepcore(source)
-        if self._model is not None:
-            ours = [getattr(self._model, name) for name in ("nq", "nv", "nu", "nbody")]
-            theirs = [self.scene.nq, self.scene.nv, self.scene.nu, self.scene.nbody]
-            if ours != theirs:
-                self.refusal = f"its nq, nv, nu, bodies are {ours}, but MuJoCo's {theirs}"
-                self._model = None
+        self.scene = scene = load(source)
+        super().__init__(*_read_by_stepcore(source, scene))
         # A state that is not finite is a failure, not a reason to begin again. Sensors and energies
         # do not act on the motion.
-        mj, opt = mujoco(), self.scene.opt
+        mj, opt = mujoco(), scene.opt
         off = mj.mjtDisableBit.mjDSBL_AUTORESET | mj.mjtDisableBit.mjDSBL_SENSOR
         opt.disableflags |= int(off)
         opt.enableflags &= ~int(mj.mjtEnableBit.mjENBL_ENERGY | mj.mjtEnableBit.mjENBL_FWDINV)
-        self.shipped = MujocoSettings.of(opt)
-        self.dt, self.nv = self.shipped.dt, int(self.scene.nv)
-        self.coordinates = _coordinates(self.scene)
-        self.matter = _matter(self.scene, self.coordinates.moving)
-        own = _extent(self.scene) if self._model is None else extent(self._model.scene)
-        self.size = own or UNKNOWN
-        self._rows = False
-        self._counts, self._looks = dict[Change, float](), list[tuple[np.ndarray, np.ndarray]]()
+        self.title = scene.names.split(b"\0", 1)[0].decode(errors="replace") or "scene"
+        self.shipped, self.nv = MujocoSettings.of(opt), int(scene.nv)
+        self.coordinates = _coordinates(scene)
+        moving = self.coordinates.moving
+        mass = np.maximum(scene.body_mass[moving], 1e-300)
+        gyration = np.sqrt(scene.body_inertia[moving].sum(axis=1) / 2 / mass)
+        self.matter = Matter(moving, scene.body_ipos[moving].copy(), gyration)
+        # As `scene_size` has it for a scene.
+        extent = scene.geom_rbound.max(initial=0.0)
+        extent += np.linalg.norm(scene.body_pos, axis=1).max(initial=0.0)
+        self.size = scene_size(self.model.scene) if self.known else float(extent) or UNKNOWN
+        self._rows, self._looks = False, list[tuple[np.ndarray, np.ndarray]]()
         self._free, self._lock = list[_World](), threading.Lock()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -203,31 +202,12 @@ class MuJoCo:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _lock=threading.Lock())
 
-    @property
-    def title(self) -> str:
-        return self.scene.names.split(b"\0", 1)[0].decode(errors="replace") or "scene"
-
-    @property
-    def known(self) -> bool:
-        return self._model is not None
-
-    @property
-    def model(self) -> Model:
-        """stepcore's model of the scene; ValueError if stepcore refuses the scene."""
-        if self._model is None:
-            raise ValueError(f"stepcore cannot load this scene: {self.refusal}")
-        return self._model
-
     def scheduled(
         self, motion: Motion, period: float, starts: int | None = None, horizon: float = HORIZON
     ) -> Schedule:
-        """Return the schedule of a motion; see `stepcore.experiment.schedule.scheduled`."""
-        if self._model is not None:
-            return scheduled(motion, self._model, period, starts, horizon)
-        return scheduled_by_mujoco(motion, self.scene, self.coordinates, period, starts, horizon)
-
-    def settings(self, change: Change) -> MujocoSettings:
-        return self.shipped.replace(**dict(change.settings))
+        if self.known:
+            return super().scheduled(motion, period, starts, horizon)
+        return _scheduled(motion, self.scene, self.coordinates, period, starts, horizon)
 
     @contextmanager
     def _world(self, change: Change) -> Iterator[_World]:
@@ -236,9 +216,7 @@ class MuJoCo:
         with self._lock:
             own = [k for k, world in enumerate(self._free) if world.physics == physics]
             world = self._free.pop(own[-1]) if own else None
-        if world is None:
-            model = _changed(self.scene, physics)
-            world = _World(physics, model, mujoco().MjData(model))
+        world = world or _World(physics, _changed(self.scene, physics))
         self.settings(change).put(world.model.opt)
         with _quiet():
             yield world
@@ -249,11 +227,6 @@ class MuJoCo:
     def follow(
         self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
     ) -> Tracks:
-        if schedule.control is not None and self._model is None:
-            raise ValueError(
-                "control: the function gets a Sim of stepcore, which cannot load this scene "
-                f"({self.refusal}); give rows of controls in its place"
-            )
         shape = (len(starts), len(schedule.times) + 1 - first, self.scene.nbody)
         xpos, xquat = np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan)
         failures = dict[int, str]()
@@ -314,32 +287,12 @@ class MuJoCo:
             state = made[-1]
         return states, played, ""
 
-    def evaluation(self, change: Change, schedule: Schedule) -> float:
-        return math.nan  # MuJoCo's steps have a fixed length.
-
-    def work(self, change: Change, schedule: Schedule) -> float:
-        """Estimate the operations of a simulated second, at the same states for all changes.
-
-        The terms are the counts that MuJoCo reports: rows, contacts, iterations of the solver. What
-        each costs was measured (`operations`). A step costs about the same at all lengths, so each
-        method is counted at one of them.
-        """
-        try:
-            dt, change = self.settings(change).dt, change.also(Change(dt=self.dt))
-            if change not in self._counts:
-                self._counts[change] = self._counted(change, schedule)
-        except ValueError:
-            return math.inf
-        return self._counts[change] / dt
-
     def _counted(self, change: Change, schedule: Schedule) -> float:
-        """Return the operations of a step: the mean over states of the shipped motion."""
+        """Estimate the operations of a step from the counts that MuJoCo reports: `operations`."""
         if not self._looks:
             with self._world(schedule.change) as world:
                 states, played, _ = self._run(world, schedule, 0)
-            whole = np.flatnonzero(np.isfinite(states).all(axis=-1))
-            some = whole[np.unique(np.linspace(0, len(whole) - 1, LOOKS).astype(int))]
-            self._looks = [(states[k], played[k]) for k in some]
+            self._looks = [(states[k], played[k]) for k in spread(states)]
         with self._world(schedule.change.also(change)) as world:
             world.begin(schedule.starts[0])
             total = 0.0
@@ -350,29 +303,27 @@ class MuJoCo:
                 self._rows = self._rows or world.data.nefc > 0
         return total / len(self._looks)
 
-    def ways(self, schedule: Schedule, goal: float) -> list[Way]:
-        steps = schedule.steps(self.dt)
+    def _runs(self, change: Change, schedule: Schedule) -> bool:
+        return math.isfinite(self.work(change, schedule))
+
+    def _change(self, **fields: Any) -> Change:
+        return Change(**{k: v for k, v in fields.items() if v != getattr(self.shipped, k)})
+
+    def _exact(self, **fields: Any) -> Change:
         exact = {"solver": "newton", "sweeps": 200, "cost_tolerance": 1e-15}
-        exact |= {"warm_start": True, "refsafe": False, "sleep": False}
+        return self._change(**exact, warm_start=True, refsafe=False, sleep=False, **fields)
 
-        def halved(integrator: str) -> Way:
-            def at(k: int) -> Change:
-                dt = schedule.period / (steps * 2**k)
-                return _change(self.shipped, integrator=integrator, dt=dt, **exact)
-
-            return Way(integrator, at)
-
+    def ways(self, schedule: Schedule, goal: float) -> list[Way]:
         # MuJoCo does not run a flex with elasticity under implicitfast.
-        able = [halved(name) for name in ("implicitfast", "discrete", "rk4")]
-        able = [way for way in able if math.isfinite(self.work(way.at(0), schedule))]
+        able = [self.halved(schedule, name) for name in ("implicitfast", "discrete", "rk4")]
+        able = [way for way in able if self._runs(way.at(0), schedule)]
         return [able[0], *able[-1:]] if len(able) > 1 else able
 
     def families(self, schedule: Schedule) -> list[Change]:
-        """Return every integrator with every solver; one solver is enough where no row acts."""
-        if not math.isfinite(self.work(Change(), schedule)):
+        if not self._runs(Change(), schedule):
             return [Change()]
         made = [
-            _change(self.shipped, integrator=integrator, **fields)
+            self._change(integrator=integrator, **fields)
             for integrator in dict.fromkeys([self.shipped.integrator, *INTEGRATORS[:-1]])
             for fields in (SOLVED if self._rows else [{}])
         ]
@@ -380,7 +331,7 @@ class MuJoCo:
 
     def has_rows(self, schedule: Schedule) -> bool:
         # Counting the work looks at states of the motion.
-        return math.isfinite(self.work(Change(), schedule)) and self._rows
+        return self._runs(Change(), schedule) and self._rows
 
     def seconds(self, change: Change, schedule: Schedule) -> float:
         with self._world(schedule.change.also(change)) as world:
@@ -397,17 +348,14 @@ def engine_of(model: Any, engine: Engine | str) -> Engine:
     if not isinstance(engine, str):
         return engine
     checks.one_of("stepcore", "mujoco")("study", "engine", engine)
-    if engine == "mujoco":
-        return MuJoCo(model)
-    compiled = find_model(model)
-    return Stepcore(compiled, extent(compiled.scene) or UNKNOWN)
+    return MuJoCo(model) if engine == "mujoco" else Stepcore(find_model(model))
 
 
 class _World:
     """MuJoCo's model and data of one physics; one thread at a time uses them."""
 
-    def __init__(self, physics: Change, model: Any, data: Any) -> None:
-        self.physics, self.model, self.data = physics, model, data
+    def __init__(self, physics: Change, model: Any) -> None:
+        self.physics, self.model, self.data = physics, model, mujoco().MjData(model)
         kinds = mujoco().mjtState
         self.state = kinds.mjSTATE_FULLPHYSICS
         self.inputs = int(kinds.mjSTATE_CTRL)
@@ -451,7 +399,9 @@ class _World:
             )
         except mujoco().FatalError as error:
             raise ValueError(checks.one_line(error)) from None
-        failure = next((why for kind, why in _warnings() if self.data.warning[kind].number), "")
+        kinds, count = mujoco().mjtWarning, self.data.warning
+        warned = (w for w in WARNINGS if count[int(getattr(kinds, f"mjWARN_{w}"))].number)
+        failure = WARNINGS.get(next(warned, ""), "")
         # A warning ends the roll-out: the state after that step fills the rest.
         last = int(np.argmax(made[0, :, 0] >= made[0, -1, 0])) if failure else len(ctrl)
         return made[0, :last], failure
@@ -492,10 +442,29 @@ def operations(model: Any, data: Any) -> float:
     return float((4 if integrator == "rk4" else 1) * each + once)
 
 
+# --- MuJoCo's model -------------------------------------------------------------------------------
+
+
+def mujoco() -> Any:
+    """Return the module mujoco; ImportError with the command that installs it."""
+    try:
+        import mujoco  # type: ignore[import-untyped,unused-ignore]
+        import mujoco.rollout  # type: ignore[import-untyped,unused-ignore]
+    except ModuleNotFoundError as error:
+        if error.name != "mujoco":
+            raise
+        raise ImportError("the engine mujoco needs MuJoCo: pip install mujoco") from None
+    except ImportError as error:
+        # If Ctrl-C interrupts the import of a compiled module, only the error's text says so.
+        if "KeyboardInterrupt" in str(error):
+            raise KeyboardInterrupt from None
+        raise
+    return mujoco
+
+
 def load(source: Any) -> Any:
     """Return MuJoCo's model of a source; see `MuJoCo`."""
     mj = mujoco()
-    kind = type(source).__name__
     with _quiet():
         if isinstance(source, mj.MjModel):
             return copy.copy(source)
@@ -507,6 +476,7 @@ def load(source: Any) -> Any:
             scene = source if isinstance(source, Scene) else source.scene
             return mj.MjModel.from_xml_string(scene.with_settings(source.settings).to_mjcf())
         if not isinstance(source, (str, os.PathLike)):
+            kind = type(source).__name__
             raise ValueError(f"{kind}: MuJoCo loads an MJCF file or text, a Scene or an MjModel")
         text = os.fsdecode(source)
         if _is_text(text):
@@ -518,20 +488,24 @@ def load(source: Any) -> Any:
         return mj.MjModel.from_xml_path(os.fspath(path))
 
 
-def _read_by_stepcore(source: Any) -> tuple[Model | None, str]:
-    """Return stepcore's model of a source, or why there is none."""
-    try:
-        if isinstance(source, str) and _is_text(source):
-            scene = Scene()
-            read_text(scene, source)
-            return find_model(scene), ""
-        return find_model(source), ""
-    except (ValueError, OSError) as error:
-        return None, checks.one_line(error)
-
-
 def _is_text(source: str) -> bool:
     return source.lstrip().startswith("<")
+
+
+def _read_by_stepcore(source: Any, scene: Any) -> tuple[Model | None, str]:
+    """Return stepcore's model of a source, or why there is none; scene: MuJoCo's model."""
+    try:
+        if isinstance(source, str) and _is_text(source):
+            text, source = source, Scene()
+            read_text(source, text)
+        model = find_model(source)
+    except (ValueError, OSError) as error:
+        return None, checks.one_line(error)
+    ours, theirs = (
+        [getattr(of, name) for name in ("nq", "nv", "nu", "nbody")] for of in (model, scene)
+    )
+    same = ours == theirs
+    return (model, "") if same else (None, f"its nq, nv, nu, bodies are {ours}, but {theirs} there")
 
 
 def _changed(scene: Any, physics: Change) -> Any:
@@ -565,16 +539,15 @@ def _changed(scene: Any, physics: Change) -> Any:
 
 def _assign(model: Any, path: str, value: Any) -> None:
     """Set a value of MuJoCo's model by its path."""
-    mj = mujoco()
     if path in ("gravity", "density", "viscosity", "wind"):
         setattr(model.opt, path, value)
         return
     kind, _, rest = path.partition("/")
     name, _, field = rest.rpartition("/")
-    known = [f for k, f in VALUES if k == kind] + ["kp", "kv"] * (kind == "actuator")
+    known = VALUES.get(kind, ())
     if field not in known:
         raise ValueError(f"{path}: MuJoCo's engine changes {', '.join(known) or 'no such value'}")
-    index = mj.mj_name2id(model, getattr(mj.mjtObj, f"mjOBJ_{kind.upper()}"), name)
+    index = mujoco().mj_name2id(model, getattr(mujoco().mjtObj, f"mjOBJ_{kind.upper()}"), name)
     if index < 0:
         raise ValueError(f"{path}: MuJoCo's model has no {kind} of this name")
     if field in ("kp", "kv"):
@@ -586,14 +559,11 @@ def _assign(model: Any, path: str, value: Any) -> None:
             model.actuator_gainprm[index, 0] = value
         model.actuator_biasprm[index, order] = -value
         return
-    array = getattr(model, VALUES[kind, field])
-    if VALUES[kind, field].startswith("dof_"):
-        array[model.dof_jntid == index] = value
-    elif array.ndim == 1:
-        array[index] = value
-    else:
-        given = np.atleast_1d(value)
-        array[index, : len(given)] = given
+    of_dofs = kind == "joint" and field != "stiffness"
+    array = getattr(model, f"{'dof' if of_dofs else {'joint': 'jnt'}.get(kind, kind)}_{field}")
+    given = np.atleast_1d(value)
+    rows = array.reshape(len(array), -1)
+    rows[model.dof_jntid == index if of_dofs else [index], : len(given)] = given
 
 
 class _Flexible(Coordinates):
@@ -633,30 +603,6 @@ def _coordinates(scene: Any) -> Coordinates:
     return made
 
 
-def _matter(scene: Any, moving: Sequence[int]) -> Matter:
-    """Return the moving bodies of MuJoCo's model."""
-    mass = np.maximum(scene.body_mass[moving], 1e-300)
-    gyration = np.sqrt(scene.body_inertia[moving].sum(axis=1) / 2 / mass)
-    return Matter(moving, scene.body_ipos[moving].copy(), gyration)
-
-
-def _extent(scene: Any) -> float:
-    """Return the size of MuJoCo's model at rest [m], as `softness.extent` does for a scene."""
-    thick = float(scene.geom_rbound.max(initial=0.0))
-    return thick + float(np.linalg.norm(scene.body_pos, axis=1).max(initial=0.0))
-
-
-def _change(shipped: MujocoSettings, **fields: Any) -> Change:
-    """Return the change from the shipped settings to these fields."""
-    return Change(**{k: v for k, v in fields.items() if v != getattr(shipped, k)})
-
-
-def _warnings() -> list[tuple[int, str]]:
-    """Return MuJoCo's warnings that end a run, and what they say of it."""
-    kinds = mujoco().mjtWarning
-    return [(int(getattr(kinds, f"mjWARN_{name}")), why) for name, why in WARNINGS.items()]
-
-
 _quiets, _handlers = threading.Lock(), list[Any]()
 
 
@@ -665,19 +611,96 @@ def _quiet() -> Iterator[None]:
     """Keep MuJoCo from writing its warnings to a file and from timing its stages."""
     mj = mujoco()
     with _quiets:
-        if not _handlers:
-            before = mj.get_mju_user_warning(), mj.get_mjcb_time()
+        _handlers.append((mj.get_mju_user_warning(), mj.get_mjcb_time()))
+        if len(_handlers) == 1:
             mj.set_mju_user_warning(lambda text: None)
             mj.set_mjcb_time(None)
-            _handlers.append(before)
-        else:
-            _handlers.append(None)
     try:
         yield
     finally:
         with _quiets:
-            if len(_handlers) == 1:
-                warning, timer = _handlers[0]
+            # The last of several threads puts back what the first one found.
+            warning, timer = _handlers.pop()
+            if not _handlers:
                 mj.set_mju_user_warning(warning)
                 mj.set_mjcb_time(timer)
-            _handlers.pop()
+
+
+# --- the schedule from MuJoCo's model alone -------------------------------------------------------
+
+
+class _Actuators:
+    """The actuators of MuJoCo's model, as tables of controls need them."""
+
+    def __init__(self, scene: Any) -> None:
+        self.nu = int(scene.nu)
+        self.joint_names = [scene.joint(k).name for k in range(scene.njnt)]
+        self.actuator_names = [scene.actuator(k).name for k in range(scene.nu)]
+        kinds = mujoco().mjtTrn
+        joints = [int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)]
+        drives = np.isin(scene.actuator_trntype, joints)
+        self.actuator_joint = np.where(drives, scene.actuator_trnid[:, 0], -1)
+
+    def called(self, kind: str) -> list[str]:
+        return [name or f"{kind} {k}" for k, name in enumerate(self.actuator_names)]
+
+
+def _scheduled(
+    motion: Motion,
+    scene: Any,
+    coordinates: Coordinates,
+    period: float,
+    starts: int | None,
+    horizon: float,
+) -> Schedule:
+    """Return the schedule of a motion; ValueError if it needs stepcore's model."""
+    if motion.control is not None or isinstance(motion.ctrl, PositionTable):
+        given = "control" if motion.control is not None else "follow"
+        raise ValueError(f"{given}: needs stepcore's model of the scene; give rows of controls")
+    kind = motion.kind or "sines"
+    checks.one_of("hold", "sines", "random", "fall")("a motion by MuJoCo alone", "kind", kind)
+    first, held = _home(scene, motion.key)
+    drives = _Actuators(scene)
+
+    def drive(begin: Sequence[Start], periods: int) -> Controls:
+        if motion.ctrl is not None:
+            return given_controls(motion, drives, held, period)
+        free = scene.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_CLAMPCTRL)
+        clamped = scene.actuator_ctrllimited & (not free)
+        ranges = np.where(clamped[:, None], scene.actuator_ctrlrange, (-np.inf, np.inf))
+        asked = Asked(first, held, begin, motion.seed, period, periods, True)
+        return by_rule(kind, "actuators", drives.called("actuator"), ranges, asked)
+
+    nearby = partial(near, coordinates, first, _overlaps(scene), 1e-4)
+    dt = float(scene.opt.timestep)
+    return laid_out(motion, dt, first, nearby, drive, period, starts, horizon)
+
+
+def _home(scene: Any, key: str | int | None) -> tuple[Start, np.ndarray]:
+    """Return the state and controls of a keyframe; by default the first, or qpos0."""
+    if key is None and not scene.nkey:
+        return Start(scene.qpos0.copy(), np.zeros(scene.nv)), np.zeros(scene.nu)
+    names = [scene.key(k).name for k in range(scene.nkey)]
+    index = names.index(key) if key in names else key if key is not None else 0
+    if not isinstance(index, int) or not 0 <= index < scene.nkey:
+        near = checks.nearest(str(key), names)
+        raise ValueError(f"key = {checks.shown(key)}: the scene has no such keyframe{near}")
+    qpos, qvel, act, mpos, mquat, ctrl = (
+        getattr(scene, f"key_{name}")[index].copy()
+        for name in ("qpos", "qvel", "act", "mpos", "mquat", "ctrl")
+    )
+    return Start(qpos, qvel, act, (mpos.reshape(-1, 3), mquat.reshape(-1, 4))), ctrl
+
+
+def _overlaps(scene: Any) -> Callable[[Start], float]:
+    """Return a function that measures the deepest overlap of a start's contacts [m]."""
+    data = mujoco().MjData(scene)
+
+    def overlap(start: Start) -> float:
+        data.qpos[:] = start.qpos
+        if start.mocap is not None:
+            data.mocap_pos[:], data.mocap_quat[:] = start.mocap
+        mujoco().mj_fwdPosition(scene, data)
+        return -float(data.contact.dist.min(initial=0.0))
+
+    return overlap

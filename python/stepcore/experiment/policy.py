@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import threading
 from collections.abc import Callable
@@ -15,8 +16,8 @@ from stepcore.engine.control import Control
 from stepcore.engine.sim import Sim
 from stepcore.viewing.needs import need
 
-ONNX, TORCH = (".onnx",), (".pt", ".pth", ".ts")
-ENDINGS = (*ONNX, *TORCH)
+ONNX = ".onnx"
+ENDINGS = (ONNX, ".pt", ".pth", ".ts")
 Network = Callable[[np.ndarray], np.ndarray]
 
 
@@ -40,30 +41,23 @@ class Policy:
 
     def __call__(self, time: float, sim: Sim) -> ArrayLike:
         """Return the controls, shape (nu,)."""
-        network = self.network()
-        if self.observe is None:
-            observed = np.concatenate([sim.qpos, sim.qvel])
-        else:
-            observed = np.asarray(self.observe(time, sim), float).ravel()
-        action = network(observed.astype(np.float32))
+        seen = [sim.qpos, sim.qvel] if self.observe is None else [self.observe(time, sim)]
+        row = np.concatenate([np.ravel(part) for part in seen]).astype(np.float32)
+        action = self.network()(row)
         return action if self.act is None else self.act(action, sim)
 
     def network(self) -> Network:
         """Return the network as a function of its input, shape (n,); the file is read once."""
         with self._lock:
-            if self._network is None:
-                self._network = _loaded(self.path)
+            self._network = self._network or _loaded(self.path)
         return self._network
 
     def __deepcopy__(self, memo: Any) -> Policy:
         # A network has no state, so the runs share it.
         return self
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "observe": self.observe, "act": self.act}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(**state)  # type: ignore[misc]
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Policy, (self.path, self.observe, self.act)
 
     def __repr__(self) -> str:
         return f"policy({self.path!r})"
@@ -102,14 +96,15 @@ def policy(
 
 
 def _loaded(path: str) -> Network:
-    """Return the network of a file as a function of its inputs, shape (n,)."""
+    """Return the network of a file as a function of its input, shape (n,)."""
+    shown = checks.cut(path, 80)
     if not os.path.isfile(path):
         raise FileNotFoundError(f"{checks.cut(path, 300)}: no such file")
-    return _onnx(path) if path.endswith(ONNX) else _torch(path)
+    return _onnx(path, shown) if path.endswith(ONNX) else _torch(path, shown)
 
 
-def _onnx(path: str) -> Network:
-    runtime = need("onnxruntime", f"reading {checks.cut(path, 80)}", "onnx")
+def _onnx(path: str, shown: str) -> Network:
+    runtime = need("onnxruntime", f"reading {shown}", "onnx")
     options = runtime.SessionOptions()
     # Measurements make several runs at the same time.
     options.intra_op_num_threads = 1
@@ -123,30 +118,24 @@ def _onnx(path: str) -> Network:
     def network(observed: np.ndarray) -> np.ndarray:
         width = shape[-1] if shape else None
         if isinstance(width, int) and width != len(observed):
-            raise ValueError(f"{path}: takes {width} numbers, and not {len(observed)}: {OBSERVE}")
+            how = "observe=FUNCTION of stepcore.policy makes its input (by default qpos and qvel)"
+            raise ValueError(f"{path}: takes {width} numbers, and not {len(observed)}: {how}")
         row = observed[None] if len(shape) > 1 else observed
         return np.ravel(session.run(None, {name: row})[0])
 
     return network
 
 
-OBSERVE = "observe=FUNCTION of stepcore.policy makes its input (by default qpos and qvel)"
-
-
-def _torch(path: str) -> Network:
+def _torch(path: str, shown: str) -> Network:
     try:
-        torch = need("torch", f"reading {checks.cut(path, 80)}", "torch")
+        torch = importlib.import_module("torch")
     except ImportError:
-        raise ImportError(
-            f"reading {checks.cut(path, 80)} needs torch: pip install torch"
-        ) from None
+        raise ImportError(f"reading {shown} needs torch: pip install torch") from None
     module = torch.jit.load(path, map_location="cpu").eval()
 
     def network(observed: np.ndarray) -> np.ndarray:
         with torch.inference_mode():
             output = module(torch.from_numpy(observed)[None])
-        if isinstance(output, (tuple, list)):
-            output = output[0]
-        return np.ravel(output.numpy())
+        return np.ravel((output[0] if isinstance(output, (tuple, list)) else output).numpy())
 
     return network

@@ -66,11 +66,6 @@ class Growth:
         failure = next((part.failure for part in parts if part.failure), "")
         return cls(parts[0].times, factor, ends, failure)
 
-    def agrees(self, other: Growth) -> bool:
-        """Return whether every start ends at about the same time as in another growth."""
-        a, b = (np.minimum(own.ends, 1e300) for own in (self, other))
-        return bool((np.abs(a - b) <= AGREE * np.maximum(a, b)).all())
-
     def scored(self, samples: np.ndarray) -> np.ndarray:
         """Return which samples can be predicted, (starts, n); the first one always counts."""
         mask: np.ndarray = samples[None, :] <= self.ends[:, None]
@@ -90,8 +85,11 @@ def growth(
 
     size: of the scene [m]. directions: the number of nudged runs of every start.
     """
-    moved, own = engine.coordinates, resampled(schedule)
-    rng, count = np.random.default_rng(0), len(starts)
+    # Samples are at most 20 ms apart, among them those of the schedule.
+    most = max(1, int(APART / schedule.period + 1e-9))
+    every = max(n for n in range(1, schedule.every + 1) if schedule.every % n == 0 and n <= most)
+    own = dataclasses.replace(schedule, every=every)
+    moved, rng, count = engine.coordinates, np.random.default_rng(0), len(starts)
     aside = ASIDE * moved.drawn(rng, size, 1.0)
     nudges = [np.zeros(moved.nv)]
     nudges += [
@@ -137,17 +135,12 @@ def settled(
         now = growth(engine, change, schedule, starts, size, directions), change
         if not (now[0].failure or np.isfinite(now[0].ends).any()):
             return now
-        if last is not None and now[0].agrees(last[0]):
-            return last
+        if last is not None:
+            a, b = (np.minimum(one[0].ends, 1e300) for one in (now, last))
+            if (np.abs(a - b) <= AGREE * np.maximum(a, b)).all():
+                return last
         last = now
     return now
-
-
-def resampled(schedule: Schedule) -> Schedule:
-    """Return the schedule with samples at most 20 ms apart, among them its own."""
-    most = max(1, int(APART / schedule.period + 1e-9))
-    every = max(n for n in range(1, schedule.every + 1) if schedule.every % n == 0 and n <= most)
-    return dataclasses.replace(schedule, every=every)
 
 
 def _end(times: np.ndarray, factor: np.ndarray) -> float:

@@ -1,7 +1,7 @@
 """The schedule of a motion for one model: starts, controls and a common time grid.
 
 A control period is a multiple of every time step. Coarse and fine runs therefore get the same
-controls at the same times. A log has times of its own: see `stepcore.experiment.controls`.
+controls at the same times. A log has times of its own: see `stepcore.experiment.control_table`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -23,15 +23,14 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.control_table import Actuated, PositionTable, control_table
-from stepcore.experiment.controls import ControlLog, Controls
-from stepcore.experiment.default_motion import default_motion
+from stepcore.experiment.control_table import LONGEST, ControlLog, Controls, PositionTable
+from stepcore.experiment.default_motion import Asked, default_motion, followed
 from stepcore.experiment.motion import Motion
 from stepcore.report import units
 from stepcore.report.units import seconds
 
 # Default time steps, relative to the shipped step.
-FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
+FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, LONGEST)
 # The approximate number of samples.
 SAMPLES = 50
 # The default horizon, approximately [s], and the default number of starts.
@@ -78,11 +77,6 @@ class Schedule:
     def control(self) -> Control | None:
         """The user's control function, or None."""
         return self.controls.function
-
-    @property
-    def calls_user(self) -> bool:
-        """Whether a control function of the user is called."""
-        return self.control is not None
 
     @property
     def driven(self) -> str:
@@ -184,23 +178,20 @@ def scheduled(
         first = dataclasses.replace(first, qpos=motion.ctrl.begin(model, first.qpos))
 
     def drive(begin: Sequence[Start], periods: int) -> Controls:
-        given = given_controls(motion, model, first, held, period)
         whole = motion.control_dt is not None
-        how = (first, held, begin, motion.seed, period, periods)
-        return given or default_motion(model, motion.kind, *how, whole=whole)
+        asked = Asked(first, held, begin, motion.seed, period, periods, whole)
+        return driving(motion, model, asked)
 
     slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
-    where = Coordinates(model), first, overlaps(model), slack
-    return laid_out(motion, model.settings.dt, *where, drive, period, starts, horizon)
+    nearby = partial(near, Coordinates(model), first, overlaps(model), slack)
+    return laid_out(motion, model.settings.dt, first, nearby, drive, period, starts, horizon)
 
 
 def laid_out(
     motion: Motion,
     dt: float,
-    coordinates: Coordinates,
     first: Start,
-    overlap: Callable[[Start], float],
-    slack: float,
+    nearby: Callable[[np.random.Generator], Start],
     drive: Callable[[Sequence[Start], int], Controls],
     period: float,
     starts: int | None,
@@ -212,48 +203,34 @@ def laid_out(
     periods. The rest is as in `scheduled`.
     """
     count = starts or motion.starts or STARTS
-    periods, every = grid(motion, dt, period, count, horizon)
-    rng = np.random.default_rng(motion.seed)
-    begin = [first, *(near(coordinates, first, rng, overlap, slack) for _ in range(count - 1))]
-    return Schedule(period, periods, every, tuple(begin), drive(begin, periods))
-
-
-def given_controls(
-    motion: Motion, model: Model, first: Start, held: np.ndarray, period: float
-) -> Controls | None:
-    """Return the controls that a user gave; None if nobody gave controls.
-
-    first, held: the first start, and the controls of actuators without a column, (nu,).
-    """
-    if motion.control is not None:
-        return Controls(function=motion.control)
-    if isinstance(motion.ctrl, PositionTable):
-        return motion.ctrl.followed(model, first, held, period)
-    return None if motion.ctrl is None else Controls(played(motion, model, held, period))
-
-
-def grid(
-    motion: Motion, dt: float, period: float, starts: int, horizon: float = HORIZON
-) -> tuple[int, int]:
-    """Return the number of control periods of a motion, and that between two samples.
-
-    dt: the shipped time step [s]. The other arguments and the errors are those of `scheduled`.
-    """
     length = default_horizon(period, horizon) if motion.horizon is None else motion.horizon
-    checks.steps(length, dt, starts, f"from {starts} start{'s' * (starts > 1)} in steps")
+    checks.steps(length, dt, count, f"from {count} start{'s' * (count > 1)} in steps")
     periods = int(length / period + 1e-9)
     if periods < 1:
         raise ValueError(f"horizon = {length:g} s: shorter than one period of {period:g} s")
     every = _every(periods)
-    return periods - periods % every, every
+    periods -= periods % every
+    rng = np.random.default_rng(motion.seed)
+    begin = (first, *(nearby(rng) for _ in range(count - 1)))
+    return Schedule(period, periods, every, begin, drive(begin, periods))
 
 
-def played(motion: Motion, model: Actuated, held: np.ndarray, period: float) -> ControlLog:
-    """Return the rows of a motion's `ctrl` over time; see `given_controls`."""
-    table = control_table(motion.ctrl)
-    linear = motion.interpolation == "linear"
+def driving(motion: Motion, model: Model, asked: Asked) -> Controls:
+    """Return what drives a motion: the controls that a user gave, or those of its kind."""
+    if isinstance(motion.ctrl, PositionTable):
+        return followed(motion.ctrl, model, asked)
+    if motion.is_users:
+        return given_controls(motion, model, asked.held, asked.period)
+    return default_motion(model, motion.kind, asked)
+
+
+def given_controls(motion: Motion, model: Any, held: np.ndarray, period: float) -> Controls:
+    """Return the function or the rows that a user gave; see `driving` and `ControlTable.log`."""
+    if motion.table is None:
+        return Controls(function=motion.control)
     # Without linear rows, a control period takes the row in effect at the beginning of each.
-    return table.log(model, held, period, linear, sampled=motion.control_dt is not None)
+    linear, sampled = motion.interpolation == "linear", motion.control_dt is not None
+    return Controls(motion.table.log(model, held, period, linear, sampled))
 
 
 def time_steps(
@@ -270,6 +247,7 @@ def time_steps(
     """
     if control_dt is not None and control_dt > horizon:
         raise ValueError(f"control_dt = {control_dt:g}: must be at most the horizon, {horizon:g} s")
+    wanted = [shipped * factor for factor in reversed(FACTORS)]
     if dts is not None:
         chosen = sorted({units.time("dts", dt) for dt in dts} | {shipped}, reverse=True)
         period = control_dt or _common(chosen, horizon)
@@ -277,15 +255,14 @@ def time_steps(
     elif control_dt is not None:
         # The shipped step is kept; the others are rounded to divisors of the period.
         _check_divide([shipped], control_dt)
-        wanted = [shipped * factor for factor in FACTORS]
         parts = {max(1, round(control_dt / dt)) for dt in wanted if dt <= 1.5 * control_dt}
         chosen, period = sorted((control_dt / n for n in parts), reverse=True), control_dt
         chosen = [shipped if math.isclose(dt, shipped, rel_tol=1e-9) else dt for dt in chosen]
     else:
-        chosen = [shipped * f for f in reversed(FACTORS) if shipped * f <= horizon]
+        chosen = [dt for dt in wanted if dt <= horizon]
         if not chosen:
             raise ValueError(
-                f"horizon = {horizon:g} s: shorter than {shipped / 8:g} s, the finest step"
+                f"horizon = {horizon:g} s: shorter than {wanted[-1]:g} s, the finest step"
             )
         period = chosen[0]
     return chosen, period
@@ -294,24 +271,21 @@ def time_steps(
 def default_horizon(period: float, horizon: float = 1.0) -> float:
     """Return the time nearest to `horizon` that is a whole number of sampling intervals [s]."""
     about = max(1, round(horizon / period))
-    near = sorted(
-        range(max(1, about - about // 20), about + about // 20 + 1), key=lambda n: abs(n - about)
-    )
-    return period * next((n for n in near if n % _every(n) == 0), about)
+    near = range(max(1, about - about // 20), about + about // 20 + 1)
+    whole = [n for n in near if n % _every(n) == 0]
+    return period * min(whole, key=lambda n: abs(n - about), default=about)
 
 
 def _common(dts: Sequence[float], horizon: float) -> float:
     """Return the least common multiple of time steps, as decimal numbers [s]."""
     parts = [Fraction(repr(dt)).limit_denominator(10**9) for dt in dts]
-    period = Fraction(
-        math.lcm(*(p.numerator for p in parts)), math.gcd(*(p.denominator for p in parts))
-    )
+    period = math.lcm(*(p.numerator for p in parts)) / math.gcd(*(p.denominator for p in parts))
     if period > horizon:
         raise ValueError(
-            f"dts = {list(dts)}: their least common multiple is {float(period):g} s, longer than "
+            f"dts = {list(dts)}: their least common multiple is {period:g} s, longer than "
             f"the horizon of {horizon:g} s; choose steps with a smaller one"
         )
-    return float(period)
+    return period
 
 
 def divides(dt: float, period: float) -> bool:
@@ -360,9 +334,9 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
 def near(
     coordinates: Coordinates,
     home: Start,
-    rng: np.random.Generator,
     overlap: Callable[[Start], float],
     slack: float,
+    rng: np.random.Generator,
 ) -> Start:
     """Return a random start near `home`, within the joint ranges.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import process_time
@@ -19,15 +20,15 @@ from stepcore.engine.sim import Sim
 from stepcore.engine.snapshots import Taking
 from stepcore.engine.trajectory import Trajectory, pieces
 from stepcore.experiment.change import Servo
-from stepcore.experiment.default_motion import default_motion
+from stepcore.experiment.default_motion import Asked
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import drive_in_words, held_in_words
-from stepcore.experiment.schedule import given_controls, home
+from stepcore.experiment.schedule import driving, home
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import metres, seconds, time_of
 
-# The approximate number of readings of a run, and of its progress reports.
-READINGS, TOLD = 400, 100
+# The approximate number of readings of a run.
+READINGS = 400
 # The default duration of a push [s], and the text form of a push.
 PUSH = 0.1
 PUSH_FORM = "BODY:FX,FY,FZ@T or BODY:FX,FY,FZ@T+DURATION, in N and s"
@@ -71,15 +72,14 @@ class Push:
                 limit = "(body, force, start, duration)"
                 raise ValueError(f"push = {checks.shown(push)}: must be {limit} or {PUSH_FORM}")
             return cls(*fields)
-        body, colon, rest = push.rpartition(":")
-        force, at, when = rest.partition("@")
-        parts = force.split(",")
-        if not colon or not at or len(parts) != 3:
-            raise ValueError(f"push {push}: must be {PUSH_FORM}")
         # The "+" may belong to an exponent, as in "1e+0".
-        start, plus, length = when.partition("+") if "e+" not in when else (when, "", "")
-        x, y, z = (_finite(push, part) for part in parts)
-        times = _finite(push, start, time_of), _finite(push, length, time_of) if plus else PUSH
+        form = re.fullmatch(r"(.*):([^,@]*),([^,@]*),([^,@]*)@(.*?)((?<!e)\+.*)?", push)
+        if form is None:
+            raise ValueError(f"push {push}: must be {PUSH_FORM}")
+        body, *force, start, lasting = form.groups()
+        x, y, z = (_finite(push, part) for part in force)
+        duration = PUSH if lasting is None else _finite(push, lasting[1:], time_of)
+        times = _finite(push, start, time_of), duration
         if min(times) < 0:
             raise ValueError(f"push {push}: its times must be >= 0 s")
         return cls(body, (x, y, z), *times)
@@ -141,10 +141,9 @@ def drive_of(sim: Sim, motion: Motion, horizon: float) -> Drive:
         return Drive(None, every, held_in_words(model, held))
     begin, periods = home(model, motion.key)[0], int(np.ceil(horizon / period)) + 1
     begin = replace(begin, qpos=np.array(sim.qpos))
-    controls = given_controls(motion, model, begin, held, period)
-    if controls is None:
-        how = (motion.kind, begin, held, [begin], motion.seed, period, periods)
-        controls = default_motion(model, *how)
+    whole = motion.control_dt is not None
+    asked = Asked(begin, held, [begin], motion.seed, period, periods, whole)
+    controls = driving(motion, model, asked)
     said = controls.words or drive_in_words(model, motion, "", f"every {seconds(period)}")
     if controls.function is not None:
         return Drive(controls.function, every, said)
@@ -222,7 +221,7 @@ class SingleRun:
         spans = [(push.on(sim.model), push.force, push.span(dt)) for push in self.pushes]
         edges = {edge for *_, span in spans for edge in (span.start, span.stop)}
         every = max(1, steps // READINGS)
-        often = [every, max(1, steps // TOLD), *([math.gcd(*edges) or steps] if edges else [])]
+        often = [every, max(1, steps // 100), *([math.gcd(*edges) or steps] if edges else [])]
         arrays, taking = self._arrays(steps), Taking(sim, steps) if self.record else None
         begun = process_time()
         try:

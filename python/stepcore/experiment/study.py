@@ -29,18 +29,12 @@ from stepcore.experiment.truth import SHARE, Converging, Truth
 from stepcore.report.units import metres, seconds
 
 # Starts that run together: the worlds of a vector register.
-TOGETHER = 8
+TOGETHER = STARTS
 # The most operations of a whole study: about half a minute of a core.
 EFFORT = 1e11
 # An operation of steps within an accuracy, which go one world at a time, takes as long as this many
 # in lanes: 0.5 ns and 0.33 ns on dm_control's walker.
 LANES = 1.5
-# Offset between the seed of the first starts and those of further ones.
-APART = 1_000_003
-# How often a run is timed.
-ROUNDS = 5
-# The operations of a step for each dof, where a change fails and none can be counted.
-USUAL = 1500.0
 SHIPPED = Change()
 
 
@@ -98,8 +92,8 @@ class Study:
         self._tracks: dict[tuple[Change, int], Tracks] = {}
         self._truths: dict[Change, Converging] = {}
         self._blocks, self._dearer = 0, 1.0
-        if self.schedule.calls_user:
-            check_repeatable(self.model, self.schedule)
+        if self.schedule.control is not None:
+            check_repeatable(self.model, self.schedule, self.schedule.control)
 
     @property
     def model(self) -> Model:
@@ -117,8 +111,8 @@ class Study:
     def fresh(self, count: int) -> tuple[int, ...]:
         """Return the indices of further starts, from which nothing has been run."""
         self._blocks += 1
-        unseen = dataclasses.replace(self.motion, seed=self.motion.seed + APART * self._blocks)
-        own = self.schedule
+        own, seed = self.schedule, self.motion.seed + 1_000_003 * self._blocks
+        unseen = dataclasses.replace(self.motion, seed=seed)
         # The first start of every block is the keyframe itself, which the search has.
         new = self.engine.scheduled(unseen, own.period, count + 1, own.horizon)
         first, self.schedule = len(own.starts), own.joined(new.part(1))
@@ -137,12 +131,11 @@ class Study:
             settings = self.engine.settings(change)
         except ValueError:
             return math.inf
-        alone = 1.0 if getattr(settings, "accuracy", None) is None else LANES
-        work = self.work(change)
-        if not math.isfinite(work):
-            work = USUAL * (self.engine.nv + 2) / float(settings.dt)
-        steps = OVERHEAD / float(settings.dt)
-        return alone * (work + steps) * self.schedule.horizon * starts
+        alone = 1.0 if settings.accuracy is None else LANES
+        work, steps = self.work(change), OVERHEAD / float(settings.dt)
+        # Where a change fails at once no work can be counted: steps of nothing.
+        paid = steps + (work if math.isfinite(work) else 0.0)
+        return alone * paid * self.schedule.horizon * starts
 
     def affords(self, change: Change, starts: int) -> bool:
         """Return whether runs from some starts are within the operations allowed so far."""
@@ -156,7 +149,7 @@ class Study:
         within other accuracies took more.
         """
         counted = self.engine.work(change, self.schedule)
-        if getattr(self.engine.settings(change), "accuracy", None) is None:
+        if self.engine.settings(change).accuracy is None:
             return counted
         runs = (self._tracks.get((change, start)) for start in self.schedule.indices)
         whole = [run.evaluations for run in runs if run is not None and not run.failures]
@@ -287,8 +280,8 @@ class Study:
         The runs of all changes take turns, so that other load on the machine affects all alike; the
         least of several times is kept. A change that fails has none.
         """
-        times: dict[Change, float] = {}
-        for _ in range(ROUNDS):
+        times = dict[Change, float]()
+        for _ in range(5):
             for change in dict.fromkeys(changes):
                 spent = self.engine.seconds(change, self.schedule)
                 if math.isfinite(spent):

@@ -21,7 +21,7 @@ import numpy as np
 from stepcore.engine.norm import Tracks, apart, rms
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, Way
-from stepcore.experiment.predictable import Growth, settled
+from stepcore.experiment.predictable import GROWTH, Growth, settled
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.settings import label
 from stepcore.report.units import metres, seconds
@@ -31,16 +31,12 @@ SHARE = 0.1
 # A rung that leaves more than this share of the last one's change does not converge; after three of
 # them a start is left as it is (two coarse rungs may agree by luck: those that damp a fast swing).
 STALLED, PATIENCE = 0.9, 3
-# The least gain of a rung that is believed, where moves shrink less the motion may be off by more.
-LEAST_GAIN = 1.1
 # Rungs of a ladder, at most, and rungs after which a method that still fails is given up.
 RUNGS, HOPELESS = 20, 5
 # The share of a study's effort that finding the method may take.
 FINDING = 0.25
 # Where growth ends within the horizon it is measured at so many finer rungs too, until two agree.
-FINER = 3
-# Nudges that grow less than this from all starts of a search are not measured from further ones.
-TAME = 30.0
+FINER = PATIENCE
 SHIPPED = Change()
 
 
@@ -132,7 +128,7 @@ def left(gain: float) -> float:
 
     gain: how many times less a rung moves than the one before.
     """
-    return max(1.0, 1 / (max(gain, LEAST_GAIN) - 1))
+    return max(1.0, 1 / (max(gain, 1 / STALLED) - 1))
 
 
 class Converging:
@@ -145,7 +141,7 @@ class Converging:
     def __init__(self, study: Runs, physics: Change, start: int, goal: float | None) -> None:
         self.study, self.physics = study, physics
         self.goal, self.doubt, self._witnessed = goal, 1.0, False
-        self.way, self.rung, self.rival = self._found(start)
+        self.way, self.rung = self._found(start)
         self.known: dict[int, _Start] = {}
         self.grown: dict[int, Growth] = {}
 
@@ -163,12 +159,18 @@ class Converging:
         self._refine(starts, goal)
         own = [self.known[s] for s in starts]
         grown = self._growth(starts)
-        tracks, scored = Tracks.joined([one.tracks for one in own]), grown.scored(self.times)
-        unsure = np.array([one.unsure for one in own])
         finest = self.at(max(one.rung for one in own))
-        settings = self.study.engine.settings(finest)
-        needs = self._needs(starts, goal)
-        return Truth(tuple(starts), tracks, finest, settings, unsure, scored, grown, goal, needs)
+        return Truth(
+            starts=tuple(starts),
+            tracks=Tracks.joined([one.tracks for one in own]),
+            change=finest,
+            settings=self.study.engine.settings(finest),
+            unsure=np.array([one.unsure for one in own]),
+            scored=grown.scored(self.study.schedule.times),
+            growth=grown,
+            goal=goal,
+            needs=self._needs(starts, goal),
+        )
 
     def _needs(self, starts: Sequence[int], goal: float) -> float:
         """Return the operations that would bring starts to a goal, by their last gain."""
@@ -184,40 +186,41 @@ class Converging:
                 needs += sum(self.study.price(self.at(k), 1) for k in range(own.rung + 1, last + 1))
         return needs
 
-    @property
-    def times(self) -> np.ndarray:
-        return self.study.schedule.times
-
     def _between(self, a: Tracks, b: Tracks, starts: Sequence[int]) -> np.ndarray:
         """Return the distance of two motions over what can be predicted [m], (starts,)."""
-        return rms(apart(a, b, self.study.engine.matter), self._scored(starts))
-
-    def _scored(self, starts: Sequence[int]) -> np.ndarray | None:
-        if not all(s in self.grown for s in starts):
-            return None
-        return self._growth(starts).scored(self.times)
+        scored = None
+        if all(s in self.grown for s in starts):
+            scored = self._growth(starts).scored(self.study.schedule.times)
+        return rms(apart(a, b, self.study.engine.matter), scored)
 
     def _growth(self, starts: Sequence[int]) -> Growth:
         return Growth.joined([self.grown[s] for s in starts])
 
-    def _found(self, start: int) -> tuple[Way, int, float]:
-        """Find the method that settles first from one start: it, its rung, and a rival's distance.
+    def _found(self, start: int) -> tuple[Way, int]:
+        """Find the method that settles first from one start, and its rung.
 
         Without a goal that is a hundredth of the shipped settings' own error.
         """
         study = self.study
         ways = study.engine.ways(study.schedule, self.goal or 1e-3 * study.size)
-        rungs, moved, last = [0] * len(ways), [math.inf] * len(ways), list[Tracks | None]()
-        last += [None] * len(ways)
+        rungs, moved = [0] * len(ways), [math.inf] * len(ways)
+        last: list[Tracks | None] = [None] * len(ways)
         (shipped,) = study.tracks([self.physics], [start])
         begun, failure = study.spent, ""
+
+        def off(a: Tracks, b: Tracks) -> float:
+            return float(rms(apart(a, b, study.engine.matter))[0])
+
         while True:
             change = [self.physics.also(way.at(n)) for way, n in zip(ways, rungs, strict=True)]
-            prices = [study.price(one, 1) for one in change]
             # What still fails at steps so short diverges itself.
+            lost = [
+                n > HOPELESS and bool(own and own.failure)
+                for n, own in zip(rungs, last, strict=True)
+            ]
             prices = [
-                math.inf if n > HOPELESS and own is not None and own.failure else price
-                for n, own, price in zip(rungs, last, prices, strict=True)
+                math.inf if gone else study.price(one, 1)
+                for one, gone in zip(change, lost, strict=True)
             ]
             k = int(np.argmin(prices))
             spent = study.spent - begun + prices[k] > FINDING * study.effort
@@ -231,28 +234,28 @@ class Converging:
             before, last[k] = last[k], now
             rungs[k] += 1
             failure = failure or now.failure
-            if before is not None and not (before.failure or now.failure):
-                moved[k] = float(rms(apart(before, now, study.engine.matter))[0])
-                wrong = float(rms(apart(shipped, now, study.engine.matter))[0])
-                asked = SHARE**2 * wrong if math.isfinite(wrong) else 1e-3 * study.size
-                goal = asked if self.goal is None else self.goal
-                if moved[k] <= goal:
-                    self.goal = goal
-                    break
-                # Of order 1, work times what a rung moves stays as it is.
-                needs = study.price(change[k], len(study.starts)) * moved[k] / goal
-                study.tell(wrong, moved[k], goal, needs)
+            if before is None or before.failure or now.failure:
+                continue
+            moved[k], wrong = off(before, now), off(shipped, now)
+            asked = SHARE**2 * wrong if math.isfinite(wrong) else 1e-3 * study.size
+            goal = asked if self.goal is None else self.goal
+            if moved[k] <= goal:
+                self.goal = goal
+                break
+            # Of order 1, work times what a rung moves stays as it is.
+            needs = study.price(change[k], len(study.starts)) * moved[k] / goal
+            study.tell(wrong, moved[k], goal, needs)
         own = last[k]
         assert own is not None
+        # A rival counts against the motion by what its own change does not explain.
         rivals = [
-            (float(rms(apart(own, other, study.engine.matter))[0]), far)
+            max(0.0, off(own, other) - far)
             for j, (other, far) in enumerate(zip(last, moved, strict=True))
             if j != k and other is not None and math.isfinite(far)
         ]
-        # A rival counts against the motion by what its own change does not explain.
-        rival = min((max(0.0, away - far) for away, far in rivals), default=0.0)
+        rival = min(rivals, default=0.0)
         self.doubt = max(1.0, rival / moved[k]) if moved[k] > 0 and rival > 2 * moved[k] else 1.0
-        return ways[k], rungs[k] - 1, rival
+        return ways[k], rungs[k] - 1
 
     def _fails(self, why: str) -> ValueError:
         dt = seconds(float(self.study.engine.settings(SHIPPED).dt))
@@ -280,8 +283,8 @@ class Converging:
                 break
         if now.failure:
             raise self._fails(why)
-        if self.grown and max(g.factor.max() for g in self.grown.values()) < TAME:
-            # Where nothing grows from the starts of a search, nothing will nearby.
+        if self.grown and max(g.factor.max() for g in self.grown.values()) < math.sqrt(GROWTH):
+            # Where nothing grows half the way from the starts of a search, nothing ends nearby.
             like = next(iter(self.grown.values()))
             self.grown |= dict.fromkeys(starts, like)
         else:

@@ -133,13 +133,13 @@ class Loop:
             target, c = np.where(arrive | far, -phi / dt, np.maximum(bounce, push)), 0 * phi
         else:  # lesson, relaxed; penalty has no rows
             exists, far = self.meets(phi, guess)
-            exists &= law != "penalty"
+            exists = exists & (law != "penalty")
             push = -beta * np.minimum(phi, 0) / dt - far * np.maximum(phi, 0) / dt
             target, c = push, np.full_like(phi, soft * (law == "lesson"))
         s = A + (soft if law == "relaxed" else c)
         return self.J[exists], target[exists], c[exists], s[exists]
 
-    def meets(self, phi: Array, guess: Array) -> tuple[Array, Array]:
+    def meets(self, phi: Array, guess: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which rows exist under a law on velocities, and which of these are only near.
 
         Rows exist where the guess overlaps, or where bodies are so near that it may for what other

@@ -32,7 +32,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
-from stepcore.experiment.controls import ControlLog, Controls
+from stepcore.experiment.control_table import ControlLog, Controls
 from stepcore.experiment.schedule import SPEED, SPIN, Schedule
 from stepcore.report.units import seconds
 

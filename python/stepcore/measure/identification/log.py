@@ -16,10 +16,8 @@ from stepcore.engine.axes import axes_of
 from stepcore.engine.element import listed
 from stepcore.engine.model import Model
 from stepcore.engine.trajectory import Trajectory
-from stepcore.experiment.control_files import LATE, MCAP, OWN, mcap_rows
-from stepcore.experiment.control_table import control_table
-from stepcore.experiment.controls import ControlLog
-from stepcore.experiment.user_table import TIME, read_table
+from stepcore.experiment.control_table import ControlLog, control_table
+from stepcore.experiment.user_table import LATE, MCAP, OWN, TIME, mcap_rows, read_table
 from stepcore.experiment.user_table import numbers as numbers_of
 from stepcore.report.units import counted, seconds
 
