@@ -16,8 +16,13 @@ import griffe
 ENTRY = re.compile(r"(\w+(?: \[[^\]]*\])?(?:, \w+(?: \[[^\]]*\])?)*): (.*)")
 NAME = re.compile(r"(?<!`)`(\w+)(\.\w+)?`(?!`)")
 PAGE = re.compile(r"docs/(\w+)\.md")
-# What holds an array of numbers, and which of its arguments explains it.
-ARRAYS = {"StateArray": 0, "Readout": 0, "ModelArray": 0, "Count": 0, "Names": 0, "Entry": 1}
+# What makes an attribute, which of its arguments explains it, and what it holds.
+ARRAYS = {
+    **dict.fromkeys(("StateArray", "readout", "constant"), (0, "NDArray")),
+    "Entry": (1, "NDArray"),
+    "element_names": (0, "tuple[str, ...]"),
+    "number_of": (1, "int"),
+}
 UNIT = re.compile(r" \[[^\]]*\]")
 
 
@@ -56,11 +61,12 @@ def _explain_array(attribute: griffe.Attribute) -> None:
     """Gives `qpos = StateArray("Positions …")` that text as its docstring."""
     value = attribute.value
     if isinstance(value, griffe.ExprCall) and str(value.function) in ARRAYS:
-        text = value.arguments[ARRAYS[str(value.function)]]
+        index, annotation = ARRAYS[str(value.function)]
+        text = value.arguments[index]
         attribute.docstring = griffe.Docstring(ast.literal_eval(str(text)))
         attribute.docstring.parent = attribute
         attribute.value = None
-        attribute.annotation = "NDArray"
+        attribute.annotation = annotation
 
 
 def _add_defaults(holder: griffe.Class) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,40 +12,44 @@ if TYPE_CHECKING:
 UNITS = {
     "time": "s",
     "energy": "J",
+    "residual": "m/s",
     **dict.fromkeys(("overlap", "unrecovered_overlap", "error", "body_error"), "m"),
     **dict.fromkeys(("xpos", "geom_xpos", "site_xpos", "subtree_com", "mocap_pos"), "m"),
-    **dict.fromkeys(("residual",), "m/s"),
 }
-XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
-FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 QUATERNION, TURNING = ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz")
 # Names of coordinates and dofs, for joints that have several.
-COORDINATES = {"free": (*XYZ, *QUATERNION), "ball": QUATERNION}
+COORDINATES = {"free": ("x", "y", "z", *QUATERNION), "ball": QUATERNION}
 DOFS = {"free": ("vx", "vy", "vz", *TURNING), "ball": TURNING}
-# The named axes of each array; further axes are numbered.
-AXES = {
-    **dict.fromkeys(("qvel", "qacc", "qfrc_applied", "bias", "passive"), ("dof",)),
-    **dict.fromkeys(("constraint_force", "qfrc_constraint"), ("dof",)),
-    **dict.fromkeys(("qfrc_bias", "qfrc_passive"), ("dof",)),
-    **dict.fromkeys(("ctrl", "actuator_length", "actuator_velocity"), ("actuator",)),
-    **dict.fromkeys(("actuator_force",), ("actuator",)),
-    **dict.fromkeys(("xpos", "subtree_com"), ("body", "xyz")),
-    **dict.fromkeys(("xmat", "cinert", "cvel", "cacc", "cfrc_ext", "cfrc_int"), ("body",)),
-    **dict.fromkeys(("ten_length", "ten_velocity"), ("tendon",)),
-    "qpos": ("coordinate",),
-    "xfrc_applied": ("body", "force"),
-    "xquat": ("body", "wxyz"),
-    "geom_xpos": ("geom", "xyz"),
-    "geom_xmat": ("geom",),
-    "site_xpos": ("site", "xyz"),
-    "site_xmat": ("site",),
-    "mocap_pos": ("mocap", "xyz"),
-    "mocap_quat": ("mocap", "wxyz"),
-    "energy": ("part",),
-    "error": ("measure",),
-    "body_error": ("body",),
-    "sensordata": ("reading",),
+# Axes whose entries have the same names in every model.
+FIXED = {
+    "xyz": ("x", "y", "z"),
+    "wxyz": ("w", "x", "y", "z"),
+    "force": ("fx", "fy", "fz", "tx", "ty", "tz"),
+    "part": ("kinetic", "potential"),
+    "measure": ("rms", "largest"),
 }
+# The named axes, and the arrays that have them; further axes are numbered.
+_ARRAYS = {
+    "dof": "qvel qacc qfrc_applied bias passive constraint_force"
+    " qfrc_constraint qfrc_bias qfrc_passive",
+    "coordinate": "qpos",
+    "actuator": "ctrl actuator_length actuator_velocity actuator_force",
+    "body": "xmat cinert cvel cacc cfrc_ext cfrc_int body_error",
+    "body xyz": "xpos subtree_com",
+    "body wxyz": "xquat",
+    "body force": "xfrc_applied",
+    "geom": "geom_xmat",
+    "geom xyz": "geom_xpos",
+    "site": "site_xmat",
+    "site xyz": "site_xpos",
+    "tendon": "ten_length ten_velocity",
+    "mocap xyz": "mocap_pos",
+    "mocap wxyz": "mocap_quat",
+    "part": "energy",
+    "measure": "error",
+    "reading": "sensordata",
+}
+AXES = {name: axes.split() for axes, names in _ARRAYS.items() for name in names.split()}
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Axis:
 
 def axes_of(model: Model | None, array: str, shape: Sequence[int]) -> tuple[Axis, ...]:
     """Return the axes of an array after time; axes without names are numbered."""
-    known = AXES.get(array, ()) if model is not None else ()
+    known = AXES.get(array, []) if model is not None else []
     axes = []
     for k, length in enumerate(shape):
         name = known[k] if k < len(known) else ""
@@ -70,27 +74,15 @@ def axes_of(model: Model | None, array: str, shape: Sequence[int]) -> tuple[Axis
 
 
 def _entries(model: Model, axis: str) -> Sequence[str]:
-    fixed = {
-        "xyz": XYZ,
-        "wxyz": WXYZ,
-        "force": FORCE,
-        "part": ("kinetic", "potential"),
-        "measure": ("rms", "largest"),
-    }
-    if axis in fixed:
-        return fixed[axis]
+    if axis in FIXED:
+        return FIXED[axis]
     if axis in model.names:
         return model.called(axis)
-    lists: dict[str, Callable[[], Sequence[str]]] = {
-        "dof": lambda: _of_joints(model, DOFS),
-        "coordinate": lambda: _of_joints(model, COORDINATES),
-        "reading": lambda: [
-            name if count == 1 else f"{name}.{part}"
-            for name, count in zip(model.called("sensor"), model.sensor_dim.tolist(), strict=True)
-            for part in range(count)
-        ],
-    }
-    return lists[axis]() if axis in lists else ()
+    if axis == "reading":
+        sensors = zip(model.called("sensor"), model.sensor_dim.tolist(), strict=True)
+        return [f"{name}.{k}" if n > 1 else name for name, n in sensors for k in range(n)]
+    parts = {"dof": DOFS, "coordinate": COORDINATES}
+    return _of_joints(model, parts[axis]) if axis in parts else ()
 
 
 def _of_joints(model: Model, parts: Mapping[str, Sequence[str]]) -> list[str]:

@@ -185,7 +185,7 @@ class RemovableFeatures:
             *_cleared("armature", heavy, "joints", "armature", name="joint"),
             *self._joints("joint damping", "damper"),
             *self._joints("joint springs", "spring"),
-            *self._tendons(),
+            *self.tendons(),
             *([fluid] if scene.density > 0 or scene.viscosity > 0 else []),
             *_cleared("moving surfaces", belts, "geoms", "surfacevel", name="geom"),
             *self._adhesion(),
@@ -223,7 +223,8 @@ class RemovableFeatures:
             return _cleared(kind, joints, "joints", *fields, name="joint")
         return [Removal(kind, counted(len(joints), "joint"), (("feature", feature),))]
 
-    def _tendons(self) -> list[Removal]:
+    def tendons(self) -> list[Removal]:
+        """Return the removals of spring, damping, friction loss, armature and each limit."""
         features, tendons, removals = self.scene.features, self.scene.tendons, list[Removal]()
         for feature in OF_TENDONS:
             has, fields, words = HAS[feature]

@@ -117,7 +117,6 @@ class Loop:
         """Return J, target velocity t, regulariser c and denominator s of the active rows.
 
         The contact law decides which rows exist, and their t, c and s (docs/method/rows.md).
-        guess: the mean velocity without rows [m/s].
         """
         law, dt, beta = self.settings.law, self.settings.dt, self.settings.beta
         phi, soft = self.J @ self.qpos, self.settings.softness
@@ -152,10 +151,8 @@ class Loop:
     def solref(self, phi: Array, A: Array) -> tuple[Array, Array]:
         """Return t = J v + dt a_ref and c = R of MuJoCo's contacts, with default solref and solimp.
 
-        a_ref = -b J v - K d φ and R = (1 - d)/d · A. The impedance d rises from 0.9 at the surface
-        to 0.95 at a depth of 1 mm.
-
-        phi: gaps φ [m]. A: diagonal of J M⁻¹ Jᵀ [1/kg].
+        a_ref = -b J v - K d φ and R = (1 - d)/d · A, A the diagonal of J M⁻¹ Jᵀ. The impedance d
+        rises from 0.9 at the surface to 0.95 at a depth of 1 mm.
         """
         dt, (time, ratio), (d0, dw, width, mid, power) = self.settings.dt, SOLREF, SOLIMP
         time = max(time, 2 * dt)  # refsafe
@@ -168,10 +165,7 @@ class Loop:
         return u + dt * (-b * u - K * d * phi), (1 - d) / d * A
 
     def solve(self, guess: Array, J: Array, target: Array, c: Array, s: Array) -> Array:
-        """Solve the rows by projected Gauss-Seidel with impulses >= 0; return velocities [m/s].
-
-        guess: velocities without rows [m/s]. J, target, c, s: the rows; see `detect`.
-        """
+        """Solve the rows of `detect` by projected Gauss-Seidel with impulses >= 0; return v."""
         v, self.impulse = guess.copy(), np.zeros(len(J))
         for _ in range(self.settings.sweeps):
             for i, row in enumerate(J):
