@@ -8,23 +8,14 @@ from typing import Any
 from stepcore.mjcf.gains import CONTROLLERS, ActuatorGains, saturated
 from stepcore.mjcf.nodes import Node, inside, sections
 from stepcore.mjcf.schema import given
-from stepcore.mjcf.validation import bad
+from stepcore.mjcf.validation import REFERENCES, bad
 from stepcore.mjcf.worldbody import WorldReader
-from stepcore.scene.elements import Element, Equality, Pair, Sensor, Tendon
+from stepcore.scene.elements import Equality, Pair, Sensor, Tendon
 from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, Actuator
-from stepcore.scene.elements.sensor import ADHERES, MOST_NUMBERS
+from stepcore.scene.elements.sensor import ADHERES, ENDS, MOST_NUMBERS
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
-from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
+from stepcore.scene.elements.tendon import STOPS, Stop
 from stepcore.scene.layout import DOFS, QPOS, Layout
-
-# Attributes that name the object or the reference of a sensor: (kind of element, object type).
-NAMED = {
-    **{name: (name, "") for name in ("site", "joint", "tendon", "actuator", "body")},
-    "geom1": ("geom", ""),
-    "body1": ("body", "body"),
-    "subtree1": ("body", "subtree"),
-}
-REFERENCES = {"geom2": ("geom", ""), "body2": ("body", "body"), "subtree2": ("body", "subtree")}
 
 
 def contact(world: WorldReader, node: Node) -> None:
@@ -59,18 +50,15 @@ def tendon(world: WorldReader, node: Node) -> None:
 
 
 def _stop(world: WorldReader, node: Node) -> Stop:
-    values, scene = node.values, world.scene
     try:
-        if node.tag == "joint":
-            return Share(scene.joint(values["joint"]), values["coef"])
-        if node.tag == "site":
-            return scene.site(values["site"])
-        if node.tag == "geom":
-            side = values.get("sidesite")
-            return Around(scene.geom(values["geom"]), None if side is None else scene.site(side))
-        return Pulley(values["divisor"])
+        parts = {
+            name: value if name not in REFERENCES else getattr(world.scene, REFERENCES[name])(value)
+            for name, value in node.values.items()
+        }
     except ValueError as error:
         raise node.error(str(error)) from None
+    stop: Stop = parts["site"] if node.tag == "site" else STOPS[node.tag](**parts)
+    return stop
 
 
 def equality(world: WorldReader, node: Node) -> None:
@@ -130,12 +118,19 @@ def _ends(world: WorldReader, node: Node) -> dict[str, Any]:
     """
     values = node.values
     ends: dict[str, Any] = {}
-    for attribute, (kind, word) in NAMED.items():
-        if attribute in values and not (node.tag == "insidesite" and attribute == "site"):
-            _put(node, ends, "object", _named(world, node, kind, attribute), word)
-    for attribute, (kind, word) in REFERENCES.items():
+
+    def put(field: str, kind: str, attribute: str, word: str) -> None:
+        element = getattr(world.scene, kind)(values[attribute])
+        if field in ends:
+            raise node.error(f"<{node.tag}> names two things as its {field}")
+        ends[field] = element
+        if word:
+            ends["objtype" if field == "object" else "reftype"] = word
+
+    for attribute, (field, kind, word) in ENDS.items():
         if attribute in values:
-            _put(node, ends, "reference", _named(world, node, kind, attribute), word)
+            inside = node.tag == "insidesite" and attribute == "site"
+            put("reference" if inside else field, kind, attribute, word)
     for field, prefix in (("object", "obj"), ("reference", "ref")):
         kind = values.get(f"{prefix}type", "")
         if not kind:
@@ -149,29 +144,13 @@ def _ends(world: WorldReader, node: Node) -> dict[str, Any]:
             why = f"read, but not what it is attached to: the {kind}"
             world.scene.ignored.append(node.listed(f"{why} {values['objname']}"))
             continue
-        element = _named(world, node, "body" if body else kind, f"{prefix}name")
-        _put(node, ends, field, element, kind if body else "")
-    if node.tag == "insidesite":
-        ends["reference"] = _named(world, node, "site", "site")
+        put(field, "body" if body else kind, f"{prefix}name", kind if body else "")
     return ends
 
 
-def _named(world: WorldReader, node: Node, kind: str, attribute: str) -> Element:
-    element: Element = getattr(world.scene, kind)(node.values[attribute])
-    return element
-
-
-def _put(node: Node, ends: dict[str, Any], field: str, element: Element, word: str) -> None:
-    if field in ends:
-        raise node.error(f"<{node.tag}> names two things as its {field}")
-    ends[field] = element
-    if word:
-        ends["objtype" if field == "object" else "reftype"] = word
-
-
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
-# The attribute of the second site, for transmissions between two sites.
-WITH = {"site": "refsite", "slidersite": "cranksite"}
+# What belongs to a transmission between two sites.
+BESIDE = {"site": ("refsite",), "slidersite": ("cranksite", "cranklength")}
 # Fields of an actuator that are copied from attributes.
 COPIED = ("gear", "damping", "armature", "interp", "delay", "nsample", "lengthrange")
 STATEFUL = ("actlimited", "actrange")
@@ -180,7 +159,7 @@ STATEFUL = ("actlimited", "actrange")
 def actuator(world: WorldReader, node: Node) -> None:
     """Read an actuator."""
     values = world.defaults.of(node, kind="actuator")
-    target = _transmission(world, node, values)
+    target = _transmission(node, values)
     gains = world.defaults.gains(node)
     _refuse(node, values, gains)
     values = saturated(values, gains, node)
@@ -228,30 +207,20 @@ def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> No
     world.scene.notes.append(f"{node.file}:{node.line}: {what}")
 
 
-def _transmission(world: WorldReader, node: Node, values: dict[str, Any]) -> dict[str, Any]:
-    """Return the transmission, as fields of `Actuator`."""
+def _transmission(node: Node, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the transmission, as fields of `Actuator` with names of elements."""
     used = [name for name in TRANSMISSIONS if name in values]
     if not used:
         raise node.error(f'<{node.tag}> needs joint="…"')
     if len(used) > 1:
         raise node.error(f"<{node.tag}> has two transmissions: {used[0]} and {used[1]}")
-    kind = used[0]
-    scene = world.scene
-    if kind == "body":
-        return {"body": scene.body(values["body"])}
-    if kind in ("joint", "jointinparent"):
-        return {kind: scene.joint(values[kind])}
-    if kind == "tendon":
-        return {"tendon": scene.tendon(values["tendon"])}
-    second = WITH[kind]
-    sites = {name: scene.site(values[name]) for name in (kind, second) if name in values}
-    if kind == "slidersite":
-        if second not in values:
+    if used == ["slidersite"]:
+        if "cranksite" not in values:
             raise node.error(f'<{node.tag}> needs cranksite="…" beside slidersite')
         if values.get("cranklength", 0.0) <= 0:
             raise bad(node, "cranklength", values.get("cranklength", 0.0), "> 0")
-        sites["cranklength"] = values["cranklength"]
-    return sites
+    fields = (*used, *BESIDE.get(used[0], ()))
+    return {name: values[name] for name in fields if name in values}
 
 
 def _refuse(node: Node, values: dict[str, Any], gains: ActuatorGains) -> None:
@@ -335,7 +304,8 @@ def _inherited(
     takes_over = node.values.get("inheritrange", 0.0) > 0
     if gains.tag == "position" and "ctrlrange" in values and not takes_over:
         raise node.error("<position> inherits both ctrlrange and inheritrange")
-    element = next(iter(target.values()))
+    kind, name = next(iter(target.items()))
+    element = getattr(world.scene, REFERENCES[kind])(name)
     bounds = world.ranges.get(id(element))
     if bounds is None or bounds[0] == bounds[1]:
         raise node.error(f"<{node.tag}> inheritrange: {element} has no range")

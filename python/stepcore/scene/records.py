@@ -237,8 +237,7 @@ def _check_geom(layout: Layout, geom: Geom) -> None:
 
 def _check_body(layout: Layout, body: Body) -> None:
     """Raise if the fields of a body or its joints contradict each other."""
-    if body.mass is None and (any((*body.inertia, *body.ipos)) or body.iquat is not None):
-        raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
+    body.check_mass()
     if body.mocap and (body.parent is not layout.bodies[0] or id(body) in layout.joints_of):
         limit = "a child of the world without joints"
         raise checks.refuse(body, "mocap", True, f"False, or {limit}")
