@@ -161,7 +161,7 @@ def _fill(scene: Scene, root: Node, source: Source, without: Iterable[str]) -> N
         urdf = translate.to_mjcf(root, source.directory)
         root = urdf.tree
         scene.ignored += urdf.ignored
-        scene.notes += urdf.notes
+        scene.notes += urdf.notes()
         # A URDF text cannot be kept when the scene is saved as MJCF.
         source = replace(source, data=b"", urdf=source.data)
     scene.name = root.attrs.get("model", "")
