@@ -18,8 +18,8 @@ from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.attach import Model
 from stepcore.mjcf.nodes import MJCFError, Node, Refusals, expand, inside, parse
 from stepcore.mjcf.reader import Models, finish, read_sections
+from stepcore.mjcf.sections import WorldReader
 from stepcore.mjcf.validation import Exclusions, seen_values
-from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import frames
 from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.frames import Vec

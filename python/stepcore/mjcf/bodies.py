@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from stepcore import _core
 from stepcore.checks import cut
 from stepcore.mjcf.nodes import below, inside, sections
+from stepcore.mjcf.sections import Shape, WorldReader
 from stepcore.mjcf.validation import references
-from stepcore.mjcf.worldbody import Shape, WorldReader
 from stepcore.scene import frames
 from stepcore.scene.elements import Body, Geom, Joint, MassRules, Site
 from stepcore.scene.frames import Vec
@@ -25,7 +25,7 @@ from stepcore.scene.layout import Layout
 from stepcore.scene.records import plain
 
 if TYPE_CHECKING:
-    from stepcore.mjcf.worldbody import Shape, WorldReader
+    from stepcore.mjcf.sections import Shape, WorldReader
     from stepcore.scene.scene import Scene
 
 OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")

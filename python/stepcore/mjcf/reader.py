@@ -42,8 +42,8 @@ from stepcore.mjcf.nodes import (
     read_named,
     sections,
 )
+from stepcore.mjcf.sections import WorldReader
 from stepcore.mjcf.validation import REFERENCES, Exclusions, validate
-from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import gc_pause
 from stepcore.scene.layout import LISTS, Layout, named
 from stepcore.scene.records import check
