@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore.scene import length_ranges
+from stepcore.scene.elements import WHOLE as EVERYWHERE
 from stepcore.scene.elements import Body, Element, Geom, Key, Site
 from stepcore.scene.elements.actuator import check_inputs
 from stepcore.scene.frames import IDENTITY, ORIGIN
@@ -43,7 +44,7 @@ def plain(layout: Layout) -> dict[str, Any]:
 
 
 def _whole(scene: Scene) -> dict[str, Any]:
-    values = {word: getattr(scene, word) for word in (*WHOLE, "magnetic")}
+    values = {word: getattr(scene, word) for word in EVERYWHERE}
     return {w: list(value) if isinstance(value, tuple) else value for w, value in values.items()}
 
 

@@ -9,11 +9,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 from stepcore import checks, files
-from stepcore.scene import frames, hfield_files, length_ranges, mesh_files
+from stepcore.scene import asset_files, frames, length_ranges
 from stepcore.scene.element import belongs, table
 from stepcore.scene.elements import (
     GRAVITY,
-    MAGNETIC,
+    WHOLE,
     Actuator,
     Body,
     ContactOverride,
@@ -129,11 +129,8 @@ class Scene(checks.KnownNames):
     )
 
     def __init__(self, gravity: Vector = GRAVITY, name: str = "") -> None:
-        self.gravity = gravity
-        self.density = 0.0
-        self.viscosity = 0.0
-        self.wind = frames.ORIGIN
-        self.magnetic = MAGNETIC
+        for field, value in (WHOLE | {"gravity": gravity}).items():
+            setattr(self, field, value)
         self.name = checks.text("scene", "name", name)
         self.bodies: list[Body] = [Body(name="world")]
         self.joints: list[Joint] = []
@@ -235,7 +232,7 @@ class Scene(checks.KnownNames):
 
     def _find(self, elements: Sequence[E], kind: str, name: object) -> E:
         """Return the element with this name, or the given element if the list contains it."""
-        found: E | None = self._names_of(kind).find(elements, name)
+        found: E | None = self._names.setdefault(kind, Names()).find(elements, name)
         if found is not None:
             return found
         if isinstance(name, str):
@@ -260,9 +257,6 @@ class Scene(checks.KnownNames):
             f"{said}: nothing moves it against {whole}, of which it is a part; "
             "load(..., fuse=False) keeps it a body of its own"
         )
-
-    def _names_of(self, kind: str) -> Names:
-        return self._names.setdefault(kind, Names())
 
     # Settings.
 
@@ -403,9 +397,9 @@ class Scene(checks.KnownNames):
             raise ValueError(f"mesh {checks.quoted(name)}: needs either vertices or a file")
         if file is not None:
             file = files.path("file", file)
-            surface = mesh_files.read(file)
+            surface = asset_files.read_mesh(file)
             given["vertices"], given["faces"] = surface.vertices, surface.faces
-            self.notes += mesh_files.notes(file, surface)
+            self.notes += asset_files.notes(file, surface)
             given["file"] = file
             name = name or os.path.splitext(os.path.basename(file))[0]
         return self._add(self.meshes, Mesh, fields, name=name, **given)
@@ -432,7 +426,7 @@ class Scene(checks.KnownNames):
         given: dict[str, Any] = {"elevation": elevation}
         if file is not None:
             file = files.path("file", file)
-            given = {"elevation": hfield_files.read(file), "file": file}
+            given = {"elevation": asset_files.read_hfield(file), "file": file}
             name = name or os.path.splitext(os.path.basename(file))[0]
         return self._add(self.hfields, HField, {}, name=name, size=size, **given)
 
@@ -619,12 +613,11 @@ class Scene(checks.KnownNames):
         return self._append(into, element)
 
     def _append(self, into: list[E], element: E) -> E:
-        names = self._names_of(type(element).__name__.lower())
         name = element.name  # type: ignore[attr-defined]
+        names = self._names.setdefault(type(element).__name__.lower(), Names())
         if name and names.taken(into, name):
             raise checks.ElementError(element, "the name is used twice")
         into.append(element)
-        names.added(into, element)
         belongs(element, self)
         return element
 
