@@ -8,8 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.defaults import CONTROLLERS, ActuatorGains, Compiler, Defaults, saturated
-from stepcore.mjcf.nodes import Node, Refusals, inside, sections
+from stepcore.mjcf.attach import Model
+from stepcore.mjcf.defaults import CONTROLLERS, ActuatorGains, saturated
+from stepcore.mjcf.nodes import Node, Refusals, inside, options, sections
 from stepcore.mjcf.schema import NOT_IN_WORLD, given
 from stepcore.mjcf.validation import REFERENCES, bad
 from stepcore.scene import frames
@@ -102,21 +103,10 @@ class WorldReader:
     settled: whether one set of mass rules applies to all bodies (`masses.settle_masses`).
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        root: Node,
-        compiler: Compiler,
-        defaults: Defaults,
-        assets: Assets,
-        refusals: Refusals,
-    ) -> None:
-        self.scene = scene
-        self.root = root
-        self.main = self.compiler = compiler
-        self.defaults = defaults
-        self.assets = assets
-        self.refusals = refusals
+    def __init__(self, scene: Scene, model: Model, assets: Assets, refusals: Refusals) -> None:
+        self.scene, self.assets, self.refusals = scene, assets, refusals
+        self.root, self.defaults = model.root, model.defaults
+        self.main = self.compiler = model.compiler
         self.nodes: dict[int, Node] = {}
         self.elements: dict[int, Element] = {}
         self.names: dict[str, set[str]] = {"body": {"world"}, "geom": set(), "camera": set()}
@@ -130,10 +120,9 @@ class WorldReader:
         self.only_drawn: set[int] = set()
         self.settled = False
         # Geoms of explicit pairs collide regardless of their masks.
-        pairs = [node for node in inside(root, "contact") if node.tag == "pair"]
+        pairs = [node for node in inside(self.root, "contact") if node.tag == "pair"]
         self.paired = {pair.attrs.get(end, "") for pair in pairs for end in ("geom1", "geom2")}
-        options = {k: v for section in sections(root, "option") for k, v in section.values.items()}
-        self.disabled_groups = frozenset(options.get("actuatorgroupdisable", ()))
+        self.disabled_groups = frozenset(options(self.root).get("actuatorgroupdisable", ()))
 
     def read(self, world: Node) -> None:
         """Read a worldbody section in document order, without recursion."""

@@ -26,8 +26,7 @@ from stepcore.mjcf.schema import OWN_FEATURES, changed
 from stepcore.scene import frames
 from stepcore.scene.element import table
 from stepcore.scene.elements import (
-    GRAVITY,
-    MAGNETIC,
+    WHOLE,
     Actuator,
     Body,
     Element,
@@ -45,7 +44,7 @@ from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS, FED
 from stepcore.scene.elements.body import SITE_SIZE
 from stepcore.scene.elements.sensor import ENDS, OF_GAP, TYPED
 from stepcore.scene.elements.tendon import STOPS, parts
-from stepcore.scene.frames import ORIGIN, Vec
+from stepcore.scene.frames import Vec
 from stepcore.scene.layout import SIZES, Layout
 from stepcore.scene.records import check
 
@@ -223,9 +222,7 @@ def _add_section(root: Tag, name: str, tags: list[Tag]) -> None:
 def _add_option(root: Tag, scene: Scene) -> dict[str, Any]:
     """Add the option section; return the settings that MJCF lacks."""
     attributes, flags, rest = said(to_say(scene.settings))
-    whole = {"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0, "wind": ORIGIN}
-    whole["magnetic"] = MAGNETIC
-    for name, usual in whole.items():
+    for name, usual in WHOLE.items():
         if getattr(scene, name) != usual:
             attributes[name] = text(getattr(scene, name))
     features = changed(scene.features)
@@ -241,10 +238,14 @@ def _add_option(root: Tag, scene: Scene) -> dict[str, Any]:
     if any(not actuator.enabled for actuator in scene.actuators):
         attributes["actuatorgroupdisable"] = str(DISABLED)
     if attributes or flags:
-        option = root.add(Tag("option", **attributes))
-        if flags:
-            option.add(Tag("flag", **flags))
+        root.add(_option(attributes, flags))
     return rest
+
+
+def _option(attributes: dict[str, str], flags: dict[str, str]) -> Tag:
+    option = Tag("option", **attributes)
+    option.inside = [Tag("flag", **flags)] if flags else []
+    return option
 
 
 def _tag(kind: str, element: Element, names: Names, *skip: str, **first: Any) -> Tag:
@@ -588,22 +589,13 @@ def _edited(
     added: list[Tag] = []
     if scene.name != original.name:
         edits.append(_with(data, root, {"model": scene.name}))
-    option, flag = tags.last.get("option"), tags.last.get("option/flag")
-    if not in_place or option is None:
-        if attributes or flags:
-            added.append(Tag("option", **attributes))
-            if flags:
-                added[-1].add(Tag("flag", **flags))
-    else:
-        start, stop, text = _with(data, option, attributes)
-        if flags and flag is not None:
-            edits.append(_with(data, flag, flags))
-        elif flags:
-            inner = Tag("flag", **flags).start().encode()
-            text = (
-                text[:-2].rstrip() + b">" + inner + b"</option>" if option.closed else text + inner
-            )
-        edits.append((start, stop, text))
+    if in_place:
+        for path, values in (("option", attributes), ("option/flag", flags)):
+            if path in tags.last:
+                edits.append(_with(data, tags.last[path], values))
+                values.clear()
+    if attributes or flags:
+        added.append(_option(attributes, flags))
     rest = said(to_say(scene.settings))[2]
     held = tags.last.get("custom/text")
     if held is not None:
