@@ -16,7 +16,8 @@ from stepcore.scene.element import Row, table
 
 STUB = Path(__file__).parent.parent / "python" / "stepcore" / "scene" / "fields.pyi"
 KINDS = (
-    *("Joint", "Geom", "Mesh", "Site", "Sensor", "Tendon", "Actuator", "Equality", "Pair", "Key"),
+    *("Body", "Joint", "Geom", "Mesh", "Site", "Sensor", "Tendon", "Actuator", "Equality", "Pair"),
+    "Key",
 )
 HEAD = '''"""The keyword fields of `Scene.add_joint` and its like: python benches/keyword_types.py.
 

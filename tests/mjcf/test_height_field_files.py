@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from png_writer import ADAM7, CHANNELS, SIGNATURE, chunk, data, grey, packed
 
-from stepcore.scene import hfield_files
+from stepcore.scene import asset_files
 
 KINDS = {
     **{f"grey{depth}": (0, depth) for depth in (1, 2, 4, 8, 16)},
@@ -41,7 +41,7 @@ def test_heights_of_coloured_images_are_mujocos(kind, interlaced, tmp_path):
     text = f"""<mujoco><asset><hfield name="h" file="{path}" size="1 1 1 1"/></asset>
       <worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>"""
     theirs = mujoco.MjModel.from_xml_string(text).hfield_data.reshape(11, 9)[::-1]
-    ours = hfield_files.read(path)
+    ours = asset_files.read_hfield(path)
     assert np.abs((ours - ours.min()) / np.ptp(ours) - theirs).max() < 1e-6
 
 
@@ -49,10 +49,10 @@ def test_images_and_binary_height_fields(tmp_path):
     pixels = np.random.default_rng(0).integers(0, 256, (9, 6))
     for filters in (None, [1], [2], [3], [4], [4, 3, 2, 1, 0]):
         (tmp_path / "a.png").write_bytes(grey(pixels, filters=filters))
-        assert (hfield_files.read(tmp_path / "a.png") == pixels).all()
+        assert (asset_files.read_hfield(tmp_path / "a.png") == pixels).all()
     heights = struct.pack("<2i", 9, 6) + pixels.astype("<f4").tobytes()
     (tmp_path / "h.bin").write_bytes(heights)
-    assert (hfield_files.read(tmp_path / "h.bin") == pixels[::-1]).all()
+    assert (asset_files.read_hfield(tmp_path / "h.bin") == pixels[::-1]).all()
     broken = {
         "b.png": (grey(pixels, colour=5), "its head is damaged"),
         "c.png": (grey(pixels, depth=16), "its pixels are damaged"),
@@ -68,4 +68,4 @@ def test_images_and_binary_height_fields(tmp_path):
     for name, (content, why) in broken.items():
         (tmp_path / name).write_bytes(content)
         with pytest.raises(ValueError, match=why):
-            hfield_files.read(tmp_path / name)
+            asset_files.read_hfield(tmp_path / name)

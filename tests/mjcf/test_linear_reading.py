@@ -14,7 +14,7 @@ from png_writer import SIGNATURE, chunk, grey
 import stepcore as sc
 from stepcore.mjcf import nodes
 from stepcore.mjcf.nodes import repaired
-from stepcore.scene import hfield_files, mesh_files
+from stepcore.scene import asset_files
 
 
 def calls(function, *arguments):
@@ -148,9 +148,9 @@ def test_a_text_of_a_mesh_that_ends_with_blanks():
     facet = b"facet normal 0 0 0 outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet"
     for end in (b"\nx", b"\n\nx", b" \n  \nfacet"):
         with pytest.raises(ValueError, match="neither a facet nor the end"):
-            mesh_files.stl(b"solid facet\nendsolid" + blanks + end)
+            asset_files.stl(b"solid facet\nendsolid" + blanks + end)
     for end in (b"", b" of a name", b"\n\n", blanks + b"\n" + blanks):
-        surface = mesh_files.stl(b"solid\n" + facet + b"\n endsolid" + end)
+        surface = asset_files.stl(b"solid\n" + facet + b"\n endsolid" + end)
         assert len(surface.vertices) == 3
 
 
@@ -163,9 +163,9 @@ def ring(n):
 
 
 def test_a_face_of_many_corners_is_split_with_some_calls_for_each():
-    one, two = (calls(mesh_files.obj, ring(n)) for n in (200, 400))
+    one, two = (calls(asset_files.obj, ring(n)) for n in (200, 400))
     assert two < 2.1 * one
-    faces = mesh_files.obj(ring(5000)).faces
+    faces = asset_files.obj(ring(5000)).faces
     assert len(faces) == 4998
     # All triangles go the same way round and fill the ring.
     x, y = np.cos(2 * np.pi * np.arange(5000) / 5000), np.sin(2 * np.pi * np.arange(5000) / 5000)
@@ -176,12 +176,12 @@ def test_a_face_of_many_corners_is_split_with_some_calls_for_each():
 
 
 def test_faces_that_take_too_long_to_split_are_refused(monkeypatch):
-    monkeypatch.setattr(mesh_files, "MOST_WORK", 10**6)
+    monkeypatch.setattr(asset_files, "MOST_WORK", 10**6)
     with pytest.raises(ValueError, match=r"a\.obj: not a whole OBJ file: .* with triangles"):
         read_obj(ring(3000))
     # Any number of small ones is read.
     hexagon = b"\n".join(b"v %d %d 0" % place for place in HEXAGON)
-    surface = mesh_files.obj(hexagon + b"\nf 1 2 3 4 5 6" * 2000)
+    surface = asset_files.obj(hexagon + b"\nf 1 2 3 4 5 6" * 2000)
     assert len(surface.faces) == 8000
 
 
@@ -195,7 +195,7 @@ def read_obj(data):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.obj"
         path.write_bytes(data)
-        return mesh_files.read(path)
+        return asset_files.read_mesh(path)
 
 
 def test_the_parts_of_an_image_are_read_once(monkeypatch):
@@ -210,8 +210,8 @@ def test_the_parts_of_an_image_are_read_once(monkeypatch):
     image = grey(np.arange(12).reshape(3, 4))
     many = image[:33] + chunk(b"tEXt", b"a\0" + bytes(100_000)) + chunk(b"tEXt", b"b\0c") * 5000
     data = many + image[33:]
-    monkeypatch.setattr(hfield_files.zlib, "crc32", counted)
-    assert (hfield_files.image_levels(data) == np.arange(12).reshape(3, 4)).all()
+    monkeypatch.setattr(asset_files.zlib, "crc32", counted)
+    assert (asset_files.image_levels(data) == np.arange(12).reshape(3, 4)).all()
     # Pillow's own reading compares some of them again.
     assert bytes_read <= 2 * len(data)
 
@@ -220,7 +220,7 @@ def test_an_image_that_claims_too_much_is_not_unpacked():
     head = chunk(b"IHDR", (30000).to_bytes(4, "big") * 2 + bytes([8, 0, 0, 0, 0]))
     data = SIGNATURE + head + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
     with pytest.raises(ValueError, match="30000 × 30000 pixels; 1 to 16777216"):
-        hfield_files.image_levels(data)
+        asset_files.image_levels(data)
 
 
 def test_heights_of_an_image_name_pillow_where_it_is_missing(monkeypatch, tmp_path):
@@ -247,9 +247,9 @@ def test_a_file_that_several_assets_name_is_read_once(kind, tmp_path, monkeypatc
         f'<{kind} name="{name}{i}" {attributes.format(name)}/>' for name in names for i in range(5)
     )
     geoms = "".join(f'<geom type="{kind}" {kind}="{name}{i}"/>' for name in names for i in range(5))
-    reader, read = sys.modules[f"stepcore.scene.{kind}_files"], []
-    first = reader.read
-    monkeypatch.setattr(reader, "read", lambda *path: read.append(path[0]) or first(*path))
+    reader, read = f"read_{kind}", []
+    first = getattr(asset_files, reader)
+    monkeypatch.setattr(asset_files, reader, lambda *path: read.append(path[0]) or first(*path))
     text = f"<mujoco><asset>{assets}</asset><worldbody>{geoms}</worldbody></mujoco>"
     scene = sc.loads(text, base=tmp_path)
     assert len(read) == len(names)

@@ -12,7 +12,7 @@ import pytest
 from png_writer import grey
 
 import stepcore as sc
-from stepcore.scene import mesh_files
+from stepcore.scene import asset_files
 
 CORNERS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3.5)])
 FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
@@ -66,7 +66,7 @@ def same_surface(vertices, faces) -> None:
 @pytest.mark.parametrize("name", FORMATS)
 def test_each_format_holds_the_mesh(name, tmp_path):
     (tmp_path / name).write_bytes(FORMATS[name]())
-    vertices, faces, _ = mesh_files.read(tmp_path / name)
+    vertices, faces, _ = asset_files.read_mesh(tmp_path / name)
     assert len(vertices) == 4
     same_surface(vertices, faces)
     scene = sc.Scene()
@@ -80,13 +80,13 @@ def test_faces_of_four_corners_and_none_at_all(tmp_path):
     path = tmp_path / "a.obj"
     path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
     # Along the shorter diagonal, the second one where both are as long.
-    assert mesh_files.read(path)[1].tolist() == [[0, 1, 3], [1, 2, 3]]
+    assert asset_files.read_mesh(path)[1].tolist() == [[0, 1, 3], [1, 2, 3]]
     path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 1 .9 0\nv -.1 1 0\nf 1 2 3 4\n")
-    assert mesh_files.read(path)[1].tolist() == [[0, 1, 2], [0, 2, 3]]
+    assert asset_files.read_mesh(path)[1].tolist() == [[0, 1, 2], [0, 2, 3]]
     path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\n")
-    assert mesh_files.read(path)[1] is None
+    assert asset_files.read_mesh(path)[1] is None
     (tmp_path / "b.msh").write_bytes(struct.pack("<4i", 4, 0, 0, 0) + bytes(48))
-    assert mesh_files.read(tmp_path / "b.msh")[1] is None
+    assert asset_files.read_mesh(tmp_path / "b.msh")[1] is None
 
 
 CUBE = (
@@ -128,7 +128,7 @@ def test_the_first_object_is_the_mesh_as_in_mujoco(heads, tmp_path):
     scene = sc.loads(text)
     model = scene.compile()
     count = theirs.mesh_facenum[0]
-    assert len(mesh_files.read(path).faces) == count
+    assert len(asset_files.read_mesh(path).faces) == count
     assert model.body_mass[1] == pytest.approx(theirs.body_mass[1], rel=1e-6)
     assert model.body_ipos[1] == pytest.approx(theirs.body_ipos[1], abs=1e-6)
     assert len(model.geom_hull(0)[0]) == 8
@@ -155,7 +155,7 @@ def test_larger_faces_are_split_as_mujoco_splits_them(seed, tmp_path):
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco>{mesh}<worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
     )
-    assert mesh_files.read(path)[1].tolist() == model.mesh_face.tolist()
+    assert asset_files.read_mesh(path)[1].tolist() == model.mesh_face.tolist()
 
 
 def head(count: int) -> bytes:
@@ -188,20 +188,20 @@ def test_what_is_damaged_is_refused(name, tmp_path):
     data, why = DAMAGED[name]
     (tmp_path / name).write_bytes(data)
     with pytest.raises(ValueError, match=why):
-        mesh_files.read(tmp_path / name)
+        asset_files.read_mesh(tmp_path / name)
 
 
 def test_devices_pipes_folders_and_what_is_not_there(tmp_path):
     with pytest.raises(FileNotFoundError):
-        mesh_files.read(tmp_path / "a.stl")
+        asset_files.read_mesh(tmp_path / "a.stl")
     (tmp_path / "b.stl").mkdir()
     with pytest.raises(IsADirectoryError):
-        mesh_files.read(tmp_path / "b.stl")
+        asset_files.read_mesh(tmp_path / "b.stl")
     os.mkfifo(tmp_path / "c.stl")
     (tmp_path / "d.stl").symlink_to("/dev/zero")
     for name in ("c.stl", "d.stl"):
         with pytest.raises(ValueError, match="not a regular file"):
-            mesh_files.read(tmp_path / name)
+            asset_files.read_mesh(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -222,7 +222,7 @@ def test_bytes_changed_at_random_are_read_or_refused(name, tmp_path):
             del data[rng.integers(len(data)) :]
         (tmp_path / name).write_bytes(data)
         try:
-            vertices, faces, _ = mesh_files.read(tmp_path / name)
+            vertices, faces, _ = asset_files.read_mesh(tmp_path / name)
         except ValueError as error:
             assert "\n" not in str(error)
             outcomes["refused"] += 1

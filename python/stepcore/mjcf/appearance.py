@@ -18,13 +18,13 @@ from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.attach import Model
 from stepcore.mjcf.nodes import MJCFError, Node, Refusals, expand, inside, parse
 from stepcore.mjcf.reader import Models, finish, read_sections
+from stepcore.mjcf.sections import WorldReader
 from stepcore.mjcf.validation import Exclusions, seen_values
-from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import frames
 from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
-from stepcore.urdf.translate import DrawnLink, to_mjcf
+from stepcore.urdf.translate import to_mjcf
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
@@ -136,17 +136,17 @@ def read_looks(scene: Scene) -> Looks | None:
     root = parse(source.data or source.urdf, source.files[0])
     home = None if source.directory is None else Path(source.directory)
     expand(root, home, Path(source.files[0]) if home is not None else None)
-    links: list[DrawnLink] = []
+    links: list[tuple[list[Node], list[Node]]] = []
     undrawn: list[str] = []
     if source.urdf:
         urdf = to_mjcf(root, source.directory, drawn=True)
-        root, links, undrawn = urdf.tree, urdf.links, urdf.undrawn
+        root, links, undrawn = urdf.tree, urdf.drawn, urdf.undrawn
     drawn, refusals = type(scene)(), Refusals()
     model = Models(drawn, refusals, Exclusions(source.without)).prepared(root, source.directory)
     world = read_sections(drawn, model, refusals, _DrawnAssets)
     refusals.raise_all()
     finish(world, source.fuse)
-    of_links = {id(node) for link in links for node in link.visuals}
+    of_links = {id(node) for _, visuals in links for node in visuals}
     world.only_drawn |= {id(shape.geom) for shape in world.shapes if id(shape.node) in of_links}
     layout, own = Layout(drawn), Layout(scene)
     seen = [geom for geom in layout.geoms if id(geom) not in world.only_drawn]
@@ -165,8 +165,12 @@ def read_looks(scene: Scene) -> Looks | None:
             looks.geoms.append((layout.index[id(geom.body)], geom, colours[id(geom)]))
     geoms = {id(shape.node): id(shape.geom) for shape in world.shapes}
     drawn_too = {id(geom) for _, geom, _ in looks.geoms}
-    covers = [link for link in links if any(geoms.get(id(n)) in drawn_too for n in link.visuals)]
-    covered = {geoms.get(id(node)) for link in covers for node in link.collisions}
+    covered = {
+        geoms.get(id(node))
+        for collisions, visuals in links
+        if any(geoms.get(id(visual)) in drawn_too for visual in visuals)
+        for node in collisions
+    }
     looks.covered = [index for index, geom in enumerate(seen) if id(geom) in covered]
     looks.lights = _lights(world, layout, looks.notes)
     looks.headlight = _headlight(root, looks.notes)

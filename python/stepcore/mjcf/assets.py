@@ -19,7 +19,7 @@ from stepcore.checks import cut, nearest
 from stepcore.mjcf.defaults import Compiler, Defaults
 from stepcore.mjcf.nodes import MJCFError, Node
 from stepcore.mjcf.validation import bad
-from stepcore.scene import hfield_files, mesh_files
+from stepcore.scene import asset_files
 from stepcore.scene.elements import HField, Mesh
 
 if TYPE_CHECKING:
@@ -157,8 +157,8 @@ class Assets:
                 raise node.error("<hfield> has a file, and so no nrow, ncol or elevation")
             self._from_file(scene, node, hfield, values)
             return
-        if not (nrow > 0 and ncol > 0 and nrow * ncol <= hfield_files.MOST):
-            limit = f"above 0, and their product at most {hfield_files.MOST}, without a file"
+        if not (nrow > 0 and ncol > 0 and nrow * ncol <= asset_files.MOST_POINTS):
+            limit = f"above 0, and their product at most {asset_files.MOST_POINTS}, without a file"
             raise bad(node, "nrow, ncol", counts, limit)
         heights = values.get("elevation", np.zeros(nrow * ncol))
         if len(heights) != nrow * ncol:
@@ -180,12 +180,12 @@ class Assets:
                 if field in first.__dict__ and field in asset.__dict__:
                     asset.__dict__[field] = first.__dict__[field]
         elif isinstance(asset, Mesh):
-            surface = mesh_files.read(*key)
+            surface = asset_files.read_mesh(*key)
             asset.vertices, asset.faces = surface.vertices, surface.faces
             place = f"{node.file}:{node.line}: {values['file']}"
-            scene.notes += mesh_files.notes(place, surface)
+            scene.notes += asset_files.notes(place, surface)
         else:
-            asset.elevation = hfield_files.read(*key)
+            asset.elevation = asset_files.read_hfield(*key)
         asset.file = path
         self.read.setdefault(key, asset)
         self.sizes.setdefault(path, os.path.getsize(path))
@@ -264,32 +264,9 @@ FLAT = ("plate", "square", "disc")
 OTHERS = ("grid", "box", "cylinder", "ellipsoid")
 
 
-class _Params:
-    """The parameters of a mesh, read and checked in order."""
-
-    def __init__(self, node: Node, values: dict[str, Any]) -> None:
-        self.node = node
-        self.numbers = values.get("params", ())
-        self.at = 0
-
-    def real(self, low: float, high: float, word: str) -> float:
-        value = self.numbers[self.at] if self.at < len(self.numbers) else None
-        if value is None or not low <= value <= high:
-            limit = f"{word} from {low:g} to {high:g} at place {self.at + 1}"
-            raise bad(self.node, "params", self.numbers, limit)
-        self.at += 1
-        return float(value)
-
-    def whole(self, low: int, high: int, word: str) -> int:
-        value = self.real(low, high, word)
-        if value != int(value):
-            raise bad(self.node, "params", value, f"{word}: a whole number")
-        return int(value)
-
-
 def _fill_builtin(mesh: Mesh, node: Node, values: dict[str, Any]) -> None:
     """Fill a mesh with the vertices and faces of its builtin type."""
-    kind = values["builtin"]
+    kind, params = values["builtin"], values.get("params", ())
     if kind in FLAT:
         raise node.error(f'builtin="{kind}" lies in a plane, so it has no convex hull')
     if kind in OTHERS:
@@ -300,13 +277,22 @@ def _fill_builtin(mesh: Mesh, node: Node, values: dict[str, Any]) -> None:
     if kind not in _KINDS:
         near = nearest(kind, (*_KINDS, *OTHERS, *FLAT))
         raise node.error(f'<mesh> builtin="{kind}": no such mesh{near}')
-    params = _Params(node, values)
-    mesh.vertices, mesh.faces = _KINDS[kind](params)
-    if params.at != len(params.numbers):
-        raise bad(node, "params", params.numbers, f"{params.at} numbers")
+    make, limits = _KINDS[kind]
+    numbers: list[float] = []
+    for word, low, high in limits:
+        at, whole = len(numbers), isinstance(low, int)
+        if at >= len(params) or not low <= params[at] <= high:
+            limit = f"{word} from {low:g} to {high:g} at place {at + 1}"
+            raise bad(node, "params", params, limit)
+        if whole and params[at] != int(params[at]):
+            raise bad(node, "params", params[at], f"{word}: a whole number")
+        numbers.append(int(params[at]) if whole else params[at])
+    if len(numbers) != len(params):
+        raise bad(node, "params", params, f"{len(numbers)} numbers")
+    mesh.vertices, mesh.faces = make(*numbers)
 
 
-def _sphere(params: _Params) -> Surface:
+def _sphere(subdivision: int) -> Surface:
     """Return an icosphere: an icosahedron with bisected edges, projected onto the unit sphere."""
     golden = (1 + 5**0.5) / 2
     points = {
@@ -314,7 +300,7 @@ def _sphere(params: _Params) -> Surface:
         for a, b, turn in product((-1, 1), (-1, 1), (0, 1, 2))
     }
     vertices = _unit(np.array(sorted(points)))
-    for _ in range(params.whole(0, 4, "subdivision")):
+    for _ in range(subdivision):
         apart = np.linalg.norm(vertices[:, None] - vertices[None], axis=2)
         # Edges are at most 1.25 times the shortest; the next larger distance is a third longer.
         shortest = apart[apart > 0].min()
@@ -323,17 +309,15 @@ def _sphere(params: _Params) -> Surface:
     return vertices, None
 
 
-def _hemisphere(params: _Params) -> Surface:
+def _hemisphere(resolution: int) -> Surface:
     """Return the points of a subdivided half octahedron on the unit sphere, and the base centre."""
-    n = params.whole(0, 10, "resolution") + 1
+    n = resolution + 1
     quarter = [(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]
     points = {(a * i, b * j, k) for i, j, k in quarter for a, b in product((-1, 1), (-1, 1))}
     return np.concatenate([_unit(np.array(sorted(points), float)), np.zeros((1, 3))]), None
 
 
-def _cone(params: _Params) -> Surface:
-    count = params.whole(3, MOST_CORNERS, "nvert")
-    radius = params.real(0, 1, "radius")
+def _cone(count: int, radius: float) -> Surface:
     ring = _ring(np.arange(count) * 2 * np.pi / count)
     below = np.column_stack([ring, np.full(count, -1.0)])
     if radius == 0:
@@ -341,9 +325,7 @@ def _cone(params: _Params) -> Surface:
     return np.concatenate([below, np.column_stack([radius * ring, np.ones(count)])]), None
 
 
-def _supersphere(params: _Params) -> Surface:
-    n = params.whole(3, MOST_CORNERS, "resolution")
-    east, north = params.real(0, 1e6, "e"), params.real(0, 1e6, "n")
+def _supersphere(n: int, east: float, north: float) -> Surface:
     latitude = -np.pi / 2 + np.pi * np.arange(1, n) / n
     longitude = -np.pi + 2 * np.pi * np.arange(n) / n
     radius, height = _power(np.cos(latitude), north), _power(np.sin(latitude), north)
@@ -359,10 +341,7 @@ def _supersphere(params: _Params) -> Surface:
     return vertices, np.concatenate([*ends, _quads(at[:-1], after[:-1], at[1:], after[1:])])
 
 
-def _supertorus(params: _Params) -> Surface:
-    n = params.whole(3, MOST_CORNERS, "resolution")
-    radius = params.real(1e-6, 1, "radius")
-    minor, major = params.real(1e-6, 1e6, "s"), params.real(1e-6, 1e6, "t")
+def _supertorus(n: int, radius: float, minor: float, major: float) -> Surface:
     angle = 2 * np.pi * np.arange(n) / n
     out = 1 + radius * _power(np.cos(angle), minor)
     up = radius * _power(np.sin(angle), minor)
@@ -375,21 +354,17 @@ def _supertorus(params: _Params) -> Surface:
     return vertices, _quads(at, next_ring, after, np.roll(next_ring, -1, axis=1))
 
 
-def _wedge(params: _Params) -> Surface:
+def _wedge(res_phi: int, res_theta: int, phi: float, theta: float, gamma: float) -> Surface:
     """Return the cell centres of an angular grid on the unit sphere, around the direction -z."""
-    counts = [params.whole(1, MOST_CORNERS, word) for word in ("res_phi", "res_theta")]
-    fields = params.real(1e-6, 180, "fov_phi"), params.real(1e-6, 90, "fov_theta")
-    gamma = params.real(0, 1, "gamma")
     angles = []
-    for count, field in zip(counts, fields, strict=True):
+    for count, field in ((res_phi, phi), (res_theta, theta)):
         edges = np.linspace(-1, 1, count + 1)
         # Cells are smaller in the middle of the field of view, as in a fovea.
         edges = (1 - gamma) * edges + gamma * edges**5
         angles.append(np.radians(field) * 0.5 * (edges[1:] + edges[:-1]))
-    phi, theta = angles
-    phi, theta = (grid.ravel() for grid in np.meshgrid(phi, theta, indexing="ij"))
-    flat = np.cos(theta)
-    return np.column_stack([flat * np.sin(phi), np.sin(theta), -flat * np.cos(phi)]), None
+    across, up = (grid.ravel() for grid in np.meshgrid(*angles, indexing="ij"))
+    flat = np.cos(up)
+    return np.column_stack([flat * np.sin(across), np.sin(up), -flat * np.cos(across)]), None
 
 
 def _unit(points: Array) -> Array:
@@ -412,11 +387,22 @@ def _quads(a: Array, b: Array, c: Array, d: Array) -> Array:
     return np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
 
 
-_KINDS: dict[str, Callable[[_Params], Surface]] = {
-    "sphere": _sphere,
-    "hemisphere": _hemisphere,
-    "cone": _cone,
-    "supersphere": _supersphere,
-    "supertorus": _supertorus,
-    "wedge": _wedge,
+# By type: what makes it, and its parameters in order, with limits (of whole numbers: ints).
+_RESOLUTION = ("resolution", 3, MOST_CORNERS)
+_KINDS: dict[str, tuple[Callable[..., Surface], tuple[tuple[str, float, float], ...]]] = {
+    "sphere": (_sphere, (("subdivision", 0, 4),)),
+    "hemisphere": (_hemisphere, (("resolution", 0, 10),)),
+    "cone": (_cone, (("nvert", 3, MOST_CORNERS), ("radius", 0.0, 1))),
+    "supersphere": (_supersphere, (_RESOLUTION, ("e", 0.0, 1e6), ("n", 0.0, 1e6))),
+    "supertorus": (
+        _supertorus,
+        (_RESOLUTION, ("radius", 1e-6, 1), ("s", 1e-6, 1e6), ("t", 1e-6, 1e6)),
+    ),
+    "wedge": (
+        _wedge,
+        (
+            *(("res_phi", 1, MOST_CORNERS), ("res_theta", 1, MOST_CORNERS)),
+            *(("fov_phi", 1e-6, 180), ("fov_theta", 1e-6, 90), ("gamma", 0.0, 1)),
+        ),
+    ),
 }

@@ -17,7 +17,7 @@ from typing import Any
 
 from stepcore.checks import nearest
 from stepcore.mjcf.defaults import MAIN, Compiler, Defaults
-from stepcore.mjcf.nodes import Node, below, inside, sections
+from stepcore.mjcf.nodes import Node, below, inside, options, sections
 from stepcore.mjcf.schema import FLAGS_OFF, ROOT
 from stepcore.mjcf.validation import bad, kind_of, references
 from stepcore.scene import frames
@@ -76,8 +76,8 @@ def copied(node: Node, made: dict[int, Node] | None = None) -> Node:
 
 def _alone(node: Node) -> Node:
     copy = Node(node.tag, dict(node.attrs), node.file, node.line)
-    copy.values, copy.path, copy.compiler = dict(node.values), node.path, node.compiler
-    copy.parts = node.parts
+    copy.values, copy.path = dict(node.values), node.path
+    copy.compiler, copy.parts = node.compiler, node.parts
     return copy
 
 
@@ -509,8 +509,11 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
 
     node: the <attach>. Raises MJCFError for a conflict that the policy does not allow.
     """
-    mine, my_flags = _written_options(root)
-    theirs, their_flags = _written_options(child)
+    mine, theirs = options(root), options(child)
+    my_flags, their_flags = (
+        {name: word for flag in inside(model, "option") for name, word in flag.values.items()}
+        for model in (root, child)
+    )
     both = ((mine, theirs), (my_flags, their_flags))
     named = f'"{child.attrs.get("model", "") or node.attrs.get("model", "")}"'
 
@@ -551,17 +554,6 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
     root.children.append(section)
     changed = [name for name, value in section.values.items() if value != mine.get(name)]
     return note([*changed, *turned], "used")
-
-
-def _written_options(root: Node) -> tuple[dict[str, Any], dict[str, Any]]:
-    options: dict[str, Any] = {}
-    flags: dict[str, Any] = {}
-    for section in root.children:
-        if section.tag == "option":
-            options |= section.values
-            for child in section.children:
-                flags |= child.values
-    return options, flags
 
 
 def _split_keys(root: Node, defaults: Defaults) -> list[Node]:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from stepcore import _core
 from stepcore.checks import cut
 from stepcore.mjcf.nodes import below, inside, sections
+from stepcore.mjcf.sections import Shape, WorldReader
 from stepcore.mjcf.validation import references
-from stepcore.mjcf.worldbody import Shape, WorldReader
 from stepcore.scene import frames
 from stepcore.scene.elements import Body, Geom, Joint, MassRules, Site
 from stepcore.scene.frames import Vec
@@ -25,7 +25,6 @@ from stepcore.scene.layout import Layout
 from stepcore.scene.records import plain
 
 if TYPE_CHECKING:
-    from stepcore.mjcf.worldbody import Shape, WorldReader
     from stepcore.scene.scene import Scene
 
 OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")
@@ -33,6 +32,10 @@ NOTE = (
     "an attached model makes masses by other rules (<compiler>): bodies have the masses that their "
     "own rules make, and changed densities or sizes of geoms would not change these"
 )
+
+
+# Bodies by mass rules; the keys are the values of the rules.
+Groups = dict[tuple[object, ...], tuple[MassRules, list[Body]]]
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,7 @@ def place_weightless(world: WorldReader) -> None:
         or (sensor.type != "contact" and "body" in (sensor.objtype, sensor.reftype))
         for sensor in scene.sensors
     )
-    groups: dict[tuple[object, ...], tuple[MassRules, list[Body]]] = {}
+    groups: Groups = {}
     for body in scene.bodies:
         rules = world.rules_of(body)
         counts = sensed or id(body) in touching or rules.boundmass > 0 or rules.boundinertia > 0
@@ -153,7 +156,7 @@ def settle_masses(world: WorldReader) -> None:
     of mass rules: those of the outer model, unless they would change a mass assigned here.
     """
     scene = world.scene
-    groups: dict[tuple[object, ...], tuple[MassRules, list[Body]]] = {}
+    groups: Groups = {}
     for body in Layout(scene).bodies[1:]:
         rules = world.rules_of(body)
         groups.setdefault(_for_one_body(rules), (rules, []))[1].append(body)
@@ -279,8 +282,8 @@ def fuse(world: WorldReader) -> None:
     """Fuse each body that cannot move relative to its parent with the parent, world first."""
     scene, root = world.scene, world.root
     kept = _kept_apart(world)
-    options = [section.values for section in sections(root, "option")]
-    fluid = any(o.get(name, 0.0) > 0 for o in options for name in ("density", "viscosity"))
+    sets = [section.values for section in sections(root, "option")]
+    fluid = any(values.get(name, 0.0) > 0 for values in sets for name in ("density", "viscosity"))
     layout = Layout(scene)
     # Computed at the first body whose parent is not the world.
     known: dict[int, Weight] = {}

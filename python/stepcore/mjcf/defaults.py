@@ -1,20 +1,51 @@
-"""The sections `<compiler>` and `<default>`, which complete the attributes of elements."""
+"""The sections `<compiler>` and `<default>`, which complete the attributes of elements.
+
+The law of an actuator follows from its element and its default classes by MuJoCo's rules:
+MuJoCo's rules: `<general>` inherits from its class. A shortcut (`<position>`, `<velocity>`, …)
+inherits from the innermost class whose actuator was last written as the same shortcut or as
+`<general>`. If no class matches, the shortcut has its own defaults. Controllers (`<pid>`,
+`<dcmotor>`) and `<orientation>` inherit only from classes of the same element.
+"""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from stepcore.checks import nearest
-from stepcore.mjcf import gains
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.schema import ACTUATORS, ORIENTATION, given
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import LengthRange, MassRules
-from stepcore.scene.frames import Vec
+from stepcore.scene.elements.actuator_laws import (
+    CHARTS,
+    CONTROL,
+    GENERAL,
+    INPUTS,
+    LAWS,
+    MUSCLE,
+    Law,
+    damping,
+    inputs,
+)
+from stepcore.scene.frames import ORIGIN, Vec
+
+Values = dict[str, Any]
+# The default values of controllers and orientations.
+START: dict[str, dict[str, Any]] = {
+    "pid": {"kp": 1.0, "kv": 0.0, "input": "pos vel"},
+    "dcmotor": {
+        **{"motorconst": 0.0, "resistance": 0.0, "input": "voltage", "kp": 0.0, "kv": 0.0},
+        **dict.fromkeys((*CONTROL, "vmax", "current_rate", "timeconst"), 0.0),
+        **{"cogging": ORIGIN, "lugre": (0.0,) * 5, "thermal": None},
+    },
+    "orientation": {"kp": 1.0, "kv": 0.0, "input": "expmap"},
+}
+CONTROLLERS = {"pid": INPUTS[:3], "dcmotor": INPUTS}
 
 
 class Compiler:
@@ -94,7 +125,6 @@ class Compiler:
             raise bad(node, given[0], numbers, f"a direction: {error}") from None
 
 
-Values = dict[str, Any]
 MAIN = "main"
 # Attributes of a class that name assets.
 ASSETS = ("mesh", "hfield", "material")
@@ -123,7 +153,7 @@ class Defaults:
     def __init__(self, sections: Iterable[Node]) -> None:
         self.classes: dict[str, dict[str, Values]] = {MAIN: {}}
         # The actuator gains of each class and the classes around it, the outermost first.
-        self.chains: dict[str, gains.Chain] = {MAIN: (gains.ActuatorGains(),)}
+        self.chains: dict[str, Chain] = {MAIN: (ActuatorGains(),)}
         for section in sections:
             if section.attrs.get("class", MAIN) != MAIN:
                 raise section.error('the outermost <default> has the class "main" and no other')
@@ -140,11 +170,11 @@ class Defaults:
                     tag = "actuator" if child.tag in ACTUATORS else child.tag
                     own[tag] = overlay(own.get(tag, {}), child.values)
                     if tag == "actuator":
-                        own[tag] = gains.without_range(own[tag], child)
+                        own[tag] = without_range(own[tag], child)
                         chain = self.chains[name]
-                        made = gains.inherited(chain, child)
+                        made = inherited(chain, child)
                         self.chains[name] = (*chain[:-1], made)
-                        own[tag] = gains.saturated(own[tag], made, child)
+                        own[tag] = saturated(own[tag], made, child)
             inner = [child for child in node.children if child.tag == "default"]
             for child in inner:
                 inner_name = child.attrs.get("class", "")
@@ -193,5 +223,417 @@ class Defaults:
         given = {key: value for key, value in node.values.items() if key != "class"}
         return overlay(self.classes[name].get(kind or node.tag, {}), given)
 
-    def gains(self, node: Node) -> gains.ActuatorGains:
-        return gains.inherited(self.chains[self.known(node, "class") or MAIN], node)
+    def gains(self, node: Node) -> ActuatorGains:
+        return inherited(self.chains[self.known(node, "class") or MAIN], node)
+
+
+@dataclass(frozen=True)
+class ActuatorGains:
+    """The force law of an actuator or a default class.
+
+    tag: the element that defines the law.
+    values: the fields of the law. Those of a `<general>` are in MJCF notation. A `<dcmotor>` has
+        the electrical time constant [s] in place of the inductance.
+    inheritrange: the scale of an inherited range, or 0.
+    torque: the torque limit of a motor [N·m]; 0: unlimited, None: not given.
+    damping: the first coefficient of the actuator's own damping.
+    """
+
+    tag: str = "general"
+    values: Values = field(default_factory=lambda: dict(zip(GENERAL, Law(), strict=False)))
+    inheritrange: float = 0.0
+    torque: float | None = None
+    damping: float = 0.0
+
+    @property
+    def law(self) -> Law:
+        row = LAWS[self.tag]
+        return row.to_law(row.fields | (self.values if self.tag == "general" else self.fields))
+
+    @property
+    def is_position(self) -> bool:
+        """Whether the control is a length, and so can inherit the range of the joint."""
+        if "input" in self.values:
+            return self.tag == "pid" and self.inputs[:1] == ["pos"]
+        return self.law.holds_length
+
+    @property
+    def inputs(self) -> list[str]:
+        return inputs(self.tag, self.values.get("input"))
+
+    @property
+    def activates(self) -> str:
+        """The type of the activation dynamics, or "none"."""
+        return "none" if self.tag in START else self.law.dyntype
+
+    @property
+    def fields(self) -> Values:
+        """The law, as fields of `Actuator`."""
+        values = dict(self.values)
+        if self.tag == "dcmotor":
+            values["inductance"] = values.pop("timeconst") * values["resistance"]
+            if values["input"] == "voltage":
+                del values["kp"], values["kv"]
+        if self.tag != "general":
+            return values
+        affine = values["biastype"] == "affine"
+        fields: Values = {
+            "gainprm": values["gainprm"][0],
+            "biasprm": values["biasprm"][:3] if affine else None,
+        }
+        if values["gaintype"] != "fixed":
+            fields |= {"gaintype": values["gaintype"], "gainprm": values["gainprm"][:10]}
+        if values["biastype"] == "muscle":
+            fields |= {"biastype": "muscle", "biasprm": values["biasprm"][:10]}
+        if values["dyntype"] != "none":
+            fields |= {"dyntype": values["dyntype"], "dynprm": values["dynprm"][:3]}
+        return fields
+
+
+Chain = tuple[ActuatorGains, ...]
+
+
+def inherited(chain: Chain, node: Node) -> ActuatorGains:
+    """Return the law of an actuator or default. chain: the laws of its classes, outermost first."""
+    last, tag = chain[-1], node.tag
+    drag = (*node.values.get("damping", ()), last.damping)[0]
+    if tag == "general":
+        return replace(_general(last, node), damping=drag)
+    if tag in START:
+        own = next((gains for gains in reversed(chain) if gains.tag == tag), None)
+        base = replace(own or ActuatorGains(tag, START[tag]), damping=drag)
+        scale = _inheritrange(base, node) if tag == "pid" else 0.0
+        return replace(_SHORTCUTS[tag](base, node), inheritrange=scale, damping=drag)
+    if tag not in _SHORTCUTS:
+        # A <motor>, which has no law of its own, or an actuator that is not built. Only a <general>
+        # inherits the range from a class.
+        scale = last.inheritrange if tag in LAWS else 0.0
+        return ActuatorGains(tag, {}, scale, damping=drag)
+    handed = next((g for g in reversed(chain) if g.tag in (tag, "general")), ActuatorGains())
+    if handed.tag == "general" and (from_law := LAWS[tag].from_law):
+        handed = replace(handed, tag=tag, values=from_law(handed.law))
+    made = _SHORTCUTS[tag](handed, node)
+    position = tag in ("position", "intvelocity")
+    scale = _inheritrange(handed, node) if position else last.inheritrange
+    return replace(made, inheritrange=scale, damping=drag)
+
+
+def _own(node: Node, *names: str) -> Values:
+    return {name: node.values[name] for name in names if name in node.values}
+
+
+def _not_negative(node: Node, values: Values, *names: str) -> None:
+    for name in names:
+        if values.get(name, 0.0) < 0:
+            raise bad(node, name, values[name], ">= 0")
+
+
+def _plain(base: ActuatorGains, node: Node) -> ActuatorGains:
+    """Return the law of a velocity servo, damper, cylinder or adhesion: its own attributes."""
+    values = base.values | _own(node, *LAWS[node.tag].fields)
+    if node.tag in ("damper", "adhesion"):
+        _not_negative(node, values, "kv", "gain")
+    diameter = node.values.get("diameter", -1.0)
+    if node.tag == "cylinder" and diameter >= 0:
+        # Unlike a power, a product overflows to inf, which the element's own check reports.
+        values["area"] = math.pi / 4 * diameter * diameter
+    return ActuatorGains(node.tag, values)
+
+
+def _muscle(base: ActuatorGains, node: Node) -> ActuatorGains:
+    """Return the law of a muscle; a negative number keeps the inherited value.
+
+    As in MuJoCo, the default values of `<general>` count as not given.
+    """
+    values, had = node.values, base.values
+    low, high = had.get("range", MUSCLE["range"])
+    bounds = (
+        MUSCLE["range"][0] if low == 1.0 else low,
+        MUSCLE["range"][1] if high == 0.0 else high,
+    )
+    rise, fall = had.get("timeconst", LAWS["muscle"].fields["timeconst"])
+    times = (0.01 if rise == 1 else rise, 0.04 if fall == 0 else fall)
+    made: Values = {
+        name: tuple(b if a < 0 else a for a, b in zip(values.get(name, old), old, strict=True))
+        for name, old in (("range", bounds), ("timeconst", times))
+    }
+    made["tausmooth"] = values.get("tausmooth", had.get("tausmooth", 0.0))
+    for name, default in list(MUSCLE.items())[1:]:
+        kept = had.get(name, default) or default
+        made[name] = values[name] if values.get(name, -1.0) >= 0 else kept
+    _not_negative(node, made, "tausmooth")
+    return ActuatorGains("muscle", made)
+
+
+def _servo(base: ActuatorGains, node: Node) -> ActuatorGains:
+    _not_negative(node, node.values, "kv", "dampratio", "timeconst")
+    values = _damped(base.values, node) | _own(node, "kp")
+    if node.values.get("timeconst", 0.0) > 0:
+        values["timeconst"] = node.values["timeconst"]
+    elif "timeconst" in node.values:
+        values.pop("timeconst", None)
+    return ActuatorGains(node.tag, values)
+
+
+def _damped(values: Values, node: Node) -> Values:
+    """Return the fields with the element's damping, given as kv or as dampratio."""
+    if "kv" in node.values and "dampratio" in node.values:
+        raise node.error(f"<{node.tag}> has both kv and dampratio")
+    if "kv" not in node.values and "dampratio" not in node.values:
+        return dict(values)
+    kept = {name: value for name, value in values.items() if name not in ("kv", "dampratio")}
+    return kept | damping(node.values.get("dampratio", 0.0 - node.values.get("kv", 0.0)))
+
+
+def _orientation(base: ActuatorGains, node: Node) -> ActuatorGains:
+    chart = node.values.get("input", "") or base.values["input"]
+    if chart not in CHARTS:
+        raise bad(node, "input", chart, " or ".join(CHARTS))
+    return ActuatorGains("orientation", _servo(base, node).values | {"input": chart})
+
+
+def _input(node: Node, handed_down: str) -> str:
+    given: str = node.values.get("input", "") or handed_down
+    known, words = CONTROLLERS[node.tag], given.split()
+    if node.tag == "dcmotor" and words == ["none"]:
+        return "none"
+    if words != [word for word in known if word in words]:
+        raise bad(node, "input", given, f"some of {', '.join(known)}, in this order")
+    return " ".join(words)
+
+
+def _pid(base: ActuatorGains, node: Node) -> ActuatorGains:
+    given = _input(node, base.values["input"])
+    _not_negative(node, node.values, "kv", "dampratio")
+    values = _damped(base.values, node) | {"input": given} | _own(node, "kp", *CONTROL)
+    _not_negative(node, values, "slewmax")
+    if values.get("ki") or values.get("slewmax"):
+        values |= {name: values.get(name, 0.0) for name in CONTROL}
+    else:
+        # The class of a controller without activation passes none of these on.
+        values = {name: value for name, value in values.items() if name not in CONTROL}
+    return ActuatorGains("pid", values)
+
+
+def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
+    """Return the law of a DC motor by MuJoCo's rules for datasheet values.
+
+    The motor constant follows from torque, voltage or the nominal point.
+    """
+    values, old = node.values, base.values
+    made: Values = {"input": _input(node, old["input"])}
+    resistance: float = old["resistance"]
+    given = values.get("motorconst", (old["motorconst"],))
+    by_torque, by_voltage = (*given, 0.0)[:2]
+    voltage, stall, free = (*values.get("nominal", ()), 0.0, 0.0, 0.0)[:3]
+    if min(by_torque, by_voltage) < 0:
+        raise bad(node, "motorconst", given, ">= 0")
+    if "nominal" in values and free != 0:
+        known = values.get("resistance", resistance)
+        by_nominal = _without_load(voltage, stall, free, known, base.damping)
+        by_torque, by_voltage = by_torque or by_nominal, by_voltage or by_nominal
+    both = by_torque > 0 and by_voltage > 0
+    constant = math.sqrt(by_torque * by_voltage) if both else max(by_torque, by_voltage)
+    if "resistance" in values:
+        resistance = values["resistance"]
+    elif resistance == 0 and stall > 0:
+        resistance = constant * voltage / stall
+    if constant <= 0:
+        raise node.error(
+            "<dcmotor> needs a motorconst or a nominal point: its constant must be > 0"
+        )
+    if resistance <= 0:
+        raise node.error("<dcmotor> needs a resistance or a nominal point: it must be > 0")
+    made |= {"motorconst": constant, "resistance": resistance}
+    names = ("kp", "ki", "kv", "slewmax", "imax", "vmax")
+    controller = _filled(values.get("controller", ()), tuple(old[name] for name in names))
+    made |= dict(zip(names, controller, strict=False))
+    if made["ki"] < 0:
+        raise bad(node, "controller", values["controller"], "ki >= 0")
+    rate = _filled(values.get("saturation", ()), (0.0, 0.0, old["current_rate"]))[2]
+    made |= {name: max(made[name], 0.0) for name in ("slewmax", "imax", "vmax")}
+    made |= {"current_rate": max(rate, 0.0), "timeconst": old["timeconst"]}
+    if "inductance" in values:
+        # A given inductance takes precedence over the electrical time constant [s].
+        inductance, seconds = _filled(values["inductance"], (0.0, old["timeconst"]))
+        if min(inductance, seconds) < 0:
+            raise bad(node, "inductance", values["inductance"], ">= 0")
+        made["timeconst"] = inductance / resistance if inductance > 0 else seconds
+    made |= {name: _filled(values.get(name, ()), old[name]) for name in ("cogging", "lugre")}
+    made["thermal"] = _thermal(node, old["thermal"])
+    torque = base.torque
+    if "saturation" in values:
+        most, current = (*values["saturation"], 0.0)[:2]
+        torque = most if most > 0 else max(constant * current, 0.0)
+    return ActuatorGains("dcmotor", made, torque=torque)
+
+
+def _without_load(
+    voltage: float, stall: float, free: float, resistance: float, drag: float
+) -> float:
+    """Return the motor constant K from the no-load speed ω and the motor's own damping B.
+
+    K solves K (V - K ω)/R = B ω; without a resistance, K/R = stall/V. If no K > 0 solves the
+    equation, K is V/ω, the value without damping, as in MuJoCo.
+    """
+    whole = voltage / free
+    if drag <= 0:
+        return whole
+    if resistance > 0:
+        square = voltage * voltage - 4.0 * resistance * drag * free * free
+        return (voltage + math.sqrt(square)) / (2.0 * free) if square >= 0 else whole
+    if stall <= drag * free:
+        return whole
+    return whole * (1.0 - drag * free / stall)
+
+
+def _filled(given: Vec, kept: Vec) -> Vec:
+    return (*given, *kept[len(given) :])
+
+
+def _thermal(node: Node, had: Vec | None) -> Vec | None:
+    """Return the thermal parameters; two of resistance, capacity and time constant suffice."""
+    if "thermal" not in node.values:
+        return had
+    kept = (*had[:2], 0.0, *had[2:]) if had else (0.0,) * 6
+    path, capacity, seconds, *rest = _filled(node.values["thermal"], kept)
+    if not (path or capacity or seconds):
+        return None
+    if path > 0 and seconds > 0:
+        capacity = seconds / path
+    elif capacity > 0 and seconds > 0:
+        path = seconds / capacity
+    if path <= 0 or capacity <= 0:
+        limit = "two of resistance, capacity and time constant > 0"
+        raise bad(node, "thermal", node.values["thermal"], limit)
+    return (path, capacity, *rest)
+
+
+_SHORTCUTS: dict[str, Callable[[ActuatorGains, Node], ActuatorGains]] = {
+    "position": _servo,
+    "intvelocity": _servo,
+    **dict.fromkeys(("velocity", "damper", "cylinder", "adhesion"), _plain),
+    "muscle": _muscle,
+    "pid": _pid,
+    "dcmotor": _dcmotor,
+    "orientation": _orientation,
+}
+
+
+def _general(base: ActuatorGains, node: Node) -> ActuatorGains:
+    if base.tag not in LAWS or base.tag in CONTROLLERS:
+        raise node.unbuilt(f"<general> in a class whose default is <{base.tag}>")
+    values = base.values if base.tag == "general" else base.law.general()
+    given: Values = {
+        name: (*node.values[name], *values[name][len(node.values[name]) :])
+        for name in ("gainprm", "biasprm", "dynprm")
+        if node.values.get(name)
+    }
+    given |= _own(node, "dyntype", "gaintype", "biastype")
+    made = ActuatorGains("general", values | given, _inheritrange(base, node))
+    if made.values["gaintype"] in _CANONICAL:
+        return _canonical(made, node)
+    return replace(made, torque=base.torque)
+
+
+# MuJoCo's canonical notation writes controllers and orientations as `<general>`, with their
+# parameters by position (MuJoCo documentation, XML reference, "actuator/general").
+
+
+def _canonical(gains: ActuatorGains, node: Node) -> ActuatorGains:
+    values, kind = gains.values, gains.values["gaintype"]
+    bias, dynamics, read = _CANONICAL[kind]
+    if values["biastype"] != bias or values["dyntype"] not in dynamics:
+        types = f'biastype="{values["biastype"]}" and dyntype="{values["dyntype"]}"'
+        raise node.unbuilt(f'<general> gaintype="{kind}" with {types}')
+    early = node.values.get("actearly", kind == "dcmotor")
+    if early != (kind == "dcmotor") or node.values.get("actrange"):
+        name = "actrange" if node.values.get("actrange") else "actearly"
+        raise node.unbuilt(f'<general> gaintype="{kind}" with {name}', name)
+    tag = "orientation" if kind == "so3" else kind
+    return replace(gains, tag=tag, values=read(values, node))
+
+
+def _ten(prm: Vec) -> Vec:
+    return (*prm, *(0.0,) * 10)[:10]
+
+
+def _canonical_pid(values: Values, node: Node) -> Values:
+    gain, bias = values["gainprm"], values["biasprm"]
+    constant, stiffness, drag = _ten(bias)[:3]
+    if constant != 0:
+        raise bad(node, "biasprm", bias, "0 first, for a pid")
+    made: Values = {"kp": 0.0 - stiffness, "input": node.values.get("input", "") or "pos vel"}
+    if values["dyntype"] == "none":
+        if gain[0] != 0:
+            limit = '0 (the gain of the integral) without dyntype="pid"'
+            raise bad(node, "gainprm", gain, limit)
+    else:
+        made |= dict(zip(CONTROL, (gain[0], *_ten(values["dynprm"])[:2]), strict=True))
+        if min(made[name] for name in CONTROL) < 0:
+            raise bad(node, "dynprm", values["dynprm"], "gains and limits >= 0")
+    return made | damping(drag)
+
+
+def _canonical_motor(values: Values, node: Node) -> Values:
+    gain, bias, dynamics = (_ten(values[name]) for name in ("gainprm", "biasprm", "dynprm"))
+    resistance, constant, more_by_degree, reference, kp, ki, kd, vmax = gain[:8]
+    if values["dyntype"] == "none":
+        dynamics = (0.0,) * 10
+    timeconst, rate, path, capacity, ambient, stiffness, drag, slewmax, imax = dynamics[:9]
+    if resistance <= 0 or constant <= 0:
+        limit = "a resistance and a constant > 0 for a dcmotor"
+        raise bad(node, "gainprm", values["gainprm"], limit)
+    heats = path > 0 and capacity > 0
+    return {
+        **{"motorconst": constant, "resistance": resistance, "kp": kp, "kv": kd, "ki": ki},
+        **{"slewmax": max(slewmax, 0.0), "imax": max(imax, 0.0), "vmax": max(vmax, 0.0)},
+        **{"current_rate": max(rate, 0.0), "timeconst": max(timeconst, 0.0)},
+        "input": node.values.get("input", "") or "voltage",
+        "cogging": bias[:3],
+        "lugre": (stiffness, drag, *bias[3:6]),
+        "thermal": (path, capacity, more_by_degree, reference, ambient) if heats else None,
+    }
+
+
+def _canonical_orientation(values: Values, node: Node) -> Values:
+    chart = node.values.get("input", "") or "expmap"
+    if chart not in CHARTS:
+        raise bad(node, "input", chart, " or ".join(CHARTS))
+    kp, bias = values["gainprm"][0], _ten(values["biasprm"])[:3]
+    if bias[:2] != (0.0, 0.0 - kp):
+        raise bad(node, "biasprm", values["biasprm"], "0 -kp -kv for an orientation")
+    return {"kp": kp, "input": chart} | damping(bias[2])
+
+
+# For each gaintype: the required biastype, the allowed dyntypes, and the parameter reader.
+_CANONICAL: dict[str, tuple[str, tuple[str, ...], Callable[[Values, Node], Values]]] = {
+    "pid": ("affine", ("none", "pid"), _canonical_pid),
+    "dcmotor": ("dcmotor", ("none", "dcmotor"), _canonical_motor),
+    "so3": ("so3", ("none",), _canonical_orientation),
+}
+
+
+def _inheritrange(base: ActuatorGains, node: Node) -> float:
+    """Return the scale from the joint's range to the control range; 0 if the latter is given."""
+    given: float = node.values.get("inheritrange", base.inheritrange)
+    own = {"intvelocity": "actrange", "pid": "posrange"}.get(node.tag, "ctrlrange")
+    if own not in node.values:
+        return given
+    if node.values.get("inheritrange", 0.0) > 0:
+        raise node.error(f"<{node.tag}> has both {own} and inheritrange")
+    return 0.0
+
+
+def saturated(values: Values, made: ActuatorGains, node: Node) -> Values:
+    """Return the values of a motor or its class, with the force range from its saturation."""
+    if made.torque is None or "saturation" not in node.values:
+        return values
+    rest = {name: v for name, v in values.items() if name not in ("forcerange", "forcelimited")}
+    return rest | ({"forcerange": (-made.torque, made.torque)} if made.torque > 0 else {})
+
+
+def without_range(values: Values, node: Node) -> Values:
+    """Return the values of a class, without ctrlrange if `node` inherits the joint's range."""
+    takes_over = node.values.get("inheritrange", 0.0) > 0
+    return {name: v for name, v in values.items() if name != "ctrlrange" or not takes_over}

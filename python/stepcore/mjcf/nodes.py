@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 from xml.parsers import expat
@@ -178,6 +179,11 @@ def inside(root: Node, tag: str) -> list[Node]:
     return [node for section in sections(root, tag) for node in section.children]
 
 
+def options(root: Node) -> dict[str, Any]:
+    """Return the values of all option sections; a later section overrides an earlier one."""
+    return {k: value for node in sections(root, "option") for k, value in node.values.items()}
+
+
 def parse(data: str | bytes, file: str) -> Node:
     """Return the root of an XML document; raise MJCFError if the text is not well-formed.
 
@@ -248,15 +254,9 @@ def repaired(data: str | bytes) -> str | bytes:
     raw = _AMPERSAND.sub(b"&amp;", raw)
     if blanks := _BLANKS.match(raw):
         raw = blanks[2] + blanks[1] + raw[blanks.end() :]
-
-    def with_blanks(tag: re.Match[bytes]) -> bytes:
-        spaced = _ATTRIBUTE.sub(lambda found: (found[1] or b" ") + found[2], cast(bytes, tag[2]))
-        return cast(bytes, tag[1]) + spaced
-
-    raw = _TAG.sub(with_blanks, raw)
-    if isinstance(data, str):
-        return raw.decode("utf-8", "surrogatepass")
-    return raw
+    spaced = partial(_ATTRIBUTE.sub, lambda found: (found[1] or b" ") + found[2])
+    raw = _TAG.sub(lambda tag: cast(bytes, tag[1]) + spaced(tag[2]), raw)
+    return raw.decode("utf-8", "surrogatepass") if isinstance(data, str) else raw
 
 
 def _plain_comments(raw: bytes) -> bytes:

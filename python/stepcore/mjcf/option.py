@@ -16,6 +16,7 @@ from stepcore.checks import nearest
 from stepcore.mjcf.nodes import OWN_TEXT, Node, is_own_text
 from stepcore.mjcf.schema import FLAGS_OFF, OWN_FEATURES
 from stepcore.mjcf.validation import INT, REAL, bad
+from stepcore.scene.elements import WHOLE
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
@@ -78,7 +79,7 @@ def read(scene: Scene, node: Node) -> None:
     for name, (fits, limit) in _LIMITS.items():
         if name in values and not fits(values[name]):
             raise bad(node, name, values[name], limit)
-    for name in ("gravity", "density", "viscosity", "wind", "magnetic"):
+    for name in WHOLE:
         if name in values:
             setattr(scene, name, values[name])
     for setting, (name, words) in _SETTINGS.items():

@@ -42,8 +42,8 @@ from stepcore.mjcf.nodes import (
     read_named,
     sections,
 )
+from stepcore.mjcf.sections import WorldReader
 from stepcore.mjcf.validation import REFERENCES, Exclusions, validate
-from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import gc_pause
 from stepcore.scene.layout import LISTS, Layout, named
 from stepcore.scene.records import check
@@ -69,9 +69,7 @@ class Models:
     """The models of one load; `prepared` validates one and expands <attach> and <replicate>."""
 
     def __init__(self, scene: Scene, refusals: Refusals, exclusions: Exclusions) -> None:
-        self.scene = scene
-        self.refusals = refusals
-        self.exclusions = exclusions
+        self.scene, self.refusals, self.exclusions = scene, refusals, exclusions
         # `open`: the files of the models being read, the outermost first. `made`: finished models.
         self.open: list[str] = []
         self.made: dict[str, Model] = {}
@@ -161,14 +159,13 @@ def _fill(scene: Scene, root: Node, source: Source, without: Iterable[str]) -> N
         urdf = translate.to_mjcf(root, source.directory)
         root = urdf.tree
         scene.ignored += urdf.ignored
-        scene.notes += urdf.notes
+        scene.notes += urdf.notes()
         # A URDF text cannot be kept when the scene is saved as MJCF.
         source = replace(source, data=b"", urdf=source.data)
     scene.name = root.attrs.get("model", "")
     refusals, exclusions = Refusals(), Exclusions(without)
-    models = Models(scene, refusals, exclusions)
     try:
-        model = models.prepared(root, source.directory)
+        model = Models(scene, refusals, exclusions).prepared(root, source.directory)
         world = read_sections(scene, model, refusals)
     except ValueError as error:
         refusals.add(error if isinstance(error, MJCFError) else root.error(str(error)))
@@ -200,11 +197,10 @@ def read_sections(
     scene: Scene, model: Model, refusals: Refusals, kind: type[Assets] = Assets
 ) -> WorldReader:
     """Read all sections without opening asset files; collect errors in `refusals`."""
-    root, compiler, defaults = model.root, model.compiler, model.defaults
-    assets = kind(sections(root, "asset"), compiler, defaults)
-    world = WorldReader(scene, root, compiler, defaults, assets, refusals)
-    scene.mass_rules = compiler.mass_rules()
-    scene.lengthrange = compiler.lengthrange()
+    root, compiler = model.root, model.compiler
+    assets = kind(sections(root, "asset"), compiler, model.defaults)
+    world = WorldReader(scene, model, assets, refusals)
+    scene.mass_rules, scene.lengthrange = compiler.mass_rules(), compiler.lengthrange()
     for node in sections(root, "option"):
         refusals.at(node, lambda node: option.read(scene, node))
     option.settle(scene, sections(root, "option"))

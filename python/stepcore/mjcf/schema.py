@@ -35,6 +35,7 @@ from stepcore.scene.elements import (
 from stepcore.scene.elements.actuator_laws import LAW_FIELDS
 from stepcore.scene.elements.equality import FIELDS as EQUALITY_FIELDS
 from stepcore.scene.elements.field_types import AUTO, BOOL
+from stepcore.scene.elements.sensor import OBJECTS, OF_ACCELERATION, OF_FRAME, OF_GAP
 
 ORIENTATION = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 POSE = "pos:3 quat:4 axisangle:4 xyaxes:6 zaxis:3 euler:3"
@@ -396,36 +397,23 @@ _SENSOR = "name nsample:int interp:zoh|linear|cubic delay:1 interval:1-2 user:* 
 )
 _GEOMS = "geom1 geom2 body1 body2"
 _OBJECT = "body|xbody|geom|site|camera"
-_REFERENCE = f"reftype:{_OBJECT} refname"
-
-
-def _sensors(names: str, more: str, role: str = "") -> dict[str, Spec]:
-    return {tag: spec(f"{_SENSOR} {more}", role=role) for tag in names.split()}
-
-
+# What names the ends of a sensor, unless it is the one kind of element that the type observes.
+_ENDS = {
+    "rangefinder": "site camera data",
+    **dict.fromkeys(OF_FRAME, f"objtype!:{_OBJECT} objname! reftype:{_OBJECT} refname"),
+    **dict.fromkeys(OF_ACCELERATION, f"objtype!:{_OBJECT} objname!"),
+    "insidesite": f"site! objtype!:{_OBJECT} objname! enclosed:{BOOL}",
+    **dict.fromkeys(OF_GAP, _GEOMS),
+    "contact": f"{_GEOMS} subtree1 subtree2 site {of(Sensor, 'num', 'data', 'reduce')}",
+}
 SENSOR = spec(
     "",
     {
-        **_sensors("touch accelerometer velocimeter gyro force torque magnetometer", "site!"),
-        **_sensors("camprojection", "site! camera!", "senses"),
-        **_sensors("rangefinder", "site camera data"),
-        **_sensors("jointpos jointvel jointactuatorfrc ballquat ballangvel", "joint!"),
-        **_sensors("jointlimitpos jointlimitvel jointlimitfrc", "joint!"),
-        **_sensors("tendonpos tendonvel tendonactuatorfrc", "tendon!"),
-        **_sensors("tendonlimitpos tendonlimitvel tendonlimitfrc", "tendon!"),
-        **_sensors("actuatorpos actuatorvel actuatorfrc", "actuator!"),
-        **_sensors(
-            "framepos framequat framexaxis frameyaxis framezaxis framelinvel frameangvel",
-            f"objtype!:{_OBJECT} objname! {_REFERENCE}",
-        ),
-        **_sensors("framelinacc frameangacc", f"objtype!:{_OBJECT} objname!"),
-        **_sensors("subtreecom subtreelinvel subtreeangmom", "body!"),
-        **_sensors("insidesite", f"site! objtype!:{_OBJECT} objname! enclosed:{BOOL}"),
-        **_sensors("distance normal fromto", _GEOMS),
-        **_sensors(
-            "contact", f"{_GEOMS} subtree1 subtree2 site {of(Sensor, 'num', 'data', 'reduce')}"
-        ),
-        **_sensors("e_potential e_kinetic clock", ""),
+        **{
+            tag: spec(f"{_SENSOR} {_ENDS.get(tag, ' '.join(f'{kind}!' for kind in kinds))}")
+            for tag, (kinds, _) in OBJECTS.items()
+        },
+        "camprojection": spec(f"{_SENSOR} site! camera!", role="senses"),
         "tactile": spec("name geom mesh nsample interp delay interval cutoff user", role="senses"),
         "user": spec(
             "name objtype objname datatype:real|positive|axis|quaternion needstage:pos|vel|acc "

@@ -11,7 +11,7 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +26,7 @@ from stepcore.mjcf.schema import OWN_FEATURES, changed
 from stepcore.scene import frames
 from stepcore.scene.element import table
 from stepcore.scene.elements import (
-    GRAVITY,
-    MAGNETIC,
+    WHOLE,
     Actuator,
     Body,
     Element,
@@ -43,9 +42,9 @@ from stepcore.scene.elements import (
 from stepcore.scene.elements.actuator import TARGET_FIELDS
 from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS, FED
 from stepcore.scene.elements.body import SITE_SIZE
-from stepcore.scene.elements.sensor import OF_ACCELERATION, OF_FRAME
-from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
-from stepcore.scene.frames import ORIGIN, Vec
+from stepcore.scene.elements.sensor import ENDS, OF_GAP, TYPED
+from stepcore.scene.elements.tendon import STOPS, parts
+from stepcore.scene.frames import Vec
 from stepcore.scene.layout import SIZES, Layout
 from stepcore.scene.records import check
 
@@ -144,6 +143,14 @@ class Names:
     def of(self, element: Element) -> str:
         return self.given[id(element)]
 
+    def in_place(self, fields: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the given fields, with names in place of elements."""
+        return {
+            field: self.of(value) if isinstance(value, Element) else value
+            for field, value in fields.items()
+            if value is not None
+        }
+
     def attribute(self, element: Element) -> dict[str, str]:
         """Return the attribute ``name``, if the element has a name in the file."""
         name = self.given.get(id(element), getattr(element, "name", ""))
@@ -154,8 +161,6 @@ class Names:
 DISABLED = 30
 # Attributes of `<general>`, and the shortcuts that also have them.
 GENERAL = {"actearly": (), "actrange": ("intvelocity",)}
-# Sensors that name their objects by type and name.
-TYPED = (*OF_FRAME, *OF_ACCELERATION, "insidesite", "user")
 
 
 def written(scene: Scene) -> str:
@@ -217,9 +222,7 @@ def _add_section(root: Tag, name: str, tags: list[Tag]) -> None:
 def _add_option(root: Tag, scene: Scene) -> dict[str, Any]:
     """Add the option section; return the settings that MJCF lacks."""
     attributes, flags, rest = said(to_say(scene.settings))
-    whole = {"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0, "wind": ORIGIN}
-    whole["magnetic"] = MAGNETIC
-    for name, usual in whole.items():
+    for name, usual in WHOLE.items():
         if getattr(scene, name) != usual:
             attributes[name] = text(getattr(scene, name))
     features = changed(scene.features)
@@ -235,17 +238,20 @@ def _add_option(root: Tag, scene: Scene) -> dict[str, Any]:
     if any(not actuator.enabled for actuator in scene.actuators):
         attributes["actuatorgroupdisable"] = str(DISABLED)
     if attributes or flags:
-        option = root.add(Tag("option", **attributes))
-        if flags:
-            option.add(Tag("flag", **flags))
+        root.add(_option(attributes, flags))
     return rest
+
+
+def _option(attributes: dict[str, str], flags: dict[str, str]) -> Tag:
+    option = Tag("option", **attributes)
+    option.inside = [Tag("flag", **flags)] if flags else []
+    return option
 
 
 def _tag(kind: str, element: Element, names: Names, *skip: str, **first: Any) -> Tag:
     """Return a tag with the element's name, `first`, and the fields that are no defaults."""
     given = changed(element, "name", *skip, *first)
-    named = {f: names.of(v) if isinstance(v, Element) else v for f, v in (first | given).items()}
-    return Tag(kind, **names.attribute(element), **named)
+    return Tag(kind, **names.attribute(element), **names.in_place(first | given))
 
 
 def _mesh(mesh: Mesh, names: Names) -> Tag:
@@ -345,9 +351,7 @@ def _joint(joint: Joint, names: Names) -> Tag:
 
 def _geom(geom: Geom, names: Names) -> Tag:
     given = changed(geom, "name", "body", "size", "mesh", "hfield")
-    for field, asset in (("mesh", geom.mesh), ("hfield", geom.hfield)):
-        if asset is not None:
-            given[field] = names.of(asset)
+    given |= names.in_place({"mesh": geom.mesh, "hfield": geom.hfield})
     if given.pop("hidden", False):
         # MuJoCo's grey with opacity 0.
         given["rgba"] = (0.5, 0.5, 0.5, 0.0)
@@ -367,19 +371,10 @@ def _site(site: Site, names: Names) -> Tag:
 
 def _tendon(tendon: Tendon, names: Names) -> Tag:
     tag = _tag("fixed" if tendon.fixed else "spatial", tendon, names, "path")
-    tag.inside = [_stop(stop, names) for stop in tendon.path]
+    kinds = {stop: kind for kind, stop in STOPS.items()}
+    for stop in tendon.path:
+        tag.add(Tag(kinds.get(type(stop), "site"), **names.in_place(parts(stop))))
     return tag
-
-
-def _stop(stop: Stop, names: Names) -> Tag:
-    if isinstance(stop, Share):
-        return Tag("joint", joint=names.of(stop.joint), coef=stop.coef)
-    if isinstance(stop, Around):
-        side = {} if stop.sidesite is None else {"sidesite": names.of(stop.sidesite)}
-        return Tag("geom", geom=names.of(stop.geom), **side)
-    if isinstance(stop, Pulley):
-        return Tag("pulley", divisor=stop.divisor)
-    return Tag("site", site=names.of(stop))
 
 
 def _equality(equality: Equality, names: Names) -> Tag:
@@ -393,11 +388,8 @@ def _equality(equality: Equality, names: Names) -> Tag:
 def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
     """Return the tag of an actuator. behind: the following actuators, one per further input."""
     given = changed(actuator, "name", "type", "enabled")
-    first: dict[str, Any] = dict(names.attribute(actuator))
-    for field in TARGET_FIELDS:
-        element = given.pop(field, None)
-        if element is not None:
-            first[field] = names.of(element) if isinstance(element, Element) else element
+    target = {field: given.pop(field, None) for field in TARGET_FIELDS}
+    first: dict[str, Any] = names.attribute(actuator) | names.in_place(target)
     if not actuator.enabled:
         first["group"] = DISABLED
     kind = actuator.type
@@ -474,15 +466,12 @@ def _end(
     if element is None:
         return {}
     kind, name = type(element).__name__.lower(), names.of(element)
-    if sensor.type in TYPED:
-        if sensor.type == "insidesite" and number == "2":
-            return {"site": name}
+    if sensor.type in TYPED and not (sensor.type == "insidesite" and number == "2"):
         prefix = "obj" if number == "1" else "ref"
         typed = (word or "xbody") if kind == "body" else kind
         return {f"{prefix}type": typed, f"{prefix}name": name}
-    if sensor.type in ("contact", "distance", "normal", "fromto") and kind != "site":
-        return {f"{'subtree' if word == 'subtree' else kind}{number}": name}
-    return {kind: name}
+    numbered = f"{'subtree' if word == 'subtree' else kind}{number}"
+    return {numbered if sensor.type in (*OF_GAP, "contact") and numbered in ENDS else kind: name}
 
 
 # The first byte, the byte after the last, and the replacement.
@@ -600,22 +589,13 @@ def _edited(
     added: list[Tag] = []
     if scene.name != original.name:
         edits.append(_with(data, root, {"model": scene.name}))
-    option, flag = tags.last.get("option"), tags.last.get("option/flag")
-    if not in_place or option is None:
-        if attributes or flags:
-            added.append(Tag("option", **attributes))
-            if flags:
-                added[-1].add(Tag("flag", **flags))
-    else:
-        start, stop, text = _with(data, option, attributes)
-        if flags and flag is not None:
-            edits.append(_with(data, flag, flags))
-        elif flags:
-            inner = Tag("flag", **flags).start().encode()
-            text = (
-                text[:-2].rstrip() + b">" + inner + b"</option>" if option.closed else text + inner
-            )
-        edits.append((start, stop, text))
+    if in_place:
+        for path, values in (("option", attributes), ("option/flag", flags)):
+            if path in tags.last:
+                edits.append(_with(data, tags.last[path], values))
+                values.clear()
+    if attributes or flags:
+        added.append(_option(attributes, flags))
     rest = said(to_say(scene.settings))[2]
     held = tags.last.get("custom/text")
     if held is not None:

@@ -120,7 +120,7 @@ def _checks_of(kind: type[Element]) -> dict[str, tuple[checks.Check, object, obj
 
 # Fields whose name in the engine is not MJCF's.
 ENGINE_NAMES = {
-    **{"type": "kind", "ref": "reference", "shellinertia": "shell_inertia"},
+    **{"type": "kind", "ref": "reference", "shellinertia": "shell_inertia", "sidesite": "side"},
     **{"inertiafromgeom": "from_geoms", "inertiagrouprange": "group_range"},
     **{"boundmass": "bound_mass", "boundinertia": "bound_inertia"},
     **{"balanceinertia": "balance_inertia", "settotalmass": "total_mass", "fitaabb": "fit_aabb"},

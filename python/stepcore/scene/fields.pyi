@@ -14,6 +14,15 @@ from stepcore.scene.elements import Actuator, Body, Joint, Site, Tendon
 Vector = Sequence[float] | NDArray[Any]
 Numbers = float | Vector
 
+class BodyFields(TypedDict, total=False):
+    mass: float | None
+    ipos: Vector
+    inertia: Vector
+    iquat: Vector | None
+    gravcomp: float
+    mocap: bool
+    sleep: str
+
 class JointFields(TypedDict, total=False):
     name: str
     pos: Vector

@@ -48,31 +48,21 @@ class Names:
         self._read(elements)
         return name in self._by_name and self.find(elements, name) is not None
 
-    def added(self, elements: Sequence[Any], element: Any) -> None:
-        """Add the last element of the list to the index."""
-        if self._elements is elements and self._count == len(elements) - 1:
-            self._note(element)
-
-    def _note(self, element: Any) -> None:
-        self._by_name.setdefault(element.name, self._count)
-        self._by_id[id(element)] = self._count
-        self._count += 1
-        self._last = element
-
     def _read(self, elements: Sequence[Any]) -> None:
         now = renamed()
         if self._elements is elements and (self._count, self._renamed) == (len(elements), now):
             return
         # The index of the other elements stays valid when elements are appended.
-        grown = self._elements is elements and self._renamed == now
-        grown = (
-            grown and 0 < self._count < len(elements) and elements[self._count - 1] is self._last
-        )
-        if not grown:
+        same = self._elements is elements and self._renamed == now
+        longer = 0 < self._count < len(elements)
+        if not (same and longer and elements[self._count - 1] is self._last):
             self._elements, self._count, self._renamed = elements, 0, now
             self._by_name, self._by_id = {}, {}
         for at in range(self._count, len(elements)):
-            self._note(elements[at])
+            self._last = elements[at]
+            self._by_name.setdefault(self._last.name, at)
+            self._by_id[id(self._last)] = at
+        self._count = len(elements)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A copy of the scene has other elements, so it starts with an empty index.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore.scene import length_ranges
+from stepcore.scene.elements import WHOLE as EVERYWHERE
 from stepcore.scene.elements import Body, Element, Geom, Key, Site
 from stepcore.scene.elements.actuator import check_inputs
 from stepcore.scene.frames import IDENTITY, ORIGIN
@@ -43,7 +44,7 @@ def plain(layout: Layout) -> dict[str, Any]:
 
 
 def _whole(scene: Scene) -> dict[str, Any]:
-    values = {word: getattr(scene, word) for word in (*WHOLE, "magnetic")}
+    values = {word: getattr(scene, word) for word in EVERYWHERE}
     return {w: list(value) if isinstance(value, tuple) else value for w, value in values.items()}
 
 
@@ -237,8 +238,7 @@ def _check_geom(layout: Layout, geom: Geom) -> None:
 
 def _check_body(layout: Layout, body: Body) -> None:
     """Raise if the fields of a body or its joints contradict each other."""
-    if body.mass is None and (any((*body.inertia, *body.ipos)) or body.iquat is not None):
-        raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
+    body.check_mass()
     if body.mocap and (body.parent is not layout.bodies[0] or id(body) in layout.joints_of):
         limit = "a child of the world without joints"
         raise checks.refuse(body, "mocap", True, f"False, or {limit}")

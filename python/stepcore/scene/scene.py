@@ -9,11 +9,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 from stepcore import checks, files
-from stepcore.scene import frames, hfield_files, length_ranges, mesh_files
+from stepcore.scene import asset_files, frames, length_ranges
 from stepcore.scene.element import belongs, table
 from stepcore.scene.elements import (
     GRAVITY,
-    MAGNETIC,
+    WHOLE,
     Actuator,
     Body,
     ContactOverride,
@@ -129,11 +129,8 @@ class Scene(checks.KnownNames):
     )
 
     def __init__(self, gravity: Vector = GRAVITY, name: str = "") -> None:
-        self.gravity = gravity
-        self.density = 0.0
-        self.viscosity = 0.0
-        self.wind = frames.ORIGIN
-        self.magnetic = MAGNETIC
+        for field, value in (WHOLE | {"gravity": gravity}).items():
+            setattr(self, field, value)
         self.name = checks.text("scene", "name", name)
         self.bodies: list[Body] = [Body(name="world")]
         self.joints: list[Joint] = []
@@ -235,7 +232,7 @@ class Scene(checks.KnownNames):
 
     def _find(self, elements: Sequence[E], kind: str, name: object) -> E:
         """Return the element with this name, or the given element if the list contains it."""
-        found: E | None = self._names_of(kind).find(elements, name)
+        found: E | None = self._names.setdefault(kind, Names()).find(elements, name)
         if found is not None:
             return found
         if isinstance(name, str):
@@ -260,9 +257,6 @@ class Scene(checks.KnownNames):
             f"{said}: nothing moves it against {whole}, of which it is a part; "
             "load(..., fuse=False) keeps it a body of its own"
         )
-
-    def _names_of(self, kind: str) -> Names:
-        return self._names.setdefault(kind, Names())
 
     # Settings.
 
@@ -320,38 +314,22 @@ class Scene(checks.KnownNames):
         parent: str | Body = "world",
         pos: Vector = frames.ORIGIN,
         quat: Vector = frames.IDENTITY,
-        *,
-        mass: float | None = None,
-        inertia: Vector | None = None,
-        ipos: Vector | None = None,
-        iquat: Vector | None = None,
-        gravcomp: float = 0.0,
-        mocap: bool = False,
-        sleep: str = "auto",
+        **fields: Unpack[of.BodyFields],
     ) -> Body:
         """Add a body.
 
         name: unique among bodies, or "".
         parent: the parent body, as a name or a `Body`.
         pos, quat: position [m] and orientation (w x y z) in the parent's frame.
-        mass: [kg]; None takes mass, centre of mass and inertia from the body's geoms.
-        ipos: centre of mass in the body's frame [m].
-        inertia: about the centre of mass, in body axes [kg·m²]: xx yy zz, or xx yy zz xy xz yz.
-            A mass without an inertia is a point mass.
-        iquat: orientation of the principal axes of the inertia; None computes the axes.
-        gravcomp: fraction of the body's weight that a force at the centre of mass compensates.
-        mocap: True for a body whose pose is an input.
-        sleep: whether the tree may sleep, for the root of a tree: "auto", "never", "allowed" or
-            "init".
+        fields: of `Body`: mass [kg], ipos [m], inertia [kg·m²], iquat, gravcomp, mocap, sleep.
+            Without a mass, mass, centre of mass and inertia follow from the body's geoms. A mass
+            without an inertia is a point mass.
         """
-        own = {"inertia": inertia, "ipos": ipos, "iquat": iquat}
-        weight: dict[str, Any] = {f: value for f, value in own.items() if value is not None}
-        fields: dict[str, Any] = {"name": name, "parent": self.body(parent), "pos": pos}
-        fields |= {"quat": quat, "mass": mass, "gravcomp": gravcomp, "mocap": mocap, "sleep": sleep}
+        given = {field: value for field, value in fields.items() if value is not None}
+        own = {"name": name, "parent": self.body(parent), "pos": pos, "quat": quat}
         with self._naming():
-            body = Body(**weight, **fields)
-            if mass is None and weight:
-                raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
+            body = _make(Body, given, **own)
+            body.check_mass()
         return self._append(self.bodies, body)
 
     def add_joint(
@@ -361,8 +339,7 @@ class Scene(checks.KnownNames):
 
         body: the body that the joint moves, as a name or a `Body`.
         type: "hinge", "slide", "ball" or "free".
-        fields: of `Joint`: name, pos [m], axis, range [rad or m], ref, stiffness [N·m/rad or N/m],
-            damping [N·m·s/rad or N·s/m], armature [kg·m² or kg], frictionloss [N·m or N], …
+        fields: of `Joint`: name, pos [m], axis, range [rad or m], ref, …
         """
         return self._add(self.joints, Joint, fields, body=body, type=type)
 
@@ -380,15 +357,11 @@ class Scene(checks.KnownNames):
         """Add a shape to a body.
 
         body: the body that the geom is fixed to, as a name or a `Body`.
-        type: "plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box" or "mesh".
-        size: [m], up to 3 numbers whose meaning depends on the type; see `Geom`.
+        type, size: see `Geom`.
         fromto: both end points of a capsule, cylinder, box or ellipsoid [m], shape (6,), in place
             of pos, quat and every size but the first.
-        mesh: the mesh of a geom of type "mesh", or the mesh that a primitive is fitted to: a name
-            or a `Mesh`.
-        hfield: the height field of a geom of type "hfield": a name or an `HField`.
-        fields: of `Geom`: name, pos [m], quat, mass [kg], density [kg/m³], friction, condim,
-            solref, solimp, …
+        mesh, hfield: as names or objects; see `Geom`.
+        fields: of `Geom`: name, pos [m], quat, mass [kg], density [kg/m³], friction, …
         """
         own = {"body": body, "type": type, "size": size, "mesh": mesh, "hfield": hfield}
         own = self._resolved(Geom, own)
@@ -410,9 +383,7 @@ class Scene(checks.KnownNames):
         """Add a mesh that geoms can refer to. Only the convex hull of a mesh collides.
 
         name: unique among meshes; "" takes the name of the file.
-        vertices: [m], shape (n, 3).
-        faces: indices of vertices, counter-clockwise from outside, shape (m, 3); None takes the
-            faces of the convex hull.
+        vertices, faces: [m], shape (n, 3), and indices of vertices, shape (m, 3); see `Mesh`.
         file: in place of vertices and faces, an STL (binary or text), OBJ or MSH file. The file is
             read at once.
         fields: of `Mesh`: scale, refpos [m], refquat, inertia, maxhullvert.
@@ -426,9 +397,9 @@ class Scene(checks.KnownNames):
             raise ValueError(f"mesh {checks.quoted(name)}: needs either vertices or a file")
         if file is not None:
             file = files.path("file", file)
-            surface = mesh_files.read(file)
+            surface = asset_files.read_mesh(file)
             given["vertices"], given["faces"] = surface.vertices, surface.faces
-            self.notes += mesh_files.notes(file, surface)
+            self.notes += asset_files.notes(file, surface)
             given["file"] = file
             name = name or os.path.splitext(os.path.basename(file))[0]
         return self._add(self.meshes, Mesh, fields, name=name, **given)
@@ -444,8 +415,7 @@ class Scene(checks.KnownNames):
         """Add a height field that geoms of fixed bodies can refer to.
 
         name: unique among height fields; "" takes the name of the file.
-        elevation: heights of any scale, shape (rows, columns), the first row at the largest y.
-        size: half sizes along x and y, height of the highest point, depth of the base [m].
+        elevation, size: see `HField`.
         file: in place of the elevation: a PNG image (read with pillow), or MuJoCo's binary format.
 
         Raises the errors of `add_mesh`.
@@ -456,7 +426,7 @@ class Scene(checks.KnownNames):
         given: dict[str, Any] = {"elevation": elevation}
         if file is not None:
             file = files.path("file", file)
-            given = {"elevation": hfield_files.read(file), "file": file}
+            given = {"elevation": asset_files.read_hfield(file), "file": file}
             name = name or os.path.splitext(os.path.basename(file))[0]
         return self._add(self.hfields, HField, {}, name=name, size=size, **given)
 
@@ -482,8 +452,7 @@ class Scene(checks.KnownNames):
         path: in place of joints, the stops of a spatial tendon: a site; (a geom, a side site or
             None) for a sphere or cylinder; a `Pulley`, which starts a branch. Sites and geoms are
             names or `Site` and `Geom` objects; a name alone means a site.
-        fields: of `Tendon`: range, stiffness [N/m], damping [N·s/m], springlength, frictionloss
-            [N], armature [kg], …
+        fields: of `Tendon`: range, stiffness [N/m], damping [N·s/m], springlength, …
 
         >>> from stepcore import Scene, Sim
         >>> scene = Scene()
@@ -517,11 +486,8 @@ class Scene(checks.KnownNames):
     ) -> Sensor:
         """Add a sensor.
 
-        type: "accelerometer", "touch", "jointpos", "framepos", "contact" and so on; docs/sensors.md
-            lists the types.
-        object: the observed element, as a name or an object: a site, body, geom, joint, tendon or
-            actuator, as the type needs.
-        reference: the reference frame, or the second end of a distance or a contact.
+        type: "accelerometer", "touch", "jointpos", and so on; docs/sensors.md lists the types.
+        object, reference: the ends that the type needs, as names or elements; see `Sensor`.
         fields: of `Sensor`: name, cutoff, objtype, reftype, data, reduce, num, noise.
         """
         checks.one_of(*OBJECTS)("Sensor", "type", type)
@@ -563,12 +529,8 @@ class Scene(checks.KnownNames):
     ) -> Actuator:
         """Add an actuator on a joint or another transmission target.
 
-        joint: a name or a `Joint`.
-        type: "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle",
-            "adhesion", "pid", "dcmotor", "input", "orientation" or "general".
-        jointinparent, tendon, site and refsite, cranksite and slidersite, body: in place of the
-            joint, as names or elements; see `Actuator`.
-        feeds: the pid, dcmotor or orientation that an "input" feeds.
+        joint: a name or a `Joint`; a field of `Actuator` may name another target in its place.
+        type: "motor", "position", "velocity" and so on; see `Actuator`.
         fields: of `Actuator`: name, gear, kp, kv, dampratio, ctrlrange, forcerange [N or N·m], …
         """
         return self._add(self.actuators, Actuator, fields, joint=joint, type=type)
@@ -583,15 +545,10 @@ class Scene(checks.KnownNames):
     ) -> Equality:
         """Add a constraint between two bodies, two joints or two tendons.
 
-        type: "connect" (two bodies share a point), "weld" (two bodies share a frame), "joint" (the
-            position of a hinge or slide is a polynomial of another's, or constant) or "tendon" (the
-            same for lengths of tendons).
+        type: "connect", "weld", "joint" or "tendon"; see `Equality`.
         body1, body2: names or `Body` objects of a connect or weld; None for body2 is the world.
-        anchor: the shared point [m], shape (3,); see `Equality`.
-        site1, site2: two sites in place of bodies and anchor.
-        joint1, joint2, tendon1, tendon2: the joints of a joint equality, the tendons of a tendon
-            equality.
-        fields: of `Equality`: name, active, relpose, torquescale, polycoef, solref, solimp.
+        anchor: the shared point [m], shape (3,).
+        fields: of `Equality`: name, active, site1, site2, joint1, joint2, relpose, polycoef, …
         """
         bodies = {"body1": body1, "body2": body2}
         return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **bodies)
@@ -610,8 +567,7 @@ class Scene(checks.KnownNames):
         """Add a pair of geoms that can collide, with contact parameters of the pair's own.
 
         geom1, geom2: names or `Geom` objects. Masks and `exclude` do not apply to the pair.
-        fields: of `Pair`: name, condim, friction, solref, solimp, solreffriction, margin [m], gap
-            [m].
+        fields: of `Pair`: name, condim, friction, solref, solimp, margin [m], gap [m], …
         """
         return self._add(self.pairs, Pair, fields, geom1=geom1, geom2=geom2)
 
@@ -657,12 +613,11 @@ class Scene(checks.KnownNames):
         return self._append(into, element)
 
     def _append(self, into: list[E], element: E) -> E:
-        names = self._names_of(type(element).__name__.lower())
         name = element.name  # type: ignore[attr-defined]
+        names = self._names.setdefault(type(element).__name__.lower(), Names())
         if name and names.taken(into, name):
             raise checks.ElementError(element, "the name is used twice")
         into.append(element)
-        names.added(into, element)
         belongs(element, self)
         return element
 

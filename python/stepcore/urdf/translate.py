@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 from stepcore.checks import cut, nearest
@@ -33,28 +32,21 @@ GEOMETRY = spec(
         "mesh": spec("filename! scale:3"),
     },
 )
-INERTIAL = spec(
-    "",
-    {
-        "origin": ORIGIN,
-        "mass": spec("value!:1"),
-        "inertia": spec("ixx!:1 iyy!:1 izz!:1 ixy:1 ixz:1 iyz:1"),
-    },
-    once=("origin", "mass", "inertia"),
-)
-COLLISION = spec(
-    "name group", {"origin": ORIGIN, "geometry": GEOMETRY}, once=("origin", "geometry")
-)
-MATERIAL = spec(
-    "name", {"color": spec("rgba:4"), "texture": spec("filename!")}, once=("color", "texture")
-)
-VISUAL = spec(
-    "name group",
-    {"origin": ORIGIN, "geometry": GEOMETRY, "material": MATERIAL},
-    once=("origin", "geometry", "material"),
-)
-LINK = {"inertial": INERTIAL, "collision": COLLISION}
-JOINT = spec(
+
+
+def once_each(attrs: str, children: dict[str, Spec]) -> Spec:
+    return spec(attrs, children, once=tuple(children))
+
+
+MATERIAL = once_each("name", {"color": spec("rgba:4"), "texture": spec("filename!")})
+SHAPE = {"origin": ORIGIN, "geometry": GEOMETRY}
+VISUAL = once_each("name group", {**SHAPE, "material": MATERIAL})
+INERTIA = spec("ixx!:1 iyy!:1 izz!:1 ixy:1 ixz:1 iyz:1")
+LINK = {
+    "inertial": once_each("", {"origin": ORIGIN, "mass": spec("value!:1"), "inertia": INERTIA}),
+    "collision": once_each("name group", SHAPE),
+}
+JOINT = once_each(
     "name! type!:revolute|continuous|prismatic|fixed|floating|planar",
     {
         "origin": ORIGIN,
@@ -65,18 +57,11 @@ JOINT = spec(
         "dynamics": spec("damping:1 friction:1"),
         "mimic": spec("joint! multiplier:1 offset:1"),
     },
-    once=("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
 )
 ROBOT = spec("name version", {"link": spec("name! type", LINK, once=("inertial",)), "joint": JOINT})
 # The schema with visual elements.
-DRAWN_ROBOT = spec(
-    "name version",
-    {
-        "link": spec("name! type", {**LINK, "visual": VISUAL}, once=("inertial",)),
-        "joint": JOINT,
-        "material": MATERIAL,
-    },
-)
+DRAWN_LINK = spec("name! type", {**LINK, "visual": VISUAL}, once=("inertial",))
+DRAWN_ROBOT = spec("name version", {"link": DRAWN_LINK, "joint": JOINT, "material": MATERIAL})
 # Attributes of other programs whose names resemble those of URDF. The last three repeat entries
 # of the symmetric inertia matrix.
 FOREIGN = ("concave", "iyx", "izx", "izy")
@@ -213,33 +198,7 @@ def _in_package(name: str, directory: str | None) -> str:
 MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
 
 
-@dataclass
-class DrawnLink:
-    """The geoms of a link. collisions: geoms that collide. visuals: geoms that only draw."""
-
-    collisions: list[Node]
-    visuals: list[Node]
-
-
-@dataclass
-class Translation:
-    """The result of translating a URDF.
-
-    tree: the MJCF tree.
-    ignored: the lines for `Scene.ignored`.
-    notes: the lines for `Scene.notes`.
-    links: the geoms of each link.
-    undrawn: errors of visuals, if visuals are read.
-    """
-
-    tree: Node
-    ignored: list[str]
-    notes: list[str]
-    links: list[DrawnLink]
-    undrawn: list[str]
-
-
-def to_mjcf(root: Node, directory: str | None, drawn: bool = False) -> Translation:
+def to_mjcf(root: Node, directory: str | None, drawn: bool = False) -> Robot:
     """Translate a URDF to MJCF.
 
     directory: the folder of the file, for relative mesh paths; None for a text without a folder.
@@ -256,20 +215,29 @@ def to_mjcf(root: Node, directory: str | None, drawn: bool = False) -> Translati
     root.children = [child for child in root.children if child.tag != "mujoco"]
     ignored = validate(root, DRAWN_ROBOT if drawn else ROBOT, refusals)
     refusals.raise_all()
-    robot = _Robot(root, directory, extension)
+    robot = Robot(root, directory, extension)
+    robot.ignored = ignored
     try:
-        tree = robot.tree()
+        robot.tree = robot.translated()
     except MJCFError as error:
         refusals.add(error)
     refusals.raise_all()
-    return Translation(tree, ignored, robot.notes(), robot.drawn, undrawn + robot.undrawn)
+    robot.undrawn = undrawn + robot.undrawn
+    return robot
 
 
-class _Robot:
-    """The links and joints of a URDF, and their tree.
+class Robot:
+    """The links and joints of a URDF, and their translation.
 
     extension: the MJCF elements of the file, `<mujoco><compiler …/></mujoco>`.
+    tree: the MJCF tree.
+    ignored: the lines for `Scene.ignored`.
+    drawn: the geoms of each link, (those that collide, those that only draw).
+    undrawn: errors of visuals, if visuals are read.
     """
+
+    tree: Node
+    ignored: list[str]
 
     def __init__(self, root: Node, directory: str | None, extension: list[Node]) -> None:
         self.root, self.directory, self.extension = root, directory, extension
@@ -291,7 +259,7 @@ class _Robot:
         self.unfollowed: list[str] = []
         self.unnamed: list[str] = []
         self.shape_names: set[str] = set()
-        self.drawn: list[DrawnLink] = []
+        self.drawn: list[tuple[list[Node], list[Node]]] = []
         self.undrawn: list[str] = []
         visuals = [n for link in self.links.values() for n in link.children if n.tag == "visual"]
         # Any link may use a material that another link or the robot defines.
@@ -319,7 +287,7 @@ class _Robot:
         self.above[child] = joint
         self.below[_value(joint, "parent", "link")].append(joint)
 
-    def tree(self) -> Node:
+    def translated(self) -> Node:
         """Return the whole model as MJCF."""
         roots = [name for name in self.links if name not in self.above]
         if not roots:
@@ -376,16 +344,16 @@ class _Robot:
         inertial = child_of(link, "inertial")
         if inertial is not None:
             body.children.append(_inertial(inertial))
-        collisions = [node for node in link.children if node.tag == "collision"]
-        geoms = DrawnLink([self._geom(node) for node in collisions], [])
+        collisions = [self._geom(node) for node in link.children if node.tag == "collision"]
+        visuals = []
         for visual in link.children:
             if visual.tag == "visual":
                 try:
-                    geoms.visuals.append(self._visual(visual))
+                    visuals.append(self._visual(visual))
                 except MJCFError as error:
                     self.undrawn.append(str(error))
-        self.drawn.append(geoms)
-        body.children += geoms.collisions + geoms.visuals
+        self.drawn.append((collisions, visuals))
+        body.children += collisions + visuals
         return body
 
     def _joints(self, joint: Node) -> list[Node]:

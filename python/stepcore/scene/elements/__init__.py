@@ -17,6 +17,7 @@ from stepcore.scene.elements.field_types import GRAVITY as GRAVITY
 from stepcore.scene.elements.field_types import MAGNETIC as MAGNETIC
 from stepcore.scene.elements.field_types import SOLIMP as SOLIMP
 from stepcore.scene.elements.field_types import SOLREF as SOLREF
+from stepcore.scene.elements.field_types import WHOLE as WHOLE
 from stepcore.scene.elements.geom import ContactOverride as ContactOverride
 from stepcore.scene.elements.geom import Geom as Geom
 from stepcore.scene.elements.geom import HField as HField

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+from stepcore import checks
 from stepcore.scene.element import Element, Places, place_of
 from stepcore.scene.elements import field_types as of
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec, turned_inertia
@@ -57,6 +58,11 @@ class Body(Element):
         axes = self.__dict__.get("iquat") if field == "inertia" else None
         if axes is not None and not _principal(axes, self.inertia):
             self.iquat = None
+
+    def check_mass(self) -> None:
+        """Raise ElementError for an inertia without a mass."""
+        if self.mass is None and (any((*self.inertia, *self.ipos)) or self.iquat is not None):
+            raise checks.refuse(self, "mass", None, "given where ipos, inertia or iquat is")
 
     def plain(self, places: Places) -> dict[str, Any]:
         """Return the body as the engine reads it, with its own mass and inertia in one dict."""

@@ -12,6 +12,11 @@ from stepcore.scene.frames import ORIGIN, Vec
 
 GRAVITY: Vec = (0.0, 0.0, -9.81)
 MAGNETIC: Vec = (0.0, -0.5, 0.0)
+# The values of the whole scene that have no element of their own, with their defaults.
+WHOLE: dict[str, float | Vec] = {
+    **{"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0},
+    **{"wind": ORIGIN, "magnetic": MAGNETIC},
+}
 SOLREF: Vec = (0.02, 1.0)
 SOLIMP: Vec = (0.9, 0.95, 0.001, 0.5, 2.0)
 FRICTION: Vec = (1.0, 0.005, 0.0001)

@@ -50,6 +50,15 @@ OBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 # Types whose object is optional, and types whose reference is required.
 NO_OBJECT = ("contact", "user", *OF_WHOLE)
 REFERENCE = ("insidesite", *OF_GAP)
+# By MJCF's attribute: the field that it names, the kind of element, and the type of a body.
+ENDS: dict[str, tuple[str, str, str]] = {
+    **{name: ("object", name, "") for name in ("site", "joint", "tendon", "actuator", "body")},
+    **{"geom1": ("object", "geom", ""), "geom2": ("reference", "geom", "")},
+    **{"body1": ("object", "body", "body"), "body2": ("reference", "body", "body")},
+    **{"subtree1": ("object", "body", "subtree"), "subtree2": ("reference", "body", "subtree")},
+}
+# Types that name their ends by kind and name.
+TYPED = (*OF_FRAME, *OF_ACCELERATION, "insidesite", "user")
 # Types without a cutoff; by type, the allowed types of joint.
 _DIRECTIONS = ("ballquat", "framequat", "framexaxis", "frameyaxis", "framezaxis")
 _JOINTS = {

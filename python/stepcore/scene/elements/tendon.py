@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 from stepcore import checks
-from stepcore.scene.element import Element, FieldType, Places, place_of
+from stepcore.scene.element import ENGINE_NAMES, Element, FieldType, Places, place_of
 from stepcore.scene.elements import field_types as of
 from stepcore.scene.elements.body import Joint, Site
 from stepcore.scene.elements.geom import Geom
@@ -39,6 +39,8 @@ class Pulley(NamedTuple):
 
 
 Stop = Share | Around | Pulley | Site
+# The stops by the tag of MJCF; their fields are its attributes.
+STOPS: dict[str, Any] = {"joint": Share, "geom": Around, "pulley": Pulley}
 
 
 class Path(tuple[Stop, ...]):
@@ -153,8 +155,8 @@ class Tendon(Element):
     def elements(self) -> Iterable[Joint | Site | Geom]:
         """Yield the joints, sites and geoms that the tendon refers to."""
         for stop in self.path:
-            parts = (stop,) if isinstance(stop, Site) else stop
-            yield from (part for part in parts if isinstance(part, (Joint, Site, Geom)))
+            ends = parts(stop).values()
+            yield from (end for end in ends if isinstance(end, (Joint, Site, Geom)))
 
     def check(self, places: Places) -> None:
         """Raise ElementError unless the path is one, of elements of the scene."""
@@ -206,21 +208,21 @@ class Tendon(Element):
 
     def plain(self, places: Places) -> dict[str, Any]:
         """Return the tendon as the engine reads it, with each stop of the path as a dict."""
-        return self.record("path") | {"path": [_plain_stop(stop, places) for stop in self.path]}
+        stops = [
+            {
+                ENGINE_NAMES.get(name, name): (
+                    place_of(places, part) if isinstance(part, Element) else part
+                )
+                for name, part in parts(stop).items()
+            }
+            for stop in self.path
+        ]
+        return self.record("path") | {"path": stops}
 
 
-def _plain_stop(stop: Stop, places: Places) -> dict[str, Any]:
-    if isinstance(stop, Share):
-        return {"joint": place_of(places, stop.joint), "coef": stop.coef}
-    if isinstance(stop, Around):
-        side = stop.sidesite
-        return {
-            "geom": place_of(places, stop.geom),
-            "side": None if side is None else place_of(places, side),
-        }
-    if isinstance(stop, Pulley):
-        return {"divisor": stop.divisor}
-    return {"site": place_of(places, stop)}
+def parts(stop: Stop) -> dict[str, Any]:
+    """Return the parts of a stop by their names in MJCF."""
+    return {"site": stop} if isinstance(stop, Site) else stop._asdict()
 
 
 SomeTendon = Annotated[Tendon | None, of.optional(of.element("Tendon"))]

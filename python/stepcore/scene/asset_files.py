@@ -1,14 +1,22 @@
-"""Read mesh files: STL (binary and text), OBJ and MuJoCo's MSH.
+"""Read the files of assets: meshes, and height fields.
+
+Meshes are in STL (binary and text), OBJ or MuJoCo's MSH; height fields in PNG images (read with
+pillow) or MuJoCo's binary format.
 
 Each reader takes the bytes of a file. Violations of the format raise ValueError. Faces of more than
 three corners are split as in MuJoCo's OBJ reader. The split matters for faces that are not flat or
-not convex, because hull, volume and inertia depend on the split.
+not convex, because hull, volume and inertia depend on the split. The first row of a height field is
+at the largest y.
 """
 
 from __future__ import annotations
 
+import importlib.util
+import io
 import os
 import re
+import struct
+import zlib
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,11 +46,13 @@ Place = tuple[Any, Any]
 # corners.
 MOST_WORK = 10**8
 # Formats by MJCF's content type.
-CONTENT = {"model/stl": "stl", "model/obj": "obj", "model/vnd.mujoco.msh": "msh"}
-FORMATS = ("stl", "obj", "msh")
+MESHES = {"model/stl": "stl", "model/obj": "obj", "model/vnd.mujoco.msh": "msh"}
+HFIELDS = {"image/png": "png", "image/vnd.mujoco.hfield": "binary"}
+# Largest number of points of a height field: 128 MiB in double precision.
+MOST_POINTS = 2**24
 
 
-def read(path: str | os.PathLike[str], content_type: str = "") -> Surface:
+def read_mesh(path: str | os.PathLike[str], content_type: str = "") -> Surface:
     """Return the surface of a mesh file.
 
     path: the path of the file; the ending of its name is the format.
@@ -52,24 +62,54 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> Surface:
     pipe, a file of more than 256 MiB, or damaged content.
     """
     name = os.fsdecode(path)
-    if content_type and content_type not in CONTENT:
-        near = checks.nearest(content_type, CONTENT)
-        text = f"no mesh has the content type {checks.quoted(content_type)}{near}"
-        raise ValueError(f"{checks.without_middle(name)}: {text}")
-    kind = CONTENT.get(content_type) or os.path.splitext(name)[1][1:].lower()
-    if kind not in FORMATS:
-        endings = ", ".join("." + each for each in FORMATS)
-        raise ValueError(
-            f"{checks.without_middle(name)}: the name of a mesh file ends with {endings}"
-        )
+    kind = _known("mesh", name, content_type, MESHES) or os.path.splitext(name)[1][1:].lower()
+    if kind not in MESHES.values():
+        endings = ", ".join("." + each for each in MESHES.values())
+        raise _refused(name, f"the name of a mesh file ends with {endings}")
     data = files.read(name, "a mesh file")
     try:
         surface = {"stl": stl, "obj": obj, "msh": msh}[kind](data)
         _check(surface.vertices, surface.faces)
     except ValueError as error:
-        text = f"{checks.without_middle(name)}: not a whole {kind.upper()} file: {error}"
-        raise ValueError(text) from None
+        raise _refused(name, f"not a whole {kind.upper()} file: {error}") from None
     return surface
+
+
+def read_hfield(path: str | os.PathLike[str], content_type: str = "") -> NDArray[Any]:
+    """Return the heights of a file, shape (rows, columns).
+
+    path: the path of the file. A name that ends with .png means an image.
+    content_type: MJCF's content type, which takes precedence over the name.
+
+    Raises the errors of `read_mesh`.
+    """
+    name = os.fsdecode(path)
+    kind = _known("height field", name, content_type, HFIELDS)
+    data = files.read(name, "a height field")
+    image = kind == "png" if kind else name.lower().endswith(".png")
+    if image and importlib.util.find_spec("PIL") is None:
+        text = "heights of an image are read with pillow: pip install 'stepcore[view]'"
+        raise _refused(name, text)
+    try:
+        heights = image_levels(data) if image else binary(data)
+        if not np.isfinite(heights).all():
+            raise ValueError("a height is not a finite number")
+    except ValueError as error:
+        word = "PNG file" if image else "height-field file"
+        raise _refused(name, f"not a whole {word}: {error}") from None
+    return heights
+
+
+def _known(what: str, name: str, content_type: str, known: dict[str, str]) -> str:
+    """Return the format of a content type, "" without one; raise ValueError for an unknown one."""
+    if content_type and content_type not in known:
+        near = checks.nearest(content_type, known)
+        raise _refused(name, f"no {what} has the content type {checks.quoted(content_type)}{near}")
+    return known.get(content_type, "")
+
+
+def _refused(name: str, text: str) -> ValueError:
+    return ValueError(f"{checks.without_middle(name)}: {text}")
 
 
 def notes(where: str, surface: Surface) -> list[str]:
@@ -325,3 +365,83 @@ def _holds_other(ear: list[int], places: list[Place], x: NDArray[Any], y: NDArra
         inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
     inside[ear] = False
     return bool(inside.any())
+
+
+# Pillow's errors for damaged images.
+DAMAGED = (OSError, SyntaxError, ValueError, EOFError, LookupError, struct.error, zlib.error)
+
+
+def image_levels(data: bytes) -> NDArray[Any]:
+    """Return the levels of a PNG image as in MuJoCo: grey, or red of a coloured image.
+
+    Levels of 16 bits are reduced to the upper 8 bits. Opacity has no effect.
+    """
+    # W3C, Portable Network Graphics (PNG) Specification, 5.2 and 11.2.1: the first chunk is the
+    # header, which is checked before anything is unpacked.
+    if data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
+        raise ValueError("it does not begin as one")
+    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    if not 0 < width * height <= MOST_POINTS:
+        raise ValueError(f"it is {width} × {height} pixels; 1 to {MOST_POINTS} of them are read")
+    needed = _needed(data)
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(io.BytesIO(needed), formats=["PNG"]) as image:
+            # Read before the pixels: pillow then pads the palette.
+            colours = image.palette.getdata()[1] if image.palette is not None else b""
+            levels = np.asarray(image)
+            if image.mode == "P":
+                levels = _red(levels, np.frombuffer(colours, np.uint8)[::3])
+    except UnidentifiedImageError:
+        raise ValueError("its head is damaged") from None
+    except DAMAGED as error:
+        raise ValueError(f"its pixels are damaged: {checks.one_line(error)}") from None
+    levels = levels[..., 0] if levels.ndim == 3 else levels
+    return np.asarray(levels // 256 if levels.dtype.itemsize > 1 else levels, float)
+
+
+def _needed(data: bytes) -> bytes:
+    """Return the image without ancillary chunks, whose names begin with a small letter (5.4).
+
+    The checksums of all chunks are verified (5.3); pillow verifies only some.
+    """
+    view, at, kind = memoryview(data), 8, b""
+    parts = [view[:8]]
+    while kind != b"IEND":
+        if at >= len(data):
+            raise ValueError("its end is missing")
+        end = at + 8 + int.from_bytes(view[at : at + 4], "big")
+        kind, check = bytes(view[at + 4 : at + 8]), view[end : end + 4]
+        if len(check) != 4 or int.from_bytes(check, "big") != zlib.crc32(view[at + 4 : end]):
+            raise ValueError("a part of it is cut off or damaged")
+        if kind[:1].isupper():
+            parts.append(view[at : end + 4])
+        at = end + 4
+    return b"".join(parts)
+
+
+def _red(indices: NDArray[Any], reds: NDArray[Any]) -> NDArray[Any]:
+    if indices.max() >= len(reds):
+        raise ValueError(f"one has the colour {indices.max()}, of {len(reds)}")
+    return reds[indices]
+
+
+def binary(data: bytes) -> NDArray[Any]:
+    """Return the heights of MuJoCo's binary format.
+
+    The format has two counts, then the heights row by row, with the row of the smallest y first.
+    """
+    if len(data) < 8:
+        raise ValueError(f"it has {len(data)} bytes, and the head alone has 8")
+    nrow, ncol = (int(n) for n in np.frombuffer(data, "<i4", 2))
+    if nrow < 1 or ncol < 1:
+        raise ValueError(f"its head says {nrow} rows of {ncol}")
+    if nrow * ncol > MOST_POINTS:
+        raise ValueError(
+            f"its head asks for {nrow} × {ncol} heights; at most {MOST_POINTS} are read"
+        )
+    size = 8 + 4 * nrow * ncol
+    if len(data) != size:
+        raise ValueError(f"its head asks for {size} bytes; it has {len(data)}")
+    return np.frombuffer(data, "<f4", nrow * ncol, 8).astype(float).reshape(nrow, ncol)[::-1]
