@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import stepcore as sc
+from stepcore.engine import pitfalls
 
 
 def resting(shape, size, friction, cone):
@@ -17,6 +18,7 @@ def resting(shape, size, friction, cone):
 
 
 def warned(make):
+    pitfalls._said.clear()
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", sc.ModelWarning)
         result = make()

@@ -113,6 +113,7 @@ BOX = """<mujoco><option cone="{}"/><worldbody>
 <geom name="box" type="box" size=".1 .1 .1"/></body></worldbody></mujoco>"""
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.ModelWarning")
 def test_a_box_on_steep_pyramids_sinks_and_is_cured_by_round_cones():
     """MuJoCo's issue 449; after 1 s it still swings, at half its height."""
     one = the(watched(sc.loads(BOX.format("pyramidal")))[1], "depth at rest")

@@ -8,24 +8,32 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from stepcore import escapes
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.linear_maps import INTEGRATORS, implicit_kinds
 from stepcore.engine.stiffness import joint_gains
-from stepcore.report.units import compact, metres
+from stepcore.report.units import metres
 from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.scene.elements import Geom
+    from stepcore.scene.scene import Scene
 
 # Two light slides in a closed loop hold where an integrator that damps after the rows takes up to 5
 # times what it leaves of a velocity, and diverge at 10 (`tests/engine/test_pitfalls.py`).
 DAMPED = 5.0
+# Depths from here on are not told [m].
+FARTHEST = 10.0
 # Contacts of a body at rest, which share its weight; of other shapes one a corner of a face.
 CONTACTS, FACE = {"sphere": 1, "ellipsoid": 1, "capsule": 2}, 4
+# What was asked of a scene, and what was said: a measurement makes many Sims of a model.
+_asked: WeakKeyDictionary[Scene, set[tuple[str, str, str, float]]] = WeakKeyDictionary()
+_said: set[str] = set()
 
 
 class ModelWarning(UserWarning):
@@ -46,11 +54,19 @@ class ModelWarning(UserWarning):
 
 
 def warn_of_pitfalls(model: Model, stacklevel: int = 3) -> None:
-    """Warn in one line for each thing that the settings make of a model.
+    """Warn in one line for each thing that the settings make of a model, once in a program.
 
     stacklevel: as of `warnings.warn`, counted from this function.
     """
+    settings = model.settings
+    asked = (settings.cone, settings.law, settings.integrator, settings.dt)
+    if asked in _asked.setdefault(model.scene, set()):
+        return
+    _asked[model.scene].add(asked)
     for text in (*soft_pyramids(model), *undone_rows(model)):
+        if text in _said:
+            continue
+        _said.add(text)
         warnings.warn(ModelWarning(escapes.printable(text)), stacklevel=stacklevel)
 
 
@@ -61,33 +77,31 @@ def soft_pyramids(model: Model) -> Iterator[str]:
     four of them share a contact's force (MuJoCo's rows; with no friction the depth at rest is
     (1 − d) g/(k d²), d the impedance of deep contacts and k = 1/timeconst² or -solref).
     """
-    settings, geoms = model.settings, Layout(model.scene).geoms
-    if settings.cone != "pyramidal" or settings.law != "solref":
+    settings, scene = model.settings, model.scene
+    steepest = max((geom.friction[0] for geom in scene.geoms), default=0.0)
+    if settings.cone != "pyramidal" or settings.law != "solref" or steepest <= 1:
         return
+    geoms, moving = Layout(scene).geoms, set(Coordinates(model).moving)
     steep = _steepest(geoms)
-    if not (steep > 1).any():
-        return
-    gravity, found = float(np.linalg.norm(model.scene.gravity)), []
+    gravity, found = float(np.linalg.norm(scene.gravity)), []
     for index, (geom, friction) in enumerate(zip(geoms, steep.tolist(), strict=True)):
         size = model.geom_size[index]
-        if friction <= 1 or geom.type == "plane" or not model.body_mass[model.geom_body[index]]:
+        if friction <= 1 or model.geom_body[index] not in moving:
             continue
         d, (time, ratio) = geom.solimp[1], geom.solref
         stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
         soft = friction**2 * (1 + friction**2) / 2 / CONTACTS.get(geom.type, FACE)
-        depth, thin = (
-            soft * (1 - d) * gravity / (stiffness * d**2),
-            size[size > 0].min(initial=np.inf),
-        )
+        depth = soft * (1 - d) * gravity / (stiffness * d**2)
+        thin = size[size > 0].min(initial=np.inf)
         if depth > thin:
             found.append((depth / thin, depth, friction, index))
     if found:
         _, depth, friction, index = max(found)
         name = model.element_name("geom", index)
+        far = f"by about {metres(depth)}" if depth < FARTHEST else "without end"
         yield (
-            f"friction {compact(friction)} makes the pyramids of {name} soft: under its weight it "
-            f"sinks by about {metres(depth)}, more than half of its thickness; "
-            'cone="elliptic" holds it'
+            f"friction {friction:g} makes the pyramids of {name} soft: under its weight it sinks "
+            f'{far}, more than half of its thickness; cone="elliptic" holds it'
         )
 
 
@@ -122,7 +136,7 @@ def undone_rows(model: Model) -> Iterator[str]:
             rates[joint] += model.dof_invweight0[model.jnt_dofadr[joint]] * damping
     worst = int(rates.argmax()) if len(rates) else 0
     if len(rates) and settings.dt * rates[worst] > DAMPED:
-        times = compact(float(settings.dt * rates[worst]))
+        times = f"{settings.dt * rates[worst]:.3g}"
         name = model.element_name("joint", worst)
         yield (
             f"law {settings.law!r} with integrator {settings.integrator!r}: the damping of {name} "
