@@ -130,7 +130,7 @@ DOCUMENTED = list(documented())
 PUBLIC = [
     thing
     for thing in map(sc.__getattr__, sc._MODULES)
-    if not inspect.ismodule(thing)
+    if not (inspect.ismodule(thing) or inspect.isbuiltin(thing))
     and thing.__module__.startswith("stepcore.")  # compiled classes have no source to read
 ]
 

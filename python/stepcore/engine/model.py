@@ -452,9 +452,15 @@ class Model:
     ) -> Model:
         """Return this model with other settings, without compiling it again."""
         refuse_unknown_settings(self.with_settings, fields)
+        _ = self.asked
         other = copy.copy(self)
         other._settings = _merged(self._scene, self._settings, settings, fields)
         return other
+
+    @functools.cached_property
+    def asked(self) -> set[tuple[Any, ...]]:
+        """The settings whose pitfalls were told; copies with other settings share it."""
+        return set()
 
     @functools.cached_property
     def _pickled(self) -> bytes:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.scene.elements import Geom
-    from stepcore.scene.scene import Scene
 
 # Two light slides in a closed loop hold where an integrator that damps after the rows takes up to 5
 # times what it leaves of a velocity, and diverge at 10 (`tests/engine/test_pitfalls.py`).
@@ -31,8 +29,7 @@ DAMPED = 5.0
 FARTHEST = 10.0
 # Contacts of a body at rest, which share its weight; of other shapes one a corner of a face.
 CONTACTS, FACE = {"sphere": 1, "ellipsoid": 1, "capsule": 2}, 4
-# What was asked of a scene, and what was said: a measurement makes many Sims of a model.
-_asked: WeakKeyDictionary[Scene, set[tuple[str, str, str, float]]] = WeakKeyDictionary()
+# What was said: a measurement makes many Sims of a model.
 _said: set[str] = set()
 
 
@@ -60,9 +57,9 @@ def warn_of_pitfalls(model: Model, stacklevel: int = 3) -> None:
     """
     settings = model.settings
     asked = (settings.cone, settings.law, settings.integrator, settings.dt)
-    if asked in _asked.setdefault(model.scene, set()):
+    if asked in model.asked:
         return
-    _asked[model.scene].add(asked)
+    model.asked.add(asked)
     for text in (*soft_pyramids(model), *undone_rows(model)):
         if text in _said:
             continue
