@@ -7,7 +7,9 @@ import math
 import os
 import stat
 import zipfile
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +36,17 @@ def path(name: str, value: object) -> str:
 
 
 def read(path: str | os.PathLike[str], expected: str) -> bytes:
-    """Return the bytes of a regular file of at most `LARGEST` bytes.
+    """Return the bytes of a regular file of at most `LARGEST` bytes; see `opened`."""
+    with opened(path, expected) as (file, size):
+        # At most the reported size: system files that block until there is news report 0.
+        return file.read(size)
+
+
+@contextmanager
+def opened(
+    path: str | os.PathLike[str], expected: str, largest: int = LARGEST
+) -> Iterator[tuple[BinaryIO, int]]:
+    """Open a regular file, and give its size [bytes].
 
     expected: the expected kind of file in errors, such as "an MJCF file".
 
@@ -48,10 +60,9 @@ def read(path: str | os.PathLike[str], expected: str) -> bytes:
         raise ValueError(f"{checks.shown(name)}: cannot be read: no file has a NUL in its name")
     try:
         # Checked before opening, because opening triggers an action of some devices.
-        _readable(os.stat(name), called, expected)
+        _size(os.stat(name), called, expected, largest)
         with open(name, "rb", opener=_without_waiting) as file:
-            # At most the reported size: system files that block until there is news report 0.
-            return file.read(_readable(os.fstat(file.fileno()), called, expected))
+            yield file, _size(os.fstat(file.fileno()), called, expected, largest)
     except FileNotFoundError:
         raise FileNotFoundError(f"{called}: no such file") from None
     except IsADirectoryError:
@@ -96,7 +107,7 @@ def _array(data: bytes) -> NDArray[Any]:
     return np.load(io.BytesIO(data), allow_pickle=False)
 
 
-def _readable(status: os.stat_result, name: str, expected: str) -> int:
+def _size(status: os.stat_result, name: str, expected: str, largest: int) -> int:
     """Return the size of a file [bytes]; raise if the file must not be read."""
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError
@@ -104,8 +115,8 @@ def _readable(status: os.stat_result, name: str, expected: str) -> int:
         raise ValueError(f"{name}: is not a regular file, so it is not read")
     if (status.st_dev, status.st_ino) in outputs:
         raise ValueError(f"{name}: is an output of this command, which reads it")
-    if status.st_size > LARGEST:
-        limit = f"has more than {LARGEST // 2**20} MiB"
+    if status.st_size > largest:
+        limit = f"has more than {largest // 2**20} MiB"
         raise ValueError(f"{name}: {limit}, which {expected} never has")
     return status.st_size
 

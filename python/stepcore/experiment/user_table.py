@@ -6,16 +6,19 @@ Parquet and logs of messages (MCAP) need packages of their own.
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 import re
+import sys
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore.engine.trajectory import Trajectory
 from stepcore.viewing.needs import need
 
@@ -31,6 +34,7 @@ LATE = ("ctrl", "sensordata")
 # where these are not the positions.
 NAMES = ("name", "joint_names")
 FIELDS = {"qvel": "velocity"}
+TABLE = "a table"
 # A recorded run, columns by name, or rows.
 Content = Trajectory | dict[str, Any] | np.ndarray
 
@@ -81,21 +85,22 @@ def _of_file(path: str, name: str) -> Content:
     if not is_file(path):
         raise ValueError(f"{name} = '{path}': must end in {', '.join(ENDINGS)}")
     if path.endswith(".csv"):
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            return _of_text(source, file.read().splitlines())
-    try:
-        if path.endswith(".parquet"):
-            parquet = need("pyarrow.parquet", f"reading {checks.cut(path, 80)}", "data")
-            columns = parquet.read_table(path).to_pydict()
-            # Without the unnamed index of a DataFrame of pandas.
-            return {key: columns[key] for key in columns if "__index_level_" not in key}
-        loaded = np.load(path, allow_pickle=False)
-    except (ValueError, TypeError, EOFError) as error:
-        raise ValueError(f"{path}: {checks.one_line(error)}") from None
+        try:
+            return _of_text(source, files.read(path, TABLE).decode("utf-8-sig").splitlines())
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise ValueError(f"{source}: is not {TABLE}: {checks.one_line(error)}") from None
+    if path.endswith(".parquet"):
+        parquet = need("pyarrow.parquet", f"reading {checks.cut(path, 80)}", "data")
+        data = files.read(path, TABLE)
+        try:
+            columns = parquet.read_table(io.BytesIO(data)).to_pydict()
+        except (ValueError, TypeError, OSError) as error:
+            raise ValueError(f"{path}: {checks.one_line(error)}") from None
+        # Without the unnamed index of a DataFrame of pandas.
+        return {key: columns[key] for key in columns if "__index_level_" not in key}
+    arrays = files.arrays(path, TABLE)
     if path.endswith(".npy"):
-        return _of_array(source, loaded)
-    with loaded:
-        arrays = {key: loaded[key] for key in loaded.files}
+        return _of_array(source, arrays[""])
     return Trajectory.load(path) if "kind" in arrays else arrays
 
 
@@ -138,8 +143,7 @@ def _is_number(text: str) -> bool:
 
 
 def _check_once(source: str, names: Iterable[Any]) -> None:
-    listed = [str(name) for name in names]
-    twice = {name for name in listed if listed.count(name) > 1}
+    twice = [name for name, count in Counter(map(str, names)).items() if count > 1]
     if twice:
         raise ValueError(f"{source}: several columns are named {checks.quoted(min(twice))}")
 
@@ -187,7 +191,7 @@ def mcap_rows(path: str, array: str) -> tuple[np.ndarray, np.ndarray, tuple[str,
     found: dict[str, list[tuple[int, dict[str, float]]]] = {}
     unread, begin = set(), 0
     try:
-        with open(parts["file"], "rb") as file:
+        with files.opened(parts["file"], "a log", sys.maxsize) as (file, _):
             for _, _, message in reader.make_reader(file).iter_messages():
                 begin = message.log_time
                 break

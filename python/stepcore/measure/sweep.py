@@ -280,19 +280,23 @@ class _Folder:
         kept, self.points = folder / "sweep.json", folder / "points.jsonl"
         if not kept.exists():
             kept.write_text(json.dumps(own, indent=1) + "\n", encoding="utf-8")
-        known = json.loads(files.read(kept, "a sweep"))
+        data = files.read(kept, "a sweep")
+        try:
+            known = json.loads(data)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"{kept}: is damaged: {checks.one_line(error)}") from None
         for name, value in own.items():
             theirs = known.get(name) if isinstance(known, dict) else None
             if theirs != value:
                 text = f"folder = {checks.shown(str(folder))}: holds a sweep of another {name}"
                 raise ValueError(f"{text} ({theirs}, not {value}): choose another folder")
         self.done: dict[str, Point] = {}
-        lines = self.points.read_bytes().split(b"\n") if self.points.exists() else [b""]
+        lines = files.read(self.points, "a sweep").split(b"\n") if self.points.exists() else [b""]
         for line in lines[:-1]:
             try:
                 point, result = json.loads(line)
                 self.done[point] = {name: _read(value) for name, value in result.items()}
-            except (ValueError, TypeError, AttributeError):
+            except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
                 shown = checks.shown(line[:80])
                 raise ValueError(f"{self.points}: is damaged: {shown}") from None
         if lines[-1]:
