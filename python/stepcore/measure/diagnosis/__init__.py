@@ -266,8 +266,9 @@ class Case:
         A body has passed through the other one, and falls.
         """
         assert self.judge is not None
-        ran = self.motions.pair(Change(integrator=limit.integrator), FAILS * limit.dt).ran
-        if limit.outcome != "gains energy" or ran is None or ran.failures:
+        pair = self.motions.pair(Change(integrator=limit.integrator), FAILS * limit.dt)
+        ran = pair.ran
+        if limit.outcome != "gains energy" or ran is None or pair.failure:
             return ()
         own = (ran[name][0, -1] for name in ("qpos", "qvel", "ctrl", "act"))
         sim = State.of("", 0.0, own).sim(self.model)
