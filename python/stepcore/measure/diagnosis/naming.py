@@ -16,15 +16,13 @@ from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.measure.diagnosis.limits import FAILS
 from stepcore.measure.diagnosis.linear import (
-    LONGEST,
     NAMED,
-    SHORTEST,
     Held,
     bisected,
     shares,
     softened_from,
 )
-from stepcore.measure.diagnosis.running import Judge, Loop
+from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Judge, Loop
 from stepcore.scene.layout import Layout
 
 # The part of its strength to which an element is softened.

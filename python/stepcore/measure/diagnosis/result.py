@@ -22,10 +22,10 @@ from stepcore.engine.element import (
 from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis.cures import MARGIN, Advice
 from stepcore.measure.diagnosis.inner_steps import InnerSteps
-from stepcore.measure.diagnosis.limits import HOLDS, Limit
+from stepcore.measure.diagnosis.limits import HOLDS, STEP, Limit
 from stepcore.measure.diagnosis.linear import VELOCITY_LAWS
 from stepcore.measure.diagnosis.naming import Figures
-from stepcore.measure.diagnosis.running import Outcome, Pair, Runaway, State
+from stepcore.measure.diagnosis.running import AMPLE, Outcome, Pair, Runaway, State
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, hertz, round_number, seconds, times
@@ -33,10 +33,6 @@ from stepcore.report.units import counted, hertz, round_number, seconds, times
 DT, HELD = "largest stable dt [s]", "held pose [s]"
 # The number of elements that are printed.
 PRINTED = 6
-# From this stability margin on, accuracy and not stability limits dt.
-AMPLE = 10.0
-# The run and the linearised step differ, if they do by more than this factor.
-DIFFERS = 1.05
 # Growth of the motion itself that deserves a note, and growth that no dt resolves [1/s].
 NOTABLE, UNRESOLVED = 0.1, 1e6
 # Frequencies and rates in this range [1/s] are printed.
@@ -274,7 +270,7 @@ class Diagnosis(Result):
         run, held = limit.dt, limit.held
         if not limit.ran or run == held or run <= 0:
             return
-        if math.isfinite(run) and 0 < held < math.inf and max(run / held, held / run) < DIFFERS:
+        if limit.longest <= held if math.isinf(run) else 1 / STEP < held / run < STEP:
             return
         name, rows = limit.integrator, self.states[-1].rows
         bears = "bears any step" if math.isinf(held) else f"bears {seconds(held)}"
@@ -297,7 +293,7 @@ class Diagnosis(Result):
             if rows:
                 why = f"there {Elements(rows).summary} {_verb(rows, 'act')}, and growth ends where "
                 why += "rows open or slip"
-        limited = "no limit" if math.isinf(run) else seconds(run)
+        limited = f"no limit up to {seconds(limit.longest)}" if math.isinf(run) else seconds(run)
         yield (
             f"Runs show {limited}, while the linearised step at the end of the motion, held there, "
             f"{bears} under {name}: {why}."
