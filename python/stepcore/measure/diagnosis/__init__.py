@@ -124,8 +124,6 @@ def diagnose(
             limits[own] = case.known(own)
     if limits[own].ran:
         workers.deadline.so_far(case.so_far(limits[own]))
-    else:
-        workers.deadline.left_out.append("runs of the motion")
     found: list[Limit | None] = []
     with workers.deadline.stage(lambda: f"the limits under {_missing(found, others)}", LIMITS):
         workers.each(case.limit, others, "limits", found)

@@ -461,29 +461,27 @@ class Judge:
                 return cls(motions, longer, True)._ended()
         usable = [run for run in runs if math.isinf(run.blows_up(floor))]
         judge = cls(motions, (usable or runs)[-1], False)
-        if len(runs) > 1 and judge._runs_away(*runs[-2:]):
-            judge.fine = runs[-1]
+        if len(runs) > 1:
+            judge.runaway = _runaway(runs[-2], runs[-1], floor)
+            judge.fine = judge.fine if judge.runaway is None else runs[-1]
         return judge
-
-    def _runs_away(self, coarse: Pair, fine: Pair) -> bool:
-        """Return whether two runs of the motion blow up."""
-        times = coarse.blows_up(self.motions.floor), fine.blows_up(self.motions.floor)
-        if all(math.isfinite(time) for time in times):
-            self.runaway = Runaway(times, (coarse.dt, fine.dt))
-        return self.runaway is not None
 
     def _ended(self) -> Judge:
         """Make a motion that grows at its end longer, until it is calm or blows up by itself."""
-        motions, run = self.motions, self.fine
-        while run.grows() and len(run.times) > 2:
-            steps = LONGER * round(run.reached / run.dt)
-            if steps > motions.most:
-                break
+        motions, run, steps = self.motions, self.fine, round(self.fine.reached / self.fine.dt)
+        while run.grows() and LONGER * steps <= motions.most:
+            steps *= LONGER
             run = motions.pair(FINE, run.dt, steps, samples=LEAST)
             if math.isfinite(run.blows_up(motions.floor)):
-                self._runs_away(run, motions.pair(FINE, run.dt / 2, 2 * steps, samples=LEAST))
                 break
             self.long = run
+        while math.isfinite(run.blows_up(motions.floor)) and 2 * steps <= motions.most:
+            steps *= 2
+            finer = motions.pair(FINE, run.dt / 2, steps, samples=LEAST)
+            self.runaway = _runaway(run, finer, motions.floor)
+            if self.runaway is None or self.runaway.alike:
+                break
+            run = finer
         return self
 
     def outcome(self, change: Change, dt: float, loop: Loop | None = None) -> Outcome:
@@ -570,6 +568,12 @@ class Judge:
             return Outcome("grows", float(times[growth > GROWN][0]), most, late)
         early = float(energy[times <= 0.5 * times[-1]].max())
         return Outcome("holds", pair.reached, most, late, early)
+
+
+def _runaway(coarse: Pair, fine: Pair, floor: float) -> Runaway | None:
+    """Return how two runs of the motion blow up; None if one does not."""
+    times = coarse.blows_up(floor), fine.blows_up(floor)
+    return Runaway(times, (coarse.dt, fine.dt)) if math.isfinite(max(times)) else None
 
 
 def _same(coarse: Pair, fine: Pair, floor: float) -> bool:
