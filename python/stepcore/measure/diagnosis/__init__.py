@@ -116,8 +116,9 @@ def diagnose(
     case = Case(Motions(converged, schedule, setup.engine.size, wanted, sampled), wanted)
     own = shipped.integrator
     others = [n for n in INTEGRATORS if n != own and (integrators is None or n in integrators)]
-    limits = dict[str, Limit]()
+    limits, observed = dict[str, Limit](), None
     with workers.deadline.stage(f"the limit under {own}, beyond the steps that hold"):
+        observed = case.observed(own)
         limits[own] = case.limit(own)
     if own not in limits:
         with workers.deadline.closing():
@@ -145,14 +146,14 @@ def diagnose(
         rows=rows,
         physical=max(float(held.rates.real.max(initial=0.0)) for held in case.held),
         ran=motion_in_words(compiled, motion, schedule, "" if sampled else "at every step"),
+        observed=observed,
         runaway=case.judge.runaway,
         confirmed=case.judge.confirmed,
         covered=case.judge.fine,
         inner=inner,
         notes=schedule.notes,
     )
-    with workers.deadline.stage("the run at the wanted step"):
-        result.observed = case.observed(limits[own])
+    with workers.deadline.stage("which servos saturate"):
         result.saturated = case.saturated(limits[own], named[own])
     if sampled is not None and case.controlled:
         with workers.deadline.stage("the longest control period"):
@@ -208,7 +209,7 @@ class Case:
         last, each = held_limits(self.held, integrator, self.motions.model.settings.dt, fine)
         if self.judge.runaway is not None:
             dt = min(each)
-            return Limit(integrator, dt, last, *self._near(dt, each), ran=False)
+            return Limit(integrator, dt, last, self._state(dt, each), ran=False)
         change = Change(integrator=integrator)
         dt, longest = run_limit(self.judge, change, [last, *each])
         outcome = self.judge.outcome(change, FAILS * dt) if 0 < dt < math.inf else None
@@ -217,7 +218,7 @@ class Case:
             dt, _ = run_limit(self.judge, change, [], top=self.wanted)
             outcome = self.judge.outcome(change, self.wanted)
         kind = "" if outcome is None else outcome.kind
-        return Limit(integrator, dt, last, *self._near(dt, each), kind, longest)
+        return Limit(integrator, dt, last, self._state(dt, each), kind, longest)
 
     def known(self, integrator: str) -> Limit:
         """Return what is known of an integrator when the time is over: no limit below some step."""
@@ -227,14 +228,13 @@ class Case:
         last, ran = self.held[-1].limit(integrator, self.wanted), self.judge.runaway is None
         return Limit(integrator, math.inf, last, longest=good or self.judge.fine.dt, ran=ran)
 
-    def _near(self, dt: float, each: Sequence[float]) -> tuple[int, int]:
-        """Return the state whose linearised step has a limit, -1 if none has; and the nearest."""
+    def _state(self, dt: float, each: Sequence[float]) -> int:
+        """Return the state whose linearised step has a limit; -1 if none has."""
         if not 0 < dt < math.inf:
-            return -1, -1
+            return -1
         gaps = [abs(math.log(one / dt)) if 0 < one < math.inf else math.inf for one in each]
-        nearest = int(np.argmin(gaps)) if min(gaps) < math.inf else -1
         # Both are known to the shares of a limit.
-        return (nearest if min(gaps) <= 2 * math.log(STEP) else -1), nearest
+        return int(np.argmin(gaps)) if min(gaps) <= 2 * math.log(STEP) else -1
 
     def so_far(self, limit: Limit) -> str:
         """Return what is known of the own integrator, in words."""
@@ -248,8 +248,7 @@ class Case:
             at = self.held[-1]
             own = shares(at, name, min(limit.longest, 1.0) if dt else self.wanted)
             return tuple(self._theirs(list(own)[:1]))
-        at = self.held[limit.nearest]
-        order = list(shares(at, name, FAILS * dt) or shares(at, name, dt))
+        order = list(shares(self.held[max(limit.state, -1)], name, FAILS * dt))
         if limit.state >= 0:
             held = self.held[limit.state]
             found = linear_limiters(self.model, held, name, dt)
@@ -285,11 +284,11 @@ class Case:
             ours = element.kind == "actuator" and element.index in self.motions.ours
             yield Element.of(self.motions.model, "control", element.index) if ours else element
 
-    def observed(self, limit: Limit) -> Outcome | None:
+    def observed(self, integrator: str) -> Outcome | None:
         """Return what the motion does at the wanted step; None if it blows up at every step."""
         if self.judge.runaway is not None:
             return None
-        return self.judge.outcome(Change(integrator=limit.integrator), self.wanted)
+        return self.judge.outcome(Change(integrator=integrator), self.wanted)
 
     def saturated(self, limit: Limit, elements: Sequence[Element]) -> tuple[Element, ...]:
         """Return the servos among elements whose force is at an end of its range beyond a limit."""

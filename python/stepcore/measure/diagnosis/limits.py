@@ -37,7 +37,6 @@ class Limit:
         bears at all states.
     held: what the linearised step bears where the motion ends and is held [s]; inf and 0 as above.
     state: the index of the state whose linearised step has this limit, too; -1 if none has.
-    nearest: the index of that whose limit is nearest; -1, the end, if none has a limit.
     outcome: how the run fails beyond dt: "diverges", "gains energy" or "grows"; "" if it does not.
     """
 
@@ -45,7 +44,6 @@ class Limit:
     dt: float
     held: float
     state: int = -1
-    nearest: int = -1
     outcome: str = ""
     longest: float = LONGEST
     shortest: float = SHORTEST

@@ -224,7 +224,9 @@ def run_limiters(
             frozen = tuple(element.index for element in group if element.kind == "control")
             rest = [element for element in group if element.kind != "control"]
             softer = change.also(softened(motions.of(Change()), rest))
-            return judge.outcome(softer, dt, Loop(frozen=frozen) if frozen else None).holds
+            found = judge.outcome(softer, dt, Loop(frozen=frozen) if frozen else None)
+            # After the motion, a frozen control pushes on and on.
+            return found.holds or (bool(frozen) and found.time > motions.horizon)
 
         for group in kinds.values():
             if holds(group):

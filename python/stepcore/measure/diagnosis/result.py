@@ -208,6 +208,9 @@ class Diagnosis(Result):
         if math.isinf(limit.dt):
             fastest = f" The fastest element is {name}{traits}." if elements else ""
             below = seconds(limit.longest)
+            if limit.longest < self.wanted:
+                does = "is not known yet" if self.observed is None else "fails"
+                return f"Runs hold up to {below} under {own}; {step[0].lower()}{step[1:]} {does}."
             return f"No element limits dt below {below} under {own}, {judged}.{fastest}"
         if limit.dt <= 0:
             tried = f"every step tried unstable, down to {seconds(limit.shortest)}"
