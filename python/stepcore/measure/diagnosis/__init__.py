@@ -204,7 +204,6 @@ class Case:
         motions.keep_usual(self.judge.fine)
 
     def limit(self, integrator: str) -> Limit:
-        """Return the limit of an integrator."""
         fine = FAILS - 1 if self.motions.costly else FINE
         last, each = held_limits(self.held, integrator, self.motions.model.settings.dt, fine)
         if self.judge.runaway is not None:
@@ -237,7 +236,6 @@ class Case:
         return int(np.argmin(gaps)) if min(gaps) <= 2 * math.log(STEP) else -1
 
     def so_far(self, limit: Limit) -> str:
-        """Return what is known of the own integrator, in words."""
         longest = seconds(min(limit.dt, limit.longest))
         return f"runs hold under {limit.integrator} up to dt {longest}; the rest is run now"
 

@@ -39,7 +39,8 @@ from stepcore.scene.layout import Layout
 
 # The stability margin of every change: the largest stable dt over the wanted one.
 MARGIN = 1.5
-# The octaves of x that are tried: all of them down, a third up; of what is added, a third below 1.
+# The octaves of x that are tried: all of them down, a third up; of what is added, a third to each
+# side of 1.
 # The servo of ur3e.xml at kp 1e6 needs 20.
 OCTAVES = 24
 # The margin is searched for so often, each time by as much more as a limit is known to; and the
@@ -93,12 +94,10 @@ class NewValue:
 
     @property
     def name(self) -> str:
-        """The name of what changes: the field, or the gain in it."""
         return self.field if self.gain is None else self.gain[0]
 
     @property
     def way(self) -> str:
-        """The old and the new numbers in words."""
         sides = (self.before, self.after)
         if self.gain is not None:
             sides = (self.gain[1],), (self.gain[2],)
@@ -405,7 +404,6 @@ class Search:
                 yield found
 
     def _set(self, words: str, size: float = 0.0, **settings: Any) -> Advice:
-        """Return a change of one setting, run."""
         ((name, _),), change = settings.items(), Change(**settings)
         limit = self.confirmed(change)
         met = self._leaves(limit)
@@ -634,7 +632,7 @@ def _octaves(down: bool, both: bool) -> list[float]:
     """Return the numbers x to try, from little change to much."""
     third = OCTAVES // 3
     if not down:
-        return [2.0**k for k in range(-third, 2 * third)]
+        return [2.0**k for k in range(-third, third + 1)]
     every = range(1, OCTAVES + 1)
     return [2.0**k for n in every for k in ((-n, n) if both and n <= third else (-n,))]
 

@@ -99,7 +99,6 @@ def run_limit(
 
 
 def ladder(judge: Judge, low: float, top: float = math.inf) -> list[float]:
-    """Return the steps to try above one that holds [s]."""
     longest = max(min(judge.motions.longest, top), low * STEP)
     ratio = SPARSE if judge.motions.costly else DENSE
     number = max(1, math.ceil(math.log(longest / low) / math.log(ratio) - 1e-9))

@@ -61,7 +61,6 @@ def acting(sim: Sim) -> list[tuple[str, int]]:
 
 
 def acting_elements(sim: Sim) -> tuple[Element, ...]:
-    """Return the elements whose rows act at the present state."""
     return tuple(Element.of(sim.model, kind, index) for kind, index in acting(sim))
 
 

@@ -236,14 +236,14 @@ class Diagnosis(Result):
         The frequency of an element on its own has nothing to do with a limit while it saturates.
         """
         if self.saturated:
-            return ", while saturated,"
+            return ", while saturated," if len(self.saturated) == len(elements) else ""
         row = self.limiting()
         if row is None:
             return ""
         if row.element.kind == "spin":
             state = self.states[row.state] if row.state < len(self.states) else None
             speed = 0.0 if state is None else float(abs(state.qvel).max())
-            return f" (at {speed:.3g} rad/s)" if 0 < speed < HIGH else ""
+            return f" (at {speed:.3g} rad/s)" if 0 < round(speed, 3) < HIGH else ""
         traits = []
         # What is damped 100 times critically has no frequency.
         if 0 < row.omega < HIGH and not row.ratio > 100:
@@ -285,7 +285,7 @@ class Diagnosis(Result):
             if self.saturated:
                 servos = Elements(self.saturated)
                 has = "their force ranges" if len(servos) > 1 else "its force range"
-                why = f"in the motion {servos.name} {_verb(servos, 'reach')} {has}, "
+                why = f"in longer steps {servos.name} {_verb(servos, 'reach')} {has}, "
                 why += "where damping has no effect"
             elif limit.state >= 0:
                 why = f"at {self.states[limit.state].label} the linearised step bears less"

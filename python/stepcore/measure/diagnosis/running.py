@@ -140,12 +140,10 @@ class State:
 
     @classmethod
     def of(cls, label: str, time: float, arrays: Iterable[Any]) -> State:
-        """Return a state from copies of qpos, qvel, ctrl and act."""
         qpos, qvel, ctrl, act = (np.array(array) for array in arrays)
         return cls(label, time, qpos, qvel, ctrl, act)
 
     def sim(self, model: Model) -> Sim:
-        """Return a Sim at this state."""
         sim = unwatched(Sim(model))
         sim.qpos[:], sim.qvel[:], sim.ctrl[:] = self.qpos, self.qvel, self.ctrl
         sim.act[:] = self.act
@@ -221,7 +219,6 @@ class Outcome:
 
     @property
     def holds(self) -> bool:
-        """Whether the step does not fail."""
         return self.kind == "holds"
 
 
@@ -276,13 +273,12 @@ class Motions:
         # The kinetic energy of a slow motion of every dof: less is no explosion.
         slow = moved.scaled(np.ones(model.nv), SPEED, SPIN)
         self.floor = 0.5 * float(slow**2 @ np.diag(mass))
-        self.flops = _counted(sim) + OVERHEAD + CALL * (self.users is not None)
+        self.flops = _counted(sim) + CALL * (self.users is not None)
         self.usual: tuple[float, Floats] | None = None
         self._models: dict[Change, Model] = {}
 
     @property
     def most(self) -> int:
-        """The most steps of one run."""
         return max(2 * LEAST, int(WORK / 2 / self.flops))
 
     @property
@@ -292,7 +288,6 @@ class Motions:
 
     @property
     def longest(self) -> float:
-        """The longest step that is tried [s]."""
         return min(LONGEST, AMPLE * self.wanted) if self.costly else LONGEST
 
     def count(self, pair: Pair) -> None:
@@ -301,7 +296,7 @@ class Motions:
             sim = unwatched(Sim(self.of(Change())))
             for name in ("qpos", "qvel", "act", "ctrl"):
                 getattr(sim, name)[:] = pair.ran[name][0, -1]
-            self.flops = max(self.flops, _counted(sim) + OVERHEAD)
+            self.flops = max(self.flops, _counted(sim))
 
     def of(self, change: Change) -> Model:
         """Return the changed model, with the servos that the motion needs."""
@@ -345,12 +340,10 @@ class Motions:
         return often
 
     def changed(self, change: Change) -> Motions:
-        """Return the same motion of the changed model."""
         model = change.of(self.model)
         return Motions(model, self.schedule, self.size, self.wanted, self.period)
 
     def steps(self, dt: float, least: int = LEAST) -> int:
-        """Return the number of steps of a run."""
         return max(least, math.ceil(self.horizon / dt * (1 - 1e-9)))
 
     def pair(
@@ -424,12 +417,12 @@ class Motions:
         return 0.5 * float(np.sum(self.model.body_mass)) * gravity * dt**2
 
 
-def _counted(sim: Sim) -> int:
-    """Return the operations of a step; 1 where it fails."""
+def _counted(sim: Sim) -> float:
+    """Return the operations of a step; those of calling it where it fails."""
     try:
-        return sim.count_flops()
+        return OVERHEAD + sim.count_flops()
     except (SimulationError, ValueError):
-        return 1
+        return OVERHEAD
 
 
 @dataclass
@@ -544,7 +537,6 @@ class Judge:
         return max(CLEAR, GROWN * float(np.nanmax(apart)) / max(float(apart[0]), 1e-300))
 
     def judged(self, pair: Pair) -> Outcome:
-        """Return the outcome of a pair of runs."""
         if pair.failure:
             return Outcome("diverges", pair.reached, math.inf, math.inf)
         times, usual = pair.times, self.usual("energy", pair.times)
