@@ -37,6 +37,7 @@ from stepcore.measure.diagnosis.naming import (
 )
 from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.running import (
+    LONGEST,
     SHORTEST,
     Judge,
     Motions,
@@ -184,7 +185,7 @@ class Case:
         self.motions, self.wanted = motions, wanted
         self.model, self.horizon = motions.of(Change()), motions.horizon
         settings, start = motions.model.settings, motions.first()
-        near = Held(self.model, start, self.horizon).limit("implicitfast", settings.dt)
+        near = Held(self.model, start, self.horizon).limit("implicitfast", settings.dt, fine=1.0)
         safe = min(max(near / 4, SHORTEST / 10), settings.dt)
         self.judge = Judge.of(motions, safe)
         self.controlled = motions.users is not None
@@ -204,13 +205,20 @@ class Case:
         motions.keep_usual(self.judge.fine)
 
     def limit(self, integrator: str) -> Limit:
-        fine = FAILS - 1 if self.motions.costly else FINE
-        last, each = held_limits(self.held, integrator, self.motions.model.settings.dt, fine)
-        if self.judge.runaway is not None:
+        near, change = self.motions.model.settings.dt, Change(integrator=integrator)
+        dt, longest, ran = math.nan, LONGEST, self.judge.runaway is None
+        if ran and self.motions.costly:
+            # What nobody may wait for comes first; the linearised step of such a scene takes long.
+            dt, longest = run_limit(self.judge, change, [])
+        if dt == 0 or (math.isinf(dt) and self.judge.outcome(change, self.wanted).holds):
+            return Limit(integrator, dt, self.held[-1].limit(integrator, near), longest=longest)
+        fine = FINE if math.isnan(dt) else FAILS - 1
+        last, each = held_limits(self.held, integrator, near, fine)
+        if not ran:
             dt = min(each)
             return Limit(integrator, dt, last, self._state(dt, each), ran=False)
-        change = Change(integrator=integrator)
-        dt, longest = run_limit(self.judge, change, [last, *each])
+        if math.isnan(dt):
+            dt, longest = run_limit(self.judge, change, [last, *each])
         outcome = self.judge.outcome(change, FAILS * dt) if 0 < dt < math.inf else None
         if dt >= self.wanted and not self.judge.outcome(change, self.wanted).holds:
             # A step below the limit fails where failure is not monotonic.
@@ -224,8 +232,8 @@ class Case:
         tried = self.judge.tried(Change(integrator=integrator))
         bad = min((dt for dt, holds in tried.items() if not holds), default=math.inf)
         good = max((dt for dt, holds in tried.items() if holds and dt < bad), default=0.0)
-        last, ran = self.held[-1].limit(integrator, self.wanted), self.judge.runaway is None
-        return Limit(integrator, math.inf, last, longest=good or self.judge.fine.dt, ran=ran)
+        longest, ran = good or self.judge.fine.dt, self.judge.runaway is None
+        return Limit(integrator, math.inf, math.nan, longest=longest, ran=ran)
 
     def _state(self, dt: float, each: Sequence[float]) -> int:
         """Return the state whose linearised step has a limit; -1 if none has."""

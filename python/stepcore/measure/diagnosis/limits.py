@@ -35,7 +35,8 @@ class Limit:
         at 1.03 dt; inf if none fails up to `longest`, 0 if none holds down to `shortest`. Where
         nothing was `ran`, because the motion blows up at every step: what the linearised step
         bears at all states.
-    held: what the linearised step bears where the motion ends and is held [s]; inf and 0 as above.
+    held: what the linearised step bears where the motion ends and is held [s]; inf and 0 as above,
+        NaN if the time was over before.
     state: the index of the state whose linearised step has this limit, too; -1 if none has.
     outcome: how the run fails beyond dt: "diverges", "gains energy" or "grows"; "" if it does not.
     """

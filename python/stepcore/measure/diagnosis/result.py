@@ -271,7 +271,7 @@ class Diagnosis(Result):
         """Yield what the linearised step bears where the run shows another limit, and why."""
         limit = self.own
         run, held = limit.dt, limit.held
-        if not limit.ran or run == held or run <= 0:
+        if not limit.ran or run == held or run <= 0 or math.isnan(held):
             return
         if limit.longest <= held if math.isinf(run) else 1 / STEP < held / run < STEP:
             return
