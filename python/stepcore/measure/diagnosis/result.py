@@ -293,7 +293,7 @@ class Diagnosis(Result):
                 why = "rows open and close in the motion"
         else:
             why = "what grows there stays small"
-            if self.physical * self.horizon > 1:
+            if self.physical * self.covered.reached > 1:
                 why = "the motion itself grows there, and grows faster in longer steps"
             if rows:
                 why = f"there {Elements(rows).summary} {_verb(rows, 'act')}, and growth ends where "
@@ -369,7 +369,7 @@ class Diagnosis(Result):
             yield f"runs hold at {seconds(HOLDS * limit.dt)}, and fail just above the limit"
         if not self.confirmed and self.runaway is None:
             yield "no two short steps agree on the motion itself"
-        if self.physical * self.horizon > 1:
+        if self.physical * self.covered.reached > 1:
             yield self._growing()
         soft = [row for row in self.rows if math.isfinite(row.softened)]
         if soft:
