@@ -207,7 +207,7 @@ class Case:
     def limit(self, integrator: str) -> Limit:
         near, change = self.motions.model.settings.dt, Change(integrator=integrator)
         dt, longest, ran = math.nan, LONGEST, self.judge.runaway is None
-        if ran and self.motions.costly:
+        if ran and self.motions.costly and self.motions.users is None:
             # What nobody may wait for comes first; the linearised step of such a scene takes long.
             dt, longest = run_limit(self.judge, change, [])
         if dt == 0 or (math.isinf(dt) and self.judge.outcome(change, self.wanted).holds):
