@@ -22,7 +22,7 @@ from stepcore._core import SimulationError
 from stepcore.engine.element import EQUALITIES, Element, Elements, SceneField
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.diagnosis.limits import FINE, HOLDS, STEP, Limit, run_limit
+from stepcore.measure.diagnosis.limits import FAILS, FINE, HOLDS, STEP, Limit, run_limit
 from stepcore.measure.diagnosis.linear import Held, bisected, solref_of
 from stepcore.measure.diagnosis.naming import (
     Figures,
@@ -487,7 +487,7 @@ class Search:
         for x in xs:
             if holds(x):
                 nearer = x / jump if adds or x > 1 else x * jump
-                return bisected(holds, x, nearer, FINE if self.linear else STEP - 1)
+                return bisected(holds, x, nearer, FINE if self.linear else FAILS - 1)
         return None
 
     def _holds(self, change: Change, margin: float) -> bool:

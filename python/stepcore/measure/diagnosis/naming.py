@@ -225,7 +225,8 @@ def run_limiters(
             softer = change.also(softened(motions.of(Change()), rest))
             found = judge.outcome(softer, dt, Loop(frozen=frozen) if frozen else None)
             # After the motion, a frozen control pushes on and on.
-            return found.holds or (bool(frozen) and found.time > motions.horizon)
+            late = frozen and judge.outcome(change, dt).time < motions.horizon < found.time
+            return found.holds or bool(late)
 
         for group in kinds.values():
             if holds(group):
