@@ -48,7 +48,7 @@ def integrators() -> dict[str, dict[str, Any]]:
     "free bodies", "trees", None) and "stiffness" (bool), which it takes at the end of the step."""
 
 def amplification(integrator: str, z: NDArray[np.complex128]) -> NDArray[np.complex128] | None:
-    """See `engine.linear_maps.amplification`."""
+    """Factors of modes z = dt·s; None where a step is no function of dt·J."""
 
 def linear_step(
     integrator: str,
@@ -61,7 +61,7 @@ def linear_step(
     after: _Floats | None = None,
     push: _Floats | None = None,
 ) -> _Floats | None:
-    """See `engine.linear_maps.stepped`; None where a matrix is singular."""
+    """A x of one step of x' = J x; None where a matrix is singular."""
 
 def noise(keys: NDArray[np.uint64], drawn: NDArray[np.uint64], width: int, normal: bool) -> _Floats:
     """The next `width` numbers of each stream, flat: normal, or evenly between 0 and 1."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
@@ -19,8 +20,9 @@ from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.measure.diagnosis.cures import Advice, Search, longest_period, other_integrators
 from stepcore.measure.diagnosis.inner_steps import InnerSteps, inner_steps
-from stepcore.measure.diagnosis.limits import FAILS, Limit, held_limits, run_limit
+from stepcore.measure.diagnosis.limits import FAILS, STEP, Limit, held_limits, run_limit
 from stepcore.measure.diagnosis.linear import (
+    FINE,
     Held,
     acting_elements,
     every_element,
@@ -33,12 +35,13 @@ from stepcore.measure.diagnosis.naming import (
     linear_limiters,
     run_limiters,
 )
-from stepcore.measure.diagnosis.result import AMPLE, Diagnosis
+from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.running import (
+    LONGEST,
+    SHORTEST,
     Judge,
     Motions,
     Outcome,
-    Runaway,
     State,
     with_converged_rows,
 )
@@ -49,13 +52,8 @@ __all__ = ["Diagnosis", "diagnose"]
 
 # The control period over the horizon, unless one step of the scene is longer.
 PERIOD = 1 / 200
-# The part of the least step that limits the start, at which the motion is first run.
-SAFE = 0.25
-# A state's linearised step has the limit that the run has, if both agree to this factor.
-AGREE = 1.1
-# The shares of the time (`seconds`) at which the runs of the own integrator, and those of the
-# others, end.
-OWN, OTHERS = 0.5, 0.65
+# The share of the time (`seconds`) at which the runs that find limits end: cures take the rest.
+LIMITS = 0.6
 
 
 @measurement(without=("starts",))
@@ -106,7 +104,7 @@ def diagnose(
     horizon = motion.horizon or HORIZON
     inner: InnerSteps | None = None
     if shipped.accuracy is not None:
-        with workers.deadline.stage("what the steps are made of", OWN):
+        with workers.deadline.stage("what the steps are made of", LIMITS):
             period = motion.period(shipped.dt) or shipped.dt
             inner = inner_steps(compiled, scheduled(motion, compiled, period, starts=1))
     converged = with_converged_rows(compiled.with_settings(accuracy=None))
@@ -116,20 +114,27 @@ def diagnose(
     period = min(horizon, motion.period(shipped.dt) or max(shipped.dt, horizon * PERIOD))
     schedule = scheduled(motion, converged, period, starts=1)
     sampled = None if motion.control is None else motion.control_dt
-    case = Case(Motions(converged, schedule, setup.engine.size, sampled), wanted)
+    case = Case(Motions(converged, schedule, setup.engine.size, wanted, sampled), wanted)
     own = shipped.integrator
     others = [n for n in INTEGRATORS if n != own and (integrators is None or n in integrators)]
-    limits = {own: case.limit(own)}
+    limits, observed = dict[str, Limit](), None
+    with workers.deadline.stage(f"the limit under {own}, beyond the steps that hold"):
+        observed = case.observed(own)
+        limits[own] = case.limit(own)
+    if own not in limits:
+        with workers.deadline.closing():
+            limits[own] = case.known(own)
     if limits[own].ran:
         workers.deadline.so_far(case.so_far(limits[own]))
-    else:
-        workers.deadline.left_out.append("runs of the motion")
     found: list[Limit | None] = []
-    with workers.deadline.stage(lambda: f"the limits under {_missing(found, others)}", OTHERS):
+    with workers.deadline.stage(lambda: f"the limits under {_missing(found, others)}", LIMITS):
         workers.each(case.limit, others, "limits", found)
     limits |= {limit.integrator: limit for limit in found if limit is not None}
+    named = dict.fromkeys(limits, tuple[Element, ...]())
+    with workers.deadline.stage("the names of all elements that limit dt"):
+        for name, limit in limits.items():
+            named[name] = case.limiters(limit)
     with workers.deadline.closing():
-        named = {name: case.limiters(limit) for name, limit in limits.items()}
         rows = case.figures(named[own], limits[own].state)
     result = Diagnosis(
         name=setup.name,
@@ -142,16 +147,16 @@ def diagnose(
         rows=rows,
         physical=max(float(held.rates.real.max(initial=0.0)) for held in case.held),
         ran=motion_in_words(compiled, motion, schedule, "" if sampled else "at every step"),
-        runaway=case.runaway,
-        confirmed=case.judge is not None and case.judge.confirmed,
-        covered=case.fine,
+        observed=observed,
+        runaway=case.judge.runaway,
+        confirmed=case.judge.confirmed,
+        covered=case.judge.fine,
         inner=inner,
         notes=schedule.notes,
     )
-    with workers.deadline.stage("the run at the wanted step"):
-        result.observed = case.observed(limits[own])
+    with workers.deadline.stage("which servos saturate"):
         result.saturated = case.saturated(limits[own], named[own])
-    if sampled is not None and case.judge is not None and case.controlled:
+    if sampled is not None and case.controlled:
         with workers.deadline.stage("the longest control period"):
             short = min(wanted, sampled)
             result.longest_period = longest_period(case.judge, Change(integrator=own), short)
@@ -171,49 +176,49 @@ def _missing(found: Sequence[Limit | None], names: Sequence[str]) -> str:
 class Case:
     """One motion, its states, and its runs.
 
-    motions: the runs. wanted: the step in question [s].
-    judge: the converged motion; None where it blows up at every step (`runaway`).
-    fine: the converged pair of runs. states: of it, the last one at its end. held: the linearised
-    step at each state.
+    motions: the runs. wanted: the step in question [s]. judge: the converged motion.
+    controlled: whether a control function of the user may limit dt.
+    states: of the converged motion, the last one at its end. held: the linearised step at each.
     """
 
     def __init__(self, motions: Motions, wanted: float) -> None:
         self.motions, self.wanted = motions, wanted
         self.model, self.horizon = motions.of(Change()), motions.horizon
-        settings = motions.model.settings
-        start = motions.first()
-        near = Held(self.model, start, self.horizon).limit("implicitfast", settings.dt)
-        safe = min(max(SAFE * near, 1e-7), settings.dt)
-        judge = Judge.of(motions, safe)
+        settings, start = motions.model.settings, motions.first()
+        near = Held(self.model, start, self.horizon).limit("implicitfast", settings.dt, fine=1.0)
+        safe = min(max(near / 4, SHORTEST / 10), settings.dt)
+        self.judge = Judge.of(motions, safe)
         self.controlled = motions.users is not None
-        if isinstance(judge, Runaway) and self.controlled:
+        if self.judge.runaway is not None and self.controlled:
             # If the motion does not blow up by itself, the control makes it.
             alone = Judge.of(motions.without_control(), safe)
-            self.controlled = isinstance(alone, Judge)
-            judge = Judge(motions, alone.fine, False) if isinstance(alone, Judge) else judge
-        self.runaway = judge if isinstance(judge, Runaway) else None
-        self.judge = None if isinstance(judge, Runaway) else judge
-        self.fine = judge.fine
-        self.states = visited(motions, self.fine, start)
-        self.held = list[Held]()
-        for state in list(self.states):
-            try:
+            self.controlled = alone.runaway is None
+            if self.controlled:
+                self.judge = Judge(motions, alone.fine, False)
+        self.states, self.held = list[State](), list[Held]()
+        for state in visited(motions, self.judge.fine, start):
+            with contextlib.suppress(ValueError):
                 self.held.append(Held(self.model, state, self.horizon))
-            except ValueError:
-                self.states.remove(state)
+                self.states.append(state)
         if not self.held:
             raise ValueError("the scene cannot be linearised: its accelerations are not finite")
-        if self.judge is not None:
-            motions.keep_usual(self.fine)
+        motions.keep_usual(self.judge.fine)
 
     def limit(self, integrator: str) -> Limit:
-        """Return the limit of an integrator."""
-        last, each = held_limits(self.held, integrator, self.motions.model.settings.dt)
-        if self.judge is None:
+        near, change = self.motions.model.settings.dt, Change(integrator=integrator)
+        dt, longest, ran = math.nan, LONGEST, self.judge.runaway is None
+        if ran and self.motions.costly and self.motions.users is None:
+            # What nobody may wait for comes first; the linearised step of such a scene takes long.
+            dt, longest = run_limit(self.judge, change, [])
+        if dt == 0 or (math.isinf(dt) and self.judge.outcome(change, self.wanted).holds):
+            return Limit(integrator, dt, self.held[-1].limit(integrator, near), longest=longest)
+        fine = FINE if math.isnan(dt) else FAILS - 1
+        last, each = held_limits(self.held, integrator, near, fine)
+        if not ran:
             dt = min(each)
             return Limit(integrator, dt, last, self._state(dt, each), ran=False)
-        change = Change(integrator=integrator)
-        dt, longest = run_limit(self.judge, change, [last, *each])
+        if math.isnan(dt):
+            dt, longest = run_limit(self.judge, change, [last, *each])
         outcome = self.judge.outcome(change, FAILS * dt) if 0 < dt < math.inf else None
         if dt >= self.wanted and not self.judge.outcome(change, self.wanted).holds:
             # A step below the limit fails where failure is not monotonic.
@@ -222,18 +227,25 @@ class Case:
         kind = "" if outcome is None else outcome.kind
         return Limit(integrator, dt, last, self._state(dt, each), kind, longest)
 
+    def known(self, integrator: str) -> Limit:
+        """Return what is known of an integrator when the time is over: no limit below some step."""
+        tried = self.judge.tried(Change(integrator=integrator))
+        bad = min((dt for dt, holds in tried.items() if not holds), default=math.inf)
+        good = max((dt for dt, holds in tried.items() if holds and dt < bad), default=0.0)
+        longest, ran = good or self.judge.fine.dt, self.judge.runaway is None
+        return Limit(integrator, math.inf, math.nan, longest=longest, ran=ran)
+
     def _state(self, dt: float, each: Sequence[float]) -> int:
         """Return the state whose linearised step has a limit; -1 if none has."""
         if not 0 < dt < math.inf:
             return -1
         gaps = [abs(math.log(one / dt)) if 0 < one < math.inf else math.inf for one in each]
-        nearest = int(np.argmin(gaps))
-        return nearest if gaps[nearest] <= math.log(AGREE) else -1
+        # Both are known to the shares of a limit.
+        return int(np.argmin(gaps)) if min(gaps) <= 2 * math.log(STEP) else -1
 
     def so_far(self, limit: Limit) -> str:
-        """Return what is known of the own integrator, in words."""
-        name = limit.integrator
-        return f"runs hold under {name} up to dt {seconds(limit.dt)}; others are run now"
+        longest = seconds(min(limit.dt, limit.longest))
+        return f"runs hold under {limit.integrator} up to dt {longest}; the rest is run now"
 
     def limiters(self, limit: Limit) -> tuple[Element, ...]:
         """Return the elements that limit an integrator, or the fastest one if nothing does."""
@@ -243,16 +255,13 @@ class Case:
             own = shares(at, name, min(limit.longest, 1.0) if dt else self.wanted)
             return tuple(self._theirs(list(own)[:1]))
         order = list(shares(self.held[max(limit.state, -1)], name, FAILS * dt))
-        if order and dt > AMPLE * self.wanted and self.motions.costly:
-            # Nobody asks for such steps, and what tells the elements apart takes long.
-            return tuple(self._theirs(order[:1]))
         if limit.state >= 0:
             held = self.held[limit.state]
             found = linear_limiters(self.model, held, name, dt)
             if found:
                 return tuple(self._theirs(found))
         nu = self.motions.model.nu if self.controlled else 0
-        if self.judge is None or dt <= 0:
+        if self.judge.runaway is not None or dt <= 0:
             return tuple(Element.of(self.motions.model, "control", k) for k in range(nu))
         every = list(every_element(self.model, self.states))
         every.sort(key=lambda e: order.index(e) if e in order else len(order))
@@ -265,9 +274,9 @@ class Case:
 
         A body has passed through the other one, and falls.
         """
-        assert self.judge is not None
-        ran = self.motions.pair(Change(integrator=limit.integrator), FAILS * limit.dt).ran
-        if limit.outcome != "gains energy" or ran is None or ran.failures:
+        pair = self.motions.pair(Change(integrator=limit.integrator), FAILS * limit.dt)
+        ran = pair.ran
+        if limit.outcome != "gains energy" or ran is None or pair.failure:
             return ()
         own = (ran[name][0, -1] for name in ("qpos", "qvel", "ctrl", "act"))
         sim = State.of("", 0.0, own).sim(self.model)
@@ -281,16 +290,16 @@ class Case:
             ours = element.kind == "actuator" and element.index in self.motions.ours
             yield Element.of(self.motions.model, "control", element.index) if ours else element
 
-    def observed(self, limit: Limit) -> Outcome | None:
+    def observed(self, integrator: str) -> Outcome | None:
         """Return what the motion does at the wanted step; None if it blows up at every step."""
-        if self.judge is None:
+        if self.judge.runaway is not None:
             return None
-        return self.judge.outcome(Change(integrator=limit.integrator), self.wanted)
+        return self.judge.outcome(Change(integrator=integrator), self.wanted)
 
     def saturated(self, limit: Limit, elements: Sequence[Element]) -> tuple[Element, ...]:
         """Return the servos among elements whose force is at an end of its range beyond a limit."""
         servos = [e for e in elements if e.kind == "actuator"]
-        if self.judge is None or not servos or not 0 < limit.dt < math.inf:
+        if not limit.ran or not servos or not 0 < limit.dt < math.inf:
             return ()
         full = self.motions.saturated(Change(integrator=limit.integrator), FAILS * limit.dt)
         return tuple(element for element in servos if full[element.index])
@@ -310,12 +319,11 @@ class Case:
     def advice(self, limits: dict[str, Limit], elements: Sequence[Element]) -> Iterator[Advice]:
         """Yield the changes that make the wanted step stable, and those that fail."""
         own = next(iter(limits.values()))
-        if self.judge is None:
-            return
         at = self.held[own.state] if own.state >= 0 else self.held[-1]
         every = list(every_element(self.model, self.states))
         known = [e for e in elements if e != INERTIAL]
-        linear = own.state >= 0 and not self.controlled
+        linear = not own.ran or (own.state >= 0 and not self.controlled)
         search = Search(self.judge, own, at, linear, self.wanted, known, every, self.states)
-        yield from other_integrators(search, limits)
+        if own.ran:
+            yield from other_integrators(search, limits)
         yield from search.advice()

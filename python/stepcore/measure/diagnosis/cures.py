@@ -22,7 +22,7 @@ from stepcore._core import SimulationError
 from stepcore.engine.element import EQUALITIES, Element, Elements, SceneField
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.diagnosis.limits import HOLDS, Limit, run_limit
+from stepcore.measure.diagnosis.limits import FAILS, FINE, HOLDS, STEP, Limit, run_limit
 from stepcore.measure.diagnosis.linear import Held, bisected, solref_of
 from stepcore.measure.diagnosis.naming import (
     Figures,
@@ -39,15 +39,15 @@ from stepcore.scene.layout import Layout
 
 # The stability margin of every change: the largest stable dt over the wanted one.
 MARGIN = 1.5
-# The octaves of a factor that are tried, down and up, and those of an added value.
-DOWN, UP, LEAST, MOST = 24, 8, -7, 14
-# The relative resolution of x, of the linearised step and of runs.
-FINE, COARSE = 0.01, 0.03
-# Searches for one change, the surplus of the margin after one that left too little, and the most
-# elements that one change is made to.
-SEARCHES, SURPLUS, TOGETHER = 3, 1.1, 8
-# The most integrators, and the most changes of the model, that are proposed.
-INTEGRATORS, PROPOSED = 3, 6
+# The octaves of x that are tried: all of them down, a third up; of what is added, a third to each
+# side of 1.
+# The servo of ur3e.xml at kp 1e6 needs 20.
+OCTAVES = 24
+# The margin is searched for so often, each time by as much more as a limit is known to; and the
+# most elements that one change is made to.
+SEARCHES, SURPLUS, TOGETHER = 3, STEP * STEP, 8
+# The most integrators that are proposed.
+INTEGRATORS = 3
 # A gain of zero starts at this part of the critical damping, which is also the least damping ratio
 # to which an added damping is compared.
 FROM_NOTHING = 1 / 64
@@ -94,12 +94,10 @@ class NewValue:
 
     @property
     def name(self) -> str:
-        """The name of what changes: the field, or the gain in it."""
         return self.field if self.gain is None else self.gain[0]
 
     @property
     def way(self) -> str:
-        """The old and the new numbers in words."""
         sides = (self.before, self.after)
         if self.gain is not None:
             sides = (self.gain[1],), (self.gain[2],)
@@ -140,9 +138,7 @@ class Advice:
 
 def ratio(before: float, after: float) -> float:
     """Return |log| of the factor between two numbers; 0 if either is zero."""
-    if before == 0 or after == 0:
-        return 0.0
-    return abs(math.log(abs(after)) - math.log(abs(before)))
+    return abs(math.log(abs(after)) - math.log(abs(before))) if before and after else 0.0
 
 
 @dataclass
@@ -394,7 +390,7 @@ class Search:
         """Yield the least change of each kind that leaves the margin, or that it fails."""
         settings = self.model.settings
         if settings.law == "solref" and not settings.refsafe:
-            yield self._setting("refsafe", True, "softens rows that are too stiff for the step")
+            yield self._set("use refsafe=True, which softens rows that are too stiff", refsafe=True)
         first = self.elements[0] if self.elements else None
         if first is None or (first.kind == "control" and self.judge.motions.users is None):
             return
@@ -402,61 +398,43 @@ class Search:
             yield self._softer_penalty()
         met = list[Advice]()
         for what in WAYS.get(first.kind, ()):
-            if len([a for a in met if a.met]) < PROPOSED:
-                found = self._loop(what) if what in (LOOP_GAIN, PERIOD) else self._least(what)
-                if found is not None and not _repeats(found, met):
-                    met.append(found)
-                    yield found
+            found = self._loop(what) if what in (LOOP_GAIN, PERIOD) else self._least(what)
+            if found is not None and not _repeats(found, met):
+                met.append(found)
+                yield found
 
-    def _setting(self, name: str, value: Any, why: str) -> Advice:
-        settings = {name: value}
-        limit = self.confirmed(Change(**settings))
-        met, text = self._leaves(limit), f"use {name}={value}, which {why}: {stable(limit)}"
-        return Advice(
-            name,
-            (),
-            settings,
-            met,
-            text if met else f"{name}={value}",
-            0.0,
-            limit[0],
-            Change(**settings),
-        )
+    def _set(self, words: str, size: float = 0.0, **settings: Any) -> Advice:
+        ((name, _),), change = settings.items(), Change(**settings)
+        limit = self.confirmed(change)
+        met = self._leaves(limit)
+        text = f"{words}: {stable(limit)}" if met else name
+        return Advice(name, (), settings, met, text, size, limit[0], change)
 
     def _softer_penalty(self) -> Advice:
         """Return the stiffest contact spring of the law `penalty` that is stable."""
-        old, name = self.model.settings.penalty_stiffness, "penalty_stiffness"
-
-        def make(x: float) -> Change:
-            return Change(penalty_stiffness=rounded(old * x, up=False))
-
+        old, name, made = self.model.settings.penalty_stiffness, "penalty_stiffness", None
         for margin in self._margins():
 
             def holds(x: float, margin: float = margin) -> bool:
-                return self._holds(make(x), margin)
+                return self._holds(Change(penalty_stiffness=rounded(old * x, up=False)), margin)
 
             x = self._enough(holds, _octaves(True, False))
             if x is None:
                 break
-            change, new = make(x), rounded(old * x, up=False)
-            limit = self.confirmed(change)
-            if self._leaves(limit):
-                text = f"use {name}={new:g} in place of {old:g} N/m: {stable(limit)}"
-                size = ratio(old, new)
-                return Advice(name, (), {name: new}, True, text, size, limit[0], change)
-        return Advice(name, text=name)
+            new = rounded(old * x, up=False)
+            words = f"use {name}={new:g} in place of {old:g} N/m"
+            made = self._set(words, ratio(old, new), penalty_stiffness=new)
+            if made.met:
+                return made
+        return made or Advice(name, text=name)
 
     def _margins(self) -> Iterator[float]:
         """Yield the margins to search for, one after the other until one is left in runs."""
-        margin = MARGIN
-        for _ in range(SEARCHES):
-            yield margin
-            margin *= SURPLUS
+        return (MARGIN * SURPLUS**k for k in range(SEARCHES))
 
     def _least(self, what: str) -> Advice | None:
         """Return the least change of the limiting elements, extended to the next ones if needed."""
-        group = list(self.elements)
-        failed = Advice(what, text=what)
+        group, failed = list(self.elements), Advice(what, text=what)
         for margin in self._margins():
             made = Making(self.model, self.held, margin * self.wanted)
             if what == STANDARD:
@@ -509,7 +487,7 @@ class Search:
         for x in xs:
             if holds(x):
                 nearer = x / jump if adds or x > 1 else x * jump
-                return bisected(holds, x, nearer, FINE if self.linear else COARSE)
+                return bisected(holds, x, nearer, FINE if self.linear else FAILS - 1)
         return None
 
     def _holds(self, change: Change, margin: float) -> bool:
@@ -567,7 +545,7 @@ class Search:
         """Return the element that limits dt after the largest change of a group, or None."""
         if not self.linear:
             return None
-        x = 2.0**MOST if what in HARDWARE else 2.0**-UP
+        x = _octaves(False, False)[-1] if what in HARDWARE else 2.0 ** -(OCTAVES // 3)
         try:
             softer = Change(made.values(group, what, x)).of(self.model)
             held = Held(softer, self.held.state, self.held.horizon)
@@ -652,10 +630,11 @@ def other_integrators(search: Search, limits: Mapping[str, Limit]) -> Iterator[A
 
 def _octaves(down: bool, both: bool) -> list[float]:
     """Return the numbers x to try, from little change to much."""
+    third = OCTAVES // 3
     if not down:
-        return [2.0**k for k in range(LEAST, MOST + 1)]
-    ups = [[k] if both and k <= UP else [] for k in range(1, DOWN + 1)]
-    return [2.0**k for n in range(1, DOWN + 1) for k in (-n, *ups[n - 1])]
+        return [2.0**k for k in range(-third, third + 1)]
+    every = range(1, OCTAVES + 1)
+    return [2.0**k for n in every for k in ((-n, n) if both and n <= third else (-n,))]
 
 
 def _repeats(advice: Advice, met: Sequence[Advice]) -> bool:
@@ -663,11 +642,9 @@ def _repeats(advice: Advice, met: Sequence[Advice]) -> bool:
     smaller = {a.what: a for a in met if a.met}
     if advice.what == GAINS:
         return "kp" in smaller or "kv" in smaller
-    single = smaller.get(ARMATURE)
-    owners = {value.owner for value in advice.values}
-    return (
-        advice.what == CHAIN and single is not None and owners == {v.owner for v in single.values}
-    )
+    single, owners = smaller.get(ARMATURE), {value.owner for value in advice.values}
+    alike = single is not None and owners == {value.owner for value in single.values}
+    return advice.what == CHAIN and alike
 
 
 def stable(limit: tuple[float, float]) -> str:

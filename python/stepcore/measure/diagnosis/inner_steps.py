@@ -9,17 +9,14 @@ from dataclasses import dataclass
 
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
-from stepcore.engine.control import controls
 from stepcore.engine.element import Element, Elements
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.trajectory import pieces
 from stepcore.executors import checkpoint
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.diagnosis.linear import acting_elements
 from stepcore.report.units import counted, metres, percent, seconds
-
-# How many bodies are named, each with a share of the evaluations that is at least this.
-NAMED, SHARE = 3, 0.05
 
 
 @dataclass(frozen=True)
@@ -77,7 +74,7 @@ class InnerSteps:
         )
         if self.failure:
             yield f"The run ended early: {self.failure}."
-        named = [body for body, share in self.shares.items() if share >= SHARE][:NAMED]
+        named = [body for body, share in self.shares.items() if share >= 0.05]
         if not named:
             yield "No body makes steps shorter than that for more than a few of them."
         for body in named:
@@ -103,33 +100,29 @@ def inner_steps(model: Model, schedule: Schedule) -> InnerSteps:
     dt, failure = model.settings.dt, ""
     sim = unwatched(Sim(schedule.on(model)))
     schedule.starts[0].put(sim)
-    control, count = schedule.function(), schedule.steps(dt)
     rows, held = schedule.rows([0], dt)
+    drive = schedule.function() if rows is None else rows[0]
+    count = schedule.steps(dt)
     costs, hardest = Counter[str](), dict[str, HardStep]()
-    least, before, acting = math.inf, 0, frozenset[Element]()
-    for k in range(schedule.periods * count):
-        checkpoint()
-        if control is not None and k % count == 0:
-            sim.ctrl = controls(control, sim)
-        elif rows is not None:
-            sim.ctrl[:] = rows[0, min(k // held, rows.shape[1] - 1)]
-        time = sim.time
-        try:
-            sim.step()
-        except SimulationError as error:
-            failure = one_line(error)
-            break
-        shortest, refused = sim._core.stretches
-        evaluations, before = sim._core.evaluations - before, sim._core.evaluations
-        now = frozenset(acting_elements(sim))
-        least = min(least, shortest)
-        if refused is not None:
-            body = "" if refused[1] is None else model.element_name("body", refused[1])
-            begins, ends = tuple(sorted(now - acting)), tuple(sorted(acting - now))
-            costs[body] += evaluations
-            if body not in hardest or evaluations > hardest[body].evaluations:
-                hardest[body] = HardStep(time, evaluations, shortest, body, begins, ends)
-        acting = now
+    least, before, was, time = math.inf, 0, frozenset[Element](), 0.0
+    steps = schedule.periods * count
+    try:
+        for done in pieces(sim, steps, drive, count if rows is None else held, pauses=(1,)):
+            checkpoint()
+            if not done:
+                continue
+            shortest, refused = sim._core.stretches
+            evaluations, before = sim._core.evaluations - before, sim._core.evaluations
+            now, least = frozenset(acting_elements(sim)), min(least, shortest)
+            if refused is not None:
+                body = "" if refused[1] is None else model.element_name("body", refused[1])
+                begins, ends = tuple(sorted(now - was)), tuple(sorted(was - now))
+                costs[body] += evaluations
+                if body not in hardest or evaluations > hardest[body].evaluations:
+                    hardest[body] = HardStep(time, evaluations, shortest, body, begins, ends)
+            was, time = now, sim.time
+    except SimulationError as error:
+        failure = one_line(error)
     asked = model.settings.accuracy
     assert asked is not None
     shares = {body: cost / before for body, cost in costs.most_common()}

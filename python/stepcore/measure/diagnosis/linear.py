@@ -26,20 +26,15 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
-from stepcore.measure.diagnosis.running import Motions, Pair, State
+from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Motions, Pair, State
 from stepcore.scene.frames import Vec
 
 DAMPED, FASTER, PER_RADIAN = 1e-3, 1.5, 0.05
-# Rounding may cause |log μ| of the first size (an error ε moves a double eigenvalue of 1 by √ε),
-# and |μ| − 1 of the second for any other.
-UNRESOLVED, ROUNDING = 1e-4, 1e-9
+# Rounding may cause |μ| − 1 of this size; and |log μ| of its root, because an error ε moves a
+# double eigenvalue of 1 by √ε.
+ROUNDING = 1e-8
 # The step from which the motion's own rates are read [s].
-TINY = 1e-7
-# A state whose step turns a body by more than this [rad] has blown up; it takes minutes to
-# linearise, because nothing is left of its angles.
-RESOLVED = 1e6
-# The longest and the shortest step that is tried [s].
-LONGEST, SHORTEST = 1.0, 1e-6
+TINY = SHORTEST / 10
 # The relative resolution of a limit of the linearised step.
 FINE = 5e-4
 # The steps until a row that refsafe softens is at rest again.
@@ -52,20 +47,21 @@ VELOCITY_LAWS = ("lesson", "relaxed", "rigid")
 STATES, DOFS = 6, 200
 
 
-def acting_elements(sim: Sim) -> tuple[Element, ...]:
-    """Return the elements whose rows act at the present state.
+def acting(sim: Sim) -> list[tuple[str, int]]:
+    """Return kind and index of the elements whose rows act at the present state.
 
     Equalities and friction losses always act; limits and contacts act if they push.
     """
-    names = zip(sim.rows["kind"].tolist(), sim.rows["index"].tolist(), strict=True)
-    elements = (Element.of(sim.model, kind, index) for kind, index in names)
-    pushes = (sim.rows["impulse"] != 0).tolist()
-    always = (*EQUALITIES, *FRICTION_LOSSES)
-    acting = [e for e, push in zip(elements, pushes, strict=True) if push or e.kind in always]
+    rows = sim.rows
+    acts = (rows["impulse"] != 0) | np.isin(rows["kind"], (*EQUALITIES, *FRICTION_LOSSES))
+    ids = list(zip(rows["kind"][acts].tolist(), rows["index"][acts].tolist(), strict=True))
     if sim.settings.law == "penalty" and sim.overlap > 0:
-        pairs = sim.contacts["index"][sim.contacts["dist"] < 0].tolist()
-        acting += [Element.of(sim.model, "contact", pair) for pair in pairs]
-    return tuple(dict.fromkeys(acting))
+        ids += [("contact", k) for k in sim.contacts["index"][sim.contacts["dist"] < 0].tolist()]
+    return list(dict.fromkeys(ids))
+
+
+def acting_elements(sim: Sim) -> tuple[Element, ...]:
+    return tuple(Element.of(sim.model, kind, index) for kind, index in acting(sim))
 
 
 def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
@@ -76,43 +72,41 @@ def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
     ran = fine.ran
     if ran is None:
         raise ValueError(f"the scene cannot be diagnosed: {fine.failure}")
-    model, seen = motions.of(Change()), list[State]()
+    model, seen, rows = motions.of(Change()), list[int](), list[list[tuple[str, int]]]()
     sim = unwatched(Sim(model))
     for k in np.flatnonzero(np.isfinite(ran["qvel"][0]).all(axis=-1)).tolist():
-        time = float(ran.times[k])
-        own = (ran[name][0, k] for name in ("qpos", "qvel", "ctrl", "act"))
-        state = State.of(f"t = {time:.3g} s", time, own) if k else start
-        sim.qpos[:], sim.qvel[:], sim.ctrl[:], sim.act[:] = (
-            state.qpos,
-            state.qvel,
-            state.ctrl,
-            state.act,
-        )
+        for name in ("qpos", "qvel", "ctrl", "act"):
+            getattr(sim, name)[:] = ran[name][0, k] if k else getattr(start, name)
         try:
             sim.forward()
         except SimulationError:
             # A run that blew up kept a state whose accelerations overflow.
             continue
-        seen.append(dataclasses.replace(state, rows=acting_elements(sim)))
+        seen.append(k)
+        rows.append(acting(sim))
     if not seen:
         raise ValueError("the scene cannot be linearised: its accelerations are not finite")
     most = max(2, min(STATES, DOFS // max(1, model.nv)))
-    sets = {frozenset(state.rows): k for k, state in enumerate(seen)}
-    kept = {0, len(seen) - 1}
-    for k in sorted(sets.values(), key=lambda k: -len(seen[k].rows)):
-        if len(kept) < most:
-            kept.add(k)
-    for spaced in range(most):
-        if len(kept) < most:
-            kept.add(round(spaced / (most - 1) * (len(seen) - 1)))
-    return [seen[k] for k in sorted(kept)]
+    sets = {frozenset(ids): n for n, ids in enumerate(rows)}
+    spaced = np.linspace(0, len(seen) - 1, most).round().astype(int).tolist()
+    order = [0, len(seen) - 1, *sorted(sets.values(), key=lambda n: -len(rows[n])), *spaced]
+
+    def state(n: int) -> State:
+        k = seen[n]
+        time = float(ran.times[k])
+        own = (ran[name][0, k] for name in ("qpos", "qvel", "ctrl", "act"))
+        at = State.of(f"t = {time:.3g} s", time, own) if k else start
+        return dataclasses.replace(at, rows=tuple(Element.of(model, *one) for one in rows[n]))
+
+    return [state(n) for n in sorted(list(dict.fromkeys(order))[:most])]
 
 
 def step_matrix(model: Model, state: State, integrator: str, dt: float) -> Floats | None:
     """Return A of one step, (2 nv, 2 nv); None if it is not finite. Activations are constant."""
     checkpoint()
     n = 2 * model.nv
-    if float(np.abs(state.qvel).max(initial=0.0)) * dt > RESOLVED:
+    if float(np.abs(state.qvel).max(initial=0.0)) * dt > 1 / SHORTEST:
+        # Nothing is left of the angles of a state that blew up, and this would take minutes.
         return None
     try:
         sim = state.sim(model.with_settings(integrator=integrator, dt=dt))
@@ -226,7 +220,7 @@ class Held:
         nearest = np.abs(log[:, None] - rates[None, :]).argmin(axis=1)
         allowed = allowed_growth(rates, self.horizon)[nearest]
         excess = log.real - np.maximum(allowed, ROUNDING / dt)
-        excess[np.abs(log) * dt < UNRESOLVED] = -np.inf
+        excess[np.abs(log) * dt < math.sqrt(ROUNDING)] = -np.inf
         k = int(excess.argmax())
         return float(excess[k]), complex(values[k])
 

@@ -16,21 +16,19 @@ from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.measure.diagnosis.limits import FAILS
 from stepcore.measure.diagnosis.linear import (
-    LONGEST,
     NAMED,
-    SHORTEST,
     Held,
     bisected,
     shares,
     softened_from,
 )
-from stepcore.measure.diagnosis.running import Judge, Loop
+from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Judge, Loop
 from stepcore.scene.layout import Layout
 
 # The part of its strength to which an element is softened.
 SOFT = 0.1
-# The elements with the largest shares, of which one is named; a share below the second is none.
-TRIED, SHARE = 6, 0.02
+# The least share of an element that may be named.
+SHARE = 0.02
 # An element limits dt by itself if softening it raises the limit so much. Below this, elements
 # whose gains are equal to this factor are softened together.
 ALONE, EQUAL = 1.4, 1.25
@@ -73,7 +71,6 @@ class Knob:
 
 
 def path_of(field: SceneField) -> str:
-    """Return the path of a field for `Change`, by the index of its owner."""
     return f"{field.kind}/#{field.index}/{field.name}"
 
 
@@ -154,7 +151,7 @@ def linear_limiters(model: Model, held: Held, integrator: str, limit: float) -> 
             rises[group] = _rise(model, held, integrator, beyond, group)
         return rises[group]
 
-    likely = [element for element, share in list(own.items())[:TRIED] if share > SHARE]
+    likely = [element for element, share in own.items() if share > SHARE]
     best = max(likely, key=lambda element: rise((element,)))
     group = _equal(model, best, own)
     if rise((best,)) < ALONE and len(group) > 1 and rise(group) >= ALONE:
@@ -226,7 +223,10 @@ def run_limiters(
             frozen = tuple(element.index for element in group if element.kind == "control")
             rest = [element for element in group if element.kind != "control"]
             softer = change.also(softened(motions.of(Change()), rest))
-            return judge.outcome(softer, dt, Loop(frozen=frozen) if frozen else None).holds
+            found = judge.outcome(softer, dt, Loop(frozen=frozen) if frozen else None)
+            # After the motion, a frozen control pushes on and on.
+            late = frozen and judge.outcome(change, dt).time < motions.horizon < found.time
+            return found.holds or bool(late)
 
         for group in kinds.values():
             if holds(group):
@@ -264,7 +264,6 @@ class Figures:
 
     @property
     def name(self) -> str:
-        """The element's name."""
         return self.element.name
 
 

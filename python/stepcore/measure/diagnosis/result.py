@@ -22,10 +22,10 @@ from stepcore.engine.element import (
 from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis.cures import MARGIN, Advice
 from stepcore.measure.diagnosis.inner_steps import InnerSteps
-from stepcore.measure.diagnosis.limits import HOLDS, Limit
+from stepcore.measure.diagnosis.limits import HOLDS, STEP, Limit
 from stepcore.measure.diagnosis.linear import VELOCITY_LAWS
 from stepcore.measure.diagnosis.naming import Figures
-from stepcore.measure.diagnosis.running import Outcome, Pair, Runaway, State
+from stepcore.measure.diagnosis.running import AMPLE, SHORTEST, Outcome, Pair, Runaway, State
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, hertz, round_number, seconds, times
@@ -33,16 +33,8 @@ from stepcore.report.units import counted, hertz, round_number, seconds, times
 DT, HELD = "largest stable dt [s]", "held pose [s]"
 # The number of elements that are printed.
 PRINTED = 6
-# From this stability margin on, accuracy and not stability limits dt.
-AMPLE = 10.0
-# The run and the linearised step differ, if they do by more than this factor.
-DIFFERS = 1.05
-# Growth of the motion itself that deserves a note, and growth that no dt resolves [1/s].
-NOTABLE, UNRESOLVED = 0.1, 1e6
-# Frequencies and rates in this range [1/s] are printed.
-LOW, HIGH = 1e-3, 1e9
-# A damping ratio above the first is printed as a rate instead, and one below the second as 0.
-OVERDAMPED, UNDAMPED = 100.0, 1e-6
+# Frequencies and rates beyond this [1/s] are those of a state that was blowing up, and not printed.
+HIGH = 1e9
 # Rows that can open.
 OPEN = ("contact", "limit", "tendon limit")
 
@@ -210,19 +202,25 @@ class Diagnosis(Result):
         elements, own = self._limiters(None), limit.integrator
         name = Elements(elements).together or "the motion as a whole"
         traits = self._traits(elements)
+        judged = f"judged over {seconds(self.horizon)} of motion"
+        if not limit.ran:
+            judged = "by the linearised step"
         if math.isinf(limit.dt):
             fastest = f" The fastest element is {name}{traits}." if elements else ""
-            below, judged = seconds(limit.longest), f"judged over {seconds(self.horizon)} of motion"
-            if self.runaway is not None:
-                judged = "by the linearised step"
+            below = seconds(limit.longest)
+            if limit.longest < self.wanted:
+                does = "is not known yet" if self.observed is None else "fails"
+                return f"Runs hold up to {below} under {own}; {step[0].lower()}{step[1:]} {does}."
             return f"No element limits dt below {below} under {own}, {judged}.{fastest}"
         if limit.dt <= 0:
             tried = f"every step tried unstable, down to {seconds(limit.shortest)}"
             return f"{step} explodes under {own}: {name}{traits} {_verb(elements, 'make')} {tried}."
         cause = f"{name}{traits} {_verb(elements, 'limit')} dt to {seconds(limit.dt)}"
+        if not limit.ran:
+            return f"{cause[0].upper()}{cause[1:]} under {own}, {judged}."
         if self.fails:
             return f"{step} {self._failure(elements)} under {own}: {cause}."
-        over = f"over {seconds(self.horizon)}" if limit.ran else "by the linearised step"
+        over = f"over {seconds(self.horizon)}"
         margin = limit.dt / self.wanted
         holds = f"{step} is stable under {own} {over}, with a stability margin of {times(margin)}"
         if margin < AMPLE:
@@ -238,23 +236,24 @@ class Diagnosis(Result):
         The frequency of an element on its own has nothing to do with a limit while it saturates.
         """
         if self.saturated:
-            return ", while saturated,"
+            return ", while saturated," if len(self.saturated) == len(elements) else ""
         row = self.limiting()
         if row is None:
             return ""
         if row.element.kind == "spin":
             state = self.states[row.state] if row.state < len(self.states) else None
             speed = 0.0 if state is None else float(abs(state.qvel).max())
-            return f" (at {speed:.3g} rad/s)" if LOW < speed < HIGH else ""
-        traits = ["the stiffest by itself"] if len(elements) > 1 else []
-        damped = not math.isnan(row.ratio)
-        if LOW < row.omega < HIGH and not (damped and row.ratio > OVERDAMPED):
+            return f" (at {speed:.3g} rad/s)" if 0 < round(speed, 3) < HIGH else ""
+        traits = []
+        # What is damped 100 times critically has no frequency.
+        if 0 < row.omega < HIGH and not row.ratio > 100:
             traits.append(f"{hertz(row.omega)}, {row.omega:.4g} rad/s")
-            if damped:
-                traits.append(f"damping ratio {row.ratio if row.ratio > UNDAMPED else 0:.2g}")
-        elif LOW < row.rate < HIGH:
+            if not math.isnan(row.ratio):
+                traits.append(f"damping ratio {round(row.ratio, 6):.2g}")
+        elif 0 < row.rate < HIGH:
             traits.append(f"damping rate {row.rate:.4g}/s")
-        return f" ({', '.join(traits)})" if len(traits) > (len(elements) > 1) else ""
+        first = ["the stiffest by itself"] if len(elements) > 1 else []
+        return f" ({', '.join([*first, *traits])})" if traits else ""
 
     def _failure(self, elements: Sequence[Element]) -> str:
         """Return the verb phrase for the failure of the wanted step."""
@@ -272,9 +271,9 @@ class Diagnosis(Result):
         """Yield what the linearised step bears where the run shows another limit, and why."""
         limit = self.own
         run, held = limit.dt, limit.held
-        if not limit.ran or run == held or run <= 0:
+        if not limit.ran or run == held or run <= 0 or math.isnan(held):
             return
-        if math.isfinite(run) and 0 < held < math.inf and max(run / held, held / run) < DIFFERS:
+        if limit.longest <= held if math.isinf(run) else 1 / STEP < held / run < STEP:
             return
         name, rows = limit.integrator, self.states[-1].rows
         bears = "bears any step" if math.isinf(held) else f"bears {seconds(held)}"
@@ -286,7 +285,7 @@ class Diagnosis(Result):
             if self.saturated:
                 servos = Elements(self.saturated)
                 has = "their force ranges" if len(servos) > 1 else "its force range"
-                why = f"in the motion {servos.name} {_verb(servos, 'reach')} {has}, "
+                why = f"in longer steps {servos.name} {_verb(servos, 'reach')} {has}, "
                 why += "where damping has no effect"
             elif limit.state >= 0:
                 why = f"at {self.states[limit.state].label} the linearised step bears less"
@@ -294,10 +293,12 @@ class Diagnosis(Result):
                 why = "rows open and close in the motion"
         else:
             why = "what grows there stays small"
+            if self.physical * self.covered.reached > 1:
+                why = "the motion itself grows there, and grows faster in longer steps"
             if rows:
                 why = f"there {Elements(rows).summary} {_verb(rows, 'act')}, and growth ends where "
                 why += "rows open or slip"
-        limited = "no limit" if math.isinf(run) else seconds(run)
+        limited = f"no limit up to {seconds(limit.longest)}" if math.isinf(run) else seconds(run)
         yield (
             f"Runs show {limited}, while the linearised step at the end of the motion, held there, "
             f"{bears} under {name}: {why}."
@@ -347,7 +348,7 @@ class Diagnosis(Result):
             yield f"No change that was tried makes {wanted} stable."
         if failed:
             yield f"Tried without success: {', '.join(_shortly(failed))}."
-        if limit > 0:
+        if limit > 0 and self.runaway is None:
             safe = round_number(min(limit, self.wanted) / MARGIN, up=False)
             yield f"Unchanged, the scene needs a step of {seconds(safe)} for the same margin."
 
@@ -368,7 +369,7 @@ class Diagnosis(Result):
             yield f"runs hold at {seconds(HOLDS * limit.dt)}, and fail just above the limit"
         if not self.confirmed and self.runaway is None:
             yield "no two short steps agree on the motion itself"
-        if self.physical > NOTABLE:
+        if self.physical * self.covered.reached > 1:
             yield self._growing()
         soft = [row for row in self.rows if math.isfinite(row.softened)]
         if soft:
@@ -387,14 +388,13 @@ class Diagnosis(Result):
 
     def _growing(self) -> str:
         """Return the note on growth of the motion itself."""
-        if self.physical > UNRESOLVED:
+        if self.physical * SHORTEST > 1:
             return (
-                "at some state nearby motions diverge e-fold in less than "
-                f"{seconds(1 / UNRESOLVED)}, faster than any step that is tried: check masses and "
-                "gains"
+                f"at some state nearby motions diverge e-fold in less than {seconds(SHORTEST)}, "
+                "faster than any step that is tried: check masses and gains"
             )
         doubling = f"nearby motions diverge, doubling every {seconds(math.log(2) / self.physical)}"
-        if self.confirmed or (self.runaway is not None and self.runaway.alike):
+        if self.confirmed if self.runaway is None else self.runaway.alike:
             return (
                 f"{doubling} at the fastest, as where a body falls, balances or is driven; two "
                 "fine steps agree, so this is physical, and no dt changes it"
@@ -421,7 +421,6 @@ class Diagnosis(Result):
         return Table([self._record(row) for row in self.rows], columns=COLUMNS)
 
     def _record(self, row: Figures) -> dict[str, Any]:
-        # Beyond these rates the state was blowing up, and its frequencies mean nothing.
         omega = row.omega if row.omega < HIGH else None
         return {
             "element": row.name,

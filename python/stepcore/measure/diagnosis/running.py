@@ -33,16 +33,18 @@ from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import ControlLog, Controls
+from stepcore.experiment.price import OVERHEAD
 from stepcore.experiment.schedule import SPEED, SPIN, Schedule
 from stepcore.report.units import seconds
 
-# The most iterations of Newton's method: a run that diverges would take the time of all others.
-NEWTON = 50
+# The longest and the shortest step that is tried [s]. Of a scene whose runs cost much none is tried
+# that is longer than the wanted one by `AMPLE`: from this stability margin on, accuracy limits dt.
+LONGEST, SHORTEST, AMPLE = 1.0, 1e-6, 10.0
 # The perturbation of the start, relative to the scene's size or in radians.
 NUDGE = 1e-6
-# The least number of steps of a run, and how many samples it has, and the converged motion, in
-# which a contact may last for a step.
-LEAST, SAMPLES, SEEN = 1000, 100, 1000
+# The least number of steps of a run, and how many samples it has; the converged motion has one of
+# every step, because a contact may last that long.
+LEAST, SAMPLES = 1000, 100
 # The growth of the perturbation over that in the converged motion. Below its limit, a step makes
 # the swing of a spring at most 1/√(1 − 0.98²) = 5 times as wide; above it, 1000 steps make it grow
 # by orders of magnitude, until contacts open or servos saturate.
@@ -52,30 +54,20 @@ CLEAR, LONGER = 1e3, 4
 # The kinetic energy over that of the converged motion. Below its limit, a step makes that of a
 # spring that swings at most 1/(1 − 0.98²) = 25 times as large.
 LARGE = 50.0
-# The integrator of the converged motion.
-FINE = Change(integrator="implicitfast")
-# A factor of that energy for a model with more armature.
-CHANGED = 1e3
-# The converged motion: the parts of a short step to try, and the ratio of two kinetic energies, and
-# of two perturbations, that agree.
-FINER = (1.0, 0.5, 0.125, 0.03, 0.008)
+# The integrator of the converged motion, and the parts of a short step that are tried for it; the
+# ratio of two kinetic energies, and of two perturbations, that agree.
+FINE, FINER = Change(integrator="implicitfast"), (1.0, 0.5, 0.125, 0.03, 0.008)
 SAME, ALIKE = 1.5, 10.0
-# The kinetic energy, over that of a slow motion, from which a converged motion has blown up.
-BLOWN = 1e16
+# A motion has blown up at this many times the kinetic energy of a slow one, or where a body is so
+# many sizes away, or has been pushed so far by as many m/s²: its steps take long.
+BLOWN, FAR = 1e16, 1e4
 # Growth by a power of time above this is exponential: it has no end within a longer run.
 BALLISTIC = 2.5
 # What a call of a user's function takes, in operations.
 CALL = 50_000
-# A run ends where a body is so many sizes away, or has been pushed so far by 1 m/s² [m/s²]: the
-# steps of a run that blows up take long.
-FAR = 1e4
-# A servo is saturated if its force is at an end of its range in this share of the steps.
-SATURATED = 0.1
-# The most operations of one pair of runs, about half a second of a core. A motion that would take
-# more is cut short.
+# The most operations of one pair of runs, half a second of a core. A motion that would take more is
+# cut short.
 WORK = 2e9
-# The most steps of one run, however small the scene.
-MOST = 200_000
 
 
 def with_converged_rows(model: Model) -> Model:
@@ -88,9 +80,6 @@ def with_converged_rows(model: Model) -> Model:
     converged = converged_settings(s, sweeps=count, tolerance=1e-14)
     if s.sweeps == "auto":
         converged = converged.replace(sweeps="auto")
-    elif converged.solver == "newton":
-        # It converges in about ten iterations, or not at all.
-        converged = converged.replace(sweeps=NEWTON)
     return model.with_settings(converged.replace(sleep=False))
 
 
@@ -151,12 +140,10 @@ class State:
 
     @classmethod
     def of(cls, label: str, time: float, arrays: Iterable[Any]) -> State:
-        """Return a state from copies of qpos, qvel, ctrl and act."""
         qpos, qvel, ctrl, act = (np.array(array) for array in arrays)
         return cls(label, time, qpos, qvel, ctrl, act)
 
     def sim(self, model: Model) -> Sim:
-        """Return a Sim at this state."""
         sim = unwatched(Sim(model))
         sim.qpos[:], sim.qvel[:], sim.ctrl[:] = self.qpos, self.qvel, self.ctrl
         sim.act[:] = self.act
@@ -168,7 +155,8 @@ class Pair:
     """A motion and its perturbed twin.
 
     dt: the step [s]. times: of the samples [s]. apart: the root of the kinetic energy of their
-    difference, dof by dof, the largest [√J]. energy: the larger kinetic energy of both [J].
+    difference, dof by dof, the largest [√J]. energy: the larger kinetic energy of both [J]; gained:
+    what it has with the potential energy more than at the start.
     failure: why it ended early, "" if it did not. reached: how far it went [s].
     ran: what was recorded; None if the run was refused.
     """
@@ -177,28 +165,39 @@ class Pair:
     times: Floats
     apart: Floats
     energy: Floats
+    gained: Floats
     failure: str
     reached: float
     ran: Followed | None
 
-    @property
-    def peak(self) -> float:
-        """The largest kinetic energy [J]."""
-        return float(np.nanmax(self.energy, initial=0.0))
+    def blows_up(self, floor: float) -> float:
+        """Return when it has blown up [s]; inf if it has not. floor: the energy of slow motion."""
+        over = self.times[self.energy > BLOWN * floor]
+        if len(over):
+            return float(over[0])
+        return self.reached if self.failure else math.inf
+
+    def grows(self) -> bool:
+        """Whether its energy still grows exponentially at the end."""
+        return power(self.times, self.energy) > BALLISTIC
+
+
+def power(times: Floats, values: Floats) -> float:
+    """Return the power of time by which the largest value grows in the second half."""
+    half, whole = (np.nanmax(values[times <= part * times[-1]], initial=0.0) for part in (0.5, 1.0))
+    return math.log2(whole / half) if half > 0 else 0.0
 
 
 def continued(times: Floats, values: Floats, until: Floats) -> Floats:
     """Return the largest value up to each time; beyond the last one, as it grew until there."""
     largest = np.maximum.accumulate(np.nan_to_num(values, nan=0.0))
     known = np.interp(until, times, largest)
-    half = float(np.interp(times[-1] / 2, times, largest))
-    power = math.log2(largest[-1] / half) if half > 0 else 0.0
-    beyond = until > times[-1]
-    if power > BALLISTIC:
+    beyond, grown = until > times[-1], power(times, values)
+    if grown > BALLISTIC:
         known[beyond] = np.inf
-    elif power > 0:
+    elif grown > 0:
         with np.errstate(over="ignore"):
-            known[beyond] *= (until[beyond] / times[-1]) ** power
+            known[beyond] *= (until[beyond] / times[-1]) ** grown
     return known
 
 
@@ -220,20 +219,15 @@ class Outcome:
 
     @property
     def holds(self) -> bool:
-        """Whether the step does not fail."""
         return self.kind == "holds"
 
 
 @dataclass(frozen=True)
 class Runaway:
-    """A motion that blows up at every step that was tried.
-
-    times: when it does, at the two shortest steps, `dts` [s]. fine: the last pair of runs.
-    """
+    """A motion that blows up at every step: when it does, at the two shortest steps, `dts` [s]."""
 
     times: tuple[float, float]
     dts: tuple[float, float]
-    fine: Pair = field(repr=False, compare=False)
 
     @property
     def alike(self) -> bool:
@@ -244,14 +238,20 @@ class Runaway:
 class Motions:
     """Runs of one motion of a model and of changes of it, at any step.
 
-    model: with converged rows. schedule: the motion. size: of the scene [m].
-    period: the user's control period [s]; None for a control at every step.
+    model: with converged rows. schedule: the motion. size: of the scene [m]. wanted: the step in
+    question [s]. period: the user's control period [s]; None for a control at every step.
     """
 
     def __init__(
-        self, model: Model, schedule: Schedule, size: float, period: float | None = None
+        self,
+        model: Model,
+        schedule: Schedule,
+        size: float,
+        wanted: float,
+        period: float | None = None,
     ) -> None:
         self.model, self.schedule, self.size, self.period = model, schedule, size, period
+        self.wanted = wanted
         self.horizon = schedule.horizon
         moved, rng = Coordinates(model), np.random.default_rng(0)
         start, signs = schedule.starts[0], rng.choice([-1.0, 1.0], (2, model.nv))
@@ -279,13 +279,16 @@ class Motions:
 
     @property
     def most(self) -> int:
-        """The most steps of one run."""
-        return max(2 * LEAST, min(int(WORK / 2 / self.flops), MOST))
+        return max(2 * LEAST, int(WORK / 2 / self.flops))
 
     @property
     def costly(self) -> bool:
         """Whether a pair of runs takes more than a fiftieth of the most operations."""
         return 2 * LEAST * self.flops > WORK / 50
+
+    @property
+    def longest(self) -> float:
+        return min(LONGEST, AMPLE * self.wanted) if self.costly else LONGEST
 
     def count(self, pair: Pair) -> None:
         """Count the operations of a step where a run has ended, too: there contacts may act."""
@@ -317,7 +320,7 @@ class Motions:
         """Return the motion under the controls of its start alone, in place of the function."""
         log = ControlLog(np.zeros(1), self.first().ctrl[None])
         schedule = replace(self.schedule, controls=Controls(log))
-        return Motions(self.model, schedule, self.size)
+        return Motions(self.model, schedule, self.size, self.wanted)
 
     def keep_usual(self, fine: Pair) -> None:
         """Keep the controls of the converged motion, which a frozen control gives."""
@@ -333,16 +336,14 @@ class Motions:
         force = ran["actuator_force"][0]
         with np.errstate(invalid="ignore"):
             full = (force <= low) | (force >= high)
-        often: np.ndarray = full.mean(axis=0) > SATURATED
+        often: np.ndarray = full.mean(axis=0) > 0.1
         return often
 
     def changed(self, change: Change) -> Motions:
-        """Return the same motion of the changed model."""
         model = change.of(self.model)
-        return Motions(model, self.schedule, self.size, self.period)
+        return Motions(model, self.schedule, self.size, self.wanted, self.period)
 
     def steps(self, dt: float, least: int = LEAST) -> int:
-        """Return the number of steps of a run."""
         return max(least, math.ceil(self.horizon / dt * (1 - 1e-9)))
 
     def pair(
@@ -365,21 +366,29 @@ class Motions:
         try:
             model = self.of(change).with_settings(dt=dt, **dict(change.settings))
             how = self._driven(dt, count, loop)
-            far = FAR * (self.size + (count * dt) ** 2)
-            ran = follow(model, self.starts, count, every, record=names, bound=far, **how)
+            far, runs = FAR * (self.size + (count * dt) ** 2), list[Followed]()
+            for start in self.starts:
+                # One by one: two worlds in lanes take more time, and one that fails is enough.
+                ran = follow(model, [start], count, every, record=names, bound=far, **how)
+                runs.append(ran)
+                if ran.failures:
+                    break
         except ControlError:
             raise
         except (SimulationError, ValueError, ArithmeticError) as error:
             nothing = np.full(1, np.nan)
-            return Pair(dt, np.zeros(1), nothing, nothing, one_line(error), 0.0, None)
+            return Pair(dt, np.zeros(1), nothing, nothing, nothing, one_line(error), 0.0, None)
         with np.errstate(all="ignore"):
-            apart = (self.weights * np.abs(ran["qvel"][0] - ran["qvel"][1])).max(axis=-1)
-            energy = np.max(ran["energy"][..., 0], axis=0)
-        ended = min(ran.failures.values(), key=lambda error: error.time, default=None)
+            difference = np.abs(runs[0]["qvel"][0] - runs[-1]["qvel"][0])
+            apart = (self.weights * difference).max(axis=-1)
+            energies = np.array([ran["energy"][0] for ran in runs])
+            kinetic, total = energies[..., 0].max(axis=0), energies.sum(axis=-1)
+            gained = (total - total[:, :1]).max(axis=0)
+        ended = ran.failures.get(0)
         reached = float(ran.times[-1]) if ended is None else float(ended.time)
         # The text of the error itself takes an analysis of the last steps.
         why = "" if ended is None else f"diverged in step {ended.step} at {seconds(reached)}"
-        return Pair(dt, ran.times, apart, energy, why, reached, ran)
+        return Pair(dt, ran.times, apart, kinetic, gained, why, reached, runs[0])
 
     def _driven(self, dt: float, count: int, loop: Loop | None) -> dict[str, Any]:
         """Return the controls of a run, as `follow` takes them."""
@@ -408,12 +417,12 @@ class Motions:
         return 0.5 * float(np.sum(self.model.body_mass)) * gravity * dt**2
 
 
-def _counted(sim: Sim) -> int:
-    """Return the operations of a step; 1 where it fails."""
+def _counted(sim: Sim) -> float:
+    """Return the operations of a step; those of calling it where it fails."""
     try:
-        return sim.count_flops()
+        return OVERHEAD + sim.count_flops()
     except (SimulationError, ValueError):
-        return 1
+        return OVERHEAD
 
 
 @dataclass
@@ -421,63 +430,81 @@ class Judge:
     """The converged motion of a model, and the outcomes of other runs beside it.
 
     motions: the runs. fine: the converged pair. confirmed: whether two steps agreed. long: one that
-    was made longer, because other runs fail later.
+    was made longer, because other runs fail later. runaway: how the motion blows up by itself.
     """
 
     motions: Motions
     fine: Pair
     confirmed: bool
     long: Pair | None = None
+    runaway: Runaway | None = None
     _known: dict[tuple[Change, float, Loop | None], Outcome] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, motions: Motions, dt: float) -> Judge | Runaway:
-        """Return the judge of a motion, whose converged run has a step of at most `dt` [s].
-
-        Returns a Runaway if the finest runs blow up.
-        """
-        runs = list[Pair]()
+    def of(cls, motions: Motions, dt: float) -> Judge:
+        """Return the judge of a motion, whose converged run has a step of at most `dt` [s]."""
+        runs, floor = list[Pair](), motions.floor
         for part in FINER:
             if runs and part * dt * motions.most < runs[-1].reached / 2 and not runs[-1].failure:
                 break
-            runs.append(motions.pair(FINE, part * dt, samples=SEEN))
+            runs.append(motions.pair(FINE, part * dt, samples=LEAST))
             motions.count(runs[-1])
-            if len(runs) > 1 and _same(runs[-2], runs[-1], motions.floor):
+            if len(runs) > 1 and _same(runs[-2], runs[-1], floor):
                 longer = max(runs[-2:], key=lambda run: round(run.reached, 9))
-                return cls(motions, longer, True)
-        last = runs[-2:]
-        if len(last) == 2 and all(_blown(run, motions.floor) for run in last):
-            a, b = (_blows_up(run, motions.floor) for run in last)
-            return Runaway((a, b), (last[0].dt, last[1].dt), last[1])
-        usable = [run for run in runs if not _blown(run, motions.floor)] or runs[-1:]
-        return cls(motions, usable[-1], False)
+                return cls(motions, longer, True)._ended()
+        usable = [run for run in runs if math.isinf(run.blows_up(floor))]
+        judge = cls(motions, (usable or runs)[-1], False)
+        if len(runs) > 1:
+            judge.runaway = _runaway(runs[-2], runs[-1], floor)
+            judge.fine = judge.fine if judge.runaway is None else runs[-1]
+        return judge
+
+    def _ended(self) -> Judge:
+        """Make a motion that grows at its end longer, until it is calm or blows up by itself."""
+        motions, run, steps = self.motions, self.fine, round(self.fine.reached / self.fine.dt)
+        while run.grows() and LONGER * steps <= motions.most:
+            steps *= LONGER
+            run = motions.pair(FINE, run.dt, steps, samples=LEAST)
+            if math.isfinite(run.blows_up(motions.floor)):
+                break
+            self.long = run
+        while math.isfinite(run.blows_up(motions.floor)) and 2 * steps <= motions.most:
+            steps *= 2
+            finer = motions.pair(FINE, run.dt / 2, steps, samples=LEAST)
+            self.runaway = _runaway(run, finer, motions.floor)
+            if self.runaway is None or self.runaway.alike:
+                break
+            run = finer
+        return self
 
     def outcome(self, change: Change, dt: float, loop: Loop | None = None) -> Outcome:
         """Return what the motion does under a change at a step; each is run once."""
         key = change, dt, loop
         if key not in self._known:
             pair = self.motions.pair(change, dt, loop=loop)
-            # Armature has kinetic energy of its own; cures are judged beside their own runs, too.
-            heavier = any(path.endswith("armature") for path, _ in change.values)
-            more = CHANGED if heavier else 1.0
-            found = self._longer(self.judged(pair, more), pair, more)
+            found = self._longer(self.judged(pair), pair)
             gains = found.holds and found.energy > SAME * max(found.early, SAME)
             if gains or (found.kind == "grows" and found.growth < self.clear):
                 # Growth without end goes on; what contacts did to a motion dies out.
                 pair = self.motions.pair(change, dt, LONGER * self.motions.steps(dt), loop)
                 self._cover(float(pair.times[-1]))
-                longer = self.judged(pair, more)
+                longer = self.judged(pair)
                 if gains and longer.holds and longer.energy > SAME * max(found.energy, SAME):
                     longer = replace(longer, kind="gains energy")
                 found = longer
             self._known[key] = found
         return self._known[key]
 
-    def _longer(self, found: Outcome, pair: Pair, more: float) -> Outcome:
+    def tried(self, change: Change) -> dict[float, bool]:
+        """Return the steps that were run under a change, and whether each holds."""
+        known = self._known.items()
+        return {dt: found.holds for (own, dt, loop), found in known if own == change and not loop}
+
+    def _longer(self, found: Outcome, pair: Pair) -> Outcome:
         """Judge a run again that fails later than the converged motion ends, by a longer one."""
         known = (self.long or self.fine).times[-1]
         late = found.kind in ("gains energy", "grows") and found.time > known
-        return self.judged(pair, more) if late and self._cover(found.time) else found
+        return self.judged(pair) if late and self._cover(found.time) else found
 
     def _cover(self, time: float) -> bool:
         """Make the converged motion as long as a time [s], as the work allows."""
@@ -485,7 +512,7 @@ class Judge:
         steps = min(math.ceil(1.1 * time / dt), self.motions.most)
         if steps <= 1.05 * known.times[-1] / dt:
             return False
-        longer = self.motions.pair(FINE, dt, steps, samples=SEEN)
+        longer = self.motions.pair(FINE, dt, steps, samples=LEAST)
         if not longer.failure:
             self.long = longer
         return not longer.failure
@@ -509,20 +536,24 @@ class Judge:
         apart = self.fine.apart
         return max(CLEAR, GROWN * float(np.nanmax(apart)) / max(float(apart[0]), 1e-300))
 
-    def judged(self, pair: Pair, more: float = 1.0) -> Outcome:
-        """Return the outcome of a pair of runs; more: a factor of the largest energy."""
+    def judged(self, pair: Pair) -> Outcome:
         if pair.failure:
             return Outcome("diverges", pair.reached, math.inf, math.inf)
         times, usual = pair.times, self.usual("energy", pair.times)
         least = max(self.motions.floor, 4 * self.motions.falling(pair.dt))
         with np.errstate(all="ignore"):
-            energy = pair.energy / np.maximum(usual, least)
-            growth = pair.apart / self.usual("apart", times)
+            known = self.usual("apart", times)
+            # Where the motion itself has grown apart by then, what falls may fall earlier: there
+            # only energy counts that nothing has lost.
+            lost = known > CLEAR * self.fine.apart[0]
+            energy = np.where(lost, np.minimum(pair.energy, pair.gained), pair.energy)
+            energy /= np.maximum(usual, least)
+            growth = pair.apart / known
         # Two runs that never part, and a motion whose own growth has no bound.
         growth[np.isnan(growth)] = 0.0
         late = float(growth[times >= 0.75 * times[-1]].max())
         most = float(energy.max())
-        over = times[energy > more * LARGE]
+        over = times[energy > LARGE]
         if len(over):
             return Outcome("gains energy", float(over[0]), most, late)
         if late > GROWN:
@@ -531,24 +562,20 @@ class Judge:
         return Outcome("holds", pair.reached, most, late, early)
 
 
-def _blows_up(run: Pair, floor: float) -> float:
-    """Return when a run has blown up [s]."""
-    over = run.times[run.energy > BLOWN * floor]
-    return float(over[0]) if len(over) else run.reached
-
-
-def _blown(run: Pair, floor: float) -> bool:
-    return bool(run.failure) or run.peak > BLOWN * floor
+def _runaway(coarse: Pair, fine: Pair, floor: float) -> Runaway | None:
+    """Return how two runs of the motion blow up; None if one does not."""
+    times = coarse.blows_up(floor), fine.blows_up(floor)
+    return Runaway(times, (coarse.dt, fine.dt)) if math.isfinite(max(times)) else None
 
 
 def _same(coarse: Pair, fine: Pair, floor: float) -> bool:
     """Return whether two runs agree in kinetic energy and in what becomes of the perturbation."""
-    if _blown(coarse, floor) or _blown(fine, floor):
+    if not math.isinf(min(coarse.blows_up(floor), fine.blows_up(floor))):
         return False
     until = min(coarse.reached, fine.reached) * (1 + 1e-9)
-    pairs = [
-        (run.energy[run.times <= until], run.apart[run.times <= until]) for run in (coarse, fine)
-    ]
-    peaks = [max(float(energy.max()), floor) for energy, _ in pairs]
-    apart = [float(away.max()) for _, away in pairs]
-    return max(peaks) <= SAME * min(peaks) and max(apart) <= ALIKE * min(apart)
+
+    def peaks(name: str) -> list[float]:
+        return [float(getattr(run, name)[run.times <= until].max()) for run in (coarse, fine)]
+
+    energies, apart = [max(peak, floor) for peak in peaks("energy")], peaks("apart")
+    return max(energies) <= SAME * min(energies) and max(apart) <= ALIKE * min(apart)
