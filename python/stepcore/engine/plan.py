@@ -384,8 +384,8 @@ def _entry(
     return PlanEntry(stage, kind, name, names, not why, why, len(names)), None
 
 
-# Steps of a timing, and timings, interleaved with those of the complete model.
-STEPS, ROUNDS = 20, 15
+# Steps of a timing; timings are interleaved with those of the complete model.
+STEPS = 20
 
 
 class StepCost:
@@ -442,7 +442,7 @@ class StepCost:
     def _timed(self, *sims: Sim) -> list[float]:
         """Measure µs per step from the state, as the median of interleaved rounds."""
         spent: list[list[float]] = [[] for _ in sims]
-        for _ in range(ROUNDS):
+        for _ in range(15):
             for sim, times in zip(sims, spent, strict=True):
                 self._place(sim)
                 begin = perf_counter()

@@ -24,9 +24,8 @@ from stepcore.report.units import compact, counted, seconds, times
 
 # The default horizon [s].
 HORIZON = 10.0
-# The rung of a ladder with a quarter of the shipped step, and the nudged runs of each start: a
-# nudge in any direction soon contains the one that grows fastest.
-QUARTER, DIRECTIONS = 2, 3
+# The nudged runs of each start: a nudge in any direction soon contains the one that grows fastest.
+DIRECTIONS = 3
 
 
 @dataclass(eq=False, repr=False)
@@ -187,7 +186,8 @@ def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[
     """
     found = list[tuple[Growth, Change]]()
     for way in reversed([way for way in engine.ways(schedule, 1.0) if way.fixed]):
-        rungs = [way.at(QUARTER + finer) for finer in range(FINER + 1)]
+        # From a quarter of the shipped step.
+        rungs = [way.at(2 + finer) for finer in range(FINER + 1)]
         growth, change = settled(engine, rungs, schedule, [start], size, DIRECTIONS)
         if not growth.failure:
             found.append((growth, change))

@@ -35,8 +35,6 @@ from stepcore.report.units import computing, counted, seconds, times
 if TYPE_CHECKING:
     from typing import Unpack
 
-# The counter of steps has 64 bits.
-MOST_STEPS = 2.0**64
 # The number of rows of the final state that are printed by default.
 ROWS = 36
 CLEAN = "Nothing found: no contact creeps or sinks in, and limits and servos hold."
@@ -244,8 +242,8 @@ def simulated(
     sim.reset(key=key)
     if isinstance(motion.ctrl, PositionTable):
         sim.qpos = motion.ctrl.begin(model, sim.qpos)
-    if not horizon / dt < MOST_STEPS:
-        limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s (2^64 steps)"
+    if not horizon / dt < 2.0**64:
+        limit = f"below {2.0**64 * dt:g} s at dt = {dt:g} s (2^64 steps)"
         raise ValueError(f"horizon = {horizon:g}: must be {limit}")
     steps, notes = round(horizon / dt), [refsafe_note(model.scene, sim.settings)]
     if motion.horizon is not None and abs(steps * dt - horizon) > 1e-6 * dt:

@@ -270,8 +270,6 @@ def _plain_comments(raw: bytes) -> bytes:
 
 
 T = TypeVar("T")
-# The number of errors after which reading stops, because looking up nearest names takes time.
-MOST_ERRORS = 100
 
 
 class Refusals:
@@ -283,7 +281,8 @@ class Refusals:
         self._gone: set[str] = set()
 
     def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
-        if len(self.errors) >= MOST_ERRORS:
+        # Looking up nearest names takes time.
+        if len(self.errors) >= 100:
             return None
         try:
             return read(node)

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 SHOWN_GROUPS = (0, 1, 2)
 # How long the arrow of a force is that bears all the weight, of the extent of the scene.
 ARROW = 0.35
-# Half the difference of the squares of a plane.
-CONTRAST = 0.07
 GROUND = (*rgb(VIEW["ground"]), 1.0)
 
 
@@ -58,7 +56,7 @@ class Shape:
         if self.squares is None:
             return self.rgba, (*(0.86 * c for c in self.rgba[:3]), self.rgba[3])
         one, other = (np.array(rgba) for rgba in self.squares)
-        half = np.clip((one - other) / 2, -CONTRAST, CONTRAST)
+        half = np.clip((one - other) / 2, -0.07, 0.07)
         mean = (one + other) / 2
         return tuple((mean + half).tolist()), tuple((mean - half).tolist())
 

@@ -20,8 +20,6 @@ from stepcore.viewing.guard import Guard, is_loopback
 from stepcore.viewing.needs import need
 from stepcore.viewing.panel import Panel, RunPanel, SimPanel
 
-# Pictures a second.
-FRAMES = 30.0
 # Hosts that serve every address of the machine.
 EVERYWHERE = ("0.0.0.0", "::")
 
@@ -88,7 +86,7 @@ class View:
             if self._server.get_clients():
                 self._panel.pass_time(min(now - last, 0.2))
             last = now
-            self._stop.wait(max(0.0, 1 / FRAMES - (monotonic() - now)))
+            self._stop.wait(max(0.0, 1 / 30 - (monotonic() - now)))
 
     def __enter__(self) -> View:
         return self

@@ -12,7 +12,6 @@ from stepcore.viewing.needs import need
 
 # Geoms up to which drawing takes no time that anybody waits for.
 MOST = 1000
-SIZE = 480, 360
 
 
 def shown(value: Any, geoms: int, world: Callable[[], Any]) -> str | None:
@@ -27,7 +26,7 @@ def shown(value: Any, geoms: int, world: Callable[[], Any]) -> str | None:
 
     try:
         image = need("PIL.Image", "a picture in a notebook", "video")
-        drawn = picture(world(), width=SIZE[0], height=SIZE[1])
+        drawn = picture(world(), width=480, height=360)
     except (ImportError, RuntimeError, ValueError):
         return None
     written = io.BytesIO()

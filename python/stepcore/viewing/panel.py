@@ -24,8 +24,8 @@ from stepcore.viewing.stage import Stage
 SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
 # The curves of energy, and what stands before their names.
 ENERGIES = {"kinetic": "", "potential": "Δ ", "total": "Δ "}
-# The states that a live view can go back to, so many a second of motion.
-KEPT, RATE = 3000, 60.0
+# The states that a live view can go back to, sixty a second of motion.
+KEPT = 3000
 # How long the page waits for steps or for new curves at most [s].
 PAUSE = 0.2
 # A model of more actuators has no slider for the others.
@@ -282,7 +282,7 @@ class SimPanel(Panel):
             self.failed = str(error)
             self.play(False)
             return
-        if self.sim.time - self.times[-1] >= 1 / RATE - 1e-9:
+        if self.sim.time - self.times[-1] >= 1 / 60 - 1e-9:
             self.states.append(self.sim.state())
             self.times.append(self.sim.time)
             del self.states[:-KEPT], self.times[:-KEPT]

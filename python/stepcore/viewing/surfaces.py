@@ -13,8 +13,6 @@ from stepcore.scene.frames import Vec
 
 # Vertices, shape (n, 3) [m], and triangles as indices of them, shape (m, 3).
 Surface = tuple[NDArray[Any], NDArray[Any]]
-# The most points of a height field along an axis: a page with 200 × 200 has 1 MB of it.
-FINEST = 200
 # Corners of a circle; a half circle has as many rings as fit.
 ROUND = 28
 
@@ -48,7 +46,7 @@ def of_hfield(hfield: HField) -> Surface:
     """Return the upper side of a height field, thinned out if it has very many points."""
     heights = np.asarray(hfield.elevation, float)[::-1]
     rows, columns = (
-        np.unique(np.linspace(0, count - 1, min(count, FINEST)).round().astype(int))
+        np.unique(np.linspace(0, count - 1, min(count, 200)).round().astype(int))
         for count in heights.shape
     )
     low, high = heights.min(), heights.max()

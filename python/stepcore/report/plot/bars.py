@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 # The number of letters of a name.
 ELEMENT_LETTERS = 28
-# A tuned value at this multiple of the wanted one, or not known, has no bar, only a number.
-MOST_RATIO = 1.4
 # Height of a group of bars relative to the distance between groups.
 GROUP = 0.8
 
@@ -112,7 +110,8 @@ def tuning(result: Tuning) -> Any:
     figure, (axes,), places = named_bars(names, ELEMENT_LETTERS)
     for place, tuned in zip(places, result.found, strict=True):
         ratio, colour = tuned.measured / tuned.goal.value, GREEN if tuned.reached else RED
-        bar(axes, place, ratio if ratio < MOST_RATIO else 0.0, colour, tuned.result)
+        # Far from the wanted value, or not known, it has no bar, only a number.
+        bar(axes, place, ratio if ratio < 1.4 else 0.0, colour, tuned.result)
     axes.axvline(1.0, color="black", lw=1.3, zorder=4)
     axes.set_xlim(0.0, 1.5)
     frame(axes, result.title, "measured, relative to the wanted value")
@@ -140,15 +139,9 @@ def plan(plan: Plan) -> Any:
     return figure
 
 
-# The number of features drawn, largest savings first.
-FEATURES = 24
-# Errors below this fraction of the tolerance have no bar, only a number.
-SMALL = 1e-3
-
-
 def ablation(result: Ablation) -> Any:
     """Draw the work saved (left) and the error added (right) by removing each feature."""
-    rows = [row for row in result.sorted() if not row.trial.failure][:FEATURES]
+    rows = [row for row in result.sorted() if not row.trial.failure][:24]
     names = [f"all {len(result.removed)} that are not needed"]
     names += [row.removal.label for row in rows]
     rows = [result.best, *rows]
@@ -157,7 +150,8 @@ def ablation(result: Ablation) -> Any:
     # The axis begins a decade below the smallest error that counts.
     measured = [row.trial.error for row in rows if result.measurable(row)]
     least = min([added for added in (*measured, tolerance) if added > 0], default=tolerance)
-    low = float(10.0 ** math.floor(math.log10(max(least, SMALL * tolerance)) - 1))
+    # Errors below a thousandth of the tolerance have no bar, only a number.
+    low = float(10.0 ** math.floor(math.log10(max(least, 1e-3 * tolerance)) - 1))
     for place, row in zip(places, rows, strict=True):
         share, added = 100 * result.saved(row), row.trial.error
         colour = GREEN if row.removal in result.removed else RED

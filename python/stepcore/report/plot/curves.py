@@ -10,12 +10,11 @@ import numpy as np
 from stepcore.report.plot.style import (
     BLUE,
     COLOURS,
+    FONT,
     GREEN,
     GREY,
     ORANGE,
     RED,
-    SMALL,
-    TEXT,
     frame,
     legend,
     log_ticks,
@@ -121,16 +120,11 @@ def _lines(axes: Any, time: np.ndarray, name: str, values: np.ndarray) -> None:
 
 def _legend(axes: Any) -> None:
     """Draw the legend at the right of the panel, where it covers no data."""
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=TEXT, frameon=False)
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=FONT["text"], frameon=False)
 
 
-# The number of elements drawn, and of steps before the failure.
-DRAWN, STEPS = 5, 128
-# Injected energy is clipped at this multiple of the total energy: in the last steps, inertial
-# forces and rows inject and remove many times the total energy.
-CUT = 1.5
-# Below this number of decades, ticks are energies (5 J) instead of powers of ten (10^0.7).
-FEW_DECADES = 2.0
+# The number of elements drawn.
+DRAWN = 5
 
 
 def postmortem(result: PostMortem) -> Any:
@@ -142,7 +136,7 @@ def postmortem(result: PostMortem) -> Any:
         return _shares_alone(result)
     figure = new_figure(8.0, 6.2)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1.3))
-    count = min(len(result.time), STEPS)
+    count = min(len(result.time), 128)
     last = int(result.replay.happened["step"])
     steps = np.arange(last - count, last + 1)
     energy = result.energy[-count - 1 :]
@@ -150,7 +144,8 @@ def postmortem(result: PostMortem) -> Any:
     with np.errstate(divide="ignore", invalid="ignore"):
         powers = np.log10(np.where(np.isfinite(energy) & (energy > 0), energy, np.nan))
     above.plot(steps, powers, color="black", lw=1.4)
-    if np.nanmax(powers, initial=-np.inf) - np.nanmin(powers, initial=np.inf) < FEW_DECADES:
+    if np.nanmax(powers, initial=-np.inf) - np.nanmin(powers, initial=np.inf) < 2:
+        # Energies (5 J) instead of powers of ten (10^0.7).
         above.yaxis.set_major_formatter(lambda power, _: joules(10.0**power))
     else:
         above.yaxis.set_major_formatter(lambda power, _: f"$10^{{{power:g}}}$")
@@ -164,7 +159,8 @@ def postmortem(result: PostMortem) -> Any:
         label = _label(result, name)
         below.step(steps[1:], part, where="mid", color=colour, lw=1.6, label=label)
     low, high = below.get_ylim()
-    below.set_ylim(max(low, -CUT), min(high, CUT))
+    # In the last steps, inertial forces and rows inject and remove many times the total energy.
+    below.set_ylim(max(low, -1.5), min(high, 1.5))
     below.axhline(0.0, color=GREY, lw=0.8)
     below.set_ylabel("energy injected per step,\npart of that energy")
     below.set_xlabel("step")
@@ -228,10 +224,6 @@ def predictability(result: Predictability) -> Any:
     return figure
 
 
-# Residuals below this fraction of the largest are rounding errors.
-LEAST = 1e-13
-
-
 def convergence(result: Convergence) -> Any:
     """Draw the residual by sweeps (left) and the error of runs with equal row updates (right).
 
@@ -256,7 +248,8 @@ def _sweeps(axes: Any, result: Convergence) -> None:
         return
     sweeps = np.array(table["sweeps"], float)
     worst = [max(row["cold worst"], row["warm worst"]) for row in table]
-    floor = LEAST * max(*worst, 1e-300)
+    # Smaller residuals are rounding errors.
+    floor = 1e-13 * max(*worst, 1e-300)
     for kind, colour, width in (("cold", BLUE, 3.0), ("warm", RED, 1.4)):
         middle, most = (np.maximum(table[name], floor) for name in (kind, f"{kind} worst"))
         axes.plot(sweeps, middle, color=colour, lw=width, marker="o", ms=3.5, label=f"{kind} start")
@@ -272,7 +265,11 @@ def _sweeps(axes: Any, result: Convergence) -> None:
     axes.set_xlim(0.8, 1.25 * (max(4 * done[0], 8) if done else sweeps[-1]))
     # Below the axes, where the legend covers no data.
     axes.legend(
-        fontsize=SMALL, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=2
+        fontsize=FONT["small"],
+        frameon=False,
+        loc="upper left",
+        bbox_to_anchor=(0.0, -0.14),
+        ncols=2,
     )
 
 
@@ -293,9 +290,9 @@ def _work(axes: Any, result: Convergence) -> None:
         end = max(trial.error, low)
         axes.barh(k, end - low, left=low, height=0.62, color=GREEN)
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
-        axes.text(end * 1.15, k, metres(trial.error), va="center", fontsize=TEXT, bbox=box)
+        axes.text(end * 1.15, k, metres(trial.error), va="center", fontsize=FONT["text"], bbox=box)
     labels = [f"{s.steps} × {s.sweeps}\ndt {seconds(s.trial.dt)}" for s in result.splits]
-    axes.set_yticks(range(len(trials)), labels, fontsize=TEXT)
+    axes.set_yticks(range(len(trials)), labels, fontsize=FONT["text"])
     axes.set_ylim(len(trials) - 0.4, -0.6)
     axes.set_xscale("log")
     axes.set_xlim(low, 12 * max(known))
@@ -303,4 +300,6 @@ def _work(axes: Any, result: Convergence) -> None:
     if math.isfinite(solved) and solved > 0:
         text = f"dt {seconds(result.settings.dt)}, converged"
         axes.axvline(solved, color="black", lw=1.2, ls="--", label=text)
-        axes.legend(fontsize=SMALL, frameon=False, loc="upper right", bbox_to_anchor=(1.0, -0.14))
+        axes.legend(
+            fontsize=FONT["small"], frameon=False, loc="upper right", bbox_to_anchor=(1.0, -0.14)
+        )

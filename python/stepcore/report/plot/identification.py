@@ -11,9 +11,6 @@ from stepcore.report.plot.style import BLUE, GREY, ORANGE, frame, legend, line, 
 if TYPE_CHECKING:
     from stepcore.measure.identification.result import Curve, Identification
 
-# The most panels.
-PANELS = 8
-
 
 def identification(result: Identification) -> Any:
     """Draw measured and predicted numbers of the log with the largest residual.
@@ -22,7 +19,7 @@ def identification(result: Identification) -> Any:
     """
     worst = max(result.curves, key=_share)
     own = [curve for curve in result.curves if curve.log == worst.log]
-    kept = sorted(range(len(own)), key=lambda k: -_share(own[k]))[:PANELS]
+    kept = sorted(range(len(own)), key=lambda k: -_share(own[k]))[:8]
     drawn = [own[k] for k in sorted(kept)]
     figure, panels = stacked(len(drawn))
     for axes, curve in zip(panels, drawn, strict=True):

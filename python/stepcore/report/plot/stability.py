@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stepcore.report.plot.style import ORANGE, TITLE, legend, log_ticks, new_figure
+from stepcore.report.plot.style import FONT, ORANGE, legend, log_ticks, new_figure
 
 if TYPE_CHECKING:
     from stepcore.measure.stability import MapPanel, StabilityMap
@@ -19,16 +19,14 @@ if TYPE_CHECKING:
 ACCURATE, FINITE = "accurate", "finite"
 FILLS = {ACCURATE: "#A9D8F5", "inaccurate": ORANGE, "exploded": "#4A3B52"}
 UNJUDGED = "finite, not judged"
-COLUMNS = 3
-DASHES = (0, (4, 2))
 # The ends of the scale of delivered over asked.
-LEAST, MOST = 1e-3, 1e1
+SCALE = (1e-3, 1e1)
 
 
 def stability(result: StabilityMap) -> Any:
     """Draw a panel for each setting: the value across and dt up, both on log axes."""
     count = len(result.panels)
-    columns = count if count <= COLUMNS else 2 if count == 4 else COLUMNS
+    columns = count if count <= 3 else 2 if count == 4 else 3
     rows = math.ceil(count / columns)
     figure = new_figure(width=max(5.5, 3.0 * columns + 0.8), height=2.5 * rows + 1.5)
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
@@ -42,7 +40,9 @@ def stability(result: StabilityMap) -> Any:
             ax.tick_params(labelbottom=True)
         if k % columns == 0:
             ax.set_ylabel("asked [m]" if result.accuracies else "dt [s]")
-    figure.suptitle(f"{result.title}, {result.horizon:g} s", fontsize=TITLE, x=0.01, ha="left")
+    figure.suptitle(
+        f"{result.title}, {result.horizon:g} s", fontsize=FONT["title"], x=0.01, ha="left"
+    )
     if not result.accuracies:
         _legend(figure, result)
     return figure
@@ -76,7 +76,7 @@ def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
         line = _line(result.values, across, up, panel.boundary)
         # A white line under the black line is visible on every colour.
         axes.plot(*line, color="white", lw=3.5, zorder=4, solid_capstyle="butt")
-        axes.plot(*line, color="black", lw=1.5, ls=DASHES, zorder=4)
+        axes.plot(*line, color="black", lw=1.5, ls=(0, (4, 2)), zorder=4)
     axes.set_title(_named(panel), loc="left", fontsize=9.5)
 
 
@@ -87,8 +87,8 @@ def _shares(
     from matplotlib.colors import LogNorm
 
     over = np.array([cell.over for cell in panel.cells]).reshape(shape).T
-    drawn = np.ma.masked_invalid(np.maximum(over, LEAST))
-    mesh = axes.pcolormesh(across, up, drawn, cmap="cividis", norm=LogNorm(LEAST, MOST))
+    drawn = np.ma.masked_invalid(np.maximum(over, SCALE[0]))
+    mesh = axes.pcolormesh(across, up, drawn, cmap="cividis", norm=LogNorm(*SCALE))
     axes.figure.colorbar(mesh, ax=axes, label="delivered over asked", extend="both")
 
 

@@ -41,7 +41,7 @@ TINTS = ("#f2731a", "#338cf2", "#994dcc")
 # Behind everything, above and below.
 SKY = ("#EDF2FA", "#D1DEED")
 # Font sizes [points].
-TITLE, TEXT, SMALL = 11, 9, 8
+FONT = {"title": 11, "text": 9, "small": 8}
 
 
 def rgb(colour: str) -> tuple[float, float, float]:
@@ -89,7 +89,7 @@ def frame(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     if title:
-        axes.set_title(title, loc="left", fontsize=TITLE)
+        axes.set_title(title, loc="left", fontsize=FONT["title"])
     if x:
         axes.set_xlabel(x)
     if y:
@@ -127,7 +127,7 @@ def bar(
         axes.barh(place, value - left, left=left, color=colour, height=0.7)
     if text:
         at = (max(value, left), place)
-        style = {"textcoords": "offset points", "va": "center", "fontsize": SMALL}
+        style = {"textcoords": "offset points", "va": "center", "fontsize": FONT["small"]}
         axes.annotate(text, at, (3, 0), **style)
 
 
@@ -135,7 +135,7 @@ def name_places(axes: Any, names: Sequence[str], places: Sequence[float], letter
     """Write names along the vertical axis, without quotes, cut to `letters` letters."""
     plain = [name.replace("`", "") for name in names]
     short = [name if len(name) <= letters else name[: letters - 1] + "…" for name in plain]
-    axes.set_yticks(list(places), short, fontsize=SMALL)
+    axes.set_yticks(list(places), short, fontsize=FONT["small"])
 
 
 def patches(colours: dict[str, str]) -> list[Any]:
@@ -159,7 +159,7 @@ def legend(figure: Any, entries: Sequence[Any] | None = None, columns: int = 0) 
         place = {"loc": "outside lower center", "ncols": columns}
     if entries is not None:
         place["handles"] = entries
-    figure.legend(fontsize=TEXT, frameon=False, **place)
+    figure.legend(fontsize=FONT["text"], frameon=False, **place)
 
 
 def say(axes: Any, text: str) -> None:

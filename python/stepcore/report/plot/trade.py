@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore.report.plot.style import (
     COLOURS,
+    FONT,
     GREY,
-    SMALL,
-    TEXT,
     frame,
     legend,
     line,
@@ -27,10 +26,6 @@ if TYPE_CHECKING:
 MARKERS = {"newton": "o", "pgs": "s"}
 # MuJoCo's points, in the same colours.
 THEIRS = "*"
-# Errors above this multiple of the shipped error are drawn as failures, to limit the axis.
-FAR = 1e4
-# Points in this fraction of the axes at the left have their text at the right.
-EDGE = 0.2
 
 
 def trade(trade: Trade) -> Any:
@@ -72,7 +67,7 @@ def trade(trade: Trade) -> Any:
     if error > low:
         axes.axhspan(low, error, color="#DDDDDD", zorder=0)
         text = f"below what the converged motion is sure of, {metres(error)}"
-        place = {"transform": axes.get_yaxis_transform(), "va": "top", "fontsize": SMALL}
+        place = {"transform": axes.get_yaxis_transform(), "va": "top", "fontsize": FONT["small"]}
         axes.text(0.01, error, text, **place)
     flops = trade.by == "flops"
     log_ticks(axes.xaxis, operations if flops else "{:g}".format)
@@ -96,7 +91,8 @@ def _split(trade: Trade) -> tuple[list[Trial], list[Trial]]:
     """Return the rows drawn at their values, and the rows that failed or are far off."""
     done = sorted(row.error for row in trade.rows if not row.failure)
     middle = done[len(done) // 2] if trade.shipped.failure and done else trade.shipped.error
-    limit = FAR * max(middle, trade.reference.error, 1e-300)
+    # Larger errors are drawn as failures, to limit the axis.
+    limit = 1e4 * max(middle, trade.reference.error, 1e-300)
     good = [row for row in trade.rows if not row.failure and row.error <= limit]
     return good, [row for row in trade.rows if row not in good and math.isfinite(row.cost)]
 
@@ -142,7 +138,7 @@ def _rings(axes: Any, trade: Trade, good: Sequence[Trial]) -> None:
         axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
         # Below and left of the front there are no points, so a text covers nothing except the
         # axis. A point far above the front has its text on the other side.
-        left = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > EDGE
+        left = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > 0.2
         front = [one.error for one in good if one.cost <= row.cost]
         below = row.error <= 1.5 * min(front, default=math.inf)
         # What a text covers, such as the line of the target, is pale around its letters.
@@ -150,7 +146,7 @@ def _rings(axes: Any, trade: Trade, good: Sequence[Trial]) -> None:
         style: dict[str, Any] = {"textcoords": "offset points", "path_effects": halo}
         style |= {"ha": "right" if left and below else "left", "va": "top" if below else "bottom"}
         place = (-9 if left and below else 9, -9 if below else 9)
-        axes.annotate(text, at, place, fontsize=TEXT, zorder=6, **style)
+        axes.annotate(text, at, place, fontsize=FONT["text"], zorder=6, **style)
 
 
 def _legend(figure: Any, trade: Trade, good: Sequence[Trial], failed: bool) -> None:
