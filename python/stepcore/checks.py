@@ -37,7 +37,8 @@ def cut(text: str, width: int = LONGEST) -> str:
     return text if len(text) <= width else text[: width - 1] + "…"
 
 
-_LONG = re.compile(rf'"[^"\n]{{{LONGEST_NAME + 1},}}"|\S{{{LONGEST_WORD + 1},}}')
+_NAME = re.compile(rf'"[^"\n]{{{LONGEST_NAME + 1},}}"')
+_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def brief(text: str) -> str:
@@ -52,7 +53,7 @@ def brief(text: str) -> str:
         name = word[0] == '"' and "/" not in word and os.sep not in word
         return without_middle(word, LONGEST_NAME if name else LONGEST_WORD)
 
-    return cut(_LONG.sub(shortened, text))
+    return cut(_WORD.sub(shortened, _NAME.sub(shortened, text)))
 
 
 def without_middle(word: str, width: int = LONGEST_WORD) -> str:

@@ -44,25 +44,26 @@ def read(path: str | os.PathLike[str], expected: str) -> bytes:
 
 @contextmanager
 def opened(
-    path: str | os.PathLike[str], expected: str, largest: int = LARGEST
+    path: str | os.PathLike[str], expected: str, largest: int | None = None
 ) -> Iterator[tuple[BinaryIO, int]]:
     """Open a regular file, and give its size [bytes].
 
-    expected: the expected kind of file in errors, such as "an MJCF file".
+    expected: the expected kind of file in errors, such as "an MJCF file". largest: the largest size
+        [bytes]; None: `LARGEST`.
 
     Raises FileNotFoundError, IsADirectoryError, and ValueError for a device, a pipe or a socket
     (none is opened), for a file that is too large and for a file that cannot be read. The text is
     one line that names the file.
     """
-    name = os.fsdecode(path)
+    name, most = os.fsdecode(path), LARGEST if largest is None else largest
     called = checks.cut(checks.without_middle(name))
     if "\0" in name:
         raise ValueError(f"{checks.shown(name)}: cannot be read: no file has a NUL in its name")
     try:
         # Checked before opening, because opening triggers an action of some devices.
-        _size(os.stat(name), called, expected, largest)
+        _size(os.stat(name), called, expected, most)
         with open(name, "rb", opener=_without_waiting) as file:
-            yield file, _size(os.fstat(file.fileno()), called, expected, largest)
+            yield file, _size(os.fstat(file.fileno()), called, expected, most)
     except FileNotFoundError:
         raise FileNotFoundError(f"{called}: no such file") from None
     except IsADirectoryError:

@@ -29,11 +29,6 @@ def test_the_arguments_of_add_are_fields_of_the_element(kind):
     assert {*named} - {"self", "fields"} <= known
 
 
-def test_the_keywords_of_add_body_are_its_fields():
-    named = inspect.signature(sc.Scene.add_body).parameters
-    assert {*named} - {"self"} == {*table(elements.Body)}
-
-
 def test_the_keywords_of_a_sim_are_the_fields_of_settings():
     assert {*SettingsFields.__annotations__} == {*sc.Settings().as_dict()}
 

@@ -119,6 +119,7 @@ def test_a_parquet_file_has_columns_by_name(tmp_path, monkeypatch):
     reader = types.SimpleNamespace(read_table=lambda path: table)
     monkeypatch.setitem(sys.modules, "pyarrow", types.SimpleNamespace(parquet=reader))
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", reader)
+    (tmp_path / "log.parquet").touch()
     run = sc.run(sc.loads(CARTS), horizon=0.2, ctrl=tmp_path / "log.parquet")
     assert run.sim.qvel == pytest.approx(FORCES.sum(axis=0) * 0.025 / (2, 4), abs=1e-12)
 
