@@ -22,8 +22,9 @@ FINE = 0.01
 # little, they are so dense that a body that makes whole turns in a step cannot hide the shorter
 # steps that fail; where they cost more, twice as long each.
 DENSE, SPARSE = 1.2, 2.0
-# Around a limit at contacts, runs hold and fail by luck: this share of the longest step that holds
-# must hold, too (G1 holds at 26.64 ms and not at 26.6; dm-control's quadruped at 12.88 ms).
+# Around a limit at contacts, runs hold and fail by luck: this share of the longest that holds must
+# hold, too (G1 holds at 26.64 ms and not at 26.6; dm-control's quadruped at 12.88 ms and not at
+# 12.8). Under a control function it need not: each call is a step of another phase.
 NEAR = 0.995
 
 
@@ -94,9 +95,10 @@ def run_limit(
         elif holds(FAILS * g):
             good = FAILS * g
         else:
-            return _settled(holds, g, low), longest
+            return g, longest
     coarse = judge.motions.costly and judge.motions.users is None
-    return _settled(holds, _between(holds, good, bad, STEP if coarse else FINE), low), longest
+    limit = _between(holds, good, bad, STEP if coarse else FINE)
+    return _settled(holds, limit, low if judge.motions.users is None else math.inf), longest
 
 
 def ladder(judge: Judge, low: float, top: float = math.inf) -> list[float]:
