@@ -4,7 +4,7 @@
 # **A finger pushes a puck to a place 0.25 m away. Before it touches the puck, the
 # gradient of the puck's place by the controls is zero: it says nothing. Sampling
 # finds the first touch, and exact gradients take the miss from there to below
-# 0.1 mm. Steps of 5 ms make 3 mm of it: the error bar says so, and the plan is made
+# 0.1 mm. Steps of 5 ms make 4 mm of it: the error bar says so, and the plan is made
 # again with shorter ones.** The way: `rollout`, `vjp`, and `error_bar`.
 
 # %%
@@ -122,7 +122,7 @@ print(f"finer steps miss by {error(model, plan):.0f} mm")
 
 # %% [markdown]
 # So the plan is as good as its steps. Made again with steps of 0.5 ms, from where
-# it is, finer ones change 0.4 mm.
+# it is, finer ones change 0.6 mm.
 
 # %%
 fine = model.with_settings(dt=0.0005)
