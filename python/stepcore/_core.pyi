@@ -21,6 +21,8 @@ __all__ = [
     "SimulationError",
     "amplification",
     "compile",
+    "empty_caches",
+    "end_threads",
     "integrators",
     "linear_step",
     "noise",
