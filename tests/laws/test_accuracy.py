@@ -358,3 +358,15 @@ def test_a_run_says_where_the_file_relied_on_refsafe():
     assert not any("refsafe" in note for note in sc.run(model, horizon=0.1).notes)
     soft = sc.loads(BALL.format(dt=0.002)).compile().with_settings(dt=0.02, accuracy="1mm")
     assert not any("refsafe" in note for note in sc.run(soft, horizon=0.1).notes)
+
+
+HEAVY_TOP = """<mujoco><option timestep="0.01"/><worldbody><body name="top">
+<joint name="pivot" type="ball"/><geom type="cylinder" size=".05 .01" pos="0 0 .1" mass=".5"/>
+</body></worldbody><keyframe><key qpos=".98 0 .2 0" qvel="0 0 {}"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize("speed", [10, 60])
+def test_a_run_says_of_a_fast_top_that_it_may_be_off_by_more(speed):
+    model = sc.loads(HEAVY_TOP.format(speed)).compile().with_settings(accuracy="1mm")
+    run = sc.run(model, horizon=0.2, progress=False)
+    assert ("joint `pivot` turns at up to 60" in run.text()) == (speed > 1 / 0.03)

@@ -13,7 +13,7 @@ from stepcore import checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.axes import axes_of
 from stepcore.engine.model import Model
-from stepcore.engine.run_settings import balanced, refsafe_note
+from stepcore.engine.run_settings import balanced, refsafe_note, spinning_note
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
@@ -284,6 +284,7 @@ def simulated(
     steps = steps if error is None else error.step
     found = shown(_recording(single, plain, key)) if steps else []
     timed = error is None and not interrupted and steps
+    notes.append(spinning_note(sim.model, sim.settings, np.array(single.readings["qvel"])))
     parts = [drive.words, *(f"push {push}" for push in shoved), scene_in_words(model)]
     return SimulationRun(
         name=model.scene.name or "scene",
