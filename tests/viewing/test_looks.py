@@ -10,7 +10,7 @@ from renderers import RENDERERS
 
 import stepcore as sc
 from stepcore.mjcf.appearance import GREY
-from stepcore.viewing.drawing import CONTRAST, drawing_of
+from stepcore.viewing.drawing import drawing_of
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
 ARM = f"""
@@ -174,7 +174,7 @@ def test_the_squares_of_a_plane_stay_calm(images):
     floor = next(shape for shape in drawing.shapes if shape.name == "floor")
     one, other = (np.array(rgba) for rgba in floor.checks)
     assert (one + other) / 2 == pytest.approx(floor.rgba)
-    assert np.abs(one - other).max() == pytest.approx(2 * CONTRAST)
+    assert np.abs(one - other).max() == pytest.approx(2 * 0.07)
 
 
 def test_an_image_that_is_not_there_is_a_note(tmp_path):

@@ -73,6 +73,11 @@ class Engine(ABC):
         self._model, self.refusal = model, refusal
         self._counts = dict[Change, float]()
 
+    def __getstate__(self) -> dict[str, Any]:
+        # An executor pickles in a thread of its own, while this one counts on.
+        state = dict(self.__dict__)
+        return {name: dict(v) if isinstance(v, dict) else v for name, v in state.items()}
+
     @property
     def known(self) -> bool:
         """Whether stepcore has a model of the scene."""

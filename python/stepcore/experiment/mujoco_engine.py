@@ -197,7 +197,7 @@ class MuJoCo(Engine):
         self._free, self._lock = list[_World](), threading.Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_free": [], "_lock": None}
+        return {**super().__getstate__(), "_free": [], "_lock": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _lock=threading.Lock())

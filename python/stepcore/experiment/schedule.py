@@ -113,7 +113,8 @@ class Schedule:
         return {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_driven"}
+        # An executor pickles in a thread of its own, while this one may compile.
+        return {name: value for name, value in dict(vars(self)).items() if name != "_driven"}
 
     def function(self) -> Control | None:
         """Return the control function of one run, or None."""

@@ -270,6 +270,8 @@ def _plain_comments(raw: bytes) -> bytes:
 
 
 T = TypeVar("T")
+# The number of errors after which reading stops, because looking up nearest names takes time.
+MOST_ERRORS = 100
 
 
 class Refusals:
@@ -281,8 +283,7 @@ class Refusals:
         self._gone: set[str] = set()
 
     def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
-        # Looking up nearest names takes time.
-        if len(self.errors) >= 100:
+        if len(self.errors) >= MOST_ERRORS:
             return None
         try:
             return read(node)

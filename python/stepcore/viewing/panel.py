@@ -28,8 +28,6 @@ ENERGIES = {"kinetic": "", "potential": "Δ ", "total": "Δ "}
 KEPT = 3000
 # How long the page waits for steps or for new curves at most [s].
 PAUSE = 0.2
-# A model of more actuators has no slider for the others.
-SLIDERS = 40
 
 
 def _plot(
@@ -213,7 +211,8 @@ class SimPanel(Panel):
         if not model.nu:
             return []
         with self.gui.add_folder("Controls"):
-            for k in range(min(model.nu, SLIDERS)):
+            # A model of more actuators has no slider for the others.
+            for k in range(min(model.nu, 40)):
                 low, high = model.actuator_ctrlrange[k].tolist()
                 now = float(self.sim.ctrl[k])
                 low = low if np.isfinite(low) else min(-1.0, 2 * now)
