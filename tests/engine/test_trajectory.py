@@ -149,7 +149,7 @@ def test_what_is_no_trajectory_is_refused(tmp_path):
     recorded(("qpos",)).save(tmp_path / "run.npz")
     (tmp_path / "half.npz").write_bytes((tmp_path / "run.npz").read_bytes()[:200])
     for name in ("text.npz", "empty.npz", "other.npz", "array.npy", "half.npz"):
-        with pytest.raises(ValueError, match=rf"{name}: is (no|not a) trajectory"):
+        with pytest.raises(ValueError, match=rf"{name}: is not a trajectory"):
             sc.Trajectory.load(tmp_path / name)
     arrays = dict(np.load(tmp_path / "run.npz"))
     np.savez(tmp_path / "new.npz", **(arrays | {"version": np.array(99)}))

@@ -213,7 +213,7 @@ class Trajectory:
         shown = checks.cut(source := files.path("path", path), 300)
         arrays = files.arrays(source, "a trajectory")
         if str(arrays.get("kind")) != KIND:
-            raise ValueError(f"{shown}: is no trajectory; `Trajectory.save` writes them")
+            raise ValueError(f"{shown}: is not a trajectory; `Trajectory.save` writes them")
         if str(arrays.get("version")) != str(VERSION):
             what = f"version {checks.cut(str(arrays.get('version')), 80)} of a trajectory"
             raise ValueError(f"{shown}: {what}; this stepcore reads version {VERSION}")
