@@ -54,6 +54,7 @@ pub use touch::{Touch, Touches};
 use self::hull::Hull;
 use by_lane::by_lane;
 use convex::Convex;
+use face::Under;
 use height_field::{HeightField, OnField};
 
 use crate::real::{value, Real};
@@ -94,6 +95,8 @@ pub struct Hint {
     pub axis: V3<f64>,
     /// A face fixed it.
     pub face: bool,
+    /// It holds for these two shapes, at whatever poses.
+    pub(crate) under: Under,
 }
 
 /// By lane; or empty.

@@ -9,6 +9,7 @@
 //! edge leave it two or one degrees of freedom, in which Newton's method ends at rounding. What
 //! s(n) says is exact whatever n came from, so the largest of these candidates is the answer.
 
+use super::face::Under;
 use super::gjk::{beyond, gjk};
 use super::solid::{plain, Solid};
 use super::touch::unit;
@@ -58,6 +59,8 @@ pub struct Pairing<'a> {
     pub(super) between: V3<f64>,
     pub(super) size: f64,
     pub(super) smooth: bool,
+    /// What faces were proven by.
+    pub(super) under: Cell<Under>,
     /// How often a support function was asked.
     asked: Cell<u64>,
 }
@@ -75,7 +78,7 @@ impl<'a> Pairing<'a> {
         let between = two.pose.pos - one.pose.pos;
         let size = one.extent() + two.extent();
         let smooth = one.smooth() || two.smooth();
-        Self { one, two, between, size, smooth, asked: Cell::new(0) }
+        Self { one, two, between, size, smooth, under: Cell::default(), asked: Cell::new(0) }
     }
 
     /// How often a support function was asked.
@@ -114,7 +117,8 @@ impl<'a> Pairing<'a> {
     pub fn separation(&self, within: f64, hint: Option<&Cell<Hint>>) -> Option<Separation> {
         SEARCHED.set(SEARCHED.get() + 1);
         let enough = (within + self.one.radius + self.two.radius + SURE * self.size).max(0.0);
-        let Hint { axis, face } = hint.map(Cell::get).unwrap_or_default();
+        let Hint { axis, face, under } = hint.map(Cell::get).unwrap_or_default();
+        self.under.set(under);
         let known = axis != V3::zeros();
         let found = if known && beyond(&self.furthest(&-axis), &axis, enough) {
             Err(axis)
@@ -130,13 +134,13 @@ impl<'a> Pairing<'a> {
         // Of a face the same numbers, however it was found.
         let found = found.map(|found| self.on_face(&found.normal, ALONG).unwrap_or(found));
         if let Some(hint) = hint {
-            hint.set(match &found {
+            let (axis, face) = match &found {
                 Ok(Separation { normal, cause, .. }) => {
-                    let face = matches!(cause, Cause::FaceOne(_) | Cause::FaceTwo(_));
-                    Hint { axis: *normal, face }
+                    (*normal, matches!(cause, Cause::FaceOne(_) | Cause::FaceTwo(_)))
                 }
-                Err(proof) => Hint { axis: *proof, face },
-            });
+                Err(proof) => (*proof, face),
+            };
+            hint.set(Hint { axis, face, under: self.under.get() });
         }
         found.ok()
     }

@@ -151,11 +151,7 @@ impl<'a, R: Real> Solid<'a, R> {
             Core::Box(size) => {
                 (0..3).map(|i| p[i].abs() - size[i]).fold(f64::NEG_INFINITY, f64::max)
             }
-            Core::Hull(hull) => hull
-                .faces
-                .iter()
-                .map(|face| face.normal.dot(&p) - face.offset)
-                .fold(f64::NEG_INFINITY, f64::max),
+            Core::Hull(hull) => -hull.under_all_but(usize::MAX, &p, f64::NEG_INFINITY),
             Core::Prism(corners) => PRISM_FACES
                 .iter()
                 .map(|face| normal_of(corners, face).dot(&(p - corners[face[0]])))
@@ -163,27 +159,28 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// A point, from its centre, lies deeper than this under all that bounds the core but one face.
-    pub fn under_all_but(&self, face: usize, point: &V3<f64>, depth: f64) -> bool {
-        let p = plain(self.pose).to_local(point);
+    /// How deep a point, in its own axes, lies under all that bounds the core but one face; what is no
+    /// more than `enough` may be too much.
+    pub fn under_all_but(&self, face: usize, p: &V3<f64>, enough: f64) -> f64 {
         let up = |face: usize, axis: usize| if face % 2 == 1 { p[axis] } else { -p[axis] };
         match self.core {
             Core::Cylinder(radius, half) => {
-                let beside = (p.x * p.x + p.y * p.y).sqrt() - radius;
-                beside < -depth && up(1 - face, 2) - half < -depth
+                let beside = radius - (p.x * p.x + p.y * p.y).sqrt();
+                beside.min(half - up(1 - face, 2))
             }
             Core::Box(size) => {
-                let mut others = (0..6).filter(|other| *other != face);
-                others.all(|other| up(other, other / 2) - size[other / 2] < -depth)
+                let others = (0..6).filter(|other| *other != face);
+                others
+                    .map(|other| size[other / 2] - up(other, other / 2))
+                    .fold(f64::INFINITY, f64::min)
             }
-            Core::Hull(hull) => (hull.faces.iter().enumerate()).all(|(other, plane)| {
-                other == face || plane.normal.dot(&p) - plane.offset < -depth
-            }),
-            Core::Prism(corners) => (PRISM_FACES.iter().enumerate()).all(|(other, list)| {
-                let height = normal_of(corners, list).dot(&(p - corners[list[0]]));
-                other == face || height < -depth
-            }),
-            Core::Point | Core::Segment(_) | Core::Ellipsoid(_) => false,
+            Core::Hull(hull) => hull.under_all_but(face, p, enough),
+            Core::Prism(corners) => {
+                let others = PRISM_FACES.iter().enumerate().filter(|(other, _)| *other != face);
+                let depth = |list: &[usize]| normal_of(corners, list).dot(&(corners[list[0]] - p));
+                others.map(|(_, list)| depth(list)).fold(f64::INFINITY, f64::min)
+            }
+            Core::Point | Core::Segment(_) | Core::Ellipsoid(_) => f64::NEG_INFINITY,
         }
     }
 
