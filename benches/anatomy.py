@@ -35,7 +35,7 @@ import stepcore as sc
 
 ROBOTS = (
     *("gymnasium/ant", "gymnasium/humanoid"),
-    *("dm_control/humanoid", "dm_control/quadruped", "dm_control/stacker"),
+    *("dm_control/humanoid", "dm_control/fish", "dm_control/stacker"),
 )
 SIDES = ("stepcore", "MuJoCo")
 # Function that a step is, as Valgrind knows it.
