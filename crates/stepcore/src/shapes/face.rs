@@ -1,21 +1,11 @@
 //! A face that fixes the direction of a separation, and when that is certain without a search.
 
 use super::separation::{Cause, Pairing, Separation, ROUNDING};
+use super::Under;
 use crate::spatial::V3;
 
 /// Over the size of the pair: by how much more room there must be than rounding takes.
 const CLEAR: f64 = 1e-9;
-
-/// How deep a point was seen to lie under all that bounds a shape but one of its faces. A point that is
-/// little further lies as deep but for the way between the two.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Under {
-    of_one: bool,
-    face: usize,
-    /// In the shape's own axes.
-    point: V3<f64>,
-    depth: f64,
-}
 
 /// What a face of one of the two says, and which it is.
 pub struct Facing {
@@ -101,7 +91,7 @@ mod tests {
     use super::super::separation::Pairing;
     use super::super::trial::Random;
     use super::super::Shape;
-    use super::Under;
+    use super::super::Under;
     use crate::scene::GeomType;
     use crate::spatial::{Pose, V3};
     use nalgebra::{Matrix3, Rotation3, Vector3};

@@ -54,7 +54,6 @@ pub use touch::{Touch, Touches};
 use self::hull::Hull;
 use by_lane::by_lane;
 use convex::Convex;
-use face::Under;
 use height_field::{HeightField, OnField};
 
 use crate::real::{value, Real};
@@ -96,7 +95,18 @@ pub struct Hint {
     /// A face fixed it.
     pub face: bool,
     /// It holds for these two shapes, at whatever poses.
-    pub(crate) under: Under,
+    pub under: Under,
+}
+
+/// How deep a point was seen to lie under all that bounds a shape but one of its faces. A point that is
+/// little further lies as deep but for the way between the two.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Under {
+    of_one: bool,
+    face: usize,
+    /// In the shape's own axes.
+    point: V3<f64>,
+    depth: f64,
 }
 
 /// By lane; or empty.

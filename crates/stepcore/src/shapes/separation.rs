@@ -9,11 +9,10 @@
 //! edge leave it two or one degrees of freedom, in which Newton's method ends at rounding. What
 //! s(n) says is exact whatever n came from, so the largest of these candidates is the answer.
 
-use super::face::Under;
 use super::gjk::{beyond, gjk};
 use super::solid::{plain, Solid};
 use super::touch::unit;
-use super::Hint;
+use super::{Hint, Under};
 use crate::real::Real;
 use crate::spatial::V3;
 use core::cell::Cell;
