@@ -169,7 +169,6 @@ impl<R: Real> Sim<R> {
         }
         let stands = self.placed.effective.is_none() && self.model.stands_as(&models.model);
         (self.models, self.model) = (models.models.clone(), models.model.clone());
-        self.detected.forget_shapes();
         if !stands {
             self.placed = Placed::for_steps(&self.model, &self.settings);
         }

@@ -108,11 +108,6 @@ impl<R: Real> Detected<R> {
         }
     }
 
-    /// The geoms have other shapes from now on.
-    pub(crate) fn forget_shapes(&mut self) {
-        self.hints.iter_mut().for_each(|hint| hint.under = Default::default());
-    }
-
     /// Lists the contacts of the present positions, and with `ahead` [s] those that the guess may bring
     /// within that time (the row maker drops what stays apart); refuses more than the memory holds.
     pub fn detect(

@@ -94,19 +94,6 @@ pub struct Hint {
     pub axis: V3<f64>,
     /// A face fixed it.
     pub face: bool,
-    /// It holds for these two shapes, at whatever poses.
-    pub under: Under,
-}
-
-/// How deep a point was seen to lie under all that bounds a shape but one of its faces. A point that is
-/// little further lies as deep but for the way between the two.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Under {
-    of_one: bool,
-    face: usize,
-    /// In the shape's own axes.
-    point: V3<f64>,
-    depth: f64,
 }
 
 /// By lane; or empty.

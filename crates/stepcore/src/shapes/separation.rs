@@ -12,7 +12,7 @@
 use super::gjk::{beyond, gjk};
 use super::solid::{plain, Solid};
 use super::touch::unit;
-use super::{Hint, Under};
+use super::Hint;
 use crate::real::Real;
 use crate::spatial::V3;
 use core::cell::Cell;
@@ -58,8 +58,6 @@ pub struct Pairing<'a> {
     pub(super) between: V3<f64>,
     pub(super) size: f64,
     pub(super) smooth: bool,
-    /// What faces were proven by.
-    pub(super) under: Cell<Under>,
     /// How often a support function was asked.
     asked: Cell<u64>,
 }
@@ -77,7 +75,7 @@ impl<'a> Pairing<'a> {
         let between = two.pose.pos - one.pose.pos;
         let size = one.extent() + two.extent();
         let smooth = one.smooth() || two.smooth();
-        Self { one, two, between, size, smooth, under: Cell::default(), asked: Cell::new(0) }
+        Self { one, two, between, size, smooth, asked: Cell::new(0) }
     }
 
     /// How often a support function was asked.
@@ -116,14 +114,16 @@ impl<'a> Pairing<'a> {
     pub fn separation(&self, within: f64, hint: Option<&Cell<Hint>>) -> Option<Separation> {
         SEARCHED.set(SEARCHED.get() + 1);
         let enough = (within + self.one.radius + self.two.radius + SURE * self.size).max(0.0);
-        let Hint { axis, face, under } = hint.map(Cell::get).unwrap_or_default();
-        self.under.set(under);
+        let Hint { axis, face } = hint.map(Cell::get).unwrap_or_default();
         let known = axis != V3::zeros();
+        let mut own = None;
         let found = if known && beyond(&self.furthest(&-axis), &axis, enough) {
             Err(axis)
         } else {
-            let near = if known { axis } else { self.toward() };
-            let own = if known && !face { None } else { self.on_face(&near, -1.0) };
+            if face || !known {
+                let near = if known { axis } else { self.toward() };
+                own = self.on_face(&near, -1.0, None);
+            }
             match own {
                 Some(found) if found.apart > enough => Err(found.normal),
                 Some(found) => Ok(found),
@@ -131,7 +131,8 @@ impl<'a> Pairing<'a> {
             }
         };
         // Of a face the same numbers, however it was found.
-        let found = found.map(|found| self.on_face(&found.normal, ALONG).unwrap_or(found));
+        let found =
+            found.map(|found| self.on_face(&found.normal, ALONG, own.as_ref()).unwrap_or(found));
         if let Some(hint) = hint {
             let (axis, face) = match &found {
                 Ok(Separation { normal, cause, .. }) => {
@@ -139,7 +140,7 @@ impl<'a> Pairing<'a> {
                 }
                 Err(proof) => (*proof, face),
             };
-            hint.set(Hint { axis, face, under: self.under.get() });
+            hint.set(Hint { axis, face });
         }
         found.ok()
     }

@@ -159,28 +159,25 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// How deep a point, in its own axes, lies under all that bounds the core but one face; what is no
-    /// more than `enough` may be too much.
-    pub fn under_all_but(&self, face: usize, p: &V3<f64>, enough: f64) -> f64 {
+    /// A point, from its centre, lies deeper than this under all that bounds the core but one face.
+    pub fn under_all_but(&self, face: usize, point: &V3<f64>, depth: f64) -> bool {
+        let p = plain(self.pose).to_local(point);
         let up = |face: usize, axis: usize| if face % 2 == 1 { p[axis] } else { -p[axis] };
         match self.core {
             Core::Cylinder(radius, half) => {
-                let beside = radius - (p.x * p.x + p.y * p.y).sqrt();
-                beside.min(half - up(1 - face, 2))
+                let beside = (p.x * p.x + p.y * p.y).sqrt() - radius;
+                beside < -depth && up(1 - face, 2) - half < -depth
             }
             Core::Box(size) => {
-                let others = (0..6).filter(|other| *other != face);
-                others
-                    .map(|other| size[other / 2] - up(other, other / 2))
-                    .fold(f64::INFINITY, f64::min)
+                let mut others = (0..6).filter(|other| *other != face);
+                others.all(|other| up(other, other / 2) - size[other / 2] < -depth)
             }
-            Core::Hull(hull) => hull.under_all_but(face, p, enough),
-            Core::Prism(corners) => {
-                let others = PRISM_FACES.iter().enumerate().filter(|(other, _)| *other != face);
-                let depth = |list: &[usize]| normal_of(corners, list).dot(&(corners[list[0]] - p));
-                others.map(|(_, list)| depth(list)).fold(f64::INFINITY, f64::min)
-            }
-            Core::Point | Core::Segment(_) | Core::Ellipsoid(_) => f64::NEG_INFINITY,
+            Core::Hull(hull) => hull.under_all_but(face, &p, depth) > depth,
+            Core::Prism(corners) => (PRISM_FACES.iter().enumerate()).all(|(other, list)| {
+                let height = normal_of(corners, list).dot(&(p - corners[list[0]]));
+                other == face || height < -depth
+            }),
+            Core::Point | Core::Segment(_) | Core::Ellipsoid(_) => false,
         }
     }
 
