@@ -22,7 +22,7 @@ TIMES = 0.025 * np.arange(8)
 FORCES = np.random.default_rng(0).normal(size=(8, 2))
 
 
-def write_mcap(path, topics, kind="sensor_msgs/msg/JointState"):
+def write_mcap(path, topics, kind="sensor_msgs/msg/JointState", times=TIMES):
     """topics: the messages of each topic, one per time; in JSON, or as bytes of another format."""
     with open(path, "wb") as file:
         writer = Writer(file)
@@ -31,7 +31,7 @@ def write_mcap(path, topics, kind="sensor_msgs/msg/JointState"):
             plain = isinstance(messages[0], bytes)
             schema = writer.register_schema(kind, "ros2msg" if plain else "jsonschema", b"{}")
             channel = writer.register_channel(topic, "cdr" if plain else "json", schema)
-            for time, message in zip(TIMES, messages, strict=False):
+            for time, message in zip(times, messages, strict=False):
                 at = 1700000000000000000 + round(1e9 * time)
                 data = message if plain else json.dumps(message).encode()
                 writer.add_message(channel, log_time=at, publish_time=at, data=data)
