@@ -70,12 +70,17 @@ def test_torques_of_servos_are_a_choice(tmp_path, capsys):
     [
         ({"knee.control": TORQUE}, 'no actuator is named "knee.control"'),
         ({"knee": TORQUE}, "has no controls: it has position of knee.*joint.effort.*--follow"),
+        (
+            {"knee.effort": TORQUE, "t": None},
+            'has torque of knee, and no times: name a column "time"',
+        ),
         ({"foot.effort": TORQUE}, 'no joint or actuator is named "foot.effort"'),
     ],
 )
 def test_controls_that_drive_nothing_are_an_error(columns, said):
     with pytest.raises(ValueError, match=said):
-        sc.run(sc.loads(URDF), ctrl={"t": TIMES, **columns})
+        log = {"t": TIMES, **columns}
+        sc.run(sc.loads(URDF), ctrl={key: log[key] for key in log if log[key] is not None})
 
 
 def test_velocities_of_free_and_ball_joints_need_not_be_logged():

@@ -39,7 +39,7 @@ WORDS = {word: array for array, words in SPELT.items() for word in words.split()
 INDEXED = re.compile(r"(?P<word>\w+)\[(?P<name>.+)\]")
 SUFFIXED = re.compile(r"(?P<name>.+)[./_](?P<word>[A-Za-z]+)")
 UNIT = re.compile(r"(?P<name>.+?)(?:\s*\[([^][]*)\]|\s*\(([^()]*)\)|_([a-zµ]+))")
-CLOCK = re.compile(r"[%_]*(time|t|stamp|time_?stamp)_*", re.IGNORECASE)
+CLOCK = re.compile(r"[%_]*(time|t|stamp|time_?stamp|seconds|elapsed)_*", re.IGNORECASE)
 # Rows this far apart [s], of so many, are in another unit: no motion of a robot is known at 2 Hz,
 # and slower schedules that a person writes have fewer rows.
 SLOW, MANY = 0.5, 20
@@ -312,6 +312,14 @@ class Log:
             else:
                 self._put(names, placed, title, self.columns[title], found)
         self._check_unread(names, placed)
+        if self.times is None and {"qvel", "effort"} & placed.arrays.keys() and len(values) > 1:
+            cure = 'name a column "time", or "t [ms]"'
+            raise ValueError(f"{self.source}: has {placed.words}, and no times: {cure}")
+        if "effort" in placed.names and "ctrl" not in placed.names:
+            without = [
+                name for name in placed.names.get("qpos", ()) if name not in placed.names["effort"]
+            ]
+            placed.notes += [f"no torque of {listed(without)}"] if without else []
         if isinstance(model, Model):
             if self.asked:
                 self._check_degrees(model, placed)
