@@ -1,5 +1,7 @@
 """Logs of torques: motors are made where a model has none; beside servos the user chooses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -94,3 +96,16 @@ def test_velocities_of_free_and_ball_joints_need_not_be_logged():
     run = true.run(0.2, record=("qpos",))
     found = sc.identify(model, run, {"gravity[2]": (-20.0, -1.0)})
     assert found.values["gravity[2]"] == pytest.approx(-9.0, rel=1e-6)
+
+
+def test_one_s_own_motion_is_not_advised_to_who_gave_one():
+    """What cannot be made surer, for a motion of the user's and for one of stepcore's."""
+    log = {"t": TIMES, "drive": 0.1 + 0.1 * TIMES}
+    few = {"horizon": 0.2, "starts": 1, "by": "flops", "progress": False, "solvers": ["newton"]}
+    for motion, said in (
+        ({"ctrl": log}, "a shorter piece of this motion"),
+        ({}, "your own motion"),
+    ):
+        trade = sc.trade(sc.loads(SERVO), **few, **motion)
+        trade.reference = replace(trade.reference, needs=np.inf)
+        assert trade._surer() == f"Shorter steps do not make it surer: try {said}."
