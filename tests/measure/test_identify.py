@@ -230,16 +230,16 @@ def test_plot_and_tables(tmp_path):
         ({"parameters": {"joint/elbo/damping": (1, 2)}}, 'no joint is named "elbo"'),
         ({"parameters": {"geom/rod/friction": (0.1, 2)}}, "name one, as geom/rod/friction"),
         ({"logs": []}, "logs: must be at least one"),
-        ({"logs": {"qpos": [1.0]}}, r"logs\[0\]: must be a Trajectory, a DataFrame"),
-        ({"logs": {"time": [0.0, 0.1], "qpos": np.zeros((2, 2))}}, "ctrl is missing"),
-        ({"logs": {"time": [0.1, 0.0], "qpos": np.zeros((2, 2))}}, "increasing"),
+        ({"logs": {"qpos": [1.0]}}, r"logs\[0\] has shape \(1, 1\): must be \(n, 2\)"),
+        ({"logs": {"time": [0.0, 0.1], "qpos": np.zeros((2, 2))}}, "has no controls"),
+        ({"logs": {"time": [0.1, 0.0], "qpos": np.zeros((2, 2))}}, "increase"),
         (
             {"logs": {"time": [0, 0.1], "qpos": np.zeros((2, 3)), "ctrl": np.zeros((2, 2))}},
-            r"qpos has shape \(2, 3\): must be \(2, 2\)",
+            r"qpos has shape \(2, 3\): must be \(n, 2\)",
         ),
         (
             {"logs": {"time": [0, 1], "qpos": np.full((2, 2), np.nan), "ctrl": np.zeros((2, 2))}},
-            "the first row of qpos must be whole",
+            "has no positions",
         ),
     ],
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 
@@ -13,7 +12,6 @@ from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import Column, named_columns, own_value
-from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.arguments import Source
 from stepcore.experiment.change import Change
 from stepcore.loading import find_model
@@ -30,8 +28,10 @@ from stepcore.measure.identification.log import (
     DELAY,
     Log,
     MeasuredLog,
+    driven,
     is_delay,
     late_entries,
+    opened,
     read_log,
     within,
 )
@@ -66,13 +66,10 @@ def identify(
     """Find values of a model from logs of its motion, with exact derivatives.
 
     model: a Model, a Scene, or any argument of `stepcore.load`; its values are the first guess.
-    logs: a log, or a list of several. A log is a `Trajectory`; a dict of arrays with "time" (T,)
-        [s], and as far as they were measured "qpos" and "qvel" (T, n) and "sensordata" (T, m), and
-        "ctrl" (T, nu), each row from its time on; a DataFrame, or a file (.csv, .npz, .parquet,
-        .mcap), with a column of times and columns such as "qpos[knee]", "knee.velocity", or the
-        name of a joint, a sensor or an actuator; or a dict of such sources by array, each with
-        times of its own: {"qpos": "log.mcap:/joint_states", "ctrl": "log.mcap:/commands"}. NaN is
-        not measured. The first row needs a whole qpos.
+    logs: a log, or a list of several. A log is a `stepcore.Log` or what one is read from, such as a
+        file, a DataFrame or a `Trajectory`; or a dict of such sources by array, each with times of
+        its own: {"qpos": "log.mcap:/joint_states", "ctrl": "log.mcap:/commands"}. NaN is not
+        measured. Torques are played by motors, which are made where a model has no actuators.
     parameters: the range of each value, by path as in `Sim.linearize`: (low, high), without 0. A
         value that is 0 in the model begins at √(low·high). "delay" is the time by which controls
         act later than their rows say [s]; it begins at the low end. "delay/qpos", "delay/qvel",
@@ -100,7 +97,8 @@ def identify(
     90.0
     """
     checks.progress("identify", progress)
-    given = Change(precision="f64").of(find_model(model))
+    logs = opened(logs)
+    given = driven(Change(precision="f64").of(find_model(model)), logs)
     if any(actuator.delay > 0 for actuator in given.scene.actuators):
         limit = 'without delays of actuators: make these 0, and "delay" a parameter'
         raise ValueError(f"model: must be {limit}")
@@ -126,12 +124,8 @@ def identify(
     return result
 
 
-def _read(model: Model, logs: Log | Sequence[Log]) -> list[MeasuredLog]:
-    alone = isinstance(logs, (Trajectory, Mapping, str, os.PathLike)) or hasattr(logs, "columns")
-    several: list[Log] = [logs] if alone else [*logs]  # type: ignore[misc]
-    if not several:
-        raise ValueError("logs: must be at least one")
-    return [read_log(model, log, f"logs[{k}]") for k, log in enumerate(several)]
+def _read(model: Model, logs: Sequence[Log]) -> list[MeasuredLog]:
+    return [read_log(model, log, f"logs[{k}]") for k, log in enumerate(logs)]
 
 
 def _bounds(
@@ -293,12 +287,7 @@ def _result(
         linearised=fit.linearised,
         ran=f"{counted(len(fit.logs), 'log')} of {seconds(sum(log.duration for log in fit.logs))} "
         "in all",
-        notes=[
-            f"{log.name} has columns that are nothing of the model: "
-            f"{checks.cut(', '.join(log.unread), 120)}"
-            for log in fit.logs
-            if log.unread
-        ],
+        notes=[note for log in fit.logs for note in log.notes],
     )
 
 
