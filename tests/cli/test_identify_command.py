@@ -36,7 +36,8 @@ def test_values_and_the_model_with_them(capsys):
     assert sc.load("found.xml").joint("hinge").damping == pytest.approx(0.3, rel=1e-9)
     assert main(command) == 0
     out = capsys.readouterr().out
-    assert out.startswith("swing: 1 value from 1 log\n\njoint/hinge/damping = 0.3 (95 %: ")
+    fit = "The model explains the log to within its noise."
+    assert out.startswith(f"swing: 1 value from 1 log\n\n{fit}\njoint/hinge/damping = 0.3 (95 %: ")
 
 
 def test_several_logs_parameters_and_sources(capsys):

@@ -37,7 +37,7 @@ WEAK = 1e-6
 GAP = 10
 
 
-def unit_findings(model: Model, logs: Sequence[MeasuredLog]) -> list[Finding]:
+def log_findings(model: Model, logs: Sequence[MeasuredLog]) -> list[Finding]:
     """Return findings on units that the logs alone show."""
     found = []
     for log in logs:
@@ -173,18 +173,26 @@ class Certainty:
 
 
 def certainty(
-    jacobian: np.ndarray, residual: np.ndarray, kinds: np.ndarray, labels: Sequence[str]
+    jacobian: np.ndarray,
+    residual: np.ndarray,
+    kinds: np.ndarray,
+    labels: Sequence[str],
+    spreads: Sequence[float],
 ) -> Certainty:
     """Return the certainty of estimates from the Jacobian of the residuals.
 
     jacobian: shape (n, all), of which the first columns are of the parameters `labels`.
     residual: shape (n,). kinds: the quantity of each residual, whose variance is its own.
+    spreads: of each quantity, how many times the variance of a mean is that of white noise.
 
     The estimates are off by J⁺ e, whose covariance is J⁺ V J⁺ᵀ with the variances V of e.
     """
     spare = max(1, len(residual) - jacobian.shape[1]) / len(residual)
     variances = np.array(
-        [np.mean(residual[kinds == kind] ** 2) / spare for kind in range(kinds.max() + 1)]
+        [
+            spread * np.mean(residual[kinds == kind] ** 2) / spare
+            for kind, spread in enumerate(spreads)
+        ]
     )
     inverse, turns, weak = _inverse(jacobian)
     count = len(labels)
