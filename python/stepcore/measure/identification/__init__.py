@@ -124,7 +124,7 @@ def identify(
     labels = list(bounds)
     fit = Predictions(compiled, read, labels, threads=workers.threads)
     check_smooth(compiled, {part.entry for part in fit.parts if part.array == "sensordata"})
-    findings = [*log_findings(compiled, whole), *gap_findings(whole)]
+    findings = [*log_findings(compiled, whole, labels), *gap_findings(whole)]
     for finding in findings:
         workers.deadline.so_far(finding.text)
     start = np.concatenate([list(guess.values()), np.zeros(fit.free)])

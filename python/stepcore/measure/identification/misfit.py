@@ -13,14 +13,12 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import named_columns
 from stepcore.experiment.change import Change
+from stepcore.measure.identification.doubts import WEAK
 from stepcore.measure.identification.log import DELAY
 from stepcore.measure.identification.predictions import Predictions
 
 # Noise passes for more than noise once in ten thousand logs, of a hundred values and lags tried.
 SURE = NormalDist().inv_cdf(1 - 1e-6)
-# A value that is zero has no derivative, because a step leaves it out: it is derived here. And a
-# share of the motion that is as small is rounding.
-ALMOST = 1e-6
 # The lags over which autocorrelations are summed: of misfits that change quickly and slowly.
 LAGS = 4.0 ** np.arange(3)
 
@@ -78,7 +76,7 @@ def misfits(fit: Predictions, after: np.ndarray, steps: Mapping[str, float]) -> 
         if math.isfinite(digit):
             noise = min(square, max(noise, digit**2 / 12))
         white, spread = True, 1.0
-        if square > (ALMOST * fit.scales[label]) ** 2:
+        if square > (WEAK * fit.scales[label]) ** 2:
             white, spread = _autocorrelation(rows, square)
         found[label] = Misfit(math.sqrt(square), math.sqrt(noise), steps[label], white, spread)
     return found
@@ -118,8 +116,6 @@ LOOKS = {
 }
 
 
-# The share from which on a value explains most of a residual.
-MOST = 0.5
 # What explains a residual if steps four times shorter do.
 STEP = "the time step"
 
@@ -167,11 +163,15 @@ class Quality:
     def verdict(self) -> str:
         """What the residual is: "noise", "step", "unexplained", or "bad" if more than the noise."""
         worst, lacks = self.misfits[self.worst], self.missing
-        if worst.unexplained or (lacks is not None and lacks.sure):
-            if lacks is not None and lacks.label == STEP and lacks.share > MOST:
-                return "step"
-            return "bad" if worst.unexplained > worst.noise else "unexplained"
-        return "noise"
+        if not worst.unexplained and not (lacks is not None and lacks.sure):
+            return "noise"
+        if lacks is not None and lacks.sure and lacks.share > 0.5:
+            short = lacks.label == STEP
+        else:
+            short = all(each.unexplained <= each.step for each in self.misfits.values())
+        if short:
+            return "step"
+        return "bad" if worst.unexplained > worst.noise else "unexplained"
 
 
 def missing(
@@ -190,7 +190,7 @@ def missing(
     residual, in units of the noise: of white noise a number of a χ² distribution.
     """
     count = len(fit.labels)
-    least = [max(found[label].noise, ALMOST * fit.scales[label]) for label in fit.quantities]
+    least = [max(found[label].noise, WEAK * fit.scales[label]) for label in fit.quantities]
     noise = fit.in_units(least)[:, None]
     model, values = _candidates(fit)
     wide = Predictions(model, fit.logs, [*fit.labels, *values], fit.scales, fit.threads)
@@ -202,11 +202,11 @@ def missing(
     left = residual - basis @ (basis.T @ residual)
     added = columns - basis @ (basis.T @ columns)
     sizes = np.linalg.norm(added, axis=0)
-    seen = sizes > ALMOST * np.linalg.norm(columns, axis=0)
+    seen = sizes > WEAK * np.linalg.norm(columns, axis=0)
     change = np.where(seen, -(left @ added) / np.where(seen, sizes, 1.0) ** 2, 0.0)
     # What the model does not have can only be added; but what was measured may be early.
     labels = [*values, STEP]
-    absent = np.array([*(value in (0.0, ALMOST) for value in values.values()), True])
+    absent = np.array([*(value in (0.0, WEAK) for value in values.values()), True])
     can = (change > 0) | ~absent | [label.startswith(f"{DELAY}/") for label in labels]
     explained = np.where(can, (change * sizes) ** 2, 0.0)
     best = int(np.argmax(explained))
@@ -233,7 +233,7 @@ def _candidates(fit: Predictions) -> tuple[Model, dict[str, float]]:
             if column.value:
                 found[label] = column.value
             elif kind == "joint" and model.jnt_type[k] in ("hinge", "slide"):
-                found[label] = almost[label] = ALMOST
+                found[label] = almost[label] = WEAK
     late = [f"{DELAY}/{array}" for array in dict.fromkeys(part.array for part in fit.parts)]
     found |= dict.fromkeys([DELAY] * bool(model.nu) + late, 0.0)
     values = {label: value for label, value in found.items() if label not in fit.labels}

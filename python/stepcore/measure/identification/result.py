@@ -11,7 +11,7 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.measure.identification.log import DELAY, is_delay
-from stepcore.measure.identification.misfit import MOST, Quality
+from stepcore.measure.identification.misfit import Quality
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.result import Result
 from stepcore.report.table import Table
@@ -155,7 +155,7 @@ class Identification(Result):
             said = "The residual is about as small as the noise, but not random"
         if lacks is None:
             return f"{said}."
-        if lacks.share < MOST:
+        if lacks.share < 0.5:
             return f"{said}; no single value besides these explains most of it."
         return f"{said}; it looks like {lacks.looks} ({in_words(lacks.label)}?)."
 
