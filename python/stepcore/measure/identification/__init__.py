@@ -19,6 +19,7 @@ from stepcore.experiment.arguments import Source, Workers
 from stepcore.experiment.change import Change
 from stepcore.loading import find_model
 from stepcore.measure.identification.doubts import (
+    WEAK,
     certainty,
     fit_findings,
     gap_findings,
@@ -301,8 +302,10 @@ def _result(
     sure = certainty(search.jacobian, fit.residual(x), kinds, fit.labels, spreads)
     half, lacks = SIGMAS * sure.errors, None
     shorter = fit.residual_of(finer) - fit.residual_of(after)
-    with limit.stage("the value that would explain the residual"):
-        lacks = missing(fit, x, search.jacobian, shorter, found)
+    # Of an exact log nothing is left to explain.
+    if any(each.residual > WEAK * fit.scales[label] for label, each in found.items()):
+        with limit.stage("the value that would explain the residual"):
+            lacks = missing(fit, x, search.jacobian, shorter, found)
     quality = Quality(found, lacks)
     if quality.verdict == "bad":
         half = np.full(len(half), np.inf)
