@@ -81,7 +81,7 @@ print(f"shoulder: {found.values['joint/shoulder/frictionloss']:.3f} N·m")
 # %% [markdown]
 # The residual is hardly more than the noise of 1 mrad. All the same the values are
 # off: steps of 2 ms err by more than the noise, and the values make up for it. The
-# first line says so, because the prediction was also run with shorter steps, and the
+# first line says so, because the prediction was run with shorter steps too, and the
 # intervals are wider for it. The column `finer` has what these steps would find.
 # Nothing but the step needs to change:
 
