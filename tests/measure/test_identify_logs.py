@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from arm_log import DAMPING, HIDDEN, RANGES, TRUE, controls, guess, mujoco_log
+from arm_log import DAMPING, HIDDEN, RANGES, TRUE, controls, guess, mujoco_log, noisy
 
 import stepcore as sc
+from stepcore.measure.identification.doubts import log_findings
 from stepcore.measure.identification.log import read_log
 
 pytest.importorskip("scipy")
@@ -149,7 +150,7 @@ def swing(seconds=2.0):
         ({}, None),
         ({"qpos": 57.2958}, "reaches 57.3 rad, its range 1.57 rad: it looks like degrees"),
         ({"qvel": 57.2958}, "velocity is 57.3× the change of its position: it looks like degrees"),
-        ({"time": 0.001}, "changes 1000× the measured velocity: times must be in seconds"),
+        ({"time": 0.001}, "changes 1000× its velocity: times must be in seconds"),
     ],
 )
 def test_units_are_doubted(change, said):
@@ -162,6 +163,26 @@ def test_units_are_doubted(change, said):
     else:
         assert units[0].severity == "error" and said in units[0].text
         assert units[0].text in found.sentences
+
+
+def spoiled(kind):
+    """A noisy log, one of whose columns is not what its name says; None: a clean one."""
+    log, ahead = noisy(mujoco_log()), slice(3, None)
+    if kind == "sign":
+        log["ctrl"][:, 0] *= -1
+    elif kind == "swapped":
+        log["qvel"] = log["qvel"][:, ::-1]
+    elif kind == "delay":
+        log["qvel"][ahead] = log["qvel"][:-3]
+    elif kind == "wrapped":
+        log["qpos"][log["qpos"][:, 0] > log["qpos"][0, 0] + 0.05, 0] -= 2 * np.pi
+    return log
+
+
+@pytest.mark.parametrize("kind", ["sign", "swapped", "delay", "wrapped", None])
+def test_columns_that_are_not_what_they_say_are_doubted_before_the_run(kind):
+    read = read_log(known(), spoiled(kind), "log")
+    assert [finding.kind for finding in log_findings(known(), [read], [])] == [kind] * bool(kind)
 
 
 def test_a_sensor_in_another_unit_is_doubted_by_the_fit():

@@ -19,6 +19,7 @@ from stepcore.engine.linearization import LinearSteps, LinearWorlds
 from stepcore.engine.parameters import columns, split_entry
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.trajectory import Rollout
+from stepcore.executors import checkpoint
 
 if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
@@ -516,6 +517,7 @@ def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -
     slopes[0, :size, count:] = np.eye(size)
     slopes[:, size:, :count] = np.eye(count)
     for block in steps.blocks():
+        checkpoint()
         A, B, P = (one[0] for one in steps.linear(range(world, world + 1), block)[:3])
         each = np.concatenate([A, P, B @ pushes[block]], axis=2)
         own = slopes[block[0] : block[-1] + 2]
