@@ -1,4 +1,4 @@
-"""How a file says that its scene looks: textures, lights, and the visual geoms of a URDF."""
+"""How a file says that its scene looks: textures, and the visual geoms of a URDF."""
 
 import os
 import struct
@@ -6,7 +6,6 @@ import zlib
 
 import numpy as np
 import pytest
-from renderers import RENDERERS
 
 import stepcore as sc
 from stepcore.mjcf.appearance import GREY
@@ -139,11 +138,9 @@ TEXTURED = """
 <material name="floor" texture="board" rgba="1 0.5 1 1"/>
 <material name="wood" rgba="1 1 0.5 1"><layer texture="wood" role="rgb"/></material>
 </asset><worldbody>
-<light pos="0 0 3" dir="0 0 -2" diffuse="0.9 0.8 0.7"/>
 <geom name="floor" type="plane" size="1 1 1" material="floor"/>
 <body name="arm"><joint/><geom name="arm" size=".1" material="wood"/>
-<geom name="own" size=".1" pos="1 0 0" material="wood" rgba="0.5 1 1 1"/>
-<light type="directional" dir="1 0 0"/><light active="false"/></body>
+<geom name="own" size=".1" pos="1 0 0" material="wood" rgba="0.5 1 1 1"/></body>
 </worldbody></mujoco>"""
 
 
@@ -182,24 +179,10 @@ def test_an_image_that_is_not_there_is_a_note(tmp_path):
     assert len(drawing.notes) == 1 and "wood.png" in drawing.notes[0]
 
 
-def test_lights_are_those_of_the_file(images):
-    _, drawing = drawn(TEXTURED, base=images)
-    lamp, sun = sorted(drawing.lights, key=lambda light: light.body)
-    assert (lamp.body, lamp.pos, lamp.dir) == (0, (0, 0, 3), (0, 0, -1))
-    assert lamp.diffuse == (0.9, 0.8, 0.7) and lamp.kind == "spot"
-    assert (drawing.bodies[sun.body], sun.dir, sun.kind) == ("arm", (1, 0, 0), "directional")
-    assert drawing.headlight.diffuse == (0.4, 0.4, 0.4)
-    dark = TEXTURED.replace("<asset>", '<visual><headlight active="0"/></visual><asset>', 1)
-    _, drawing = drawn(dark, base=images)
-    assert drawing.headlight.diffuse == (0, 0, 0)
-
-
-ODD = """<mujoco><default><default class="warm"><light diffuse="1 .5 0"/></default></default>
-<visual><headlight {headlight}/></visual><asset>
+ODD = """<mujoco><asset>
 <texture name="t" type="2d" builtin="checker" width="8" height="8" {texture}/>
 <material name="odd" {material} texture="t"/><material name="red" rgba="1 0 0 1"/></asset>
-<worldbody><light class="warm" diffuse="" cutoff=""/><light {light}/>
-<body><joint/><geom name="red" size=".1" mass="1" material="red"/>
+<worldbody><body><joint/><geom name="red" size=".1" mass="1" material="red"/>
 <geom name="odd" size=".1" pos="1 0 0" material="odd"/>
 <geom name="seen" type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/></body>
 </worldbody></mujoco>"""
@@ -208,14 +191,6 @@ ODD = """<mujoco><default><default class="warm"><light diffuse="1 .5 0"/></defau
 @pytest.mark.parametrize(
     "odd",
     [
-        'light diffuse="1"',
-        'light dir="0 0 -1 0"',
-        'light dir="0 0"',
-        'light dir="0 0 0"',
-        'light active="1"',
-        'light type="nope"',
-        'headlight ambient="a b c"',
-        'headlight diffuse="1"',
         'material rgba="1 0"',
         'material rgba="1 0 0 1 1"',
         'texture rgb1="1 0"',
@@ -223,13 +198,11 @@ ODD = """<mujoco><default><default class="warm"><light diffuse="1 .5 0"/></defau
     ],
 )
 def test_what_mujoco_refuses_costs_a_note_and_no_other_colour(odd):
-    """The other light, the other material and the geoms that only draw stay."""
+    """The other material and the geoms that only draw stay."""
     import mujoco
 
     tag, attribute = odd.split(" ", 1)
-    text = ODD.format(
-        **dict.fromkeys(("light", "headlight", "material", "texture"), "") | {tag: attribute}
-    )
+    text = ODD.format(**dict.fromkeys(("material", "texture"), "") | {tag: attribute})
     with pytest.raises(ValueError):
         mujoco.MjModel.from_xml_string(text)
     _, drawing = drawn(text)
@@ -237,61 +210,6 @@ def test_what_mujoco_refuses_costs_a_note_and_no_other_colour(odd):
     assert f"<{tag}>" in note and attribute.split("=")[0] in note
     shapes = {shape.name: shape for shape in drawing.shapes}
     assert set(shapes) == {"red", "odd", "seen"} and shapes["red"].rgba == (1, 0, 0, 1)
-    assert len(drawing.lights) == (1 if tag == "light" else 2)
-    assert (1, 0.5, 0) in [light.diffuse for light in drawing.lights]
-    assert drawing.headlight.ambient == (0.1, 0.1, 0.1)
-
-
-KINDS = """<mujoco><visual><headlight ambient="0 0 0" diffuse="0 0 0"/></visual><worldbody>
-<light type="{}" pos="4 0 1" dir="1 0 0" diffuse="1 1 1"/>
-<body pos="0 0 1"><joint type="slide" axis="0 0 1"/><geom size="0.2"/></body>
-</worldbody></mujoco>"""
-
-
-def test_a_light_of_type_point_shines_to_all_sides():
-    """The ball stands behind it, where a spot does not shine."""
-
-    def brightness(kind, renderer):
-        sim = sc.Sim(sc.loads(KINDS.format(kind)))
-        seen = sc.picture(sim, renderer=renderer, turn=0.0, width=64, height=48)
-        return seen[20:28, 28:36].mean()
-
-    for renderer in RENDERERS:
-        assert brightness("point", renderer) > 1.3 * brightness("spot", renderer)
-
-
-def test_a_light_of_type_image_is_not_drawn():
-    _, drawing = drawn(KINDS.format("image"))
-    assert drawing.lights == []
-    assert drawing.notes == ["<string>:2: <light> (of type image, which is not drawn)"]
-
-
-FRAMED = """<mujoco><compiler angle="radian"/><default>
-<default class="lamp"><light diffuse=".1 .2 .3" pos="0 0 1"/></default></default><worldbody>
-<frame pos="1 2 3" euler="0 0 1.5707963267948966" childclass="lamp">
-  <light name="one" dir="1 0 -1"/>
-  <frame quat="0 1 0 0"><light name="two" pos="0 .5 0"/></frame>
-  <body name="arm" pos="0 1 0"><joint/><geom size=".1" mass="1"/><light name="three" dir="0 1 0"/>
-    <frame pos="0 0 2"><light name="four" class="main"/></frame></body></frame>
-<replicate count="2" offset="0 0 .5"><light name="many" pos="3 0 0"/></replicate>
-</worldbody></mujoco>"""
-
-
-def test_lights_in_frames_stand_where_mujoco_has_them():
-    """Against MuJoCo's compiled model: pose in the body, colour, in any order."""
-    import mujoco
-
-    _, drawing = drawn(FRAMED)
-    theirs = mujoco.MjModel.from_xml_string(FRAMED)
-    assert len(drawing.lights) == theirs.nlight == 6
-    columns = theirs.light_bodyid[:, None], theirs.light_pos, theirs.light_dir, theirs.light_diffuse
-    expected = np.hstack(columns)
-    own = [(light.body, *light.pos, *light.dir, *light.diffuse) for light in drawing.lights]
-
-    def ordered(rows):
-        return sorted((np.round(rows, 6) + 0.0).tolist())
-
-    assert np.allclose(ordered(own), ordered(expected), atol=1e-6)
 
 
 def chunk(kind, data):
