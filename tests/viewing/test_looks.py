@@ -1,4 +1,4 @@
-"""How a file says that its scene looks: textures, and the visual geoms of a URDF."""
+"""How a file says that its scene looks: colours, textures and visual geoms."""
 
 import os
 import struct
@@ -36,20 +36,6 @@ def drawn(text, **values):
     return sim, drawing_of(sim.model, sim)
 
 
-def test_the_visual_geoms_of_a_urdf_are_drawn_and_not_in_the_physics():
-    sim, drawing = drawn(ARM)
-    assert sim.model.ngeom == 2
-    shown = {
-        (drawing.bodies[shape.body], shape.kind): shape for shape in drawing.shapes if shape.shown
-    }
-    # What collides is hidden on links that have visual geoms.
-    assert set(shown) == {("world", "box"), ("upper", "cylinder"), ("tool", "sphere")}
-    box, rod = shown["world", "box"], shown["upper", "cylinder"]
-    assert (box.size, box.pos, box.rgba) == ((1, 2, 3), (1, 2, 3), (1, 0, 0, 0.5))
-    assert (rod.size[:2], rod.rgba) == ((0.1, 1), (0, 0, 1, 1))
-    assert [note for note in drawing.notes if "none.dae" in note and "saved" not in note]
-
-
 def test_a_file_of_which_something_is_left_out_keeps_its_colours():
     colour = '<mujoco><worldbody><body><joint name="j"/><geom size=".1" rgba="1 0 0 1"/></body>'
     text = f'{colour}</worldbody><sensor><jointpos joint="j"/></sensor></mujoco>'
@@ -58,77 +44,13 @@ def test_a_file_of_which_something_is_left_out_keeps_its_colours():
     assert not drawing.notes
 
 
-def test_a_visual_may_have_the_name_of_a_later_collision():
-    first, later = '<collision name="seen"><geometry><sphere radius="1"', '<sphere radius=".3"/>'
-    named = ARM.replace(first, first.replace(' name="seen"', ""))
-    named = named.replace(
-        f"<collision><geometry>{later}", f'<collision name="seen"><geometry>{later}'
-    )
-    _, drawing = drawn(named)
-    shown = {(drawing.bodies[s.body], s.kind) for s in drawing.shapes if s.shown}
-    assert shown == {("world", "box"), ("upper", "cylinder"), ("tool", "sphere")}
-
-
-def test_what_collides_is_hidden_by_link_and_not_by_body():
-    """A tool on a fixed joint is part of the arm: its collisions stand for it, the arm's do not."""
-    fixed = ARM.replace('name="two" type="continuous"', 'name="two" type="fixed"')
-    for fuse, tool in ((None, "upper"), (False, "tool")):
-        _, drawing = drawn(fixed, fuse=fuse)
-        shown = {(drawing.bodies[s.body], s.kind) for s in drawing.shapes if s.shown}
-        assert shown >= {("upper", "cylinder"), (tool, "sphere")}
-        assert len(shown) == 3
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "note", "kept"),
-    [
-        # A material that cannot be read leaves the shape, an odd shape the others.
-        ('rgba="1 0 0 0.5"', 'rgba="1 0 0"', "rgba = '1 0 0'", {"box", "cylinder"}),
-        ('rgba="0 0 1 1"', 'rgba="0 0 1"', "rgba = '0 0 1'", {"box", "cylinder"}),
-        ('<origin xyz="1 2 3"/>', '<origin xyz="0 0"/>', "xyz = '0 0'", {"cylinder"}),
-        ('<box size="2 4 6"/>', "<cone/>", "unknown element <cone>", {"cylinder"}),
-        (
-            '<material name="red">',
-            '<material name="blue"/><material name="red">',
-            "a second",
-            {"cylinder"},
-        ),
-        (
-            '<color rgba="1 0 0 0.5"/>',
-            '<texture filename="no://a.png"/>',
-            "no://",
-            {"box", "cylinder"},
-        ),
-    ],
-)
-def test_an_odd_visual_of_a_urdf_costs_no_other(old, new, note, kept):
-    text = ARM.replace(old, new, 1)
-    assert text != ARM
-    _, drawing = drawn(text)
-    assert any(note in line for line in drawing.notes)
-    assert {shape.kind for shape in drawing.shapes if shape.shown} - {"sphere"} == kept
-    rods = [shape for shape in drawing.shapes if shape.kind == "cylinder"]
-    assert 'rgba="0 0 1"' in new or [rod.rgba for rod in rods] == [(0, 0, 1, 1)]
-
-
-def test_a_texture_of_a_urdf_gives_its_mean_colour(images):
-    shade = '<texture filename="images/wood.png"/>'
-    text = ARM.replace('<color rgba="0 0 1 1"/>', shade)
-    text = text.replace('<color rgba="1 0 0 0.5"/>', f'<color rgba="0.5 1 1 0.5"/>{shade}')
-    _, drawing = drawn(text, base=images)
-    colours = {shape.kind: shape.rgba for shape in drawing.shapes if shape.shown}
-    assert colours["cylinder"] == pytest.approx((0.5, 0.25, 0, 1), abs=0.005)
-    assert colours["box"] == pytest.approx((0.25, 0.25, 0, 0.5), abs=0.005)
-    _, drawing = drawn(text, base=images / "images")
-    assert len([note for note in drawing.notes if "wood.png" in note]) == 2
-
-
-def test_a_urdf_without_colours_gets_one_for_each_body():
-    text = ARM.replace('<material name="blue"/>', "").replace('<color rgba="1 0 0 0.5"/>', "")
-    _, drawing = drawn(text)
+def test_a_urdf_gets_a_colour_for_each_body_and_its_visuals_are_not_read():
+    sim, drawing = drawn(ARM)
+    assert sim.model.ngeom == len(drawing.shapes) == 2
     colours = {shape.body: shape.rgba for shape in drawing.shapes if shape.shown}
-    assert len(set(colours.values())) == len(colours) == 3
+    assert len(set(colours.values())) == len(colours) == 2
     assert GREY not in colours.values()
+    assert any("<visual>" in line for line in sim.model.scene.ignored)
 
 
 TEXTURED = """

@@ -22,7 +22,6 @@ from stepcore.mjcf.validation import Exclusions, seen_values
 from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
-from stepcore.urdf.translate import to_mjcf
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
@@ -57,14 +56,12 @@ class Looks:
 
     colours: the look of each geom of the scene, in the order of the compiled model.
     geoms: (body index, geom, look) of each geom that only draws.
-    covered: indices of collision geoms that are not shown: their URDF link has visual geoms.
     notes: a line for each asset that could not be read.
     """
 
     colours: list[Look] = field(default_factory=list)
     geoms: list[tuple[int, Geom, Look]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    covered: list[int] = field(default_factory=list)
 
 
 class _DrawnAssets(Assets):
@@ -93,26 +90,20 @@ class _DrawnAssets(Assets):
 def read_looks(scene: Scene) -> Looks | None:
     """Return the appearance of a scene according to its source file or text.
 
-    Returns None for a scene built in code, and for a scene whose bodies or geoms have changed.
+    Returns None for a scene built in code, for a URDF, and for a scene whose bodies or geoms have
+    changed.
     """
     source = scene._source
-    if source is None or not (source.data or source.urdf):
+    if source is None or not source.data:
         return None
-    root = parse(source.data or source.urdf, source.files[0])
+    root = parse(source.data, source.files[0])
     home = None if source.directory is None else Path(source.directory)
     expand(root, home, Path(source.files[0]) if home is not None else None)
-    links: list[tuple[list[Node], list[Node]]] = []
-    undrawn: list[str] = []
-    if source.urdf:
-        urdf = to_mjcf(root, source.directory, drawn=True)
-        root, links, undrawn = urdf.tree, urdf.drawn, urdf.undrawn
     drawn, refusals = type(scene)(), Refusals()
     model = prepared(drawn, root, source.directory, refusals, Exclusions(source.without))
     world = read_sections(drawn, model, refusals, _DrawnAssets)
     refusals.raise_all()
     finish(world, source.fuse)
-    of_links = {id(node) for _, visuals in links for node in visuals}
-    world.only_drawn |= {id(shape.geom) for shape in world.shapes if id(shape.node) in of_links}
     layout, own = Layout(drawn), Layout(scene)
     seen = [geom for geom in layout.geoms if id(geom) not in world.only_drawn]
     names = [body.name for body in layout.bodies], [geom.name for geom in seen]
@@ -123,20 +114,11 @@ def read_looks(scene: Scene) -> Looks | None:
     surfaces = _Surfaces(model, assets)
     colours = {id(shape.geom): surfaces.of(shape.values) for shape in world.shapes}
     looks = Looks([colours[id(geom)] for geom in seen])
-    looks.notes += [*undrawn, *sorted({*assets.unread.values(), *surfaces.unread})]
+    looks.notes += sorted({*assets.unread.values(), *surfaces.unread})
     for geom in layout.geoms:
         asset = geom.mesh if geom.mesh is not None else geom.hfield
         if id(geom) in world.only_drawn and id(asset) not in assets.unread:
             looks.geoms.append((layout.index[id(geom.body)], geom, colours[id(geom)]))
-    geoms = {id(shape.node): id(shape.geom) for shape in world.shapes}
-    drawn_too = {id(geom) for _, geom, _ in looks.geoms}
-    covered = {
-        geoms.get(id(node))
-        for collisions, visuals in links
-        if any(geoms.get(id(visual)) in drawn_too for visual in visuals)
-        for node in collisions
-    }
-    looks.covered = [index for index, geom in enumerate(seen) if id(geom) in covered]
     return looks
 
 

@@ -156,7 +156,7 @@ def _shapes(model: Model, world: World, looks: Looks, moving: NDArray[np.bool_])
             quat = quat_of(turn.T @ world.geom_xmat[index])
             if kind == "mesh":
                 surface = model.geom_hull(index)
-        shown = geom.group in SHOWN_GROUPS and index not in looks.covered
+        shown = geom.group in SHOWN_GROUPS
         drawn = "triangles" if surface is not None else kind
         shapes.append(Shape(body, drawn, size, pos, quat, rgba, shown, surface, geom.name, squares))
     for body, geom, look in looks.geoms:
