@@ -79,12 +79,12 @@ def prepared(
             refusals.raise_all()
 
         expansion = Expansion(root, compiler, check)
-        fusestatic = compiler.values.get("fusestatic", False)
+        ranges, fusestatic = compiler.ranges, compiler.values.get("fusestatic", False)
         root = expansion.expanded(cause)
         scene.notes += expansion.notes
         validate(root, refusals, exclusions)
         compiler = Compiler(sections(root, "compiler"), directory, root.file)
-        compiler.values["fusestatic"] = fusestatic
+        compiler.ranges, compiler.values["fusestatic"] = ranges, fusestatic
         files = dict.fromkeys(expansion.files)
     return Model(root, compiler, Defaults(sections(root, "default")), tuple(files))
 

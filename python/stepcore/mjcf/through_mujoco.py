@@ -304,7 +304,7 @@ def _written(spec: Any) -> str:
     """Return the MJCF of a spec with exact numbers; raise ValueError if it is another model's."""
     import mujoco  # type: ignore[import-untyped,unused-ignore]
 
-    model = spec.compile()
+    model = _compiled(spec)
     other = ""
     # Free bodies are aligned now; and where models have other rules for masses, every body's
     # inertia is written in place of the rules.
@@ -312,10 +312,16 @@ def _written(spec: Any) -> str:
         spec.compiler.saveinertial |= len(followed) > 1
         with exact_numbers():
             text = re.sub(rf' ({"|".join(followed)})="[^"]*"', "", spec.to_xml())
-        other = difference(model, mujoco.MjSpec.from_string(text).compile())
+        other = difference(model, _compiled(mujoco.MjSpec.from_string(text)))
         if not other:
             return text
     raise ValueError(f"the expanded model cannot be written without a change of its {other}")
+
+
+def _compiled(spec: Any) -> Any:
+    """Compile a spec without lengths of muscles: MuJoCo's search for these may have no end."""
+    spec.compiler.LRopt.mode = 0
+    return spec.compile()
 
 
 def difference(model: Any, other: Any) -> str:

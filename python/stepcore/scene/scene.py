@@ -102,7 +102,7 @@ class Scene(checks.KnownNames):
         (`ContactOverride`).
     mass_rules: how body masses follow from geoms (`MassRules`: MJCF's ``<compiler>``).
     lengthrange: how `compile` finds the length range of muscles that do not give a range
-        (`LengthRange`: MJCF's ``<lengthrange>``); `compile` lets MuJoCo simulate it.
+        (`LengthRange`: MJCF's ``<lengthrange>``); `compile` runs a simulation for this.
     features: the physical effects that the model includes (`Features`: MJCF's ``<flag>``).
     options: the fields of `Settings` that the scene sets; see `settings`.
     ignored: elements of the file that cannot change the motion, one line each.
