@@ -94,9 +94,9 @@ class Recording:
         The controls are those of the readings, and pushes are left out.
         """
         sim, dt = self.at(first), self.model.settings.dt
-        state = [np.array(self[name][first]) for name in ("qpos", "qvel", "act")]
+        qpos, qvel, act = (np.array(self[name][first]) for name in ("qpos", "qvel", "act"))
         mocap = np.array(sim.mocap_pos), np.array(sim.mocap_quat)
-        start, hold = Start(*state, mocap), max(1, round(self.spacing / dt))
+        start, hold = Start(qpos, qvel, act, mocap), max(1, round(self.spacing / dt))
         rows = self["ctrl"][None, first:last]
         again = followed(self.driven, start, hold * (last - first), ctrl=rows, hold=hold)
         times = again.times + self.times[first]
