@@ -594,8 +594,8 @@ def _without_armature(scene: Described) -> Iterator[Finding]:
     )
     needed = rounded(least(of) - of.inertia, 2, up=True)
     cure = (
-        f'armature="{needed:g}" on {model.element_name("joint", of.joint)} makes it slow enough '
-        "(a geared motor has that much), or lower the gains"
+        f'armature="{needed:g}" on {model.element_name("joint", of.joint)} makes it slow enough, '
+        "or lower the gains"
     )
     yield Finding("armature", "warning", problem, cure, servos, of.inertia, unit)
 
