@@ -26,16 +26,16 @@ SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 def watched(scene, time=1.0, key=None, control=None, depth=None, **settings):
     """A recorded run of a scene, and its findings with the cures that hold in the same run."""
 
-    def run(model):
+    def run(model, share=1.0):
         start, held = home(model, key)
         how = {"control": control, "hold": round(0.002 / model.settings.dt)}
         if control is None:
             how = {"ctrl": held[None, None]}
-        return followed(model, start, round(time / model.settings.dt), **how)
+        return followed(model, start, round(share * time / model.settings.dt), **how)
 
     model = scene.compile().with_settings(**settings)
     seen = run(model)
-    return seen, verified(shown(seen, depth), model, run)
+    return seen, verified(shown(seen, depth), model, run, round(time / model.settings.dt))
 
 
 def the(findings, kind):

@@ -263,13 +263,13 @@ def simulated(
     held, unused, qpos = np.array(sim.ctrl), drive.fresh(), np.array(sim.qpos)
     single = SingleRun(sim, drive, shoved, RECORDED, recordable(record))
 
-    def again(cured: Model) -> Recording:
-        """Return the recording of the same run with another model."""
+    def again(cured: Model, share: float) -> Recording:
+        """Return the recording of a share of the same run with another model."""
         other = unwatched(Sim(Change(servos=drive.servos).of(cured)))
         other.reset(key=key)
         other.qpos, other.ctrl = qpos, held
         repeated = SingleRun(other, unused.fresh(), shoved, RECORDED)
-        repeated.run(round(steps * dt / other.settings.dt))
+        repeated.run(round(share * steps * dt / other.settings.dt))
         if repeated.error is not None:
             raise repeated.error
         return _recording(repeated, cured, key)
