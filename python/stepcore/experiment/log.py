@@ -449,14 +449,17 @@ class Log:
                 )
 
     def _unwrap(self, model: Model, placed: Placed) -> None:
-        """Make angles of continuous joints go on where they jump by a turn."""
+        """Make angles go on where they jump by a turn, unless that leaves the joint's range."""
         for joint, title, values in self._hinges(model, placed):
-            known = np.isfinite(values)
-            turns = 2 * np.pi
-            jumps = np.abs(np.diff(values[known])) > 0.75 * turns
-            endless = np.ptp(model.jnt_range[joint]) > turns
-            if endless and jumps.any() and np.ptp(values[known]) <= turns:
-                values[known] = np.unwrap(values[known], 1.5 * np.pi)
+            known, turn = np.isfinite(values), 2 * np.pi
+            jumps = np.abs(np.diff(values[known])) > 0.75 * turn
+            if not jumps.any() or np.ptp(values[known]) > turn:
+                continue
+            whole = np.unwrap(values[known], 0.75 * turn)
+            limits = model.jnt_range[joint]
+            outside = [np.abs(each - each.clip(*limits)) for each in (whole, values)]
+            if outside[0].max() <= np.nanmax(outside[1]):
+                values[known] = whole
                 count = counted(int(jumps.sum()), "jump")
                 placed.notes.append(f"{title} is unwrapped at {count} by a turn")
 

@@ -78,21 +78,13 @@ Doubt = tuple[str, list[int], str, str]
 
 
 def _position_doubts(model: Model, log: MeasuredLog, joints: Sequence[int]) -> Iterator[Doubt]:
-    """Yield hinges whose positions are far outside of their range, or jump by whole turns."""
+    """Yield hinges whose positions are far outside of their range."""
     for joint in [k for k in joints if model.jnt_type[k] == "hinge"]:
-        times, values = log.measured["qpos"]
-        column = values[:, int(model.jnt_qposadr[joint])]
+        column = log.measured["qpos"][1][:, int(model.jnt_qposadr[joint])]
         largest, limit = np.nanmax(np.abs(column)), float(np.abs(model.jnt_range[joint]).max())
         if limit > 0 and OUTSIDE * limit < largest < OUTSIDE * DEGREES * limit:
             what = f"its position reaches {largest:.3g} rad, its range {limit:.3g} rad"
             yield "units", [joint], what, "it looks like degrees"
-        jumps = np.abs(np.diff(column))
-        turned = np.abs(jumps / (2 * np.pi) - 1) < NEAR
-        # Neighbouring rows otherwise differ by little.
-        if turned.any() and np.nanmax(jumps[~turned], initial=0.0) < np.pi / 2:
-            when = seconds(times[int(np.flatnonzero(turned)[0])])
-            what = f"its position jumps by a whole turn after {when}"
-            yield "wrapped", [joint], what, "unwrap it, as numpy.unwrap does"
 
 
 def _velocity_doubts(
