@@ -309,7 +309,9 @@ def two(apart, tree):
 def test_an_overlap_at_the_start_is_told_with_its_depth():
     one = the(watched(two(0.17, False))[1], "overlap at the start")
     assert one.severity == "error" and one.value == pytest.approx(0.03)
-    assert "Geoms `a` and `b` overlap by 30 mm" in one.text and "move body `b` away" in one.text
+    assert (
+        "Geoms `a` and `b` overlap by 30 mm" in one.text and "move body `b` 30 mm away" in one.text
+    )
     assert watched(two(0.201, False))[1] == []
 
 
@@ -359,7 +361,7 @@ WHEEL = """<mujoco><option cone="elliptic"/><worldbody>
 def test_a_wheel_on_a_fixed_axle_cannot_leave_the_floor():
     one = the(watched(sc.loads(WHEEL))[1], "overlap at the start")
     assert one.severity == "warning" and one.value == pytest.approx(1e-3)
-    assert "no joint can move them apart: move body `wheel` away" in one.text
+    assert "no joint can move them apart: move body `wheel` 1 mm away" in one.text
 
 
 def test_geoms_that_joints_hold_in_each_other_are_to_be_left_out():
