@@ -73,7 +73,7 @@ def test_the_motion_is_the_user_s(capsys, scene, tmp_path):
     weak = ('name="servo"', 'name="servo" forcerange="-.1 .1"')
     status, out, _ = call(capsys, scene(0.5, weak=weak), *args)
     out = " ".join(out.split())
-    assert status == 0 and "Servo `servo` is " in out and "its force ends at 100 mN·m" in out
+    assert status == 0 and "Servo `servo` follows " in out and "its force ends at 100 mN·m" in out
     assert "another motion" not in out
 
 
