@@ -261,7 +261,7 @@ NUMERICS = [
 
 
 def causes(model, worlds, steps, ctrl, speeds):
-    """What is said of a world that fails, by the way in which it is stepped; the world is the last."""
+    """What is said of the last world, which fails, by the way in which it is stepped."""
 
     def begun(world, many):
         world.qvel[:] = speeds if many else speeds[-1]
@@ -298,7 +298,7 @@ def causes(model, worlds, steps, ctrl, speeds):
 
 @every_value(numerics=NUMERICS, seed=range(40))
 def test_a_failure_has_the_same_cause_however_it_was_stepped(numerics, seed):
-    """In a Sim, in lanes and one by one, in calls of any length, beside worlds that fail earlier."""
+    """In a Sim, in lanes, one by one, in calls of any length, beside worlds that fail earlier."""
     rng = random.Random(seed)
     text, speed = violent.text_of(violent.KINDS[seed % len(violent.KINDS)], rng)
     model = sc.Model(scene_of(text), **numerics)
