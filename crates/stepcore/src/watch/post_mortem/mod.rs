@@ -21,7 +21,7 @@ use crate::error::{Divergence, Error, Fault, Result};
 use crate::post_mortem::{Held, Missed, PostMortem, Stable, Start};
 use crate::real::Real;
 use crate::settings::{Integrator, Law, Sweeps};
-use crate::sim::Sim;
+use crate::sim::{At, Sim};
 use crate::state::{Inputs, State};
 use crate::warm::Warm;
 
@@ -116,8 +116,8 @@ impl<R: Real> Run<'_, R> {
         let gained = matches!(divergence.fault, Fault::Energy { .. });
         let mut post = self.post_mortem(divergence.world, gained);
         if divergence.fault == Fault::Midpoint {
-            if let Some((element, residual)) = missed_most(self.sim, divergence.world) {
-                // What its iteration was given were no solutions.
+            if let Some((element, residual)) = self.missed_here(divergence.world) {
+                // What its iteration is given are no solutions.
                 let element = self.sim.model.named(element);
                 post.element = Some(element.clone());
                 post.shares.clear();
@@ -125,6 +125,14 @@ impl<R: Real> Run<'_, R> {
             }
         }
         Divergence { post: Some(post), ..divergence }
+    }
+
+    /// What misses its law most where the step began, in a world of its own: the rows at hand may be
+    /// another world's.
+    fn missed_here(&self, lane: usize) -> Option<(Element, f64)> {
+        let mut world = Segment::at_present(self.sim, lane).world(self.sim)?;
+        world.place_detect_solve(At::State).ok()?;
+        missed_most(&world, lane)
     }
 
     /// Of a step within an accuracy: the fault names who is to blame, and it comes again from here.
