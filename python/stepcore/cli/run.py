@@ -34,10 +34,10 @@ from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.single_run import PUSH, PUSH_FORM, Push
 from stepcore.measure import run as runs
+from stepcore.needs import need
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 from stepcore.report.units import time_of
-from stepcore.viewing.needs import need
 
 # Extensions of --save, with the package that each needs; and what --save has without --record.
 SAVED = {".npz": "", ".csv": "", ".mcap": "mcap", ".html": "trimesh"}

@@ -41,6 +41,7 @@ from stepcore.measure.identification.predictions import Predictions, cut
 from stepcore.measure.identification.readings import check_smooth
 from stepcore.measure.identification.result import FINER, Curve, Identification
 from stepcore.measure.monitors.finding import Finding
+from stepcore.needs import need
 from stepcore.report import units
 from stepcore.report.progress import Choice
 from stepcore.report.units import counted
@@ -243,10 +244,7 @@ class Search:
 
     def _solve(self, part: Predictions, begin: np.ndarray, when: Mapping[str, float]) -> bool:
         """Find the values that fit a part of the logs best; return whether they are settled."""
-        try:
-            from scipy.optimize import least_squares
-        except ImportError:
-            raise ImportError('identify needs scipy: pip install "stepcore[identify]"') from None
+        least_squares = need("scipy.optimize", "identify", "identify").least_squares
         low, high = self._ends
         first = np.clip((begin - self._origin) / self._units, low + 1e-9, high - 1e-9)
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from stepcore.needs import installing
+
 # Colours for colour-blind readers (Okabe and Ito), in a fixed order so that an integrator has the
 # same colour in every plot.
 COLOURS = {
@@ -55,7 +57,7 @@ def new_figure(width: float = 8.0, height: float = 4.8) -> Any:
     try:
         from stepcore.report.plot.notebook_figure import NotebookFigure
     except ImportError:
-        raise ImportError("a plot needs matplotlib: pip install 'stepcore[plot]'") from None
+        raise ImportError(f"a plot needs matplotlib: {installing('plot')}") from None
     return NotebookFigure(figsize=(width, height), dpi=150, layout="constrained")
 
 
