@@ -217,7 +217,7 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
             need(package, f"--save {args.save}", "mcap" if package == "mcap" else "view")
     if args.record is not None:
         return tuple(name.strip() for name in args.record.split(","))
-    return ("energy", "overlap") if args.save is None else RECORD
+    return ("qpos", "energy", "overlap") if args.save is None else RECORD
 
 
 def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:

@@ -142,7 +142,8 @@ class Trajectory:
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Plot the run over time and return the matplotlib figure.
 
-        The plot shows energy and deepest overlap if they were recorded, else all recorded arrays.
+        The plot shows positions of joints, energy and deepest overlap if energy or overlap were
+        recorded, else all recorded arrays.
 
         path: a file to save the plot to.
 

@@ -9,7 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.engine.axes import units_of
 from stepcore.engine.model import Model
+from stepcore.experiment.log import SAID, entries_of
 from stepcore.measure.identification.log import DELAY, is_delay
 from stepcore.measure.identification.misfit import Quality
 from stepcore.measure.monitors.finding import Finding
@@ -161,13 +163,17 @@ class Identification(Result):
 
     def _amount(self, label: str, value: float) -> str:
         """Return a residual with its unit: "0.1 rad at knee"."""
+        name, _, unit = self.named(label)
+        return f"{value:.2g} {unit} RMS at {name}" if unit else f"{value:.2g} RMS of {label}"
+
+    def named(self, label: str) -> tuple[str, str, str]:
+        """Return of which entry a quantity is, such as "knee", what, such as "position", and its
+        unit or "".
+        """
         array, _, name = label.removesuffix("]").partition("[")
-        names = self.model.names["joint"]
-        kind = self.model.jnt_type[names.index(name)] if name in names else ""
-        unit = {"hinge": " rad", "slide": " m"}.get(kind, "")
-        if array not in ("qpos", "qvel") or not unit:
-            return f"{value:.2g} RMS of {label}"
-        return f"{value:.2g}{unit}{'/s' if array == 'qvel' else ''} RMS at {name}"
+        units = units_of(self.model, array)
+        unit = units[entries_of(self.model, array, len(units)).index(name)] if units else ""
+        return name, SAID[array], unit
 
     def _estimates(self) -> Iterator[str]:
         for path, value in self.values.items():

@@ -116,11 +116,11 @@ class Trade(Result):
 
     def take(self, search: Search) -> None:
         """Take over what a search has tried, without the poses of all bodies."""
-        if self.starts == len(search.truth.starts):
-            self.reference, self.shipped = search.truth, search.shipped
+        self.reference, self.schedule = search.truth, search.study.schedule
         self.moved, self.ended = search.moved, search.ended
-        light = [dataclasses.replace(trial, tracks=None) for trial in search.trials.values()]
-        self.rows = sorted(light, key=lambda trial: (-trial.dt, trial.cost))
+        light = {c: dataclasses.replace(trial, tracks=None) for c, trial in search.trials.items()}
+        self.rows = sorted(light.values(), key=lambda trial: (-trial.dt, trial.cost))
+        self.shipped = light[SHIPPED]
         if self.chosen is None and self.target is not None:
             with contextlib.suppress(ValueError):
                 self.chosen = self.cheapest(self.asked)
@@ -411,7 +411,8 @@ class Trade(Result):
         away = f"its converged motion is {metres(self.parted)} from stepcore's"
         known = f"they are known to {metres(ours)} and {metres(theirs)}"
         yield f"MuJoCo {same} the same physics: {away}; {known}."
-        yield f"As shipped MuJoCo's error is {other._wrong(other.shipped)}{self._times(SHIPPED)}."
+        said = f"As shipped MuJoCo's error is {other._wrong(other.shipped)}"
+        yield f"{said}{self._there(other.shipped)}{self._times(SHIPPED)}."
         row = other.chosen
         if row is not None and row.change != SHIPPED:
             within = f"an error of at most {metres(other.asked)}"
@@ -422,6 +423,16 @@ class Trade(Result):
             )
         elif self.target is not None and row is None:
             yield f"None of its settings has an error of at most {metres(other.asked)}."
+
+    def _there(self, theirs: Trial) -> str:
+        """Return the shipped error from MuJoCo's starts, where further ones joined the search."""
+        row = self.shipped
+        errors = [e for s, e in zip(row.starts, row.errors, strict=True) if s in theirs.starts]
+        if row.failure or len(errors) == len(row.starts):
+            return ""
+        return (
+            f" in the worst of {len(errors)} starts (stepcore's from these: {metres(max(errors))})"
+        )
 
     def _times(self, theirs: Change, ours: Change | None = None) -> str:
         """Return how much longer MuJoCo computes than stepcore, as measured; "" if unknown."""
