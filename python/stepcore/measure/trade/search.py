@@ -201,7 +201,8 @@ class Search:
         if all(way.fixed for way in study.engine.ways(study.schedule, error)):
             return best
         most = BETTER * best.cost if best is not None else self.study.cost(truth.change)
-        for share in ACCURACIES:
+        # An accuracy that the motion itself is within asks for nothing.
+        for share in (share for share in ACCURACIES if share * error < self.moved):
             accuracy = share * error / study.schedule.horizon
             change = Change(accuracy=accuracy, dt=study.schedule.period)
             if self.study.cost(change) >= most or not study.affords(change, len(truth.starts)):
