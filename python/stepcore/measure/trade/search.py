@@ -113,6 +113,10 @@ class Search:
     def sharpen(self, error: float) -> None:
         """Make the truth as fine as another error needs it, and score all trials again."""
         self.truth = self.study.truth(error, self.truth.starts)
+        self.score_again()
+
+    def score_again(self) -> None:
+        """Score all trials by the truth, which may be finer than when they ran."""
         for change, trial in self.trials.items():
             if trial.starts == self.truth.starts and trial.tracks is not None:
                 self.trials[change] = self.study.score(change, trial.tracks, self.truth)
