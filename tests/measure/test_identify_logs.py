@@ -292,3 +292,18 @@ def test_names_are_found_in_another_letter_case():
     log = mujoco_log(200)
     table = {key.replace("shoulder", "Shoulder").upper(): v for key, v in columns(log).items()}
     assert found_in(table) == pytest.approx(found_in(log), rel=1e-6)
+
+
+def test_a_long_log_is_cut_into_pieces_where_it_cannot_be_predicted():
+    """Noisy positions of a double pendulum, whose small errors grow ten thousand times in 8 s."""
+    sim = sc.Sim(sc.loads(PENDULUM.replace('damping="0.01"', 'damping="0.05"')))
+    sim.qpos[:] = 2.0, 0.5
+    run = sim.run(8.0)
+    log = {
+        "time": run.time,
+        "qpos": run.qpos + 1e-3 * np.random.default_rng(0).normal(size=(801, 2)),
+    }
+    found = sc.identify(sc.loads(PENDULUM), log, {"joint/upper/damping": (0.001, 0.5)})
+    low, high = found.intervals["joint/upper/damping"]
+    assert low < 0.05 < high < 2 * 0.05 and found.quality.verdict == "noise"
+    assert any("cut into pieces of" in note for note in found.notes)

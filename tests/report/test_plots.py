@@ -189,7 +189,7 @@ def test_a_run_shows_its_energies_and_its_overlap(tmp_path):
     assert [axes.get_ylabel() for axes in both] == ["position [m]", "energy [J]"]
     free = sc.Sim(sc.loads(FALLING)).run(0.1, record=("qpos", "qvel", "residual")).plot()
     assert [axes.get_ylabel() for axes in free.axes] == [
-        *("position [m]", "orientation (quaternion)", "position [rad]"),
+        *("position [m]", "orientation (quaternion)", "knee\nposition [rad]"),
         *("velocity [m/s]", "velocity [rad/s]", "residual [m/s]"),
     ]
     place = free.axes[0].get_legend().get_texts()

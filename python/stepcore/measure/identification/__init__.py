@@ -321,6 +321,8 @@ def _result(
     whole = sum(log.duration for log in fit.logs)
     # One step of Gauss and Newton from the estimates, by what shorter steps change.
     moved = x - sure.inverse @ shorter
+    if quality.verdict == "step":
+        half = half + np.abs(moved - x)[: len(half)]
     low, high = np.array(list(search.bounds.values())).T
     ranges = zip((x[: len(half)] - half).tolist(), (x[: len(half)] + half).tolist(), strict=True)
 

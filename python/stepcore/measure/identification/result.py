@@ -17,7 +17,7 @@ from stepcore.measure.identification.misfit import Quality
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted, times
+from stepcore.report.units import counted, seconds, times
 from stepcore.scene.value_paths import WHOLE
 
 # The step whose integration error is looked at is this many times shorter.
@@ -204,10 +204,12 @@ class Identification(Result):
             self.residuals, key=lambda key: self.integration[key] / (self.residuals[key] or 1.0)
         )
         after, step = self.residuals[worst], self.integration[worst]
+        dt = seconds(float(self.settings.dt) / FINER)
+        shorter = f": take shorter steps, such as {dt} (timestep in the file, dt in Python)."
         yield (
             f"The residual of {worst} is {after:.3g} RMS ({self.before[worst]:.3g} before); steps "
             f"{FINER} times shorter change the prediction by {step:.3g}, the most of all beside "
-            "their residuals" + (": take shorter steps." if step > after / 2 else ".")
+            f"their residuals{shorter if step > after / 2 else '.'}"
         )
         for path, value in self.values.items():
             (low, high), finer = self.intervals[path], self.finer[path]

@@ -100,7 +100,8 @@ def _panels(run: Trajectory, name: str) -> Iterator[Panel]:
         yield name, UNITS.get(name, name), dict(zip(entries, columns, strict=True))
     for unit in dict.fromkeys(units):
         lines = {e: c for e, c, own in zip(entries, columns, units, strict=True) if own == unit}
-        yield name, JOINTS[unit], lines
+        alone = f"{next(iter(lines))}\n" if len(lines) == 1 < len(columns) else ""
+        yield name, f"{alone}{JOINTS[unit]}", lines
 
 
 def _energy(axes: Any, time: np.ndarray, run: Trajectory) -> None:
