@@ -121,9 +121,9 @@ Reasons for the refusals:
   Sensors that read late or rarely are not computed.
 
 `<replicate>`, `<attach>`, builtin meshes, `align="true"`, `alignfree` and `discardvisual` need
-MuJoCo (`pip install "stepcore[mujoco]"`), which writes such a file as plain MJCF. `load` checks the
-file and all that it attaches first. Elements of the expanded file that have no name have the line
-of the element around them.
+MuJoCo (`pip install ".[mujoco]"` in a clone), which writes such a file as plain MJCF. `load` checks
+the file and all that it attaches first. Elements of the expanded file that have no name have the
+line of the element around them.
 """
 
 

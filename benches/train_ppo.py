@@ -1,6 +1,6 @@
 """half_cheetah learns to run by PPO of stable-baselines3: return against wall time, here and there.
 
-    pip install torch stable-baselines3 "stepcore[gymnasium,plot]" "gymnasium[mujoco]"
+    pip install torch stable-baselines3 ".[gymnasium,plot]" "gymnasium[mujoco]"
     python benches/train_ppo.py                 # trains; rows go to benches/results as they come
     python benches/train_ppo.py --draw          # draws docs/ppo.png from the kept rows
 

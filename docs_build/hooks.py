@@ -49,7 +49,7 @@ def _pages() -> dict[str, str]:
     contributing = _text("CONTRIBUTING.md")
     before, adding, after = links.split_at_section(contributing, "How to add …")
     return {
-        "index.md": links.as_in_docs(_text("README.md")),
+        "index.md": links.as_in_docs(photograph.captioned(_text("README.md"))),
         "contributing.md": links.as_in_docs(
             f"{before}## How to add …\n\nIt has [its own page](docs/adding.md).\n\n{after}"
         ),

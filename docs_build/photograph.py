@@ -5,15 +5,19 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 from commands import printed
 
 import stepcore as sc
+from stepcore.engine.trajectory import Trajectory
+from stepcore.viewing.frames import distance
 
 ROOT = Path(__file__).parents[1]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -39,11 +43,27 @@ def one_run(page: Path) -> None:
     printed(f"stepcore run {MODEL} --duration 2 --motion sines --save {page}", ROOT)
 
 
+@cache
+def worst() -> tuple[int, Trajectory, Trajectory]:
+    """The starts of the README's trade, and the converged and the shipped motion of the worst."""
+    trade = sc.trade(MODEL, error="10mm", by="flops", progress=False)
+    return trade.starts, *trade.seen(trade.shipped)
+
+
 def error(page: Path) -> None:
     """The worst start of the README's trade as shipped, over its converged motion."""
-    trade = sc.trade(MODEL, error="10mm", by="flops", further=0, progress=False)
-    converged, shipped = trade.seen(trade.shipped)
+    _, converged, shipped = worst()
     shipped.save_html(page, over=[converged], labels=["as shipped", "converged"])
+
+
+def captioned(page: str) -> str:
+    """The README with the numbers of this photograph in the text of its figure."""
+    starts, converged, shipped = worst()
+    apart = distance(shipped._replayed(), converged._replayed())[-1]
+    page = re.sub(r"second: \d+ mm apart", f"second: {1e3 * apart:.0f} mm apart", page)
+    return re.sub(
+        r"in the worst of \w+ starts\.", f"in the worst of {starts} starts.", page, count=1
+    )
 
 
 # What is on each photograph, at which share of the time, and what is hidden.

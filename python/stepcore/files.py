@@ -65,7 +65,8 @@ def opened(
         with open(name, "rb", opener=_without_waiting) as file:
             yield file, _size(os.fstat(file.fileno()), called, expected, most)
     except FileNotFoundError:
-        raise FileNotFoundError(f"{called}: no such file") from None
+        text = "; `loads` reads a text" if name.lstrip().startswith("<") else ""
+        raise FileNotFoundError(f"{called}: no such file{text}") from None
     except IsADirectoryError:
         raise IsADirectoryError(f"{called}: is a folder, not {expected}") from None
     except OSError as error:

@@ -13,6 +13,7 @@ from stepcore.checks import brief, nearest
 from stepcore.engine.stiffness import warn_of_stiffness
 from stepcore.engine.world import compiled
 from stepcore.mjcf.from_mujoco import is_mujoco, read_mujoco
+from stepcore.mjcf.nodes import MJCFError
 from stepcore.mjcf.reader import read_file, read_text
 from stepcore.scene.scene import Scene
 
@@ -35,6 +36,8 @@ def load(
     fuse: bool | None = None,
 ) -> Scene:
     """Read a scene from an MJCF or a URDF file, or from an MjModel or an MjSpec of MuJoCo.
+
+    `loads` reads a text.
 
     A URDF gives the same scene as in MuJoCo: the root link is fixed to the world, efforts clamp the
     actuator forces on joints, mimic joints become joint equalities, visuals are not read, and a
@@ -81,7 +84,7 @@ def loads(
     without: Iterable[str] = (),
     fuse: bool | None = None,
 ) -> Scene:
-    """Read a scene from a text in MJCF or URDF.
+    """Read a scene from a text in MJCF or URDF; `load` reads a file.
 
     text: the XML.
     base: the folder of included files.
@@ -98,6 +101,8 @@ def loads(
     stepcore.mjcf.nodes.MJCFError: <string>:1: unknown element <wordbody> in <mujoco>; nearest: ...
     """
     scene = Scene()
+    if isinstance(text, str) and text.strip() and "<" not in text:
+        raise MJCFError(checks.word("name", name), 1, "is no XML; `load` reads a file by its path")
     read_text(scene, text, base=base, name=name, without=without, fuse=fuse)
     warn_of_stiffness(scene)
     return scene

@@ -8,6 +8,8 @@ from typing import Any, TypedDict, TypeVar
 
 from stepcore import checks
 
+# What MuJoCo calls arguments.
+MUJOCO = {"timestep": "dt", "iterations": "sweeps"}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -91,7 +93,8 @@ def refuse_unknown(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
     takes = inspect.signature(call).parameters if given else {}
     for word in given:
         if word not in takes:
-            near = checks.nearest(word, takes)
+            ours = MUJOCO.get(word, "")
+            near = f'; here it is "{ours}"' if ours in takes else checks.nearest(word, takes)
             raise UnknownArgument(f"{call.__name__}() has no argument {checks.quoted(word)}{near}")
 
 

@@ -44,7 +44,7 @@ def test_a_missing_extra_is_named_before_the_run(capsys, monkeypatch, tmp_path, 
     for command in commands:
         assert main(command) == 1
         err = capsys.readouterr().err
-        assert f"{out} needs {package}: pip install 'stepcore[" in err
+        assert f"{out} needs {package}: pip install '.[" in err
 
 
 @pytest.mark.parametrize("ctrl", ["3,-8", "b=-8,a=3", " a = 3 , b = -8"])

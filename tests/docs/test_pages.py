@@ -43,6 +43,14 @@ def blocks(page, *languages):
     return [text for language, text in found if language in languages]
 
 
+def test_no_text_installs_what_is_not_published():
+    sources = [*(ROOT / "python").glob("**/*.py"), *(ROOT / "benches").glob("*.py")]
+    for file in [*PAGES, *sources]:
+        assert not re.search(r"pip install [\"']?stepcore|stepcore\[\w", file.read_text("utf-8")), (
+            file
+        )
+
+
 @pytest.mark.parametrize("page", SCRIPTS, ids=lambda page: page.name)
 def test_the_python_of_a_page_runs(page, tmp_path):
     (tmp_path / "docs").mkdir()

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import benchmarks
 import links
+import photograph
 
 import stepcore as sc
 from stepcore import gymnasium, jax, torch
+from stepcore.viewing.frames import distance
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -54,6 +56,15 @@ def test_every_page_is_in_the_navigation():
     pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     pages |= {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.py")}
     assert sorted(listed) == sorted(pages | MADE)
+
+
+def test_the_figure_of_the_home_page_and_its_text_are_of_one_run():
+    """The text has the starts and the last distance of the motions that the figure shows."""
+    starts, converged, shipped = photograph.worst()
+    page = photograph.captioned((ROOT / "README.md").read_text(encoding="utf-8"))
+    apart = distance(shipped._replayed(), converged._replayed())[-1]
+    assert page.count(f"after one second: {1e3 * apart:.0f} mm apart") == 1
+    assert page.count(f"in the worst of {starts} starts. `python docs_build") == 1
 
 
 def test_the_benchmarks_page_has_every_kept_result():

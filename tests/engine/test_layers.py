@@ -14,7 +14,7 @@ ROOT = Path(stepcore.__file__).parent
 
 # From the ground up. A file belongs to the entry with the longest matching prefix.
 LAYERS = (
-    ("_core", "checks", "deadline", "escapes", "files", "signatures", "vectors"),
+    ("_core", "checks", "deadline", "escapes", "files", "needs", "signatures", "vectors"),
     ("report",),
     ("executors",),
     ("scene",),

@@ -54,18 +54,21 @@ def test_overlap_of_a_batch_and_of_the_deepest_pair():
 @pytest.mark.parametrize(
     ("record", "labels"),
     (
-        (("qpos", "energy", "overlap"), ["energy [J]", "deepest overlap [m]"]),
-        (("qpos", "residual"), ["qpos", "residual [m/s]"]),
+        (
+            ("qpos", "energy", "overlap"),
+            ["position [m]", "energy [J]", "deepest overlap [m]"],
+        ),
+        (("qpos", "residual"), ["position [m]", "residual [m/s]"]),
     ),
 )
 def test_the_picture(tmp_path, record, labels):
-    """Energy and overlap where they are, else all; words are inside, and nothing is cut off."""
+    """Positions, energy and overlap where they are, else all; words are inside, nothing is cut."""
     figure = drop().run(0.5, record=record).plot(tmp_path / "run.png")
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
     assert [axes.get_ylabel() for axes in figure.axes] == labels
     assert figure.axes[-1].get_xlabel() == "time [s]"
     if "energy" in record:
-        words = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+        words = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
         assert words == ["kinetic", "potential", "total"]
 
 
@@ -179,7 +182,7 @@ def test_frames_of_pandas_and_xarray():
 @pytest.mark.parametrize(("method", "package"), [("to_pandas", "pandas"), ("to_xarray", "xarray")])
 def test_a_missing_package_is_named_with_its_extra(monkeypatch, method, package):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(ImportError, match=rf"needs {package}: pip install 'stepcore\[data\]'"):
+    with pytest.raises(ImportError, match=rf"needs {package}: pip install '\.\[data\]'"):
         getattr(recorded(("qpos",)), method)()
 
 

@@ -47,5 +47,6 @@ def test_without_gymnasium_it_says_what_to_install():
     code = "import sys; sys.modules['gymnasium'] = None; import stepcore.gymnasium"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.stderr.splitlines()[-1] == (
-        "ImportError: stepcore.gymnasium needs gymnasium: pip install 'stepcore[gymnasium]'"
+        "ImportError: stepcore.gymnasium needs gymnasium: "
+        "pip install '.[gymnasium]' in a clone of stepcore"
     )

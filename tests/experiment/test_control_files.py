@@ -175,9 +175,9 @@ def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch, capsys
     path = tmp_path / ("log.parquet" if extra == "data" else "log.mcap")
     path.touch()
     with pytest.raises(
-        ImportError, match=rf"needs {package.partition('.')[0]}: pip .*'stepcore\[{extra}\]'"
+        ImportError, match=rf"needs {package.partition('.')[0]}: pip .*'\.\[{extra}\]'"
     ):
         control_table(path)
     (tmp_path / "carts.xml").write_text(CARTS)
     assert main(["run", str(tmp_path / "carts.xml"), "--ctrl", str(path)]) == 2
-    assert f"stepcore[{extra}]" in capsys.readouterr().err
+    assert f".[{extra}]" in capsys.readouterr().err

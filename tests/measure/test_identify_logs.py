@@ -148,13 +148,15 @@ def swing(seconds=2.0):
     "change, said",
     [
         ({}, None),
-        ({"qpos": 57.2958}, "reaches 57.3 rad, its range 1.57 rad: it looks like degrees"),
         ({"qvel": 57.2958}, "velocity is 57.3× the change of its position: it looks like degrees"),
         ({"time": 0.001}, "changes 1000× its velocity: times must be in seconds"),
     ],
 )
 def test_units_are_doubted(change, said):
-    """Degrees by the range and by the velocity; times by the velocity."""
+    """Degrees and times by the velocity; positions in degrees are refused."""
+    degrees = swing() | {"qpos": np.degrees(swing()["qpos"])}
+    with pytest.raises(ValueError, match=r"changes 57.3 times .*: it looks like degrees"):
+        sc.identify(sc.loads(TEXT), degrees, {"joint/hip/damping": (0.1, 10)})
     log = {key: value * change.get(key, 1.0) for key, value in swing().items()}
     found = sc.identify(sc.loads(TEXT), log, {"joint/hip/damping": (0.1, 10)}, most=1)
     units = [finding for finding in found.findings if finding.kind == "units"]
@@ -258,3 +260,50 @@ def test_delays_are_times_of_a_model_with_controls(given, message):
     )
     with pytest.raises(ValueError, match='without delays of actuators: make these 0, and "delay"'):
         sc.identify(sc.loads(late), still, {"joint/hip/damping": (0.1, 10)})
+
+
+def shifted(rows):
+    """A noisy log whose motion is told so many rows late."""
+    log = noisy(mujoco_log())
+    states = {key: log[key][: len(log["time"]) - rows] for key in ("qpos", "qvel")}
+    return {key: log[key][rows:] for key in ("time", "ctrl")} | states
+
+
+def test_a_motion_that_is_late_beside_its_controls_is_doubted():
+    read = read_log(known(), shifted(6), "log")
+    (finding,) = log_findings(known(), [read], [])
+    assert finding.kind == "delay" and 'search "delay" too' in finding.text
+    assert "its motion is about 70 ms late, beside its controls" in finding.text
+    assert not log_findings(known(), [read], ["delay"])
+
+
+def test_controls_in_another_unit_and_positions_that_jump_are_doubted():
+    log = noisy(mujoco_log())
+    log["ctrl"] = 1e3 * log["ctrl"]
+    (finding,) = log_findings(known(), [read_log(known(), log, "log")], [])
+    assert finding.kind == "units" and "what its motion needs" in finding.text
+    log = noisy(mujoco_log())
+    log["qpos"][30:34] = log["qvel"][30:34] = 0.0
+    found = log_findings(known(), [read_log(known(), log, "log")], [])
+    assert [finding.kind for finding in found] == ["jump"] and " jumps by " in found[0].text
+
+
+def test_names_are_found_in_another_letter_case():
+    log = mujoco_log(200)
+    table = {key.replace("shoulder", "Shoulder").upper(): v for key, v in columns(log).items()}
+    assert found_in(table) == pytest.approx(found_in(log), rel=1e-6)
+
+
+def test_a_long_log_is_cut_into_pieces_where_it_cannot_be_predicted():
+    """Noisy positions of a double pendulum, whose small errors grow ten thousand times in 8 s."""
+    sim = sc.Sim(sc.loads(PENDULUM.replace('damping="0.01"', 'damping="0.05"')))
+    sim.qpos[:] = 2.0, 0.5
+    run = sim.run(8.0)
+    log = {
+        "time": run.time,
+        "qpos": run.qpos + 1e-3 * np.random.default_rng(0).normal(size=(801, 2)),
+    }
+    found = sc.identify(sc.loads(PENDULUM), log, {"joint/upper/damping": (0.001, 0.5)})
+    low, high = found.intervals["joint/upper/damping"]
+    assert low < 0.05 < high < 2 * 0.05 and found.quality.verdict == "noise"
+    assert any("cut into pieces of" in note for note in found.notes)

@@ -310,7 +310,7 @@ def test_a_budget_buys_the_least_error_it_can():
 def test_what_cannot_be_verified_is_said():
     result = sc.trade(lesson.drop(), error=1e-12, starts=2, further=2, effort=1e5, **COUNTED)
     assert result.recommended is None
-    known = "1 pm cannot be verified: the converged motion is known to "
+    known = "1 pm cannot be verified: the converged motion was known to "
     assert result.sentences[0].startswith(known) and result.reference.error > 1e-12
     # It says what can be verified instead, and the settings for that.
     assert result.verified >= result.reference.error

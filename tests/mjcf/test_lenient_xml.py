@@ -58,3 +58,21 @@ def test_empty_numbers_and_names_say_nothing(tag, name):
     given = text.replace(f"<{tag}", f'<{tag} {name}=" "')
     mujoco.MjModel.from_xml_string(given.replace('" "', '""'))
     assert sc.loads(given) == sc.loads(given.replace('" "', '""')) == sc.loads(text)
+
+
+def test_load_and_loads_name_each_other():
+    with pytest.raises(FileNotFoundError, match="no such file; `loads` reads a text"):
+        sc.load("<mujoco/>")
+    for path in ("robot.xml", "gymnasium:ant"):
+        with pytest.raises(sc.MJCFError, match="is no XML; `load` reads a file by its path"):
+            sc.loads(path)
+
+
+def test_names_of_mujoco_are_answered_with_ours():
+    scene = sc.loads("<mujoco><worldbody/></mujoco>")
+    for call in (sc.Sim, sc.diagnose, lambda *args, **given: sc.Batch(*args, 2, **given)):
+        with pytest.raises(TypeError, match='no argument "timestep"; here it is "dt"'):
+            call(scene, timestep=0.01)
+    for name in ("RK4", "Euler"):
+        with pytest.raises(ValueError, match=f"one of .*{name.lower()}"):
+            sc.Sim(scene, integrator=name)

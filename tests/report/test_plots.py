@@ -9,7 +9,10 @@ from measured import RESULTS
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.report.plot.style import log_ticks, new_figure
+from stepcore.report.plot.style import log_ticks, new_figure, write_beside
+
+FALLING = """<mujoco><worldbody><body name="b"><freejoint name="root"/><geom size=".1"/>
+<body><joint name="knee"/><geom size=".1" pos="0 0 1"/></body></body></worldbody></mujoco>"""
 
 
 @pytest.fixture
@@ -173,14 +176,49 @@ def test_a_postmortem_shows_energy_and_what_each_element_injected(results):
 def test_a_run_shows_its_energies_and_its_overlap(tmp_path):
     sim = sc.Sim(lesson.drop())
     sim.reset("start")
-    run = sim.run(0.1, record=("energy", "overlap"))
+    (alone,) = sim.run(0.1, record=("energy", "overlap")).plot().axes
+    assert alone.get_ylabel() == "energy [J]", "nothing overlaps yet"
+    run = sim.run(0.5, record=("energy", "overlap"))
+    assert run["overlap"].max() > 0
     above, below = run.plot(tmp_path / "run.png").axes
     assert above.get_ylabel() == "energy [J]"
     assert labels(below) == ("time [s]", "deepest overlap [m]")
     assert [line.get_label() for line in above.lines] == ["kinetic", "potential", "total"]
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
-    both = sim.run(0.1, record=("qpos", "residual")).plot().axes
-    assert [axes.get_ylabel() for axes in both] == ["qpos", "residual [m/s]"]
+    both = sim.run(0.1, record=("qpos", "energy")).plot().axes
+    assert [axes.get_ylabel() for axes in both] == ["position [m]", "energy [J]"]
+    free = sc.Sim(sc.loads(FALLING)).run(0.1, record=("qpos", "qvel", "residual")).plot()
+    assert [axes.get_ylabel() for axes in free.axes] == [
+        *("position [m]", "orientation (quaternion)", "knee\nposition [rad]"),
+        *("velocity [m/s]", "velocity [rad/s]", "residual [m/s]"),
+    ]
+    place = free.axes[0].get_legend().get_texts()
+    assert [text.get_text() for text in place] == ["root.x", "root.y", "root.z"]
+
+
+def test_texts_beside_marks_cover_nothing():
+    """Marks on a line and at the edge: texts lie within the axes, apart, and beside the line."""
+    figure = new_figure(6.0, 4.0)
+    axes = figure.add_subplot()
+    (front,) = axes.plot([0, 0.5, 0.6, 1], [1, 0.5, 0.45, 0], color="black")
+    axes.set(xlim=(-0.1, 1.1), ylim=(-0.3, 1.2))
+    marks = [((0.0, 1.0), "first\nmark"), ((0.5, 0.5), "second"), ((0.6, 0.45), "third")]
+    write_beside(axes, [*marks, ((1.0, 0.0), "the last of the marks")])
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent(renderer) for text in axes.texts]
+    assert len(boxes) == 4
+    assert all(axes.bbox.contains(*corner) for b in boxes for corner in (b.min, b.max))
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+    path = front.get_path().transformed(front.get_transform())
+    assert not any(path.intersects_bbox(b, filled=False) for b in boxes)
+
+
+def test_no_row_of_bars_is_cut(results):
+    for kind in ("ablation", "plan", "tuning"):
+        axes = results(kind).plot().axes[0]
+        low, high = sorted(axes.get_ylim())
+        assert all(low + 0.3 < place < high - 0.3 for place in axes.get_yticks())
 
 
 def test_a_page_holds_the_plot_and_the_tables(results, tmp_path):

@@ -258,5 +258,5 @@ def test_a_run_that_exploded_is_replayed_without_a_warning(chrome, tmp_path, cap
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "trimesh", None)
-    with pytest.raises(ImportError, match=r"pip install 'stepcore\[view\]'"):
+    with pytest.raises(ImportError, match=r"pip install '\.\[view\]'"):
         drop().run(0.1).save_html("never.html")

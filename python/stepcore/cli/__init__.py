@@ -91,6 +91,8 @@ class _Parser(argparse.ArgumentParser):
         known = {name.strip("-"): name for name in self._option_string_actions}
         near = difflib.get_close_matches(option.strip("-"), known, n=1, cutoff=0.5)
         better = f"nearest: {known[near[0]]}" if near else f"{self.prog} --help lists them"
+        if option == "--timestep":
+            better = f"it is {'--dt' if 'dt' in known else 'timestep of <option> in the file'}"
         self.error(f"no option {option}; {better}")
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from stepcore import files
 from stepcore.cli.terminal import Usage, put
+from stepcore.needs import installing
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 
@@ -116,7 +117,7 @@ def _check_matplotlib(plot: str | None, html: str | None) -> None:
         from matplotlib.figure import Figure
     except ImportError:
         option = "--html" if plot is None else "--plot"
-        raise Usage(f"{option} needs matplotlib: pip install 'stepcore[plot]'") from None
+        raise Usage(f"{option} needs matplotlib: {installing('plot')}") from None
     known = Figure().canvas.get_supported_filetypes()
     if plot is not None and Path(plot).suffix.lstrip(".").lower() not in known:
         raise Usage(f"--plot {plot}: the extension must be one of {', '.join(sorted(known))}")

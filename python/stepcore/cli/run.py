@@ -34,10 +34,10 @@ from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.single_run import PUSH, PUSH_FORM, Push
 from stepcore.measure import run as runs
+from stepcore.needs import need
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 from stepcore.report.units import time_of
-from stepcore.viewing.needs import need
 
 # Extensions of --save, with the package that each needs; and what --save has without --record.
 SAVED = {".npz": "", ".csv": "", ".mcap": "mcap", ".html": "trimesh"}
@@ -217,7 +217,7 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
             need(package, f"--save {args.save}", "mcap" if package == "mcap" else "view")
     if args.record is not None:
         return tuple(name.strip() for name in args.record.split(","))
-    return ("energy", "overlap") if args.save is None else RECORD
+    return ("qpos", "energy", "overlap") if args.save is None else RECORD
 
 
 def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -20,6 +20,11 @@ QUATERNION, TURNING = ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz")
 # Names of coordinates and dofs, for joints that have several.
 COORDINATES = {"free": ("x", "y", "z", *QUATERNION), "ball": QUATERNION}
 DOFS = {"free": ("vx", "vy", "vz", *TURNING), "ball": TURNING}
+# The units of the coordinates and of the dofs of a joint.
+POSITIONS = {"hinge": ("rad",), "slide": ("m",), "ball": ("",) * 4, "free": ("m",) * 3 + ("",) * 4}
+VELOCITIES = {"hinge": ("rad/s",), "slide": ("m/s",), "ball": ("rad/s",) * 3}
+VELOCITIES["free"] = ("m/s",) * 3 + ("rad/s",) * 3
+OF_JOINTS = {"qpos": POSITIONS, "qvel": VELOCITIES}
 # Axes whose entries have the same names in every model.
 FIXED = {
     "xyz": ("x", "y", "z"),
@@ -54,10 +59,14 @@ AXES = {name: axes.split() for axes, names in _ARRAYS.items() for name in names.
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of a recorded array. name: such as "body"; entries: the names of the entries."""
+    """An axis of a recorded array. name: such as "body"; entries: the names of the entries.
+
+    units: of the entries of positions and velocities of joints; none of other arrays and of files.
+    """
 
     name: str
     entries: tuple[str, ...]
+    units: tuple[str, ...] = field(default=(), compare=False)
 
 
 def axes_of(model: Model | None, array: str, shape: Sequence[int]) -> tuple[Axis, ...]:
@@ -69,8 +78,16 @@ def axes_of(model: Model | None, array: str, shape: Sequence[int]) -> tuple[Axis
         entries = _entries(model, name) if model is not None and name else ()
         if len(entries) != length:
             name, entries = f"{array}_{k}", tuple(map(str, range(length)))
-        axes.append(Axis(name, tuple(entries)))
+        axes.append(Axis(name, tuple(entries), units_of(model, array)))
     return tuple(axes)
+
+
+def units_of(model: Model | None, array: str) -> tuple[str, ...]:
+    """Return the unit of each position or velocity of the joints; none of another array."""
+    units = OF_JOINTS.get(array)
+    if model is None or units is None:
+        return ()
+    return tuple(unit for kind in model.jnt_type for unit in units[kind])
 
 
 def _entries(model: Model, axis: str) -> Sequence[str]:

@@ -392,7 +392,9 @@ def _expanded(model: Model, name: str) -> list[str]:
     if "*" not in name or name in WHOLE or len(parts) < 3:
         return [name]
     kind, pattern, field = parts[0], "/".join(parts[1:-1]), parts[-1]
-    known = fnmatch.filter(filter(None, model.names.get(kind, ())), pattern)
+    # The world has no mass.
+    named = model.names.get(kind, ())[kind == "body" :]
+    known = fnmatch.filter(filter(None, named), pattern)
     if not known:
         raise ValueError(f"parameters: no {kind} is named {checks.quoted(pattern)}")
     return [f"{kind}/{one}/{field}" for one in known]

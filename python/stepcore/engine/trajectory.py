@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import math
 import os
 import zipfile
@@ -24,6 +23,7 @@ from stepcore.engine.error_bar import driven, judged
 from stepcore.engine.snapshots import RATE, Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
 from stepcore.engine.world import READINGS, World
+from stepcore.needs import need
 
 if TYPE_CHECKING:
     from stepcore import _core
@@ -142,7 +142,8 @@ class Trajectory:
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Plot the run over time and return the matplotlib figure.
 
-        The plot shows energy and deepest overlap if they were recorded, else all recorded arrays.
+        The plot shows positions of joints, energy and deepest overlap if energy or overlap were
+        recorded, else all recorded arrays.
 
         path: a file to save the plot to.
 
@@ -258,7 +259,7 @@ class Trajectory:
 
         The frame has the columns of a .csv file; see `save`. Needs pandas (the extra "data").
         """
-        pandas = _needed("pandas", "Trajectory.to_pandas")
+        pandas = need("pandas", "Trajectory.to_pandas", "data")
         return pandas.DataFrame(self._columns(), index=pandas.Index(self.time, name=TIME))
 
     def to_xarray(self) -> Any:
@@ -266,7 +267,7 @@ class Trajectory:
 
         Needs xarray (the extra "data").
         """
-        xarray = _needed("xarray", "Trajectory.to_xarray")
+        xarray = need("xarray", "Trajectory.to_xarray", "data")
         coordinates: dict[str, Any] = {"time": ("time", self.time, {"units": UNITS["time"]})}
         variables = {}
         for name, values in self.data.items():
@@ -375,13 +376,6 @@ class Trajectory:
         except ImportError:
             return None
         return framed(text)
-
-
-def _needed(package: str, what: str) -> Any:
-    try:
-        return importlib.import_module(package)
-    except ImportError:
-        raise ImportError(f"{what} needs {package}: pip install 'stepcore[data]'") from None
 
 
 def acting(array: str, values: NDArray[Any]) -> NDArray[Any]:

@@ -133,6 +133,18 @@ def measurement(*, without: tuple[str, ...] = ()) -> Callable[[F], F]:
     return lambda function: spelled_out(in_time(function))
 
 
+def _driven(model: Source, motion: Motion, engine: str) -> Source:
+    """Return the model with motors for what the motion's log needs, also for MuJoCo."""
+    try:
+        known = find_model(model)
+    except (ValueError, OSError):
+        if engine == "stepcore":
+            raise
+        return model
+    made = motion.driven(known)
+    return made if engine == "stepcore" or made is not known else model
+
+
 def set_up(
     called: Callable[..., Any],
     model: Source,
@@ -149,8 +161,8 @@ def set_up(
     engine: "stepcore" or "mujoco".
     """
     motion = Motion.of(motion, {k: v for k, v in fields.items() if k not in SHARED}, called)
-    if motion.table is not None and engine == "stepcore":
-        model = motion.driven(find_model(model))
+    if motion.table is not None:
+        model = _driven(model, motion, engine)
     made = engine_of(model, engine)
     asked = made.settings(Change()).accuracy
     if asked is not None and called.__name__ not in WITHIN_ACCURACY:

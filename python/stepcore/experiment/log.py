@@ -71,6 +71,18 @@ class Names:
                     if name in self.own[array]:
                         self.also[array][drives[k]] = [self.own[array][name]]
 
+        every = {name.lower(): name for own in self.own.values() for name in own}
+        self._cased = every if len(every) == len({n for o in self.own.values() for n in o}) else {}
+        some = "|".join(map(re.escape, sorted(self._cased, key=len, reverse=True)))
+        self._any = re.compile(rf"(?<![^\W_])({some})(?![^\W_])", re.IGNORECASE)
+
+    def spellings(self, title: str) -> Iterator[tuple[str, str]]:
+        """Yield what a column may be named, with names in the model's upper and lower case."""
+        for text, unit in spellings(title):
+            if self._cased and not self.knows(text):
+                text = self._any.sub(lambda found: self._cased[found[0].lower()], text)
+            yield text, unit
+
     def find(self, array: str, name: str) -> list[int]:
         """Return the entries that a name stands for in an array."""
         own = self.own[array].get(name)
@@ -303,7 +315,7 @@ class Log:
         told = bool(placed.arrays)
         drives = set(placed.of("ctrl"))
         for title in bare:
-            named = {text for text, _ in spellings(title)} - names.own["qpos"].keys()
+            named = {text for text, _ in names.spellings(title)} - names.own["qpos"].keys()
             drives |= {names.own["ctrl"][text] for text in named & names.own["ctrl"].keys()}
         for title in bare:
             found = self._bare(names, title, told, drives)
@@ -321,14 +333,13 @@ class Log:
             ]
             placed.notes += [f"no torque of {listed(without)}"] if without else []
         if isinstance(model, Model):
-            if self.asked:
-                self._check_degrees(model, placed)
+            self._check_degrees(model, placed)
             self._unwrap(model, placed)
         return placed
 
     def _worded(self, names: Names, title: str) -> tuple[str, int, str] | None:
         """Return array, entry and unit of a column such as "knee.position"; None for another."""
-        for text, unit in spellings(title):
+        for text, unit in names.spellings(title):
             match = INDEXED.fullmatch(text) or SUFFIXED.fullmatch(text)
             if match is None or names.knows(text):
                 continue
@@ -346,7 +357,7 @@ class Log:
 
         told: whether other columns say what they are. drives: actuators that have a column.
         """
-        for text, unit in spellings(title):
+        for text, unit in names.spellings(title):
             own = [key for key in ("ctrl", "qpos", "sensordata") if text in names.own[key]]
             joint = text in names.own["qpos"] or text in names.also["ctrl"]
             if joint and self.asked == "ctrl" and not told:
@@ -473,13 +484,11 @@ class Log:
     def _check_degrees(self, model: Model, placed: Placed) -> None:
         """Refuse positions far beyond a range, or that change in another unit than velocities."""
         for joint, title, values in self._hinges(model, placed):
-            v, told = int(model.jnt_dofadr[joint]), [unit for _, unit in spellings(title)]
-            if told[-1] or self._content.units.get(title):
+            v, told = int(model.jnt_dofadr[joint]), {plain(unit) for _, unit in spellings(title)}
+            if (told - {""}) & UNITS.keys() or self._content.units.get(title):
                 continue
-            most, limit = (
-                np.nanmax(np.abs(values), initial=0.0),
-                np.abs(model.jnt_range[joint]).max(),
-            )
+            most = float(np.nanmax(np.abs(values), initial=0.0))
+            limit = float(np.abs(model.jnt_range[joint]).max())
             why = f"reaches {most:.3g} rad, and the range of its joint {limit:.3g} rad"
             rate = 0.0
             if ("qvel", v) in placed.titles and self.times is not None and len(values) > 2:
@@ -487,7 +496,7 @@ class Log:
                 rate = float(np.nansum(speed * moved) / (np.nansum(speed**2) or 1.0))
             if np.degrees(0.8) < rate < np.degrees(1.2):
                 why = f"changes {rate:.3g} times as fast as its velocity"
-            elif most <= 3 * limit:
+            elif not 3 * limit < most < np.degrees(3 * limit):
                 continue
             cure = f'it looks like degrees: name the column "{title} [deg]"'
             raise ValueError(f"{self.source}, column {title}: {why}: {cure}")

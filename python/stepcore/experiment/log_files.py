@@ -23,7 +23,7 @@ import numpy as np
 
 from stepcore import checks, files
 from stepcore.engine.trajectory import KIND, Trajectory, acting
-from stepcore.viewing.needs import need
+from stepcore.needs import need
 
 ENDINGS = (".csv", ".npz", ".npy", ".parquet", ".mcap")
 # A path, and behind a colon the topic of an MCAP file and what is taken of it as controls:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from stepcore import checks, files
 from stepcore.engine.control import Control
 from stepcore.engine.sim import Sim
-from stepcore.viewing.needs import need
+from stepcore.needs import need
 
 ONNX = ".onnx"
 ENDINGS = (ONNX, ".pt", ".pth", ".ts")

@@ -13,19 +13,14 @@ Importing this registers them:
 The extra "gymnasium" installs what this needs; see docs/gymnasium.md.
 """
 
-try:
-    import gymnasium as _gymnasium
-except ModuleNotFoundError as error:
-    if error.name != "gymnasium":
-        raise
-    raise ImportError(
-        "stepcore.gymnasium needs gymnasium: pip install 'stepcore[gymnasium]'"
-    ) from None
+from stepcore.needs import need as _need
 
-from stepcore.gymnasium.env import Env, VectorEnv
-from stepcore.gymnasium.moment import Draws, Moment, TaskState
-from stepcore.gymnasium.task import Task
-from stepcore.gymnasium.tasks import TASKS as _TASKS
+_gymnasium = _need("gymnasium", "stepcore.gymnasium", "gymnasium")
+
+from stepcore.gymnasium.env import Env, VectorEnv  # noqa: E402
+from stepcore.gymnasium.moment import Draws, Moment, TaskState  # noqa: E402
+from stepcore.gymnasium.task import Task  # noqa: E402
+from stepcore.gymnasium.tasks import TASKS as _TASKS  # noqa: E402
 
 __all__ = ["Draws", "Env", "Moment", "Task", "TaskState", "VectorEnv", "register_envs"]
 

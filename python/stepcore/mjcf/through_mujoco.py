@@ -38,6 +38,7 @@ from stepcore.mjcf.nodes import (
     sections,
 )
 from stepcore.mjcf.validation import bad
+from stepcore.needs import installing
 from stepcore.scene.element import table
 from stepcore.scene.elements import MassRules
 
@@ -113,7 +114,7 @@ class Expansion:
         try:
             import mujoco  # type: ignore[import-untyped,unused-ignore]
         except ImportError:
-            how = 'MuJoCo, which is not installed (pip install "stepcore[mujoco]")'
+            how = f"MuJoCo, which is not installed: {installing('mujoco')}"
             raise cause.error(f"<{cause.tag}> is expanded by {how}") from None
         with tempfile.TemporaryDirectory() as self._folder, _warnings() as warned:
             models = self._models(self.root, self.compiler, [self.root.file])

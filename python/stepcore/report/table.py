@@ -11,6 +11,7 @@ from typing import Any, overload
 
 from stepcore import escapes
 from stepcore._core import Settings
+from stepcore.needs import need
 from stepcore.report.terminal import window
 
 # The minimum width to which a text cell is cut.
@@ -82,12 +83,7 @@ class Table:
 
     def to_pandas(self) -> Any:
         """Return the table as a pandas DataFrame. Needs pandas (the extra "data")."""
-        try:
-            import pandas  # type: ignore[import-untyped,unused-ignore]
-        except ImportError:
-            raise ImportError(
-                "Table.to_pandas needs pandas: pip install 'stepcore[data]'"
-            ) from None
+        pandas = need("pandas", "Table.to_pandas", "data")
         return pandas.DataFrame(self.records, columns=self.columns)
 
     def text(self, width: int | None = None) -> str:

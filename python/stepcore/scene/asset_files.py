@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks, files
+from stepcore.needs import installing
 
 
 class Surface(NamedTuple):
@@ -82,8 +83,7 @@ def read_hfield(path: str | os.PathLike[str], content_type: str = "") -> NDArray
     data = files.read(name, "a height field")
     image = kind == "png" if kind else name.lower().endswith(".png")
     if image and importlib.util.find_spec("PIL") is None:
-        text = "heights of an image are read with pillow: pip install 'stepcore[view]'"
-        raise _refused(name, text)
+        raise _refused(name, f"heights of an image need pillow: {installing('view')}")
     try:
         heights = image_levels(data) if image else binary(data)
         if not np.isfinite(heights).all():

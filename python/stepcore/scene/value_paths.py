@@ -106,7 +106,11 @@ def _scale_geoms(scene: Scene, body: Body, old: float, value: Any) -> None:
     old: the present mass [kg].
     """
     mass: float = checks.real(above=0)(body, "mass", value)
-    factor, rules = mass / old, scene.mass_rules
+    rules = scene.mass_rules
+    if old == 0:
+        text = "its geoms have no mass that could be scaled; give it an inertial"
+        raise ValueError(f"{body}: mass = {checks.shown(value)}: {text}")
+    factor = mass / old
     if rules.boundmass > 0:
         text = "cannot be set where boundmass decides masses"
         raise ValueError(f"{body}: mass = {checks.shown(value)}: {text}")

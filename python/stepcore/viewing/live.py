@@ -15,9 +15,9 @@ from time import monotonic
 from typing import Any
 
 from stepcore import checks
+from stepcore.needs import need
 from stepcore.viewing.frames import Replayed, distance
 from stepcore.viewing.guard import Guard, is_loopback
-from stepcore.viewing.needs import need
 from stepcore.viewing.panel import Panel, RunPanel, SimPanel
 
 # Hosts that serve every address of the machine.

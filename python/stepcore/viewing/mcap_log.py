@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import files
+from stepcore.needs import need
 from stepcore.report.outputs import MARK
 from stepcore.report.table import jsonable
 from stepcore.scene import frames
 from stepcore.viewing.camera import Mark, loads
 from stepcore.viewing.drawing import Drawing, Shape
 from stepcore.viewing.frames import Replayed
-from stepcore.viewing.needs import need
 
 Json = dict[str, Any]
 # Topic, time [ns] and content.

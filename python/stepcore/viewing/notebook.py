@@ -8,7 +8,7 @@ import io
 from collections.abc import Callable
 from typing import Any
 
-from stepcore.viewing.needs import need
+from stepcore.needs import need
 
 # Geoms up to which drawing takes no time that anybody waits for.
 MOST = 1000

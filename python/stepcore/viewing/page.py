@@ -25,11 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import escapes, files
+from stepcore.needs import need
 from stepcore.report.outputs import MARK
 from stepcore.report.plot.style import TINTS, VIEW, rgb
 from stepcore.viewing.drawing import ARROW, Drawing
 from stepcore.viewing.frames import Replayed, distance
-from stepcore.viewing.needs import need
 
 
 def page(runs: Sequence[Replayed], title: str = "") -> str:

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from stepcore.needs import need
 from stepcore.report.plot.style import TINTS, VIEW
 from stepcore.report.units import metres
 from stepcore.viewing.drawing import ARROW, drawing_of
 from stepcore.viewing.frames import Instant, Replayed, distance, instant_of, poses_of
-from stepcore.viewing.needs import need
 from stepcore.viewing.stage import Stage
 
 SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks, files
+from stepcore.needs import need
 from stepcore.viewing.camera import LARGEST, camera_of, following, loads, ropes
 from stepcore.viewing.drawing import drawing_of
 from stepcore.viewing.frames import Replayed, instant_of
-from stepcore.viewing.needs import need
 from stepcore.viewing.renderers import renderer_of
 
 # What ffmpeg puts H.264 in.

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks
+from stepcore.needs import need
 from stepcore.report.plot.style import SKY, rgb
 from stepcore.scene import frames
 from stepcore.viewing.camera import ANGLE, LARGEST, Camera, Mark
 from stepcore.viewing.drawing import Drawing, Shape
 from stepcore.viewing.frames import Instant
-from stepcore.viewing.needs import need
 
 # The direction in which the sun of a picture shines.
 SUN = (0.3, 0.4, -1.0)

@@ -41,9 +41,10 @@ from stepcore.measure.identification.predictions import Predictions, cut
 from stepcore.measure.identification.readings import check_smooth
 from stepcore.measure.identification.result import FINER, Curve, Identification
 from stepcore.measure.monitors.finding import Finding
+from stepcore.needs import need
 from stepcore.report import units
 from stepcore.report.progress import Choice
-from stepcore.report.units import counted
+from stepcore.report.units import counted, rounded
 
 __all__ = ["Identification", "identify"]
 
@@ -56,6 +57,7 @@ BEGINNING, ENOUGH = 1 / 8, 40
 # 1e-7 they are below 1e-13, of logs with noise a millionth of what that makes uncertain.
 ROUGH = {"xtol": 1e-3, "ftol": 1e-4, "gtol": 1e-8}
 FINE = {"xtol": 1e-7, "ftol": 1e-14, "gtol": 1e-14}
+CUT = "the logs were cut into pieces of {}, because they can be predicted for about {} (--pieces)"
 
 
 @in_time
@@ -85,7 +87,7 @@ def identify(
         [s]; they begin at 0, and rows earlier than the high end are left out.
     pieces: cut each log into pieces of this length, a time [s] or a text such as "0.5s". Each piece
         has a first state of its own, which keeps errors from growing over a long or unstable
-        motion.
+        motion. By default logs are cut only if the fit is bad without and not in pieces.
     most: the largest number of iterations.
     threads: the number of steps that are linearised at the same time (default: one per core).
     progress: False for no progress bar, or a function of (label, done, total).
@@ -119,26 +121,40 @@ def identify(
     compiled, bounds, guess = _bounds(given, parameters)
     whole = _read(compiled, logs)
     length = None if pieces is None else units.time("pieces", pieces)
-    read = [within(compiled, log, bounds) for log in cut(compiled, whole, length)]
-    labels = list(bounds)
-    fit = Predictions(compiled, read, labels, threads=workers.threads)
-    check_smooth(compiled, {part.entry for part in fit.parts if part.array == "sensordata"})
-    findings = [*log_findings(compiled, whole, labels), *gap_findings(whole)]
+    findings = [*log_findings(compiled, whole, list(bounds)), *gap_findings(whole)]
     for finding in findings:
         workers.deadline.so_far(finding.text)
-    start = np.concatenate([list(guess.values()), np.zeros(fit.free)])
-    most = checks.count("most", most)
+    start, most = list(guess.values()), checks.count("most", most)
+
+    def fitted(length: float | None) -> Identification:
+        """Fit the logs in pieces of a length [s]."""
+        read = [within(compiled, log, bounds) for log in cut(compiled, whole, length)]
+        fit = Predictions(compiled, read, list(bounds), threads=workers.threads)
+        check_smooth(compiled, {p.entry for p in fit.parts if p.array == "sensordata"})
+        begin = np.concatenate([start, np.zeros(fit.free)])
+        first = fit.predicted(begin)
+        search = Search(fit, bounds, begin, workers, most)
+        with workers.deadline.closing():
+            result = _result(search, first, findings, workers.deadline)
+        if not search.settled and not workers.deadline.left_out:
+            said = f"The search was cut off by most = {most}: the values may still change."
+            result.unfinished = said
+        return result
+
     try:
-        first = fit.predicted(start)
+        result = fitted(length)
+        # In a quarter of the time in which errors grow a thousand times, they grow six times.
+        end = rounded(min(result.predictable) / 4, 1)
+        known = end < np.inf and end > ENOUGH * compiled.settings.dt
+        if length is None and known and not findings and result.quality.verdict != "noise":
+            again = fitted(end)
+            if again.quality.verdict != "bad":
+                again.notes.append(CUT.format(units.seconds(end), units.seconds(4 * end)))
+                return again
     except SimulationError as error:
         limit = "must be values with which the logs can be run"
         said = " ".join(["", *(finding.text for finding in findings)])
         raise ValueError(f"model: {checks.one_line(error)}: {limit}.{said}") from None
-    search = Search(fit, bounds, start, workers, most)
-    with workers.deadline.closing():
-        result = _result(search, first, findings, workers.deadline)
-    if not search.settled and not workers.deadline.left_out:
-        result.unfinished = f"The search was cut off by most = {most}: the values may still change."
     return result
 
 
@@ -243,10 +259,7 @@ class Search:
 
     def _solve(self, part: Predictions, begin: np.ndarray, when: Mapping[str, float]) -> bool:
         """Find the values that fit a part of the logs best; return whether they are settled."""
-        try:
-            from scipy.optimize import least_squares
-        except ImportError:
-            raise ImportError('identify needs scipy: pip install "stepcore[identify]"') from None
+        least_squares = need("scipy.optimize", "identify", "identify").least_squares
         low, high = self._ends
         first = np.clip((begin - self._origin) / self._units, low + 1e-9, high - 1e-9)
 
@@ -308,6 +321,8 @@ def _result(
     whole = sum(log.duration for log in fit.logs)
     # One step of Gauss and Newton from the estimates, by what shorter steps change.
     moved = x - sure.inverse @ shorter
+    if quality.verdict == "step":
+        half = half + np.abs(moved - x)[: len(half)]
     low, high = np.array(list(search.bounds.values())).T
     ranges = zip((x[: len(half)] - half).tolist(), (x[: len(half)] + half).tolist(), strict=True)
 

@@ -24,8 +24,8 @@ from stepcore.report.units import times as times_said
 DEGREES = 180 / np.pi
 # A ratio is that of two units if it is this close to it.
 NEAR = 0.2
-# A measured number this many times outside a joint's range is in another unit.
-OUTSIDE = 3.0
+# A position that changes this many times more than its velocity says, and than usual, jumps.
+JUMP = 10.0
 # Scaled by a ratio of units, what is predicted is off by at most this share of what it was.
 BETTER = 0.5
 RATIOS = {
@@ -34,10 +34,12 @@ RATIOS = {
     1e3: "mm",
     1e-3: "mm in the model",
 }
-# By how many times as fast the position changes as the velocity says.
+# By how many times as fast the position changes as the velocity says, by the kind of joint.
 SECONDS = "times must be in seconds"
-SCALES = {DEGREES: "it looks like degrees", 1 / DEGREES: "it looks like degrees"}
-SCALES |= {1e-3: SECONDS, 1e3: SECONDS}
+SCALES = {
+    "hinge": {1 / DEGREES: "it looks like degrees", 1e-3: SECONDS, 1e3: SECONDS},
+    "slide": {1e-3: SECONDS, 1e3: "it looks like mm"},
+}
 # Two columns that belong together are correlated by more than this, or those of a wrong pair.
 SIGN = 0.9
 # Estimates whose correlation is above this cannot be told apart.
@@ -59,9 +61,8 @@ def log_findings(
         # The same of several joints is said once.
         alike = dict[tuple[str, str, str], tuple[list[int], str]]()
         for kind, own, problem, cure in [
-            *_position_doubts(model, log, joints),
             *_velocity_doubts(model, log, joints, searched),
-            *_control_doubts(model, log),
+            *_control_doubts(model, log, searched),
         ]:
             pair = " and ".join(each.name for each in named(model, "joint", own)[1:])
             alike.setdefault((kind, cure, pair), ([], problem))[0].extend(own)
@@ -75,16 +76,6 @@ def log_findings(
 
 # The kind of a finding, the joints, the problem and the cure.
 Doubt = tuple[str, list[int], str, str]
-
-
-def _position_doubts(model: Model, log: MeasuredLog, joints: Sequence[int]) -> Iterator[Doubt]:
-    """Yield hinges whose positions are far outside of their range."""
-    for joint in [k for k in joints if model.jnt_type[k] == "hinge"]:
-        column = log.measured["qpos"][1][:, int(model.jnt_qposadr[joint])]
-        largest, limit = np.nanmax(np.abs(column)), float(np.abs(model.jnt_range[joint]).max())
-        if limit > 0 and OUTSIDE * limit < largest < OUTSIDE * DEGREES * limit:
-            what = f"its position reaches {largest:.3g} rad, its range {limit:.3g} rad"
-            yield "units", [joint], what, "it looks like degrees"
 
 
 def _velocity_doubts(
@@ -109,13 +100,18 @@ def _velocity_doubts(
     for kind, own, what in _disordered(alike, "velocity", "the change of its position"):
         yield kind, [joints[k] for k in own], what, "check the names and signs of the columns"
     for k, joint in enumerate(joints):
+        moved, most = np.abs(rates[:, k] * np.diff(times)), np.abs(speeds[:, k]).max()
+        usual = np.median(moved[moved > 0]) if moved.any() else np.inf
+        if most > 0 and moved.max() > JUMP * max(usual, most * np.diff(times).max()):
+            at = f"{moved.max():.3g} within a row at {seconds(middle[int(moved.argmax())])}"
+            yield "jump", [joint], f"its position jumps by {at}", "leave cells empty that are wrong"
+            continue
         # Rows so far apart that they miss the motion show nothing.
         if alike[k, k] <= math.sqrt(BETTER):
             continue
         ratio = float(alike[k, k] * lengths[k, k] / (speeds[:, k] @ speeds[:, k]))
-        turns = model.jnt_type[joint] == "hinge"
-        for unit, cure in SCALES.items():
-            if _near(ratio, unit) and (turns or cure == SECONDS):
+        for unit, cure in SCALES[model.jnt_type[joint]].items():
+            if _near(ratio, unit):
                 what = f"its position changes {times_said(ratio)} its velocity"
                 if ratio < 1:
                     what = f"its velocity is {times_said(1 / ratio)} the change of its position"
@@ -131,8 +127,8 @@ def _velocity_doubts(
             yield "delay", [joint], what, f'search "delay/{array}" too'
 
 
-def _control_doubts(model: Model, log: MeasuredLog) -> Iterator[Doubt]:
-    """Yield joints whose actuators push another way than the measured motion needs."""
+def _control_doubts(model: Model, log: MeasuredLog, searched: Sequence[str]) -> Iterator[Doubt]:
+    """Yield joints whose actuators push otherwise, or at another time, than their motion needs."""
     times, qpos = log.measured["qpos"]
     drives = [each for each in actuators(model) if each.direct and each.gain and each.gear]
     known = np.isfinite(qpos).all() and len(times) > 8
@@ -156,15 +152,46 @@ def _control_doubts(model: Model, log: MeasuredLog) -> Iterator[Doubt]:
     dofs, places = [each.dof for each in drives], [each.qposadr for each in drives]
     feedback = kp * gear * qpos[rows + 1][:, places] + kv * gear * qvel[rows][:, dofs]
     needed = (force[:, dofs] / gear - offset + feedback) / gain
-    own = [each.index for each in drives]
-    given = [log.controls.steps(float(at[k]), model.settings.dt, 1)[0, own] for k in rows]
-    both = np.column_stack([needed, given])
-    spread = both.std(axis=0)
-    scaled = (both - both.mean(axis=0)) / np.where(spread > 0, spread, np.inf)
-    alike = (scaled[:, : len(drives)].T @ scaled[:, len(drives) :]) / len(scaled)
-    for kind, own, what in _disordered(alike, "control", "the one that its motion needs"):
-        joints = [drives[k].joint or 0 for k in own]
-        yield kind, joints, what, "check the names and signs of the control columns"
+    own, step = [each.index for each in drives], model.settings.dt
+    period = float(np.median(np.diff(at)))
+
+    def given(late: float) -> np.ndarray:
+        """Return the controls that act so much later than their rows say [s]."""
+        return np.array([log.controls.steps(float(at[k]) - late, step, 1)[0, own] for k in rows])
+
+    alike = _correlations(needed, now := given(0.0))
+    joints = [each.joint or 0 for each in drives]
+    for kind, pair, what in _disordered(alike, "control", "the one that its motion needs"):
+        cure = "check the names and signs of the control columns"
+        yield kind, [joints[k] for k in pair], what, cure
+    ratios = now.std(axis=0) / np.maximum(needed.std(axis=0), 1e-300)
+    for k, ratio in enumerate(ratios.tolist()):
+        if alike[k, k] > SIGN and (_near(ratio, 1e3) or _near(ratio, 1e-3)):
+            what = f"its control is {times_said(ratio)} what its motion needs"
+            yield "units", [joints[k]], what, "it looks like another unit"
+    if DELAY in searched:
+        return
+    # What is wrong in a model moves a peak too, but not by rows in every joint alike.
+    lags = period * np.arange(-10, 11)
+    better = np.array([np.diag(_correlations(needed, given(late))) for late in lags.tolist()])
+    peaks, missed = lags[better.argmax(axis=0)], 1 - better.mean(axis=1)
+    together = (
+        bool((np.sign(peaks) == np.sign(peaks[0])).all()) and np.abs(peaks).min() > 2.5 * period
+    )
+    if together and missed[len(lags) // 2] > 4 * missed.min():
+        late = float(np.median(peaks))
+        what = f"its motion is about {seconds(abs(late))} {'late' if late > 0 else 'early'}"
+        for joint in joints:
+            yield "delay", [joint], f"{what}, beside its controls", f'search "{DELAY}" too'
+
+
+def _correlations(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the correlation of each column of one with each of the other."""
+    one, other = (
+        (each - each.mean(axis=0)) / np.maximum(each.std(axis=0), 1e-300) for each in (one, other)
+    )
+    alike: np.ndarray = one.T @ other / len(one)
+    return alike
 
 
 def _disordered(alike: np.ndarray, what: str, other: str) -> Iterator[tuple[str, list[int], str]]:
@@ -242,7 +269,7 @@ def horizon_findings(logs: Sequence[MeasuredLog], ends: Sequence[float]) -> list
                 f"{log.name} can be predicted for {seconds(end)} of {seconds(log.duration)}: from "
                 f"then on what is off at its beginning has grown {times_said(GROWTH)}"
             )
-            cure = f"cut it into pieces of {seconds(end)} or less, and give them as a list"
+            cure = f"cut it into pieces of {seconds(end)} or less: --pieces (pieces=)"
             found.append(Finding("horizon", "warning", problem, cure, (), end, "s"))
     return found
 

@@ -9,13 +9,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.engine.axes import units_of
 from stepcore.engine.model import Model
+from stepcore.experiment.log import SAID, entries_of
 from stepcore.measure.identification.log import DELAY, is_delay
 from stepcore.measure.identification.misfit import Quality
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted, times
+from stepcore.report.units import counted, seconds, times
 from stepcore.scene.value_paths import WHOLE
 
 # The step whose integration error is looked at is this many times shorter.
@@ -161,13 +163,17 @@ class Identification(Result):
 
     def _amount(self, label: str, value: float) -> str:
         """Return a residual with its unit: "0.1 rad at knee"."""
+        name, _, unit = self.named(label)
+        return f"{value:.2g} {unit} RMS at {name}" if unit else f"{value:.2g} RMS of {label}"
+
+    def named(self, label: str) -> tuple[str, str, str]:
+        """Return of which entry a quantity is, such as "knee", what, such as "position", and its
+        unit or "".
+        """
         array, _, name = label.removesuffix("]").partition("[")
-        names = self.model.names["joint"]
-        kind = self.model.jnt_type[names.index(name)] if name in names else ""
-        unit = {"hinge": " rad", "slide": " m"}.get(kind, "")
-        if array not in ("qpos", "qvel") or not unit:
-            return f"{value:.2g} RMS of {label}"
-        return f"{value:.2g}{unit}{'/s' if array == 'qvel' else ''} RMS at {name}"
+        units = units_of(self.model, array)
+        unit = units[entries_of(self.model, array, len(units)).index(name)] if units else ""
+        return name, SAID[array], unit
 
     def _estimates(self) -> Iterator[str]:
         for path, value in self.values.items():
@@ -198,10 +204,12 @@ class Identification(Result):
             self.residuals, key=lambda key: self.integration[key] / (self.residuals[key] or 1.0)
         )
         after, step = self.residuals[worst], self.integration[worst]
+        dt = seconds(float(self.settings.dt) / FINER)
+        shorter = f": take shorter steps, such as {dt} (timestep in the file, dt in Python)."
         yield (
             f"The residual of {worst} is {after:.3g} RMS ({self.before[worst]:.3g} before); steps "
             f"{FINER} times shorter change the prediction by {step:.3g}, the most of all beside "
-            "their residuals" + (": take shorter steps." if step > after / 2 else ".")
+            f"their residuals{shorter if step > after / 2 else '.'}"
         )
         for path, value in self.values.items():
             (low, high), finer = self.intervals[path], self.finer[path]

@@ -173,6 +173,7 @@ def _proven_and_timed(result: Trade, search: Search, further: int) -> None:
 def _searched(result: Trade, search: Search, further: int) -> None:
     """Search for what was asked: an error, a budget, or what less error would cost."""
     unsure, target = search.truth.error, result.target
+    result.unsure = unsure
     if result.budget is not None:
         result.chosen = search.most_accurate(result.budget)
         return

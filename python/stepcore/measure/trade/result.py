@@ -76,6 +76,7 @@ class Trade(Result):
     rows: every setting that ran from all starts, and those that failed; coarsest step first.
     shipped: the trial of the scene's own settings.
     target, budget: the requested error [m] or the requested budget.
+    unsure: to what the converged motion was known when the settings were chosen [m].
     verified: if the target cannot be verified, the least round error that can [m].
     chosen: the settings for `target`, or for `verified`, or for `budget`.
     proof: what these did on starts that no choice has seen; None if they did not run there.
@@ -98,6 +99,7 @@ class Trade(Result):
     by: str = "time"
     target: float | None = None
     budget: float | None = None
+    unsure: float = math.nan
     verified: float | None = None
     size: float = math.nan
     rows: list[Trial] = field(default_factory=list)
@@ -116,11 +118,13 @@ class Trade(Result):
 
     def take(self, search: Search) -> None:
         """Take over what a search has tried, without the poses of all bodies."""
-        if self.starts == len(search.truth.starts):
-            self.reference, self.shipped = search.truth, search.shipped
+        search.score_again()
+        self.reference, self.schedule = search.truth, search.study.schedule
         self.moved, self.ended = search.moved, search.ended
-        light = [dataclasses.replace(trial, tracks=None) for trial in search.trials.values()]
-        self.rows = sorted(light, key=lambda trial: (-trial.dt, trial.cost))
+        light = {c: dataclasses.replace(trial, tracks=None) for c, trial in search.trials.items()}
+        self.rows = sorted(light.values(), key=lambda trial: (-trial.dt, trial.cost))
+        self.shipped = light[SHIPPED]
+        self.chosen = self.chosen and light[self.chosen.change]
         if self.chosen is None and self.target is not None:
             with contextlib.suppress(ValueError):
                 self.chosen = self.cheapest(self.asked)
@@ -315,10 +319,10 @@ class Trade(Result):
             )
 
     def _answer(self) -> Iterator[str]:
-        target, truth = self.target, self.reference
-        if target is not None and (truth.error > target or self.verified is not None):
-            well = "" if truth.error > target else " well"
-            known = f"the converged motion is known to {metres(truth.error)} in the worst start"
+        target, unsure = self.target, self.unsure
+        if target is not None and (unsure > target or self.verified is not None):
+            well = "" if unsure > target else " well"
+            known = f"the converged motion was known to {metres(unsure)} in the worst start"
             yield f"{metres(target)} cannot be verified{well}: {known}. {self._surer()}"
         row = self.chosen
         if row is not None:
@@ -411,7 +415,8 @@ class Trade(Result):
         away = f"its converged motion is {metres(self.parted)} from stepcore's"
         known = f"they are known to {metres(ours)} and {metres(theirs)}"
         yield f"MuJoCo {same} the same physics: {away}; {known}."
-        yield f"As shipped MuJoCo's error is {other._wrong(other.shipped)}{self._times(SHIPPED)}."
+        said = f"As shipped MuJoCo's error is {other._wrong(other.shipped)}"
+        yield f"{said}{self._there(other.shipped)}{self._times(SHIPPED)}."
         row = other.chosen
         if row is not None and row.change != SHIPPED:
             within = f"an error of at most {metres(other.asked)}"
@@ -422,6 +427,16 @@ class Trade(Result):
             )
         elif self.target is not None and row is None:
             yield f"None of its settings has an error of at most {metres(other.asked)}."
+
+    def _there(self, theirs: Trial) -> str:
+        """Return the shipped error from MuJoCo's starts, where further ones joined the search."""
+        row = self.shipped
+        errors = [e for s, e in zip(row.starts, row.errors, strict=True) if s in theirs.starts]
+        if row.failure or len(errors) == len(row.starts):
+            return ""
+        return (
+            f" in the worst of {len(errors)} starts (stepcore's from these: {metres(max(errors))})"
+        )
 
     def _times(self, theirs: Change, ours: Change | None = None) -> str:
         """Return how much longer MuJoCo computes than stepcore, as measured; "" if unknown."""

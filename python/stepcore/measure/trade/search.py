@@ -113,6 +113,10 @@ class Search:
     def sharpen(self, error: float) -> None:
         """Make the truth as fine as another error needs it, and score all trials again."""
         self.truth = self.study.truth(error, self.truth.starts)
+        self.score_again()
+
+    def score_again(self) -> None:
+        """Score all trials by the truth, which may be finer than when they ran."""
         for change, trial in self.trials.items():
             if trial.starts == self.truth.starts and trial.tracks is not None:
                 self.trials[change] = self.study.score(change, trial.tracks, self.truth)
@@ -201,7 +205,8 @@ class Search:
         if all(way.fixed for way in study.engine.ways(study.schedule, error)):
             return best
         most = BETTER * best.cost if best is not None else self.study.cost(truth.change)
-        for share in ACCURACIES:
+        # An accuracy that the motion itself is within asks for nothing.
+        for share in (share for share in ACCURACIES if share * error < self.moved):
             accuracy = share * error / study.schedule.horizon
             change = Change(accuracy=accuracy, dt=study.schedule.period)
             if self.study.cost(change) >= most or not study.affords(change, len(truth.starts)):

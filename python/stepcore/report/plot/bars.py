@@ -14,6 +14,7 @@ from stepcore.report.plot.style import (
     RED,
     bar,
     frame,
+    halo,
     legend,
     line,
     log_ticks,
@@ -55,8 +56,7 @@ def diagnosis(result: Diagnosis) -> Any:
             at = place + GROUP * (k / 2 - 0.25)
             _bar(axes, at, dt, (low, high), 0.42 * GROUP, colours[k])
         name = result.stiffest(limit.integrator) if math.isfinite(limit.dt) else ""
-        say_at = max(limit.dt, low) * 1.05
-        axes.annotate(name, (say_at, place - 0.25 * GROUP), fontsize=7, va="center", clip_on=True)
+        _named(axes, name.replace("`", ""), place - 0.25 * GROUP, limit.dt, (low, high))
     axes.axvline(result.wanted, color="black", lw=1.3, zorder=4)
     names = [limit.integrator for limit in limits]
     name_places(axes, names, range(len(limits)), ELEMENT_LETTERS)
@@ -93,6 +93,17 @@ def _bar(
         axes.plot(high, place, ">", ms=4.5, color=colour, clip_on=False, zorder=5)
 
 
+def _named(axes: Any, name: str, place: float, dt: float, limits: tuple[float, float]) -> None:
+    """Write the name of what limits a step after its bar, or in it where the bar is long."""
+    low, high = limits
+    inside = dt > math.sqrt(low * high)
+    style: dict[str, Any] = (
+        {"color": "white", "ha": "right"} if inside else {"path_effects": halo()}
+    )
+    style |= {"textcoords": "offset points", "va": "center", "fontsize": 7, "zorder": 5}
+    axes.annotate(name, (max(dt, low), place), (-4 if inside else 4, 0), **style)
+
+
 def check(check: Check) -> Any:
     """Draw the plot of the diagnosis."""
     if check.diagnosis is not None:
@@ -111,7 +122,8 @@ def tuning(result: Tuning) -> Any:
     for place, tuned in zip(places, result.found, strict=True):
         ratio, colour = tuned.measured / tuned.goal.value, GREEN if tuned.reached else RED
         # Far from the wanted value, or not known, it has no bar, only a number.
-        bar(axes, place, ratio if ratio < 1.4 else 0.0, colour, tuned.result)
+        near = ratio < 1.4
+        bar(axes, place, near * ratio, colour, tuned.result, after=1.0 if near else 0.0)
     axes.axvline(1.0, color="black", lw=1.3, zorder=4)
     axes.set_xlim(0.0, 1.5)
     frame(axes, result.title, "measured, relative to the wanted value")

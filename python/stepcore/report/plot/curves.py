@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,38 +35,46 @@ if TYPE_CHECKING:
 
 # Colours of the lines of one quantity, in drawing order.
 LINES = tuple(COLOURS.values())
-# More lines than this cannot be distinguished by colour and have no legend.
-NAMED = len(LINES)
+NAMED, DASHES = len(LINES), ("-", "--", ":")
+# What is drawn of a run that has some of these.
+WANTED = ("qpos", "energy", "overlap", "error")
 UNITS = {
     "overlap": "deepest overlap [m]",
     "residual": "residual [m/s]",
     "error": "estimated error [m]",
 }
+# What joints have in each unit.
+JOINTS = {"rad": "position [rad]", "m": "position [m]", "": "orientation (quaternion)"}
+JOINTS |= {"rad/s": "velocity [rad/s]", "m/s": "velocity [m/s]"}
 
 
 def trajectory(run: Trajectory) -> Any:
-    """Draw energy, overlap and error over time, or else all recorded arrays, one panel each.
+    """Draw positions, energy, overlap and error over time, or else all recorded arrays.
 
-    Positions of bodies whose error was recorded too are drawn with it as a band.
-
-    Time counts from the beginning of the run: the first state of a Sim can have another time, such
-    as that of a keyframe.
+    Positions of joints have a panel for each unit. An overlap that is never there has none.
+    Positions of bodies whose error was recorded too are drawn with it as a band. Time counts from
+    the beginning of the run: the first state of a Sim can have another time, such as that of a
+    keyframe.
 
     Raises ValueError for a run without recorded arrays.
     """
-    wanted: list[str] = [name for name in ("energy", "overlap", "error") if name in run.data]
-    names = wanted or list(run.data)
+    names = [name for name in WANTED if name in run.data]
+    if names in ([], ["qpos"]):
+        names = [*run.data]
+    if len(names) > 1 and "overlap" in names and not np.any(run.data["overlap"] > 0):
+        names.remove("overlap")
     if not names:
         raise ValueError("the run recorded nothing that can be drawn")
-    figure, panels = stacked(len(names))
+    drawn = [panel for name in names for panel in _panels(run, name)]
+    figure, panels = stacked(len(drawn))
     time = run.time - run.time[0]
-    for axes, name in zip(panels, names, strict=True):
+    for axes, (name, words, lines) in zip(panels, drawn, strict=True):
         if name == "energy":
             _energy(axes, time, run)
         elif name == "error":
             _error(axes, time, run)
         else:
-            _lines(axes, time, name, np.asarray(run.data[name], float))
+            _lines(axes, time, words, lines)
         if name == "xpos" and "body_error" in run.data:
             _bands(axes, time, run)
         frame(axes)
@@ -73,11 +83,32 @@ def trajectory(run: Trajectory) -> Any:
     return figure
 
 
+# A panel: the array, the words of its axis, and lines by name.
+Panel = tuple[str, str, dict[str, np.ndarray]]
+
+
+def _panels(run: Trajectory, name: str) -> Iterator[Panel]:
+    """Yield the panels of a recorded array: of joints one for each unit."""
+    values, axes = np.asarray(run.data[name], float), run.axes(name)
+    columns = values.reshape(len(values), -1).T
+    entries = [
+        " ".join(entry).replace("`", "")
+        for entry in itertools.product(*(axis.entries for axis in axes))
+    ]
+    units = axes[0].units if len(axes) == 1 else ()
+    if not units:
+        yield name, UNITS.get(name, name), dict(zip(entries, columns, strict=True))
+    for unit in dict.fromkeys(units):
+        lines = {e: c for e, c, own in zip(entries, columns, units, strict=True) if own == unit}
+        alone = f"{next(iter(lines))}\n" if len(lines) == 1 < len(columns) else ""
+        yield name, f"{alone}{JOINTS[unit]}", lines
+
+
 def _energy(axes: Any, time: np.ndarray, run: Trajectory) -> None:
     kinetic, potential = np.asarray(run.data["energy"], float).T
     axes.plot(time, kinetic, color=BLUE, lw=1.2, label="kinetic")
     axes.plot(time, potential, color=ORANGE, lw=1.2, label="potential")
-    axes.plot(time, kinetic + potential, color="black", lw=1.6, label="total")
+    axes.plot(time, kinetic + potential, color="black", lw=3.0, label="total", zorder=1.9)
     axes.set_ylabel("energy [J]")
     _legend(axes)
 
@@ -104,23 +135,24 @@ def _bands(axes: Any, time: np.ndarray, run: Trajectory) -> None:
         axes.fill_between(time, *ends, color=LINES[k % NAMED], alpha=0.25, lw=0)
 
 
-def _lines(axes: Any, time: np.ndarray, name: str, values: np.ndarray) -> None:
-    columns = values.reshape(len(time), -1)
-    count = columns.shape[1]
-    for k in range(count):
-        index = ", ".join(map(str, np.unravel_index(k, values.shape[1:])))
-        label = f"[{index}]" if 1 < count <= NAMED else None
-        axes.plot(time, columns[:, k], color=LINES[k % NAMED], lw=1.2, label=label)
-    axes.set_ylabel(UNITS.get(name, name))
-    if name == "overlap":
+def _lines(axes: Any, time: np.ndarray, words: str, lines: Mapping[str, np.ndarray]) -> None:
+    """Draw lines by name; many have no names beside them."""
+    named = 1 < len(lines) <= NAMED * len(DASHES)
+    for k, (name, values) in enumerate(lines.items()):
+        style: dict[str, Any] = {"color": LINES[k % NAMED], "ls": DASHES[k // NAMED % len(DASHES)]}
+        axes.plot(time, values, lw=1.2, label=name if named else None, **style)
+    axes.set_ylabel(words)
+    if words == UNITS["overlap"]:
         axes.set_ylim(bottom=0)
-    if 1 < count <= NAMED:
+    if named:
         _legend(axes)
 
 
 def _legend(axes: Any) -> None:
     """Draw the legend at the right of the panel, where it covers no data."""
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=FONT["text"], frameon=False)
+    many = len(axes.get_legend_handles_labels()[1]) > NAMED
+    style: dict[str, Any] = {"ncols": 1 + many, "fontsize": FONT["small" if many else "text"]}
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, **style)
 
 
 # The number of elements drawn.
@@ -231,6 +263,10 @@ def convergence(result: Convergence) -> Any:
     (the impulses of the step before). The shading extends to the worst state. The runs of equal row
     updates divide the work differently between steps and sweeps.
     """
+    if not len(result.sweeps):
+        figure = new_figure(6.0, 4.4)
+        _work(figure.add_subplot(), result, f"{result.name}: no contact, limit or other row")
+        return figure
     figure = new_figure(10.0, 4.4)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     _sweeps(left, result)
@@ -240,12 +276,7 @@ def convergence(result: Convergence) -> Any:
 
 def _sweeps(axes: Any, result: Convergence) -> None:
     table = result.sweeps
-    frame(axes, f"{result.name}: {result.verdict}")
-    axes.set_xlabel("sweeps")
-    axes.set_ylabel("residual [m/s]")
-    if not len(table):
-        say(axes, "no contact, limit or other row")
-        return
+    frame(axes, f"{result.name}: {result.verdict}", "sweeps", "residual [m/s]")
     sweeps = np.array(table["sweeps"], float)
     worst = [max(row["cold worst"], row["warm worst"]) for row in table]
     # Smaller residuals are rounding errors.
@@ -273,9 +304,8 @@ def _sweeps(axes: Any, result: Convergence) -> None:
     )
 
 
-def _work(axes: Any, result: Convergence) -> None:
-    frame(axes, "equal row updates, steps × sweeps")
-    axes.set_xlabel("RMS position error [m]")
+def _work(axes: Any, result: Convergence, title: str = "") -> None:
+    frame(axes, title or "equal row updates, steps × sweeps", "RMS position error [m]")
     trials = [split.trial for split in result.splits]
     known = [t.error for t in trials if math.isfinite(t.error) and t.error > 0]
     if not known:

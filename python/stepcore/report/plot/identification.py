@@ -31,7 +31,8 @@ def identification(result: Identification) -> Any:
         low, high = float(np.nanmin(every)), float(np.nanmax(every))
         room = 0.25 * (high - low) or 1e-9 + 0.1 * abs(high)
         axes.set_ylim(low - room, high + room)
-        frame(axes, y=curve.quantity)
+        name, word, unit = result.named(curve.quantity)
+        frame(axes, y=f"{name}\n{word} [{unit}]" if unit else f"{name}\n{word}")
     log = f", logs[{worst.log}]" if result.logs > 1 else ""
     more = f", {len(drawn)} of {len(own)} quantities" if len(drawn) < len(own) else ""
     frame(panels[0], f"{result.title}{log}{more}")

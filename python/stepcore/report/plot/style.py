@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise, product
 from typing import Any
+
+import numpy as np
+
+from stepcore.needs import installing
 
 # Colours for colour-blind readers (Okabe and Ito), in a fixed order so that an integrator has the
 # same colour in every plot.
@@ -42,6 +47,9 @@ TINTS = ("#f2731a", "#338cf2", "#994dcc")
 SKY = ("#EDF2FA", "#D1DEED")
 # Font sizes [points].
 FONT = {"title": 11, "text": 9, "small": 8}
+# The sides of a mark where a text may stand, the first one first: below and left of the front of a
+# trade there is nothing.
+SIDES = tuple(product((-1, 1), (-1, 0, 1)))
 
 
 def rgb(colour: str) -> tuple[float, float, float]:
@@ -55,7 +63,7 @@ def new_figure(width: float = 8.0, height: float = 4.8) -> Any:
     try:
         from stepcore.report.plot.notebook_figure import NotebookFigure
     except ImportError:
-        raise ImportError("a plot needs matplotlib: pip install 'stepcore[plot]'") from None
+        raise ImportError(f"a plot needs matplotlib: {installing('plot')}") from None
     return NotebookFigure(figsize=(width, height), dpi=150, layout="constrained")
 
 
@@ -64,19 +72,25 @@ def named_bars(
 ) -> tuple[Any, Any, range]:
     """Return a figure for bars by name from above, its panels, and the places of the bars.
 
+    All places are within the panels, whether they have a bar or not.
+
     room: height beside that of the bars [inches].
     """
     figure = new_figure(width, room + 0.3 * max(1, len(names)))
     axes = figure.subplots(1, panels, sharey=True, squeeze=False)[0]
     places = range(len(names))[::-1]
     name_places(axes[0], names, places, letters)
+    axes[0].set_ylim(-0.6, len(names) - 0.4)
     return figure, axes, places
 
 
 def stacked(panels: int) -> tuple[Any, Any]:
     """Return a figure of panels above each other that share their time, and the panels."""
     figure = new_figure(height=max(4.0, 2.0 * panels))
-    return figure, figure.subplots(panels, sharex=True, squeeze=False)[:, 0]
+    every = figure.subplots(panels, sharex=True, squeeze=False)[:, 0]
+    for axes in every:
+        axes.ticklabel_format(useOffset=False)
+    return figure, every
 
 
 def frame(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
@@ -120,15 +134,77 @@ def log_ticks(axis: Any, words: Callable[[float], str] | None = None) -> None:
 
 
 def bar(
-    axes: Any, place: float, value: float, colour: str, text: str = "", left: float = 0.0
+    axes: Any,
+    place: float,
+    value: float,
+    colour: str,
+    text: str = "",
+    left: float = 0.0,
+    after: float = 0.0,
 ) -> None:
-    """Draw a horizontal bar from `left` to a larger `value`, and a text at its end."""
+    """Draw a horizontal bar from `left` to a larger `value`, and a text at its end.
+
+    after: the text stands after this value too.
+    """
     if value > left:
         axes.barh(place, value - left, left=left, color=colour, height=0.7)
     if text:
-        at = (max(value, left), place)
-        style = {"textcoords": "offset points", "va": "center", "fontsize": FONT["small"]}
-        axes.annotate(text, at, (3, 0), **style)
+        at = (max(value, left, after), place)
+        style: dict[str, Any] = {"textcoords": "offset points", "va": "center", "zorder": 5}
+        axes.annotate(text, at, (3, 0), fontsize=FONT["small"], path_effects=halo(), **style)
+
+
+def halo() -> list[Any]:
+    """Return what makes lines behind a text pale around its letters."""
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=2.0, foreground="white")]
+
+
+def write_beside(axes: Any, marks: Sequence[tuple[tuple[float, float], str]]) -> None:
+    """Write texts beside marks, each where it covers least of the lines and of other texts.
+
+    The limits of the axes are set. marks: a point of the data each, and its text.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas: Any = FigureCanvasAgg(axes.figure)
+    renderer = canvas.get_renderer()
+    axes.figure.draw_without_rendering()
+    drawn = np.concatenate([*map(_pixels, axes.lines), np.empty((0, 2))])
+    for at, text in marks:
+        style: dict[str, Any] = {"textcoords": "offset points", "path_effects": halo(), "zorder": 6}
+        written = axes.annotate(text, at, (0, 0), fontsize=FONT["text"], **style)
+        written.set_in_layout(False)
+
+        def box(side: tuple[int, int], written: Any = written) -> Any:
+            """Put the text to this side of its mark, and return where it is."""
+            x, y = side
+            written.set(x=9 * x, y=9 * y, ha=("left", "right")[x < 0])
+            written.set_va(("center", "bottom", "top")[y])
+            return written.get_window_extent(renderer)
+
+        def covered(side: tuple[int, int], box: Any = box, drawn: Any = drawn) -> int:
+            """Count the pixels of lines that are covered; more of them outside of the axes."""
+            place = box(side)
+            outside = not all(axes.bbox.contains(*corner) for corner in (place.min, place.max))
+            over = (drawn > place.min) & (drawn < place.max)
+            return int(over.all(axis=1).sum()) + outside * len(drawn)
+
+        chosen = box(min(SIDES, key=covered))
+        within = np.stack(np.meshgrid(*np.linspace(chosen.min, chosen.max, 9).T), -1)
+        drawn = np.concatenate([drawn, within.reshape(-1, 2)])
+
+
+def _pixels(line: Any) -> np.ndarray:
+    """Return the points of a line on the canvas, or of its marks, one for each pixel or so."""
+    points = line.get_transform().transform(np.column_stack(line.get_data()).astype(float))
+    points = points[np.isfinite(points).all(axis=1)]
+    if line.get_linestyle() == "None":
+        size = line.get_markersize()
+        return (points[:, None] + size * np.array([(0, 0), *SIDES])).reshape(-1, 2)
+    along = [np.linspace(a, b, 2 + int(np.abs(b - a).max())) for a, b in pairwise(points)]
+    return np.concatenate([*along, np.empty((0, 2))])
 
 
 def name_places(axes: Any, names: Sequence[str], places: Sequence[float], letters: int) -> None:

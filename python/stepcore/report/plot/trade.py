@@ -15,6 +15,7 @@ from stepcore.report.plot.style import (
     line,
     log_ticks,
     new_figure,
+    write_beside,
 )
 from stepcore.report.settings import label
 from stepcore.report.units import counted, metres, operations, seconds
@@ -55,15 +56,16 @@ def trade(trade: Trade) -> Any:
         low = error / 1.5
     axes.set_ylim(low, high)
     axes.margins(x=0.08)
+    # Failures are drawn a little below the upper edge.
+    top = high * (low / high) ** 0.03
     for row in far:
         colour = COLOURS.get(row.settings.integrator, GREY)
-        axes.plot(_cost(trade, row), high, "x", ms=8, mew=2, color=colour, clip_on=False, zorder=6)
+        axes.plot(_cost(trade, row), top, "x", ms=8, mew=2, color=colour, zorder=6)
     dashed: dict[str, Any] = {"color": GREY, "ls": "--", "lw": 1.0, "zorder": 1}
     if trade.target is not None:
         axes.axhline(trade.asked, **dashed)
     elif trade.budget is not None:
         axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **dashed)
-    _rings(axes, trade, good)
     if error > low:
         axes.axhspan(low, error, color="#DDDDDD", zorder=0)
         text = f"below what the converged motion is sure of, {metres(error)}"
@@ -79,6 +81,7 @@ def trade(trade: Trade) -> Any:
     error_words = "RMS position error of the worst start [m]"
     frame(axes, title, counts if flops else timed, error_words)
     _legend(figure, trade, good, bool(far))
+    _rings(axes, trade, good, top)
     return figure
 
 
@@ -122,31 +125,24 @@ def _limits(errors: Sequence[float]) -> tuple[float, float]:
     return 10 ** (low - room), 10 ** (high + 2.5 * room)
 
 
-def _rings(axes: Any, trade: Trade, good: Sequence[Trial]) -> None:
-    """Draw rings around the shipped and the chosen settings, with their names."""
-    from matplotlib.patheffects import withStroke
+def _rings(axes: Any, trade: Trade, good: Sequence[Trial], top: float) -> None:
+    """Draw rings around the shipped and the chosen settings, with their names.
 
-    shipped = label(trade.shipped.settings, sweeps=False).replace(", dt", ",\ndt")
-    marked = [(trade.shipped, f"as shipped\n{shipped}")]
+    top: where failures are drawn.
+    """
+    marked = [("as shipped", trade.shipped)]
     chosen = trade.chosen
     if chosen is not None and chosen.change != trade.shipped.change:
-        marked.append((chosen, "recommended\n" + label(chosen.settings).replace(", dt", ",\ndt")))
-    for row, text in marked:
-        if row.change not in [one.change for one in good]:
-            continue
-        at = (_cost(trade, row), row.error)
-        axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
-        # Below and left of the front there are no points, so a text covers nothing except the
-        # axis. A point far above the front has its text on the other side.
-        left = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > 0.2
-        front = [one.error for one in good if one.cost <= row.cost]
-        below = row.error <= 1.5 * min(front, default=math.inf)
-        # What a text covers, such as the line of the target, is pale around its letters.
-        halo = [withStroke(linewidth=1.5, foreground="white")]
-        style: dict[str, Any] = {"textcoords": "offset points", "path_effects": halo}
-        style |= {"ha": "right" if left and below else "left", "va": "top" if below else "bottom"}
-        place = (-9 if left and below else 9, -9 if below else 9)
-        axes.annotate(text, at, place, fontsize=FONT["text"], zorder=6, **style)
+        marked.append(("recommended", chosen))
+    texts = list[tuple[tuple[float, float], str]]()
+    for words, row in marked:
+        settings = label(row.settings, sweeps=row is chosen).replace(", dt", ",\ndt")
+        at = (_cost(trade, row), min(row.error, top))
+        if row.change in [one.change for one in good]:
+            axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
+        if math.isfinite(at[0]):
+            texts.append((at, f"{words}\n{settings}"))
+    write_beside(axes, texts)
 
 
 def _legend(figure: Any, trade: Trade, good: Sequence[Trial], failed: bool) -> None:

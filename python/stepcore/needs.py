@@ -1,4 +1,4 @@
-"""Optional packages of viewing, with the command that installs a missing one."""
+"""Optional packages, with the command that installs a missing one."""
 
 from __future__ import annotations
 
@@ -13,5 +13,10 @@ def need(package: str, what: str, extra: str = "view") -> Any:
     except ImportError as error:
         if error.name is not None and error.name.partition(".")[0] != package.partition(".")[0]:
             raise
-        text = f"{what} needs {package.partition('.')[0]}: pip install 'stepcore[{extra}]'"
+        text = f"{what} needs {package.partition('.')[0]}: {installing(extra)}"
         raise ImportError(text, name=package) from None
+
+
+def installing(extra: str) -> str:
+    """Return how an extra is installed."""
+    return f"pip install '.[{extra}]' in a clone of stepcore"
