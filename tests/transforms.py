@@ -198,6 +198,7 @@ def scaled(scene, length, mass, time):
     dimensions = {
         "dt": unit(0, 0, 1),
         "tolerance": unit(1, 0, -1),
+        "cost_tolerance": unit(2, 0, -4),
         "softness": unit(0, -1),
         "slop": unit(1),
         "penalty_stiffness": unit(0, 1, -2),

@@ -183,13 +183,15 @@ class Settings:
 
     @property
     def tolerance(self) -> float:
-        """Residual at which a solve stops [m/s], >= 0; 0 always takes all sweeps."""
+        """Residual at which a solve stops [m/s], >= 0; 0 always takes all sweeps. Given without a
+        cost_tolerance, it replaces the one that the file asks for."""
 
     @property
     def cost_tolerance(self) -> float:
-        """MuJoCo's tolerance: projected Gauss-Seidel under "solref" with a number of sweeps stops
-        after a sweep that lowers the cost by less than this share of the trace of the mass matrix
-        [m²/s⁴], >= 0; 0 for none, as in scenes that are not MJCF files."""
+        """MuJoCo's tolerance: with a number of sweeps, a solve under "solref" stops after a sweep
+        or a Newton step that lowers the cost by less than this share of the trace of the mass
+        matrix [m²/s⁴], >= 0; 0 for none, as in scenes that are not MJCF files. Newton's impulses
+        then agree with the velocities to that tolerance, else to rounding."""
 
     @property
     def warm_start(self) -> bool:

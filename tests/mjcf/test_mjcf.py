@@ -323,15 +323,11 @@ def test_what_is_ignored_or_translated_is_listed() -> None:
         "m.xml:9: <geom> (only draws: no collisions, no mass)",
         'm.xml:12: <numeric> "n" (data that the simulation does not use)',
     ]
-    text = (
-        '<mujoco>\n<option solver="CG" tolerance="1"><flag midphase="disable"/></option></mujoco>'
-    )
+    flag = '<flag midphase="disable"/>'
+    text = f'<mujoco>\n<option solver="CG" ls_tolerance="1">{flag}</option></mujoco>'
     assert loads(text, name="m.xml").notes == [
         "m.xml:2: solver CG -> newton (the same minimum)",
-        (
-            "m.xml:2: tolerance is ignored: MJCF's tolerance is not a residual in m/s, as that of "
-            "Settings is"
-        ),
+        "m.xml:2: ls_tolerance is ignored: the line search is exact",
         'm.xml:2: flag midphase="disable" has no effect: it decides how pairs are found, not which',
     ]
     text = '<mujoco><worldbody><body><joint range="2 1"/></body></worldbody></mujoco>'

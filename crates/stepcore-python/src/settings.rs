@@ -211,11 +211,13 @@ settings! {
     /// residual is within the tolerance, which must be > 0, or at rounding, at most 10 000 times;
     /// under "rigid", "lesson" and "relaxed" a proximal method then goes on with what is left.
     sweeps: Sweeps,
-    /// Residual at which a solve stops [m/s], >= 0; 0 always takes all sweeps.
+    /// Residual at which a solve stops [m/s], >= 0; 0 always takes all sweeps. Given without a
+    /// cost_tolerance, it replaces the one that the file asks for.
     tolerance: f64,
-    /// MuJoCo's tolerance: projected Gauss-Seidel under "solref" with a number of sweeps stops after
-    /// a sweep that lowers the cost by less than this share of the trace of the mass matrix
-    /// [m²/s⁴], >= 0; 0 for none, as in scenes that are not MJCF files.
+    /// MuJoCo's tolerance: with a number of sweeps, a solve under "solref" stops after a sweep or a
+    /// Newton step that lowers the cost by less than this share of the trace of the mass matrix
+    /// [m²/s⁴], >= 0; 0 for none, as in scenes that are not MJCF files. Newton's impulses then agree
+    /// with the velocities to that tolerance, else to rounding.
     cost_tolerance: f64,
     /// Whether a solve starts from the impulses of the last step.
     warm_start: bool,
@@ -276,6 +278,9 @@ fn changed(base: &Engine, fields: Option<&Bound<'_, PyDict>>) -> PyResult<Settin
     if let Some(fields) = fields {
         for (name, value) in fields {
             set(&mut settings, &name.extract::<String>()?, &value)?;
+        }
+        if fields.contains("tolerance")? && !fields.contains("cost_tolerance")? {
+            settings.cost_tolerance = 0.0;
         }
         settings.check().raised(fields.py())?;
     }

@@ -136,7 +136,7 @@ pub struct Settings {
     pub sweeps: Sweeps,
     /// A solve stops at this residual [m/s]; 0: after all sweeps.
     pub tolerance: f64,
-    /// Projected Gauss-Seidel under `solref` stops where a sweep lowers the cost by less: MuJoCo's
+    /// A solve under `solref` stops where a sweep or a Newton step lowers the cost by less: MuJoCo's
     /// `tolerance`, a share of the trace of the mass matrix [m²/s⁴]; 0: never.
     pub cost_tolerance: f64,
     /// Start from the last step's impulses.

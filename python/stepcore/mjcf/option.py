@@ -45,9 +45,8 @@ _LIMITS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "sleep_tolerance": (_NOT_NEGATIVE, ">= 0 m/s"),
     **dict.fromkeys(("tolerance", "noslip_tolerance"), (_NOT_NEGATIVE, ">= 0")),
 }
-# Ignored attributes, which do not change the converged motion; PGS honours its tolerance.
+# Ignored attributes, which do not change the converged motion.
 IGNORED = {
-    "tolerance": "MJCF's tolerance is not a residual in m/s, as that of Settings is",
     "ls_tolerance": "the line search is exact",
     "ls_iterations": "the line search is exact",
 }
@@ -98,7 +97,7 @@ def read(scene: Scene, node: Node) -> None:
             given = (*given, *old[len(given) :]) if isinstance(given, tuple) else given
             setattr(scene.contact_override, name, given)
     for name, why in IGNORED.items():
-        if name in values and (name, options.get("solver")) != ("tolerance", "pgs"):
+        if name in values:
             _note(scene, node, f"{name} is ignored: {why}")
     for group in values.get("actuatorgroupdisable", ()):
         if not 0 <= group <= 30:

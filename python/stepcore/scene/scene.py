@@ -294,15 +294,16 @@ class Scene(checks.KnownNames):
         Raises ValueError for an unknown field, or a value outside its limits.
         """
         scene = copy.deepcopy(self)
-        if settings is not None:
-            if isinstance(settings, Mapping):
-                scene.options.update(settings)
-            elif hasattr(settings, "as_dict"):
-                scene.options = settings.as_dict()
-            else:
+        given = {**settings, **fields} if isinstance(settings, Mapping) else fields
+        if settings is not None and not isinstance(settings, Mapping):
+            if not hasattr(settings, "as_dict"):
                 limit = "Settings, or a dict of their fields"
                 raise ValueError(f"settings = {checks.shown(settings)}: must be {limit}")
-        scene.options.update(fields)
+            scene.options = settings.as_dict()
+        if "tolerance" in given:
+            # A residual that is asked for replaces what the file asks for.
+            scene.options.pop("cost_tolerance", None)
+        scene.options.update(given)
         _ = scene.settings  # Raises for unknown fields and bad values.
         return scene
 

@@ -279,7 +279,10 @@ impl Given {
         (rows.rows, rows.blocks, rows.y, rows.u) = (given.rows, given.blocks, given.y, given.u);
         rows.heap = given.heap;
         let free = Unconstrained { dof_lists, inv_d, guess };
-        let report = solvers.solve(settings, free, &mut rows)?;
+        // What is differentiated is Newton's solution, not where a step was content.
+        let exact = Settings { cost_tolerance: 0.0, ..settings.clone() };
+        let newton = settings.solver == Solver::Newton;
+        let report = solvers.solve(if newton { &exact } else { settings }, free, &mut rows)?;
         let (mut islands, mut at_corners) = (Vec::new(), Vec::new());
         if !report.open {
             let mut order = Islands::default();

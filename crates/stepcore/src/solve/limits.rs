@@ -9,8 +9,8 @@ pub struct Limits {
     pub sweeps: u32,
     /// On the scalar residual [m/s]; 0 runs every sweep.
     pub tolerance: f64,
-    /// Sweeps end where one lowers what the rows minimise by less, as a share of `Rows::inertia`
-    /// [m²/s²]; 0: never. For laws whose rows are all convex.
+    /// A solve ends with the sweep or the Newton step that lowers what the rows minimise by less, as
+    /// a share of `Rows::inertia` [m²/s²]; 0: never. For laws whose rows are all convex.
     pub cost: f64,
     /// Accelerate: see `momentum.rs`. For laws whose rows are all convex; an island
     /// with a Coulomb block runs plain.

@@ -151,7 +151,7 @@ impl<R: Real> Newton<R> {
                 }
             }
             let pattern = inside(&mut patterns[island]);
-            own.solve(task, pattern, rows, live, &mut report);
+            own.solve(task, (island, pattern), rows, live, &mut report);
             own.write(pattern, rows, live);
         }
         if R::ALONE {
@@ -179,7 +179,7 @@ impl<R: Real> Newton<R> {
         own.present.clear();
         own.present.extend(0..rows.blocks.len());
         let pattern = inside(&mut patterns[island]);
-        own.solve(Task { free, limits, islands }, pattern, rows, live, report);
+        own.solve(Task { free, limits, islands }, (island, pattern), rows, live, report);
         own.write(pattern, rows, live);
     }
 }

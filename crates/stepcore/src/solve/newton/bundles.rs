@@ -39,9 +39,8 @@ pub(super) struct Bundles<R: Real> {
     pub list: Vec<Bundle>,
     pub runs: Vec<Run>,
     pub cones: Vec<Cone<R>>,
-    /// By row: what `Row` calls so, and 1/c.
+    /// By row: what `Row` calls so.
     pub t: Vec<R>,
-    pub c: Vec<R>,
     pub inv_c: Vec<R>,
     pub lo: Vec<R>,
     pub hi: Vec<R>,
@@ -55,7 +54,7 @@ pub(super) struct Bundles<R: Real> {
     pub curves: usize,
 }
 
-room!(Bundles<R>: list, runs, cones, t, c, inv_c, lo, hi, inv_s, a, per_mass, mask, curves);
+room!(Bundles<R>: list, runs, cones, t, inv_c, lo, hi, inv_s, a, per_mass, mask, curves);
 
 impl<R: Real> Bundles<R> {
     pub fn new() -> Self {
@@ -64,7 +63,6 @@ impl<R: Real> Bundles<R> {
             runs: Vec::new(),
             cones: Vec::new(),
             t: Vec::new(),
-            c: Vec::new(),
             inv_c: Vec::new(),
             lo: Vec::new(),
             hi: Vec::new(),
@@ -85,7 +83,6 @@ impl<R: Real> Bundles<R> {
             let (at, whole) = (self.t.len(), block.mask.all());
             let per_mass = R::one() / block.mass;
             self.t.extend(own.iter().map(|row| row.t));
-            self.c.extend(own.iter().map(|row| row.c));
             self.inv_c.extend(own.iter().map(|row| row.c.recip_or_zero()));
             self.lo.extend(own.iter().map(|row| row.lo));
             self.hi.extend(own.iter().map(|row| row.hi));
@@ -110,7 +107,6 @@ impl<R: Real> Bundles<R> {
         self.cones.clear();
         for numbers in [
             &mut self.t,
-            &mut self.c,
             &mut self.inv_c,
             &mut self.lo,
             &mut self.hi,
@@ -219,9 +215,8 @@ impl<'a, R: Real> Problem<'a, R> {
                 }
             }
             let list = self.pattern.list(b);
-            let head = self.pattern.head(b);
             while !x.is_empty() {
-                let to = (list, head, y);
+                let to = (list, y);
                 let done = match x.len() {
                     _ if !bundle.whole => {
                         for (k, y) in list.iter().zip(y) {
@@ -243,38 +238,22 @@ impl<'a, R: Real> Problem<'a, R> {
 /// Rows that are multiplied side by side.
 const WIDE: usize = 4;
 
-/// out += sign · Σ y x of N rows, each dof's sum in the order of the rows. `head`: see `Pattern::head`.
+/// out += sign · Σ y x of N rows, each dof's sum in the order of the rows; N.
 #[inline(always)]
 fn sums<R: Real, const N: usize>(
-    (list, head, y): (&[usize], Option<usize>, &[R]),
+    (list, y): (&[usize], &[R]),
     (sign, x): (R, &[R]),
     out: &mut [R],
 ) -> usize {
     let len = list.len();
-    let y = &y[..N * len];
     let x: [R; N] = crate::real::array::from_fn(|i| sign * x[i]);
-    let Some(head) = head else {
-        for (at, k) in list.iter().enumerate() {
-            let mut sum = out[*k];
-            for i in 0..N {
-                sum += y[i * len + at] * x[i];
-            }
-            out[*k] = sum;
+    let rows: [&[R]; N] = crate::real::array::from_fn(|i| &y[i * len..][..len]);
+    for (at, k) in list.iter().enumerate() {
+        let mut sum = out[*k];
+        for i in 0..N {
+            sum += rows[i][at] * x[i];
         }
-        return N;
-    };
-    for part in [0..head, head..len] {
-        let Some(first) = list.get(part.start) else { continue };
-        let out = &mut out[*first..][..part.len()];
-        let rows: [&[R]; N] =
-            crate::real::array::from_fn(|i| &y[i * len + part.start..][..out.len()]);
-        for (at, out) in out.iter_mut().enumerate() {
-            let mut sum = *out;
-            for i in 0..N {
-                sum += rows[i][at] * x[i];
-            }
-            *out = sum;
-        }
+        out[*k] = sum;
     }
     N
 }

@@ -101,6 +101,7 @@ impl<R: Real> ByLane<R> {
         own.heap = rows.heap;
         fill(&mut own.u, &rows.u);
         fill(&mut own.y, &rows.y);
+        fill(&mut own.inertia, &rows.inertia);
         self.blocks.clear();
         for at in blocks {
             let block = &rows.blocks[at];

@@ -9,6 +9,15 @@ use crate::interrupt::ends_after_iteration;
 use crate::real::{Count, Mask, Real};
 use crate::solve::limits::{Limits, Report};
 
+/// What the ends of an iteration are measured by.
+pub(super) struct Scale<R: Real> {
+    /// The least mass of a block.
+    pub lightest: R,
+    /// A step that lowers the cost by less is the last; 0: none is for that.
+    pub least_gain: R,
+    pub rows: Count,
+}
+
 /// A step this many roundings long is rounding.
 const ROUNDING: f64 = 4.0;
 /// Below this fraction of the motion's energy, in roundings, a fall may be rounding.
@@ -21,15 +30,14 @@ const TRIALS: usize = 60;
 
 impl<R: Real> System<R> {
     /// The iteration. A lane leaves it when its gradient or its step is rounding, its
-    /// residual is within the tolerance, or its last step was exact. Lanes that it had to
-    /// leave unfinished. `begun`: laws and slope, where they are at hand; `lightest`: the least mass
-    /// of a block.
+    /// residual is within the tolerance, its last step was exact, or gained less than is asked for.
+    /// Lanes that it had to leave unfinished. `begun`: laws and slope, where they are at hand.
     pub fn minimise(
         &mut self,
         problem: Problem<R>,
         (mut live, mut begun): (R::Mask, Option<(R, R)>),
         limits: Limits,
-        (lightest, count): (R, Count),
+        Scale { lightest, least_gain, rows }: Scale<R>,
         report: &mut Report<R>,
     ) -> R::Mask {
         let zero = R::zero();
@@ -46,7 +54,9 @@ impl<R: Real> System<R> {
             } else {
                 let changed = self.laws(problem.bundles, live);
                 self.fresh = self.fresh.and(changed.not());
-                live = live.and(full.and(changed.not()).not());
+                let exact = full.and(changed.not());
+                self.decrement = R::select(live.and(exact), zero, self.decrement);
+                live = live.and(exact.not());
                 if live.none() {
                     break;
                 }
@@ -75,7 +85,6 @@ impl<R: Real> System<R> {
             // Among cones Newton may close in slowly: only what no longer falls is rounding.
             let stuck = fall.ge(last).and(fall.lt(R::of(STAGNANT) * R::of(R::epsilon()) * floor));
             let small = length.le(tiny(ROUNDING) * floor).and(recalled.not());
-            let end = small.or(stuck);
             problem.dots(&self.step, &mut self.rate);
             self.line_up(problem.bundles);
             let mut down = live;
@@ -87,16 +96,15 @@ impl<R: Real> System<R> {
             }
             let alpha = self.search(problem.bundles, fall, down.and(small.not()));
             let alpha = R::select(down, alpha, zero);
-            for (u, p) in self.u.iter_mut().zip(&self.step) {
-                *u = R::select(live, *u + alpha * *p, *u);
-            }
-            for (w, rate) in self.w.iter_mut().zip(&self.rate) {
-                *w = R::select(live, *w + alpha * *rate, *w);
-            }
+            self.advance(alpha, live);
             self.moved = true;
+            // The slope falls from `fall` to about 0.
+            let gain = R::of(0.5) * alpha * fall;
+            let little = gain.lt(least_gain).and(least_gain.gt(zero)).and(recalled.not());
+            let end = small.or(stuck).or(little);
             full = live.and(alpha.ge(R::one())).and(alpha.le(R::one()));
             done.add(live, 1);
-            report.updates.add_each(live, &count);
+            report.updates.add_each(live, &rows);
             self.decrement = R::select(live, part(fall), self.decrement);
             self.floor = R::select(live, floor, self.floor);
             last = R::select(live.and(recalled.not()), fall, last);
@@ -186,7 +194,7 @@ impl<R: Real> System<R> {
     }
 
     /// Slope and curvature of ½ (u − û)ᵀD(u − û) along the step.
-    fn energy_along(&self) -> (R, R) {
+    pub(super) fn energy_along(&self) -> (R, R) {
         let (mut first, mut second) = (R::zero(), R::zero());
         for (((u, guess), d), p) in self.u.iter().zip(&self.guess).zip(&self.d).zip(&self.step) {
             first += *d * (*u - *guess) * *p;
@@ -195,8 +203,18 @@ impl<R: Real> System<R> {
         (first, second)
     }
 
+    /// Goes α steps on.
+    pub(super) fn advance(&mut self, alpha: R, live: R::Mask) {
+        for (u, p) in self.u.iter_mut().zip(&self.step) {
+            *u = R::select(live, *u + alpha * *p, *u);
+        }
+        for (w, rate) in self.w.iter_mut().zip(&self.rate) {
+            *w = R::select(live, *w + alpha * *rate, *w);
+        }
+    }
+
     /// The cones along the step at hand.
-    fn line_up(&mut self, bundles: &Bundles<R>) {
+    pub(super) fn line_up(&mut self, bundles: &Bundles<R>) {
         self.lines.clear();
         for run in &bundles.runs {
             if let Some(cone) = run.cone {
@@ -208,7 +226,7 @@ impl<R: Real> System<R> {
     }
 
     /// The rows' part of the slope and the curvature at u + α step.
-    fn bend_at(&self, bundles: &Bundles<R>, alpha: R) -> (R, R) {
+    pub(super) fn bend_at(&self, bundles: &Bundles<R>, alpha: R) -> (R, R) {
         let (mut slope, mut curve) = (R::zero(), R::zero());
         for run in &bundles.runs {
             let Some(cone) = run.cone else {

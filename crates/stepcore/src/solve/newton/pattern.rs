@@ -45,8 +45,6 @@ pub(super) struct Listed {
     /// The first of its `places`; none where every row of the matrix begins with the list up to it,
     /// as along a chain.
     pub places: Option<usize>,
-    /// The list is two runs of consecutive numbers, of which the first has so many.
-    pub head: Option<usize>,
 }
 
 room!(Pattern: key, dofs, bundles, lists, places, start, cols, below_start, below, bits, local, nodes, heap);
@@ -88,12 +86,7 @@ impl Pattern {
         for span in &self.key {
             let list = Span { start: self.lists.len(), len: span.len };
             self.lists.extend(span.of(dof_lists).iter().map(|k| self.local[*k]));
-            let numbers = list.of(&self.lists);
-            let runs = |two: &[usize]| two[0] + 1 == two[1];
-            let head = 1 + numbers.windows(2).take_while(|two| runs(two)).count();
-            let tail = numbers.get(head..).unwrap_or(&[]).windows(2).all(runs);
-            let head = tail.then_some(head.min(list.len));
-            self.bundles.push(Listed { list, places: None, head });
+            self.bundles.push(Listed { list, places: None });
         }
     }
 
@@ -199,12 +192,6 @@ impl Pattern {
             return self.nodes.local(bundle);
         }
         self.bundles[bundle].list.of(&self.lists)
-    }
-
-    /// Where a bundle's dofs in local numbers are two runs: how many the first has.
-    #[inline(always)]
-    pub fn head(&self, bundle: usize) -> Option<usize> {
-        self.bundles.get(bundle).filter(|_| !self.heap)?.head
     }
 
     /// Of a heap: the bundle's dofs, where they are those of free bodies.

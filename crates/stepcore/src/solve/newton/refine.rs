@@ -28,11 +28,16 @@ const SPARE: f64 = 1e-3;
 const CANCELLED: f64 = 1024.0;
 
 impl<R: Real> System<R> {
-    /// Impulses by their laws, refined, and the u that they make.
-    pub fn settle(&mut self, problem: Problem<R>, limits: Limits) {
+    /// Impulses by their laws.
+    pub fn follow_laws(&mut self, bundles: &Bundles<R>) {
         if self.moved {
-            self.laws(problem.bundles, R::Mask::of(false));
+            self.laws(bundles, R::Mask::of(false));
         }
+    }
+
+    /// The same refined, and the u that they make.
+    pub fn settle(&mut self, problem: Problem<R>, limits: Limits) {
+        self.follow_laws(problem.bundles);
         let cancelled = self.cancelled(problem.bundles);
         self.follow(problem, cancelled);
         let enough = R::of(SPARE * limits.tolerance);

@@ -64,8 +64,10 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Takes an island in, whose velocities are u; starts from these or from û, whichever costs
-    /// less. Where it is u for sure, laws and slope are there at hand: what `slope` gives.
+    /// Takes an island in, whose velocities are u, and starts at these or at û: at the end to which the
+    /// cost falls half-way between them. It is not the minimum along the line, in which unconnected
+    /// parts of an island would change each other's bits. Where it is u, laws and slope are at hand:
+    /// what `slope` gives.
     pub fn start(
         &mut self,
         problem: Problem<R>,
@@ -78,38 +80,30 @@ impl<R: Real> System<R> {
             return None;
         }
         self.laws(problem.bundles, live);
-        let (size, moved) = self.slope(problem);
-        // The cost at û is at least cost + g·(û − u) + ½ |û − u|² in D: its first part bends by D, and
-        // no other bends down.
-        let mut rise = R::of(0.5) * moved;
-        for ((g, u), guess) in self.gradient.iter().zip(&self.u).zip(&self.guess) {
-            rise -= *g * (*u - *guess);
+        let begun = self.slope(problem);
+        let mut fall = R::zero();
+        for (k, step) in self.step.iter_mut().enumerate() {
+            *step = self.guess[k] - self.u[k];
+            fall -= self.gradient[k] * *step;
         }
-        let sure = rise.gt(R::zero());
-        if sure.all() {
-            return Some((size, moved));
-        }
-        self.start_lower(problem, R::of(0.5) * moved, sure);
-        None
-    }
-
-    /// Goes from u, whose laws are at hand, to û where the cost there is less. ½ (u − û)ᵀD(u − û), the
-    /// first part of the cost, is `energy`; at û it is 0.
-    fn start_lower(&mut self, problem: Problem<R>, energy: R, sure: R::Mask) {
-        let bundles = problem.bundles;
-        let mut warm = energy;
-        for (i, (impulse, w)) in self.impulse.iter().zip(&self.w).enumerate() {
-            let cost = warm + penalty(*impulse, *w, bundles.c[i]);
-            warm = R::select(bundles.mask[i], cost, warm);
+        let down = live.and(fall.gt(R::zero()));
+        if down.none() {
+            return Some(begun);
         }
         slacks(problem, &self.guess, &mut self.rate);
-        let warmer = sure.or(warm.le(penalties(bundles, &self.rate)));
-        for (u, guess) in self.u.iter_mut().zip(&self.guess) {
-            *u = R::select(warmer, *u, *guess);
+        for (rate, w) in self.rate.iter_mut().zip(&self.w) {
+            *rate -= *w;
         }
-        for (w, cold) in self.w.iter_mut().zip(&self.rate) {
-            *w = R::select(warmer, *w, *cold);
+        self.line_up(problem.bundles);
+        let half = R::of(0.5);
+        let (first, second) = self.energy_along();
+        let slope = first + half * second + self.bend_at(problem.bundles, half).0;
+        let onward = down.and(slope.lt(R::zero()));
+        if onward.none() {
+            return Some(begun);
         }
+        self.advance(R::one(), onward);
+        None
     }
 
     /// Lists for an island.
@@ -226,34 +220,6 @@ fn slacks<R: Real>(problem: Problem<R>, u: &[R], out: &mut [R]) {
     for (w, t) in out.iter_mut().zip(&problem.bundles.t) {
         *w -= *t;
     }
-}
-
-/// s = −λ (w + ½ c λ).
-#[inline(always)]
-fn penalty<R: Real>(impulse: R, w: R, c: R) -> R {
-    -impulse * (w + R::of(0.5) * c * impulse)
-}
-
-/// Σ s at w.
-fn penalties<R: Real>(bundles: &Bundles<R>, w: &[R]) -> R {
-    let mut cost = R::zero();
-    for run in &bundles.runs {
-        let own = run.rows.range();
-        let (c, mask, w) = (&bundles.c[own.clone()], &bundles.mask[own.clone()], &w[own.clone()]);
-        let mut add = |i: usize, impulse: R| {
-            cost = R::select(mask[i], cost + penalty(impulse, w[i], c[i]), cost);
-        };
-        if let Some(cone) = run.cone {
-            let impulse = bundles.cones[cone].law::<CONE>(padded(w)).0;
-            (0..run.rows.len).for_each(|i| add(i, impulse[i]));
-            continue;
-        }
-        let (lo, hi) = (&bundles.lo[own.clone()], &bundles.hi[own.clone()]);
-        for (i, inv_c) in bundles.inv_c[own].iter().enumerate() {
-            add(i, interval([lo[i], hi[i]], *inv_c, w[i]).0);
-        }
-    }
-    cost
 }
 
 /// A cone's numbers, 0 for the rows that it does not have.

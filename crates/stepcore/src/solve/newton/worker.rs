@@ -1,6 +1,7 @@
 //! What solves one island after another by the primal method, and how threads share the islands.
 
 use super::bundles::{Bundles, Problem};
+use super::minimise::Scale;
 use super::nodes::NOWHERE;
 use super::pattern::Pattern;
 use super::system::System;
@@ -78,25 +79,35 @@ impl<R: Real> Worker<R> {
         }
     }
 
-    /// Solves the island whose blocks were taken; lanes that it left unfinished.
+    /// Solves `island`, whose blocks were taken; lanes that it left unfinished. Impulses agree with the
+    /// velocities to rounding, unless the cost decides when to end.
     pub fn solve(
         &mut self,
         task: Task<R>,
-        pattern: &mut Pattern,
+        (island, pattern): (usize, &mut Pattern),
         rows: &Rows<R>,
         live: R::Mask,
         report: &mut Report<R>,
     ) -> R::Mask {
         let Task { free, limits, .. } = task;
+        let inertia = rows.inertia.get(island).copied().unwrap_or_else(R::zero);
         let Self { present, class, bundles, system, .. } = self;
         class.resize(rows.u.len(), NOWHERE);
         bundles.take(present, rows);
         pattern.fit(free.dof_lists, rows.heap, bundles.dofs(), class);
         let problem = Problem { pattern, bundles, rows, blocks: present };
         let begun = system.start(problem, (free.inv_d, free.guess, &rows.u), live);
-        let scale = (lightest(present, rows), row_count(rows, present));
+        let scale = Scale {
+            lightest: lightest(present, rows),
+            least_gain: R::of(limits.cost) * inertia,
+            rows: row_count(rows, present),
+        };
         let open = system.minimise(problem, (live, begun), limits, scale, report);
-        system.settle(problem, limits);
+        if limits.cost > 0.0 {
+            system.follow_laws(problem.bundles);
+        } else {
+            system.settle(problem, limits);
+        }
         report.open = report.open.or(open);
         report.decrement = report.decrement.max(R::select(live, system.decrement, R::zero()));
         open
@@ -165,7 +176,7 @@ pub(super) fn share<R: Real>(
             let Some(island) = queue.get(at) else { break };
             let pattern = &mut *lock(&patterns[*island]);
             worker.take(task.islands.of(*island), shared);
-            worker.solve(task, pattern, shared, live, &mut own);
+            worker.solve(task, (*island, pattern), shared, live, &mut own);
             worker.keep(pattern);
         }
         worker.solved.report = own;
