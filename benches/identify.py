@@ -102,6 +102,9 @@ def measured(problem: Problem) -> tuple[Any, Any, np.ndarray, np.ndarray]:
     import mujoco
     from mujoco import rollout, sysid
 
+    if not hasattr(sysid, "create_initial_state"):
+        # mujoco.sysid is empty, without an error, where a package of its own extra is missing.
+        raise SystemExit('mujoco.sysid is not complete: pip install "mujoco[sysid]"')
     spec = mujoco.MjSpec.from_string(problem.xml)
     model = spec.compile()
     data = mujoco.MjData(model)

@@ -117,8 +117,13 @@ Reasons for the refusals:
   `speculative` adds contacts before shapes meet: options that change MuJoCo's own motion.
 - **as MuJoCo does**: a sensor's `cutoff` of axes and quaternions.
 - **not built yet**: an `orientation` of a site (that of a ball is built); springs that yield, and
-  their state in keyframes (`plastic`); scaled frames; a mesh's `builtin` `grid`, `box`, `cylinder`
-  and `ellipsoid`, which `load(MjModel)` reads. Sensors that read late or rarely are not computed.
+  their state in keyframes (`plastic`); scaled frames; an `<attach>` of a part of the same model.
+  Sensors that read late or rarely are not computed.
+
+`<replicate>`, `<attach>`, builtin meshes, `align="true"`, `alignfree` and `discardvisual` need
+MuJoCo (`pip install "stepcore[mujoco]"`), which writes such a file as plain MJCF. `load` checks the
+file and all that it attaches first. Elements of the expanded file that have no name have the line
+of the element around them.
 """
 
 

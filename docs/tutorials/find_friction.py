@@ -3,7 +3,7 @@
 #
 # **Two seconds of encoder readings tell the dry friction of two joints, a mass and
 # the delay of the controls. With steps of 2 ms the shoulder's friction comes out as
-# 0.635 N·m in place of 0.6, far outside of its interval, and the answer says that
+# 0.635 N·m in place of 0.6, and the first line of the answer says that the error of
 # the step is to blame.** With short steps all four intervals hold the true value.
 # The way: a log, `identify`, and `trade`.
 
@@ -79,11 +79,11 @@ print(found)
 print(f"shoulder: {found.values['joint/shoulder/frictionloss']:.3f} N·m")
 
 # %% [markdown]
-# The residual is the noise of 1 mrad, and the intervals are narrow. All the same
-# the values are wrong: steps of 2 ms are off by more than the noise, and the
-# values make up for it. The answer says so, because it has run the prediction with
-# shorter steps. The column `finer` has what these would find. Nothing but the step
-# needs to change:
+# The residual is hardly more than the noise of 1 mrad. All the same the values are
+# off: steps of 2 ms err by more than the noise, and the values make up for it. The
+# first line says so, because the prediction was run with shorter steps too, and the
+# intervals are wider for it. The column `finer` has what these steps would find.
+# Nothing but the step needs to change:
 
 # %%
 found = sc.identify(arm.with_settings(dt=0.00025), log, RANGES, progress=False)

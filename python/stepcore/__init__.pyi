@@ -24,6 +24,7 @@ from stepcore.engine.tables import Keyframe as Keyframe
 from stepcore.engine.trajectory import Rollout as Rollout
 from stepcore.engine.trajectory import Trajectory as Trajectory
 from stepcore.engine.unsolved import UnsolvedWarning as UnsolvedWarning
+from stepcore.experiment.log import Log as Log
 from stepcore.experiment.motion import Motion as Motion
 from stepcore.experiment.policy import policy as policy
 from stepcore.loading import load as load

@@ -41,6 +41,7 @@ SECONDS = {
     "converge": 60.0,
     "stability-map": 60.0,
     "tune": 60.0,
+    "identify": 60.0,
 }
 # The time in which an answer is completed from the runs made, after the deadline or Ctrl-C [s].
 CLOSING = 3.0

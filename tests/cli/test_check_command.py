@@ -46,7 +46,7 @@ def test_it_prints_findings_the_diagnosis_and_commands(capsys, scene, monkeypatc
     # What the file alone shows is said before anything runs.
     assert status == 0 and err.startswith("stepcore: so far: 1 finding in the file alone:")
     out = " ".join(out.split())
-    found = "1 finding: - error: Keyframe `home` has joint `knee` at 2 rad"
+    found = "Error: Keyframe `home` has joint `knee` at 2 rad"
     assert out.startswith(f"arm: check {found}")
     assert "The motion: 200 ms from keyframe `home`; servos hold the" in out
     assert "A step of 2 ms is stable under euler over 200 ms" in out
@@ -73,7 +73,7 @@ def test_the_motion_is_the_user_s(capsys, scene, tmp_path):
     weak = ('name="servo"', 'name="servo" forcerange="-.1 .1"')
     status, out, _ = call(capsys, scene(0.5, weak=weak), *args)
     out = " ".join(out.split())
-    assert status == 0 and "Servo `servo` is at the end of its forcerange (100 mN·m)" in out
+    assert status == 0 and "Servo `servo` follows " in out and "its force ends at 100 mN·m" in out
     assert "another motion" not in out
 
 

@@ -73,7 +73,7 @@ def test_a_log_with_names_and_times_drives_a_run_and_a_measurement(capsys, carts
     options = ["--horizon", "0.6", "--threads", "1", "--json"]
     assert main(["converge", carts, *map(str, args), *options]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert "motors driven by log.csv, a row every 300 ms" in data["ran"]
+    assert "motors driven by log.csv (300 ms at 3.333 Hz: control of a)" in data["ran"]
 
 
 def test_a_measurement_takes_constant_controls_and_a_motion_by_name(capsys, carts):
@@ -316,7 +316,10 @@ def test_a_run_saved_as_a_table_is_played_again(capsys, carts, tmp_path):
     expected = velocities(capsys, carts, *given)
     assert velocities(capsys, carts, "--ctrl", log, *options) == expected
     data = sc.run(carts, horizon="200ms", ctrl=log)
-    assert data.sim.qvel.tolist() == expected and "a row every 10 ms" in data.ran
+    assert (
+        data.sim.qvel.tolist() == expected
+        and "(200 ms at 100 Hz: position and velocity of x, y; control of a, b)" in data.ran
+    )
     assert main(["check", carts, "--ctrl", str(log), *options, "--threads", "1"]) == 0
 
 

@@ -1,6 +1,7 @@
 """Logs of other tools as controls: Parquet, and MCAP in JSON and of ROS 2."""
 
 import json
+import struct
 import sys
 import types
 
@@ -21,16 +22,16 @@ TIMES = 0.025 * np.arange(8)
 FORCES = np.random.default_rng(0).normal(size=(8, 2))
 
 
-def write_mcap(path, topics):
+def write_mcap(path, topics, kind="sensor_msgs/msg/JointState", times=TIMES):
     """topics: the messages of each topic, one per time; in JSON, or as bytes of another format."""
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start()
         for topic, messages in topics.items():
             plain = isinstance(messages[0], bytes)
-            schema = writer.register_schema("Any", "ros2msg" if plain else "jsonschema", b"{}")
+            schema = writer.register_schema(kind, "ros2msg" if plain else "jsonschema", b"{}")
             channel = writer.register_channel(topic, "cdr" if plain else "json", schema)
-            for time, message in zip(TIMES, messages, strict=False):
+            for time, message in zip(times, messages, strict=False):
                 at = 1700000000000000000 + round(1e9 * time)
                 data = message if plain else json.dumps(message).encode()
                 writer.add_message(channel, log_time=at, publish_time=at, data=data)
@@ -54,8 +55,7 @@ LISTS = [{"data": [u, v]} for u, v in FORCES]
 )
 def test_messages_are_rows_at_their_times(tmp_path, topics, words):
     path = write_mcap(tmp_path / "log.mcap", topics)
-    table = control_table(f"{path}{words}")
-    np.testing.assert_allclose(table.times, TIMES, atol=1e-9)
+    np.testing.assert_allclose(sc.Log(f"{path}{words}").times, TIMES, atol=1e-9)
     model = sc.loads(CARTS).compile()
     run = sc.run(model, horizon=0.2, ctrl=f"{path}{words}")
     speeds = FORCES.sum(axis=0) * 0.025 / (2, 4)
@@ -75,20 +75,54 @@ def test_a_log_of_stepcore_plays_the_run_again(tmp_path):
     np.testing.assert_allclose(again.sim.qpos, run.qpos[-1], rtol=0, atol=1e-14)
 
 
-def test_messages_of_ros_are_decoded_by_its_package(tmp_path, monkeypatch):
-    class DecoderFactory:
-        def decoder_for(self, encoding, schema):
-            assert encoding == "cdr"
-            return lambda data: types.SimpleNamespace(**json.loads(data))
+def in_cdr(message, order="<"):
+    """A JointState of ROS 2 in CDR, byte by byte: stamp, frame, names, three lists of numbers."""
+    data = bytearray()
 
-    raw = [json.dumps(message).encode() for message in JOINTS]
-    path = write_mcap(tmp_path / "log.mcap", {"/joint_states": raw})
-    monkeypatch.setitem(sys.modules, "mcap_ros2.decoder", None)
-    with pytest.raises(ValueError, match=r"no messages with numbers.*/joint_states \(cdr\)"):
-        control_table(path)
-    decoder = types.SimpleNamespace(DecoderFactory=DecoderFactory)
-    monkeypatch.setitem(sys.modules, "mcap_ros2.decoder", decoder)
-    assert control_table(f"{path}:/joint_states.effort").rows == pytest.approx(FORCES)
+    def put(code, *values):
+        data.extend(b"\0" * (-len(data) % struct.calcsize(code)) * bool(values))
+        data.extend(struct.pack(f"{order}{len(values)}{code}", *values))
+
+    def text(word):
+        put("I", len(word) + 1)
+        data.extend(word.encode() + b"\0")
+
+    put("I", 1_700_000_000, 5)
+    text("base_link")
+    put("I", len(message["name"]))
+    for name in message["name"]:
+        text(name)
+    for state in ("position", "velocity", "effort"):
+        put("I", len(message.get(state, ())))
+        put("d", *message.get(state, ()))
+    return bytes([0, order == "<", 0, 0]) + bytes(data)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_joint_states_of_ros_are_decoded(tmp_path, order):
+    messages = [in_cdr(message, order) for message in JOINTS]
+    path = write_mcap(tmp_path / "log.mcap", {"/joint_states": messages})
+    log = sc.Log(path)
+    assert (
+        np.transpose([log.columns["x.effort"], log.columns["y.effort"]]).tolist() == FORCES.tolist()
+    )
+    assert "x.position" in log.columns and "x.velocity" not in log.columns
+    run = sc.run(sc.loads(CARTS), horizon=0.2, ctrl=f"{path}:/joint_states.effort")
+    assert run.sim.qvel == pytest.approx(FORCES.sum(axis=0) * 0.025 / (2, 4), abs=1e-8)
+
+
+def test_other_messages_of_ros_are_named(tmp_path):
+    path = write_mcap(tmp_path / "log.mcap", {"/scan": [b"\0\1\0\0"]}, "sensor_msgs/msg/LaserScan")
+    with pytest.raises(ValueError, match=r"no messages with numbers.*not read: /scan \(cdr\)"):
+        sc.Log(path)
+
+
+def test_a_message_that_is_cut_off_is_refused(tmp_path):
+    whole = in_cdr(JOINTS[0])
+    for size in range(0, len(whole), 7):
+        path = write_mcap(tmp_path / "log.mcap", {"/joint_states": [whole[:size]]})
+        with pytest.raises(ValueError, match=r"log\.mcap: "):
+            sc.Log(path)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.experiment.control_table import control_table
 from stepcore.experiment.schedule import scheduled
 
 ARM = """<mujoco><option timestep="0.01"/><worldbody><body name="a"><joint name="hip"/>
@@ -105,14 +104,14 @@ def test_a_recorded_run_is_played_again(model, tmp_path):
     ("ctrl", "text"),
     [
         ({"lfit": 1.0}, 'ctrl: no actuator is named "lfit"; nearest: "lift"'),
-        ({"hip": 1.0, "lift": 2.0}, '"lift" is controlled by two columns'),
-        ({"lift": [1.0, np.nan]}, r"ctrl\[1, lift\] = nan: must be finite"),
+        ({"hip.control": 1.0, "lift": 2.0}, '"lift" is controlled by two columns'),
+        ({"lift": [1.0, np.nan]}, "ctrl, row 1, column lift is empty or nan: must be finite"),
         ({"time": [0.0, 0.0], "lift": [1, 2]}, "times must be finite and increase"),
         ({"lift": [1, 2, 3], "kick": [1, 2]}, '"kick" has another length'),
         ({}, "is empty"),
         ("log.txt", r"must end in .csv, .npz, .npy"),
         ([[1.0, 2.0, 3.0]], r"ctrl has shape \(1, 3\): must be \(n, 2\)"),
-        ([[1.0, np.inf]], r"ctrl\[0, 1\] = inf: must be finite"),
+        ([[1.0, np.inf]], "ctrl, row 0, column kick = inf: must be finite"),
         ([], "is empty"),
         ("abc", "must end in"),
     ],
@@ -122,15 +121,15 @@ def test_what_is_no_table_is_refused(model, ctrl, text):
         controls(model, ctrl)
 
 
-def test_a_bad_file_is_named(tmp_path):
+def test_a_bad_file_is_named(model, tmp_path):
     file = tmp_path / "log.csv"
-    empty = ("lift,kick\n1,2\n3,\n", r"log.csv\[1, kick\] = nan: must be finite")
-    other = ("lift,kick\n1,x\n", "log.csv: could not convert")
+    empty = ("lift,kick\n1,2\n3,\n", "log.csv, row 3, column kick is empty or nan: must be finite")
+    other = ("lift,kick\n1,x\n", "log.csv, row 2, column kick: 'x': must be a number")
     twice = ("lift,lift\n1,2\n", 'several columns are named "lift"')
     for text, said in (other, empty, twice, ("", "is empty")):
         file.write_text(text)
         with pytest.raises(ValueError, match=said):
-            control_table(file)
+            controls(model, file)
     with pytest.raises(FileNotFoundError):
         sc.Motion(ctrl=tmp_path / "none.csv")
 
@@ -143,7 +142,7 @@ def test_a_motion_of_a_file_is_data(tmp_path):
     other = pickle.loads(pickle.dumps(motion))
     np.testing.assert_array_equal(other.ctrl.rows, motion.ctrl.rows)
     trade = sc.converge(sc.loads(ARM), motion, progress=False)
-    assert "motors driven by log.csv, a row every 30 ms" in trade.ran
+    assert "motors driven by log.csv (30 ms at 33.33 Hz: control of lift)" in trade.ran
     with pytest.raises(
         ValueError, match=r'ctrl = \'sines\': write kind="sines" \(--motion sines\)'
     ):

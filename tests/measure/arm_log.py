@@ -33,10 +33,15 @@ def controls(steps):
     return np.stack([0.8 * np.sin(4 * time), 0.4 * np.sign(np.sin(7 * time))], axis=1)
 
 
-def mujoco_log(steps=600, every=5, sensors=""):
-    """The states that MuJoCo steps through, read every 10 ms."""
+def mujoco_log(steps=600, every=5, sensors="", **hidden):
+    """The states that MuJoCo steps through, read every 10 ms.
+
+    hidden: values of the first joint in MuJoCo's model, by the names of its arrays.
+    """
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_string(ARM.format(**TRUE, sensors=sensors))
+    for name, value in hidden.items():
+        getattr(model, name)[0] = value
     data, ctrl = mujoco.MjData(model), controls(steps)
     rows = {"time": [], "qpos": [], "qvel": [], "ctrl": [], "sensordata": []}
     for step in range(steps):
@@ -50,6 +55,13 @@ def mujoco_log(steps=600, every=5, sensors=""):
     if not sensors:
         del rows["sensordata"]
     return {key: np.array(value) for key, value in rows.items()}
+
+
+def noisy(log, seed=0):
+    """A log with noise of 0.2 mrad and 2 mrad/s."""
+    rng = np.random.default_rng(seed)
+    sizes = {"qpos": 2e-4, "qvel": 2e-3}
+    return log | {key: log[key] + rng.normal(0, s, log[key].shape) for key, s in sizes.items()}
 
 
 def guess(sensors="", **known):

@@ -37,7 +37,7 @@ def one_line(call, words):
         ({"sweeps": [1.5], "solvers": ["pgs"]}, "sweeps = 1.5"),
         ({"key": "zzz"}, 'no key is named "zzz"; known: "start"'),
         ({"key": ["home"]}, r"key = \['home'\]"),
-        ({"ctrl": "abc"}, "ctrl = 'abc'"),
+        ({"ctrl": "abc"}, "abc: must end in .csv"),
         ({"control": 3}, r"control = 3: must be a function of \(time, sim\)"),
         ({"control": lambda time: 0}, r"must be a function of \(time, sim\)"),
         ({"progress": 4}, "progress = 4"),

@@ -209,6 +209,36 @@ def test_gains_beside_a_joint_without_armature(kp, kv, said):
     assert kinds(right) == []
 
 
+HUNG = """<mujoco><worldbody><body pos="0 0 1"><joint name="hip" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 .4 0 0" size=".02" mass="2"/></body></worldbody>
+{tendon}
+<actuator><motor name="m" {of} gear="{gear}" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("of", "arm"), [('joint="hip"', 1.0), ('tendon="t"', 0.1)])
+def test_a_motor_that_cannot_hold_the_start(of, arm):
+    """A load of 2 kg × g × 0.2 m on a joint, driven directly or by a cable of 0.1 m."""
+    load, tendon = 2 * G * 0.2, ""
+    if arm < 1:
+        tendon = '<tendon><fixed name="t"><joint joint="hip" coef=".1"/></fixed></tendon>'
+    one = the(HUNG.format(of=of, tendon=tendon, gear=0.9 * load / arm), "balance")
+    assert one.value == pytest.approx(0.9 * load) and "cannot hold this pose" in one.text
+    assert "1.11× the force" in one.text and one.element == "motor `m`"
+    assert "balance" not in kinds(HUNG.format(of=of, tendon=tendon, gear=1.02 * load / arm))
+
+
+def test_thrusters_lift_a_body_by_as_much_as_they_push():
+    """Of 4 N of thrust against 1 kg × g; with the gear that is named, it rises."""
+    text = """<mujoco><worldbody><body name="hull" pos="0 0 1"><freejoint/>
+    <geom type="box" size=".1 .1 .02" mass="1"/><site name="s" pos=".0 .0 0"/></body></worldbody>
+    <actuator><motor name="fan" site="s" gear="0 0 {} 0 0 0" ctrlrange="0 1"/></actuator>
+    </mujoco>"""
+    one = the(text.format(4), "balance")
+    assert one.value == pytest.approx(4) and "4 N of thrust at most against 9.81 N" in one.text
+    ratio = float(re.search(r"(\S+)× the gear of each leaves it rising", one.text)[1])
+    assert kinds(text.format(4 * ratio)) == [] and 4 * ratio > G
+
+
 def test_a_limit_that_a_motor_overpowers():
     """A motor of τ pushes beyond by what the softness of the limit yields under τ/I."""
     motor = '<actuator><motor name="m" joint="knee" gear="{}" ctrlrange="-1 1"/></actuator>'
@@ -266,7 +296,7 @@ def test_the_motion_is_the_users():
     """A servo that follows a sine is at the end of its force range."""
     text = arm(rest=servo('forcerange="-.1 .1" kv="1"', 100))
     assert kinds(text) == []
-    sine = the(text, "saturation", control=lambda time, sim: [math.sin(9 * time)])
+    sine = the(text, "servo does not follow", control=lambda time, sim: [math.sin(9 * time)])
     assert sine.element == "servo `servo`"
 
 

@@ -26,16 +26,16 @@ SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 def watched(scene, time=1.0, key=None, control=None, depth=None, **settings):
     """A recorded run of a scene, and its findings with the cures that hold in the same run."""
 
-    def run(model):
+    def run(model, share=1.0):
         start, held = home(model, key)
         how = {"control": control, "hold": round(0.002 / model.settings.dt)}
         if control is None:
             how = {"ctrl": held[None, None]}
-        return followed(model, start, round(time / model.settings.dt), **how)
+        return followed(model, start, round(share * time / model.settings.dt), **how)
 
     model = scene.compile().with_settings(**settings)
     seen = run(model)
-    return seen, verified(shown(seen, depth), model, run)
+    return seen, verified(shown(seen, depth), model, run, round(time / model.settings.dt))
 
 
 def the(findings, kind):
@@ -309,7 +309,9 @@ def two(apart, tree):
 def test_an_overlap_at_the_start_is_told_with_its_depth():
     one = the(watched(two(0.17, False))[1], "overlap at the start")
     assert one.severity == "error" and one.value == pytest.approx(0.03)
-    assert "Geoms `a` and `b` overlap by 30 mm" in one.text and "move body `b` away" in one.text
+    assert (
+        "Geoms `a` and `b` overlap by 30 mm" in one.text and "move body `b` 30 mm away" in one.text
+    )
     assert watched(two(0.201, False))[1] == []
 
 
@@ -359,7 +361,7 @@ WHEEL = """<mujoco><option cone="elliptic"/><worldbody>
 def test_a_wheel_on_a_fixed_axle_cannot_leave_the_floor():
     one = the(watched(sc.loads(WHEEL))[1], "overlap at the start")
     assert one.severity == "warning" and one.value == pytest.approx(1e-3)
-    assert "no joint can move them apart: move body `wheel` away" in one.text
+    assert "no joint can move them apart: move body `wheel` 1 mm away" in one.text
 
 
 def test_geoms_that_joints_hold_in_each_other_are_to_be_left_out():

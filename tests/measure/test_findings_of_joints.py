@@ -209,12 +209,59 @@ def test_saturated_servos_are_named_in_one_sentence(count):
     def sines(time, sim):
         return np.full(count, np.sin(9 * time))
 
-    one = the(watched(driven(count, 0.1), control=sines)[1], "saturation")
-    assert one.value > 0.9
-    assert f"is at the end of its forcerange ({100 if count < 3 else 200} mN·m) for " in one.text
-    names = {1: "Servo `s0` is", 2: "Servo `s0` (and servo `s1`)", 3: "Servo `s2` (and servo `s0`"}
+    one = the(watched(driven(count, 0.1), control=sines)[1], "servo does not follow")
+    # No nearer than a servo that stands still, whose error is the sines' RMS.
+    assert one.value > 0.7
+    force = 100 if count < 3 else 200
+    assert f"because its force ends at {force} mN·m for 99" in one.text
+    names = {1: "Servo `s0` ", 2: "Servo `s0` (and servo `s1`)", 3: "Servo `s2` (and servo `s0`"}
     assert one.text.startswith(names[count])
-    assert "where kv has no effect: slow the motion" in one.text
+
+
+LEG = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+<joint name="knee" axis="{axis}" range="-120 120"/><geom type="capsule" fromto="0 0 0 .15 0 0"
+size=".015" mass=".25"/></body></worldbody><actuator>
+<position name="knee" joint="knee" kp="{kp}" kv="{kv}"/></actuator></mujoco>"""
+
+
+def test_a_servo_beyond_its_bandwidth_is_told_with_the_share_that_passes():
+    """The closed form of kp / (kp − Iω² + i kv ω) gives share and lag."""
+    kp, kv, hertz = 2.0, 0.12, 8.0
+    scene = sc.loads(LEG.format(axis="0 0 1", kp=kp, kv=kv))
+    inertia, omega = 1 / float(scene.compile().dof_invweight0[0]), 2 * math.pi * hertz
+
+    def sine(time, sim):
+        return [0.2 * math.sin(omega * time)]
+
+    # The motion that the start adds has decayed after some periods.
+    one = the(watched(scene, time=10.0, control=sine)[1], "servo does not follow")
+    passed = kp / (kp - inertia * omega**2 + 1j * kv * omega)
+    share, lag = re.search(r"8 Hz with (\S+) % of the amplitude, (\S+)° late", one.text).groups()
+    assert float(share) / 100 == pytest.approx(abs(passed), rel=0.03)
+    # The control of a step of 2 ms is held for 6° of 8 Hz.
+    assert float(lag) == pytest.approx(-math.degrees(np.angle(passed)), abs=6)
+    error = 0.2 / math.sqrt(2) * abs(1 - passed)
+    assert one.value == pytest.approx(error, rel=0.03) and "because its bandwidth is" in one.text
+    new = tuple(map(float, re.search(r"kp (\S+) and kv (\S+) leaves", one.text).groups()))
+    left = float(re.search(r"leaves ([\d.]+) mrad RMS", one.text)[1]) / 1e3
+    watch, findings = watched(
+        sc.loads(LEG.format(axis="0 0 1", kp=new[0], kv=new[1])), time=10.0, control=sine
+    )
+    asked = 0.2 * np.sin(omega * (watch.times - 0.002))
+    assert findings == [] and left == pytest.approx(
+        np.sqrt(np.mean((asked - watch["qpos"][:, 0])[1:] ** 2)), rel=0.01
+    )
+
+
+def test_a_servo_too_weak_for_its_load_swings_and_is_told_though_it_never_rests():
+    """Load 0.18 N·m; without damping it swings between its start and twice its sag."""
+    scene = sc.loads(LEG.format(axis="0 1 0", kp=0.157, kv=6e-5))
+    one = the(watched(scene, time=3.0)[1], "servo does not follow")
+    assert "kp 0.157 is too small for its load of 184 mN·m" in one.text
+    assert "its kv 6e-05 damps nothing" in one.text
+    kp, kv = map(float, re.search(r"kp (\S+) and kv (\S+) leaves", one.text).groups())
+    again = watched(sc.loads(LEG.format(axis="0 1 0", kp=kp, kv=kv)), time=3.0)[1]
+    assert "servo does not follow" not in {other.kind for other in again}
 
 
 @pytest.mark.parametrize("force", [5, 100])

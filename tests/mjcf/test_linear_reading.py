@@ -80,10 +80,6 @@ TEXTS = {
     "keys": section("keyframe", '<key name="k#"/>'),
     "meshes": assets(MESH, '<geom type="mesh" mesh="m#"/>'),
     "height fields": assets(HFIELD, '<geom type="hfield" hfield="m#"/>'),
-    "replicates": lambda n: world(times(n, f'<replicate count="2" sep="#">{BODIES}</replicate>')),
-    "attached again": lambda n: world(
-        times(1, BODIES) + times(n, '<attach body="b0" prefix="p#"/>')
-    ),
     "fixed links": chain("fixed"),
     "hinged links": chain("continuous"),
 }
@@ -175,11 +171,13 @@ def test_a_face_of_many_corners_is_split_with_some_calls_for_each():
     assert areas.sum() == pytest.approx(2500 * np.sin(2 * np.pi / 5000), rel=1e-12)
 
 
-def test_faces_that_take_too_long_to_split_are_refused(monkeypatch):
-    monkeypatch.setattr(asset_files, "MOST_WORK", 10**6)
-    with pytest.raises(ValueError, match=r"a\.obj: not a whole OBJ file: .* with triangles"):
-        read_obj(ring(3000))
-    # Any number of small ones is read.
+def test_a_face_that_is_not_convex_is_refused():
+    arrow = ["v 0 0 0", "v 2 -1 0", "v 1 0 0", "v 2 1 0", "v 0 .5 0", "v 0 0 1", "f 1 2 3 4 5"]
+    star = [f"v {np.cos(k * 4 * np.pi / 5)} {np.sin(k * 4 * np.pi / 5)} 0" for k in range(5)]
+    for lines in (arrow, [*star, "f 1 2 3 4 5"]):
+        with pytest.raises(ValueError, match=r"a\.obj: not a whole OBJ file: .* with triangles"):
+            read_obj("\n".join(lines).encode())
+    # Any number of convex ones is read.
     hexagon = b"\n".join(b"v %d %d 0" % place for place in HEXAGON)
     surface = asset_files.obj(hexagon + b"\nf 1 2 3 4 5 6" * 2000)
     assert len(surface.faces) == 8000
@@ -198,28 +196,10 @@ def read_obj(data):
         return asset_files.read_mesh(path)
 
 
-def test_the_parts_of_an_image_are_read_once(monkeypatch):
-    bytes_read = 0
-    checked = zlib.crc32
-
-    def counted(data, *start):
-        nonlocal bytes_read
-        bytes_read += len(data)
-        return checked(data, *start)
-
-    image = grey(np.arange(12).reshape(3, 4))
-    many = image[:33] + chunk(b"tEXt", b"a\0" + bytes(100_000)) + chunk(b"tEXt", b"b\0c") * 5000
-    data = many + image[33:]
-    monkeypatch.setattr(asset_files.zlib, "crc32", counted)
-    assert (asset_files.image_levels(data) == np.arange(12).reshape(3, 4)).all()
-    # Pillow's own reading compares some of them again.
-    assert bytes_read <= 2 * len(data)
-
-
 def test_an_image_that_claims_too_much_is_not_unpacked():
     head = chunk(b"IHDR", (30000).to_bytes(4, "big") * 2 + bytes([8, 0, 0, 0, 0]))
     data = SIGNATURE + head + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
-    with pytest.raises(ValueError, match="30000 × 30000 pixels; 1 to 16777216"):
+    with pytest.raises(ValueError, match=r"it is damaged: Image size .* exceeds limit"):
         asset_files.image_levels(data)
 
 

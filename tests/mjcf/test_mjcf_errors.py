@@ -245,10 +245,6 @@ UNBUILT = {
     "scaling": ('<frame scale="2"/>', ""),
     "springyield": ('<joint springyield="1"/>', ""),
     "type sdf": ('<geom type="sdf" mesh="m"/>', ""),
-    'builtin="box"': (
-        '<geom type="mesh" mesh="m"/>',
-        '<asset><mesh name="m" builtin="box" params="2 2 2 1 1 1"/></asset>',
-    ),
     **{
         f'flag "{flag}"': ("", f'<option><flag {flag}="enable"/></option>')
         for flag in ("diagexact", "ipc", "speculative")

@@ -110,8 +110,11 @@ def test_what_a_sensor_of_its_user_is_attached_to_is_checked(attributes, text):
     ],
 )
 def test_what_only_draws_on_a_body_that_stands_still_weighs(sensor):
-    """A hand by itself: its palm is fixed, and has the mass of its visual mesh, as in MuJoCo."""
-    text = f"""<mujoco><asset><mesh name="m" builtin="sphere" params="2" scale=".1 .2 .1"/></asset>
+    """A hand by itself: its palm is fixed, and has the mass of its visual mesh, as in MuJoCo.
+
+    The mesh has three different axes, so that there is one inertial frame.
+    """
+    text = f"""<mujoco><asset><mesh name="m" builtin="sphere" params="2" scale=".1 .2 .15"/></asset>
       <worldbody><body name="hand"><site name="mount"/><body name="palm" pos=".1 .2 .3">
         <geom type="mesh" mesh="m" pos=".3 0 0" contype="0" conaffinity="0" group="1"/>
         <body pos=".5 0 0"><joint axis="0 1 0"/><geom size=".1"/></body></body></body></worldbody>

@@ -1,4 +1,4 @@
-"""How a file says that its scene looks: textures, lights, and the visual geoms of a URDF."""
+"""How a file says that its scene looks: colours, textures and visual geoms."""
 
 import os
 import struct
@@ -6,7 +6,6 @@ import zlib
 
 import numpy as np
 import pytest
-from renderers import RENDERERS
 
 import stepcore as sc
 from stepcore.mjcf.appearance import GREY
@@ -37,20 +36,6 @@ def drawn(text, **values):
     return sim, drawing_of(sim.model, sim)
 
 
-def test_the_visual_geoms_of_a_urdf_are_drawn_and_not_in_the_physics():
-    sim, drawing = drawn(ARM)
-    assert sim.model.ngeom == 2
-    shown = {
-        (drawing.bodies[shape.body], shape.kind): shape for shape in drawing.shapes if shape.shown
-    }
-    # What collides is hidden on links that have visual geoms.
-    assert set(shown) == {("world", "box"), ("upper", "cylinder"), ("tool", "sphere")}
-    box, rod = shown["world", "box"], shown["upper", "cylinder"]
-    assert (box.size, box.pos, box.rgba) == ((1, 2, 3), (1, 2, 3), (1, 0, 0, 0.5))
-    assert (rod.size[:2], rod.rgba) == ((0.1, 1), (0, 0, 1, 1))
-    assert [note for note in drawing.notes if "none.dae" in note and "saved" not in note]
-
-
 def test_a_file_of_which_something_is_left_out_keeps_its_colours():
     colour = '<mujoco><worldbody><body><joint name="j"/><geom size=".1" rgba="1 0 0 1"/></body>'
     text = f'{colour}</worldbody><sensor><jointpos joint="j"/></sensor></mujoco>'
@@ -59,77 +44,13 @@ def test_a_file_of_which_something_is_left_out_keeps_its_colours():
     assert not drawing.notes
 
 
-def test_a_visual_may_have_the_name_of_a_later_collision():
-    first, later = '<collision name="seen"><geometry><sphere radius="1"', '<sphere radius=".3"/>'
-    named = ARM.replace(first, first.replace(' name="seen"', ""))
-    named = named.replace(
-        f"<collision><geometry>{later}", f'<collision name="seen"><geometry>{later}'
-    )
-    _, drawing = drawn(named)
-    shown = {(drawing.bodies[s.body], s.kind) for s in drawing.shapes if s.shown}
-    assert shown == {("world", "box"), ("upper", "cylinder"), ("tool", "sphere")}
-
-
-def test_what_collides_is_hidden_by_link_and_not_by_body():
-    """A tool on a fixed joint is part of the arm: its collisions stand for it, the arm's do not."""
-    fixed = ARM.replace('name="two" type="continuous"', 'name="two" type="fixed"')
-    for fuse, tool in ((None, "upper"), (False, "tool")):
-        _, drawing = drawn(fixed, fuse=fuse)
-        shown = {(drawing.bodies[s.body], s.kind) for s in drawing.shapes if s.shown}
-        assert shown >= {("upper", "cylinder"), (tool, "sphere")}
-        assert len(shown) == 3
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "note", "kept"),
-    [
-        # A material that cannot be read leaves the shape, an odd shape the others.
-        ('rgba="1 0 0 0.5"', 'rgba="1 0 0"', "rgba = '1 0 0'", {"box", "cylinder"}),
-        ('rgba="0 0 1 1"', 'rgba="0 0 1"', "rgba = '0 0 1'", {"box", "cylinder"}),
-        ('<origin xyz="1 2 3"/>', '<origin xyz="0 0"/>', "xyz = '0 0'", {"cylinder"}),
-        ('<box size="2 4 6"/>', "<cone/>", "unknown element <cone>", {"cylinder"}),
-        (
-            '<material name="red">',
-            '<material name="blue"/><material name="red">',
-            "a second",
-            {"cylinder"},
-        ),
-        (
-            '<color rgba="1 0 0 0.5"/>',
-            '<texture filename="no://a.png"/>',
-            "no://",
-            {"box", "cylinder"},
-        ),
-    ],
-)
-def test_an_odd_visual_of_a_urdf_costs_no_other(old, new, note, kept):
-    text = ARM.replace(old, new, 1)
-    assert text != ARM
-    _, drawing = drawn(text)
-    assert any(note in line for line in drawing.notes)
-    assert {shape.kind for shape in drawing.shapes if shape.shown} - {"sphere"} == kept
-    rods = [shape for shape in drawing.shapes if shape.kind == "cylinder"]
-    assert 'rgba="0 0 1"' in new or [rod.rgba for rod in rods] == [(0, 0, 1, 1)]
-
-
-def test_a_texture_of_a_urdf_gives_its_mean_colour(images):
-    shade = '<texture filename="images/wood.png"/>'
-    text = ARM.replace('<color rgba="0 0 1 1"/>', shade)
-    text = text.replace('<color rgba="1 0 0 0.5"/>', f'<color rgba="0.5 1 1 0.5"/>{shade}')
-    _, drawing = drawn(text, base=images)
-    colours = {shape.kind: shape.rgba for shape in drawing.shapes if shape.shown}
-    assert colours["cylinder"] == pytest.approx((0.5, 0.25, 0, 1), abs=0.005)
-    assert colours["box"] == pytest.approx((0.25, 0.25, 0, 0.5), abs=0.005)
-    _, drawing = drawn(text, base=images / "images")
-    assert len([note for note in drawing.notes if "wood.png" in note]) == 2
-
-
-def test_a_urdf_without_colours_gets_one_for_each_body():
-    text = ARM.replace('<material name="blue"/>', "").replace('<color rgba="1 0 0 0.5"/>', "")
-    _, drawing = drawn(text)
+def test_a_urdf_gets_a_colour_for_each_body_and_its_visuals_are_not_read():
+    sim, drawing = drawn(ARM)
+    assert sim.model.ngeom == len(drawing.shapes) == 2
     colours = {shape.body: shape.rgba for shape in drawing.shapes if shape.shown}
-    assert len(set(colours.values())) == len(colours) == 3
+    assert len(set(colours.values())) == len(colours) == 2
     assert GREY not in colours.values()
+    assert any("<visual>" in line for line in sim.model.scene.ignored)
 
 
 TEXTURED = """
@@ -139,11 +60,9 @@ TEXTURED = """
 <material name="floor" texture="board" rgba="1 0.5 1 1"/>
 <material name="wood" rgba="1 1 0.5 1"><layer texture="wood" role="rgb"/></material>
 </asset><worldbody>
-<light pos="0 0 3" dir="0 0 -2" diffuse="0.9 0.8 0.7"/>
 <geom name="floor" type="plane" size="1 1 1" material="floor"/>
 <body name="arm"><joint/><geom name="arm" size=".1" material="wood"/>
-<geom name="own" size=".1" pos="1 0 0" material="wood" rgba="0.5 1 1 1"/>
-<light type="directional" dir="1 0 0"/><light active="false"/></body>
+<geom name="own" size=".1" pos="1 0 0" material="wood" rgba="0.5 1 1 1"/></body>
 </worldbody></mujoco>"""
 
 
@@ -182,24 +101,10 @@ def test_an_image_that_is_not_there_is_a_note(tmp_path):
     assert len(drawing.notes) == 1 and "wood.png" in drawing.notes[0]
 
 
-def test_lights_are_those_of_the_file(images):
-    _, drawing = drawn(TEXTURED, base=images)
-    lamp, sun = sorted(drawing.lights, key=lambda light: light.body)
-    assert (lamp.body, lamp.pos, lamp.dir) == (0, (0, 0, 3), (0, 0, -1))
-    assert lamp.diffuse == (0.9, 0.8, 0.7) and lamp.kind == "spot"
-    assert (drawing.bodies[sun.body], sun.dir, sun.kind) == ("arm", (1, 0, 0), "directional")
-    assert drawing.headlight.diffuse == (0.4, 0.4, 0.4)
-    dark = TEXTURED.replace("<asset>", '<visual><headlight active="0"/></visual><asset>', 1)
-    _, drawing = drawn(dark, base=images)
-    assert drawing.headlight.diffuse == (0, 0, 0)
-
-
-ODD = """<mujoco><default><default class="warm"><light diffuse="1 .5 0"/></default></default>
-<visual><headlight {headlight}/></visual><asset>
+ODD = """<mujoco><asset>
 <texture name="t" type="2d" builtin="checker" width="8" height="8" {texture}/>
 <material name="odd" {material} texture="t"/><material name="red" rgba="1 0 0 1"/></asset>
-<worldbody><light class="warm" diffuse="" cutoff=""/><light {light}/>
-<body><joint/><geom name="red" size=".1" mass="1" material="red"/>
+<worldbody><body><joint/><geom name="red" size=".1" mass="1" material="red"/>
 <geom name="odd" size=".1" pos="1 0 0" material="odd"/>
 <geom name="seen" type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/></body>
 </worldbody></mujoco>"""
@@ -208,14 +113,6 @@ ODD = """<mujoco><default><default class="warm"><light diffuse="1 .5 0"/></defau
 @pytest.mark.parametrize(
     "odd",
     [
-        'light diffuse="1"',
-        'light dir="0 0 -1 0"',
-        'light dir="0 0"',
-        'light dir="0 0 0"',
-        'light active="1"',
-        'light type="nope"',
-        'headlight ambient="a b c"',
-        'headlight diffuse="1"',
         'material rgba="1 0"',
         'material rgba="1 0 0 1 1"',
         'texture rgb1="1 0"',
@@ -223,13 +120,11 @@ ODD = """<mujoco><default><default class="warm"><light diffuse="1 .5 0"/></defau
     ],
 )
 def test_what_mujoco_refuses_costs_a_note_and_no_other_colour(odd):
-    """The other light, the other material and the geoms that only draw stay."""
+    """The other material and the geoms that only draw stay."""
     import mujoco
 
     tag, attribute = odd.split(" ", 1)
-    text = ODD.format(
-        **dict.fromkeys(("light", "headlight", "material", "texture"), "") | {tag: attribute}
-    )
+    text = ODD.format(**dict.fromkeys(("material", "texture"), "") | {tag: attribute})
     with pytest.raises(ValueError):
         mujoco.MjModel.from_xml_string(text)
     _, drawing = drawn(text)
@@ -237,61 +132,6 @@ def test_what_mujoco_refuses_costs_a_note_and_no_other_colour(odd):
     assert f"<{tag}>" in note and attribute.split("=")[0] in note
     shapes = {shape.name: shape for shape in drawing.shapes}
     assert set(shapes) == {"red", "odd", "seen"} and shapes["red"].rgba == (1, 0, 0, 1)
-    assert len(drawing.lights) == (1 if tag == "light" else 2)
-    assert (1, 0.5, 0) in [light.diffuse for light in drawing.lights]
-    assert drawing.headlight.ambient == (0.1, 0.1, 0.1)
-
-
-KINDS = """<mujoco><visual><headlight ambient="0 0 0" diffuse="0 0 0"/></visual><worldbody>
-<light type="{}" pos="4 0 1" dir="1 0 0" diffuse="1 1 1"/>
-<body pos="0 0 1"><joint type="slide" axis="0 0 1"/><geom size="0.2"/></body>
-</worldbody></mujoco>"""
-
-
-def test_a_light_of_type_point_shines_to_all_sides():
-    """The ball stands behind it, where a spot does not shine."""
-
-    def brightness(kind, renderer):
-        sim = sc.Sim(sc.loads(KINDS.format(kind)))
-        seen = sc.picture(sim, renderer=renderer, turn=0.0, width=64, height=48)
-        return seen[20:28, 28:36].mean()
-
-    for renderer in RENDERERS:
-        assert brightness("point", renderer) > 1.3 * brightness("spot", renderer)
-
-
-def test_a_light_of_type_image_is_not_drawn():
-    _, drawing = drawn(KINDS.format("image"))
-    assert drawing.lights == []
-    assert drawing.notes == ["<string>:2: <light> (of type image, which is not drawn)"]
-
-
-FRAMED = """<mujoco><compiler angle="radian"/><default>
-<default class="lamp"><light diffuse=".1 .2 .3" pos="0 0 1"/></default></default><worldbody>
-<frame pos="1 2 3" euler="0 0 1.5707963267948966" childclass="lamp">
-  <light name="one" dir="1 0 -1"/>
-  <frame quat="0 1 0 0"><light name="two" pos="0 .5 0"/></frame>
-  <body name="arm" pos="0 1 0"><joint/><geom size=".1" mass="1"/><light name="three" dir="0 1 0"/>
-    <frame pos="0 0 2"><light name="four" class="main"/></frame></body></frame>
-<replicate count="2" offset="0 0 .5"><light name="many" pos="3 0 0"/></replicate>
-</worldbody></mujoco>"""
-
-
-def test_lights_in_frames_stand_where_mujoco_has_them():
-    """Against MuJoCo's compiled model: pose in the body, colour, in any order."""
-    import mujoco
-
-    _, drawing = drawn(FRAMED)
-    theirs = mujoco.MjModel.from_xml_string(FRAMED)
-    assert len(drawing.lights) == theirs.nlight == 6
-    columns = theirs.light_bodyid[:, None], theirs.light_pos, theirs.light_dir, theirs.light_diffuse
-    expected = np.hstack(columns)
-    own = [(light.body, *light.pos, *light.dir, *light.diffuse) for light in drawing.lights]
-
-    def ordered(rows):
-        return sorted((np.round(rows, 6) + 0.0).tolist())
-
-    assert np.allclose(ordered(own), ordered(expected), atol=1e-6)
 
 
 def chunk(kind, data):

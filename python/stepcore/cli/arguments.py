@@ -22,10 +22,10 @@ from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
 from stepcore.experiment.control_table import PositionTable, control_table
 from stepcore.experiment.default_motion import KINDS
+from stepcore.experiment.log_files import ENDINGS, is_file, parts_of
 from stepcore.experiment.motion import INTERPOLATIONS, Motion
 from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
 from stepcore.experiment.policy import Policy
-from stepcore.experiment.user_table import ENDINGS, is_file
 from stepcore.loading import find_scene, load
 from stepcore.report.units import counted, length_of, time_of
 
@@ -211,7 +211,7 @@ def motion_of(args: argparse.Namespace, model: Model | None) -> dict[str, Any]:
     given = {name: getattr(args, name, None) for name in (*OPTIONS, "threads")}
     given["key"] = key_of(args, model)
     if given["follow"] is not None:
-        given["follow"] = _table("follow", given["follow"], PositionTable.of)
+        given["follow"] = _table("follow", given["follow"], PositionTable)
     if given["ctrl"] is not None:
         given["ctrl"] = controls_of(given["ctrl"], model)
     if given["control"] is not None:
@@ -239,7 +239,7 @@ def controls_of(text: str, model: Model | None) -> Any:
 
 def _table(option: str, text: str, read: Callable[[str], Any]) -> Any:
     """Return the table of a file; option: "ctrl" or "follow"."""
-    if not os.path.isfile(re.sub(r"(\.mcap):.*", r"\1", text)):
+    if not os.path.isfile(parts_of(text)[0]):
         raise Usage(f"--{option} {text}: no such file")
     try:
         return read(text)

@@ -283,7 +283,7 @@ MEASUREMENTS = {
                 "help": "a value to find and its range, such as joint/knee/damping=0.01:2, or "
                 "delay=0:0.05 [s] of the controls",
             },
-            "most": "N",
+            **{"pieces": "TIME", "most": "N", "threads": {"type": int, "metavar": "N"}},
             "save": {"metavar": "OUT.xml", "help": "write the model with the values found as MJCF"},
         },
         more=_logs_and_ranges,

@@ -173,6 +173,7 @@ def _run(args: argparse.Namespace) -> int:
     model = model_of(args).with_settings(**changes)
     record = _recorded(args)
     motion, pushes = _inputs(args, model)
+    model = motion.driven(model)
     horizon = max(HORIZON, motion.duration) if args.horizon is None else args.horizon
     # The ledger is needed to explain a failure in full, and costs only a few per cent.
     ledger = changes.get("ledger", True)

@@ -515,7 +515,11 @@ def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -
     slopes = np.zeros((steps.count + 1, size + count, count + size))
     slopes[0, :size, count:] = np.eye(size)
     slopes[:, size:, :count] = np.eye(count)
+    # A step alone needs no executors.
+    from stepcore.executors import checkpoint
+
     for block in steps.blocks():
+        checkpoint()
         A, B, P = (one[0] for one in steps.linear(range(world, world + 1), block)[:3])
         each = np.concatenate([A, P, B @ pushes[block]], axis=2)
         own = slopes[block[0] : block[-1] + 2]

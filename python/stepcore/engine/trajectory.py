@@ -34,6 +34,8 @@ SomeWorld = TypeVar("SomeWorld", bound=World)
 # Controls over a run: a function of (time, sim), or a table with a row for each control period.
 Driven = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
+# What an instant of a run has of the step before it.
+LATE = ("ctrl", "sensordata")
 UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
 
 # Files: the version increases when the layout changes; the name of the column of times of a table;
@@ -163,8 +165,9 @@ class Trajectory:
         `to_pandas`.
 
         A .csv file has a row for each instant, a column "time [s]" that begins at 0, and columns
-        such as "qpos[knee]". As the controls of a motion (``ctrl="run.csv"``), either file plays
-        the recorded controls again.
+        such as "qpos[knee]"; controls and readings of sensors are those from its time on, as a
+        `Log` has them. As the controls of a motion (``ctrl="run.csv"``), either file plays the
+        recorded controls again.
 
         path: the file to write.
 
@@ -242,7 +245,8 @@ class Trajectory:
     def _columns(self) -> dict[str, NDArray[Any]]:
         """Return the values over time by names such as "qpos[knee]", each of shape (n,)."""
         columns: dict[str, NDArray[Any]] = {}
-        for name, values in self.data.items():
+        for name, recorded in self.data.items():
+            values = acting(name, recorded)
             entries = [axis.entries for axis in self.axes(name)]
             for index in np.ndindex(*values.shape[1:]):
                 of = ", ".join(names[k] for names, k in zip(entries, index, strict=True))
@@ -252,8 +256,7 @@ class Trajectory:
     def to_pandas(self) -> Any:
         """Return the run as a pandas DataFrame.
 
-        The frame has a row for each instant and columns such as "qpos[knee]". Needs pandas (the
-        extra "data").
+        The frame has the columns of a .csv file; see `save`. Needs pandas (the extra "data").
         """
         pandas = _needed("pandas", "Trajectory.to_pandas")
         return pandas.DataFrame(self._columns(), index=pandas.Index(self.time, name=TIME))
@@ -379,6 +382,18 @@ def _needed(package: str, what: str) -> Any:
         return importlib.import_module(package)
     except ImportError:
         raise ImportError(f"{what} needs {package}: pip install 'stepcore[data]'") from None
+
+
+def acting(array: str, values: NDArray[Any]) -> NDArray[Any]:
+    """Return what acts or is read from each instant on, of a recorded array.
+
+    An instant has the controls and the readings of the step before it. At the end the last controls
+    go on, and no reading is known.
+    """
+    if array not in LATE:
+        return values
+    last = values[-1:] if array == "ctrl" else np.full_like(values[-1:], np.nan)
+    return np.concatenate([values[1:], last])
 
 
 def record_run(

@@ -17,6 +17,7 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.mujoco_engine import engine_of
+from stepcore.loading import find_model
 from stepcore.report.progress import Choice, Progress
 from stepcore.scene.scene import Scene
 from stepcore.signatures import F, annotation, keyword
@@ -148,6 +149,8 @@ def set_up(
     engine: "stepcore" or "mujoco".
     """
     motion = Motion.of(motion, {k: v for k, v in fields.items() if k not in SHARED}, called)
+    if motion.table is not None and engine == "stepcore":
+        model = motion.driven(find_model(model))
     made = engine_of(model, engine)
     asked = made.settings(Change()).accuracy
     if asked is not None and called.__name__ not in WITHIN_ACCURACY:

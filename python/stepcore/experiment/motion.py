@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore.engine.control import Control
+from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.control_table import ControlTable, PositionTable, control_table
 from stepcore.experiment.default_motion import KINDS
@@ -69,14 +70,13 @@ class Motion:
     key: the keyframe to start from, by name or index; by default the first one, or the pose of the
         scene at rest.
     ctrl: the controls. Either an array of shape (n, nu) with one row for each control period; the
-        last row stays to the end. Or a table in which each column has the name of an actuator, or
-        of the joint that the actuator drives: the path of a .csv, .npz, .parquet or .mcap file, a
-        recorded run (`Trajectory`), a DataFrame, or a dict such as
+        last row stays to the end. Or a `Log`, or what one is read from: the path of a .csv, .npz,
+        .parquet or .mcap file, a recorded run (`Trajectory`), a DataFrame, or a dict such as
         ``{"hip": 1.0, "knee": [0.0, 0.5]}``. An actuator without a column keeps the keyframe's
-        control. In a table with a column "time" [s], each row takes effect at its time, relative to
-        the first row, at any rate: a step gets the mean of the controls over the step, whatever its
-        length. A file without column names (.csv, .npy) is read as an array. The Motion keeps the
-        table: its `rows`, `columns` and `times`.
+        control. Torques are played by motors, which are made where a model has no actuators. Each
+        row takes effect at its time, at any rate: a step gets the mean of the controls over the
+        step, whatever its length. Without a `key`, the motion starts at the positions and
+        velocities of the log's first row, as far as it has them. The Motion keeps the log.
     control: a function of (time, sim) that returns the controls, in place of `ctrl`. The function
         is called once per control period, possibly from several threads, and must depend on
         nothing but its arguments. A callable object may keep state in its attributes; each run gets
@@ -93,11 +93,10 @@ class Motion:
         control is a sum of random sines within its range; "random": new random controls in every
         control period; "fall": all controls are 0. A measurement also takes the kind in place of a
         Motion: ``trade(model, "hold")``.
-    follow: recorded positions of joints, followed in place of `ctrl`: a table in which each column
-        has the name of a hinge or slide, from the same sources, or a recorded run with qpos. The
-        motion starts at the first row. Each position servo gets as its control what makes its
-        force zero in the recorded position; motors get position servos in their place.
-        Between rows positions are interpolated.
+    follow: recorded positions of joints, followed in place of `ctrl`: a `Log`, or what one is read
+        from. The motion starts at the first row. Each position servo gets as its control what makes
+        its force zero in the recorded position; motors get position servos in their place, and a
+        model without actuators gets motors. Between rows positions are interpolated.
 
     Raises ValueError for a value outside its limits.
 
@@ -138,8 +137,8 @@ class Motion:
             raise ValueError(
                 f'ctrl = {self.ctrl!r}: write kind="{self.ctrl}" (--motion {self.ctrl})'
             )
-        if self.follow is not None:
-            object.__setattr__(self, "ctrl", PositionTable.of(self.follow))
+        if self.follow is not None and not isinstance(self.ctrl, PositionTable):
+            object.__setattr__(self, "ctrl", PositionTable(self.follow))
         elif self.ctrl is not None:
             object.__setattr__(self, "ctrl", control_table(self.ctrl))
 
@@ -147,6 +146,11 @@ class Motion:
     def is_users(self) -> bool:
         """Whether the controls are the user's own, and not a motion that stepcore makes."""
         return self.ctrl is not None or self.control is not None
+
+    @property
+    def from_log(self) -> bool:
+        """Whether the motion starts where the user's log does, and not at a keyframe."""
+        return self.table is not None and (self.key is None or self.follow is not None)
 
     @property
     def duration(self) -> float:
@@ -157,6 +161,10 @@ class Motion:
     def table(self) -> ControlTable | None:
         """The user's rows, or recorded positions; None without."""
         return self.ctrl if isinstance(self.ctrl, ControlTable) else None
+
+    def driven(self, model: Model) -> Model:
+        """Return the model that the motion drives: with motors for what its log needs."""
+        return model if self.table is None else self.table.driven(model)
 
     def period(self, dt: float) -> float | None:
         """Return the control period [s], or None if this motion does not determine a period.

@@ -41,7 +41,7 @@ def without_in_words(model: Model) -> str:
 
 def begin_in_words(model: Model, motion: Motion) -> str:
     """Describe the first start of a motion."""
-    if motion.follow is not None and motion.table is not None:
+    if motion.from_log and motion.table is not None and "qpos" in motion.table.placed(model).arrays:
         return f"the first pose of {motion.table.source}"
     return start_in_words(model, motion.key)
 
@@ -86,8 +86,8 @@ def drive_in_words(model: Model, motion: Motion, drive: str, sampled: str) -> st
         if not table.changes:
             return f"{what} hold {table.constants}"
         source = "the controls given" if table.source == "ctrl" else table.source
-        sampled = table.paced(sampled) if motion.control_dt is None else f"a row {sampled}"
-        if motion.follow is not None:
-            return f"{what} follow the positions of {source}, {sampled}"
-        return f"{what} driven by {source}, {sampled}"
+        verb = "follow the positions of" if motion.follow is not None else "driven by"
+        read = f" ({table.told(model)})" if table.pace else ""
+        pace = f", a row {sampled}" if motion.control_dt is not None or not table.pace else ""
+        return f"{what} {verb} {source}{read}{pace}"
     return drive

@@ -174,9 +174,8 @@ def scheduled(
     Raises ValueError if the horizon is shorter than a period, or the run has too many steps.
     """
     first, held = home(model, motion.key)
-    if isinstance(motion.ctrl, PositionTable):
-        # Recorded positions begin at the first of them.
-        first = dataclasses.replace(first, qpos=motion.ctrl.begin(model, first.qpos))
+    if motion.from_log and motion.table is not None:
+        first = motion.table.start(model, first)
 
     def drive(begin: Sequence[Start], periods: int) -> Controls:
         whole = motion.control_dt is not None

@@ -15,10 +15,10 @@ from stepcore.engine.axes import axes_of
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced, refsafe_note, spinning_note
 from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.start import Start
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
 from stepcore.experiment.change import Change
-from stepcore.experiment.control_table import PositionTable
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import begin_in_words, scene_in_words
 from stepcore.experiment.schedule import HORIZON
@@ -197,8 +197,8 @@ def run(
     >>> result.steps, result.trajectory["energy"].shape
     (10, (11, 2))
     """
-    compiled = find_model(model)
     motion = Motion.of(motion, fields, run)
+    compiled = motion.driven(find_model(model))
     horizon = motion.horizon or max(HORIZON, motion.duration)
     sim = sim_of(compiled, horizon, ledger=ledger, error_bar=error_bar, threads=threads)
     return simulated(sim, compiled.settings, motion, horizon, pushes, record, progress)
@@ -240,8 +240,9 @@ def simulated(
     model, dt = sim.model, sim.settings.dt
     key = 0 if motion.key is None and model.keys else motion.key
     sim.reset(key=key)
-    if isinstance(motion.ctrl, PositionTable):
-        sim.qpos = motion.ctrl.begin(model, sim.qpos)
+    if motion.from_log and motion.table is not None:
+        begin = motion.table.start(model, Start(np.array(sim.qpos), np.array(sim.qvel)))
+        sim.qpos, sim.qvel = begin.qpos, begin.qvel
     if not horizon / dt < 2.0**64:
         limit = f"below {2.0**64 * dt:g} s at dt = {dt:g} s (2^64 steps)"
         raise ValueError(f"horizon = {horizon:g}: must be {limit}")
@@ -262,13 +263,13 @@ def simulated(
     held, unused, qpos = np.array(sim.ctrl), drive.fresh(), np.array(sim.qpos)
     single = SingleRun(sim, drive, shoved, RECORDED, recordable(record))
 
-    def again(cured: Model) -> Recording:
-        """Return the recording of the same run with another model."""
+    def again(cured: Model, share: float) -> Recording:
+        """Return the recording of a share of the same run with another model."""
         other = unwatched(Sim(Change(servos=drive.servos).of(cured)))
         other.reset(key=key)
         other.qpos, other.ctrl = qpos, held
         repeated = SingleRun(other, unused.fresh(), shoved, RECORDED)
-        repeated.run(round(steps * dt / other.settings.dt))
+        repeated.run(round(share * steps * dt / other.settings.dt))
         if repeated.error is not None:
             raise repeated.error
         return _recording(repeated, cured, key)

@@ -1,30 +1,27 @@
-"""Read the visual geoms, colours and lights of a file when a scene is drawn.
+"""Read the visual geoms and colours of a file when a scene is drawn.
 
 Nothing here affects the physics. The source text of a scene is read a second time, with the geoms
 that the reader leaves out (`Scene.ignored`) and with their mesh files. MuJoCo documentation, XML
-reference, asset/material, asset/texture, geom/rgba, body/light and visual/headlight.
+reference, asset/material, asset/texture and geom/rgba.
 """
 
 from __future__ import annotations
 
 import io
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stepcore import checks, files
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.attach import Model
+from stepcore.mjcf.defaults import Model
 from stepcore.mjcf.nodes import MJCFError, Node, Refusals, expand, inside, parse
-from stepcore.mjcf.reader import Models, finish, read_sections
-from stepcore.mjcf.sections import WorldReader
+from stepcore.mjcf.reader import finish, prepared, read_sections
 from stepcore.mjcf.validation import Exclusions, seen_values
-from stepcore.scene import frames
 from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
-from stepcore.urdf.translate import to_mjcf
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
@@ -53,53 +50,18 @@ def _product(colour: Vec, other: Vec) -> Vec:
     return tuple(a * b for a, b in zip(colour, other, strict=True))
 
 
-@dataclass(frozen=True)
-class Light:
-    """A light attached to a body.
-
-    body: the index of the body.
-    pos: the position in the body's frame [m].
-    dir: the direction of the light in the body's frame, a unit vector.
-    diffuse: the colour.
-    kind: "directional" (parallel light along dir), "spot" (from pos, within `cutoff` of dir), or
-        "point" (from pos in all directions).
-    cutoff: the half angle of a spot light [degrees].
-    """
-
-    body: int
-    pos: Vec
-    dir: Vec
-    diffuse: Vec
-    kind: str
-    cutoff: float
-
-
-@dataclass(frozen=True)
-class Headlight:
-    """The light at the camera. ambient, diffuse: the colours of the light."""
-
-    ambient: Vec = (0.1, 0.1, 0.1)
-    diffuse: Vec = (0.4, 0.4, 0.4)
-
-
 @dataclass
 class Looks:
     """The appearance of a scene according to its file.
 
     colours: the look of each geom of the scene, in the order of the compiled model.
     geoms: (body index, geom, look) of each geom that only draws.
-    covered: indices of collision geoms that are not shown: their URDF link has visual geoms.
-    lights: the lights of the file.
-    headlight: the light at the camera.
-    notes: a line for each asset or light that could not be read.
+    notes: a line for each asset that could not be read.
     """
 
     colours: list[Look] = field(default_factory=list)
     geoms: list[tuple[int, Geom, Look]] = field(default_factory=list)
-    lights: list[Light] = field(default_factory=list)
-    headlight: Headlight = field(default_factory=Headlight)
     notes: list[str] = field(default_factory=list)
-    covered: list[int] = field(default_factory=list)
 
 
 class _DrawnAssets(Assets):
@@ -122,32 +84,26 @@ class _DrawnAssets(Assets):
 
     def place_of_texture(self, node: Node) -> str | None:
         """Return the path of a texture's image; None in a text without a folder."""
-        return self._place(node, node.attrs["file"], "texturedir")
+        return self.compiler.asset(node, node.attrs["file"], "texturedir")
 
 
 def read_looks(scene: Scene) -> Looks | None:
     """Return the appearance of a scene according to its source file or text.
 
-    Returns None for a scene built in code, and for a scene whose bodies or geoms have changed.
+    Returns None for a scene built in code, for a URDF, and for a scene whose bodies or geoms have
+    changed.
     """
     source = scene._source
-    if source is None or not (source.data or source.urdf):
+    if source is None or not source.data:
         return None
-    root = parse(source.data or source.urdf, source.files[0])
+    root = parse(source.data, source.files[0])
     home = None if source.directory is None else Path(source.directory)
     expand(root, home, Path(source.files[0]) if home is not None else None)
-    links: list[tuple[list[Node], list[Node]]] = []
-    undrawn: list[str] = []
-    if source.urdf:
-        urdf = to_mjcf(root, source.directory, drawn=True)
-        root, links, undrawn = urdf.tree, urdf.drawn, urdf.undrawn
     drawn, refusals = type(scene)(), Refusals()
-    model = Models(drawn, refusals, Exclusions(source.without)).prepared(root, source.directory)
+    model = prepared(drawn, root, source.directory, refusals, Exclusions(source.without))
     world = read_sections(drawn, model, refusals, _DrawnAssets)
     refusals.raise_all()
     finish(world, source.fuse)
-    of_links = {id(node) for _, visuals in links for node in visuals}
-    world.only_drawn |= {id(shape.geom) for shape in world.shapes if id(shape.node) in of_links}
     layout, own = Layout(drawn), Layout(scene)
     seen = [geom for geom in layout.geoms if id(geom) not in world.only_drawn]
     names = [body.name for body in layout.bodies], [geom.name for geom in seen]
@@ -158,22 +114,11 @@ def read_looks(scene: Scene) -> Looks | None:
     surfaces = _Surfaces(model, assets)
     colours = {id(shape.geom): surfaces.of(shape.values) for shape in world.shapes}
     looks = Looks([colours[id(geom)] for geom in seen])
-    looks.notes += [*undrawn, *sorted({*assets.unread.values(), *surfaces.unread})]
+    looks.notes += sorted({*assets.unread.values(), *surfaces.unread})
     for geom in layout.geoms:
         asset = geom.mesh if geom.mesh is not None else geom.hfield
         if id(geom) in world.only_drawn and id(asset) not in assets.unread:
             looks.geoms.append((layout.index[id(geom.body)], geom, colours[id(geom)]))
-    geoms = {id(shape.node): id(shape.geom) for shape in world.shapes}
-    drawn_too = {id(geom) for _, geom, _ in looks.geoms}
-    covered = {
-        geoms.get(id(node))
-        for collisions, visuals in links
-        if any(geoms.get(id(visual)) in drawn_too for visual in visuals)
-        for node in collisions
-    }
-    looks.covered = [index for index, geom in enumerate(seen) if id(geom) in covered]
-    looks.lights = _lights(world, layout, looks.notes)
-    looks.headlight = _headlight(root, looks.notes)
     return looks
 
 
@@ -258,56 +203,3 @@ def _mean_colour(path: str) -> Vec:
         # After any error of the image reader, the surface is drawn grey.
         raise ValueError(f"not a whole image: {checks.cut(checks.one_line(error), 200)}") from None
     return (*(value / 255 for value in mean), 1.0)
-
-
-def _lights(world: WorldReader, layout: Layout, notes: list[str]) -> list[Light]:
-    """Return the lights that are on. notes: receives a line for each light that cannot be read.
-
-    A light that tracks a body (`mode`) is fixed in its parent body instead.
-    """
-    lights = []
-    for node, place in world.lights:
-        body = layout.index.get(id(place.body))
-        if body is None:
-            continue
-        try:
-            values = seen_values(node, world.defaults.of(node, place.childclass))
-            if values.get("type") == "image":
-                notes.append(node.listed("of type image, which is not drawn"))
-            elif values.get("active", True):
-                lights.append(_light(node, values, body, place.pose))
-        except MJCFError as error:
-            notes.append(str(error))
-    return lights
-
-
-def _light(node: Node, values: dict[str, Any], body: int, pose: tuple[Vec, Vec]) -> Light:
-    try:
-        direction = frames.normalised(values.get("dir", (0.0, 0.0, -1.0)), "dir")
-    except ValueError as error:
-        raise node.error(f"<light>: {error}") from None
-    return Light(
-        body,
-        frames.composed(pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0],
-        frames.rotated(pose[1], direction),
-        values.get("diffuse", (0.7, 0.7, 0.7)),
-        values.get("type", "directional" if values.get("directional") else "spot"),
-        values.get("cutoff", 45.0),
-    )
-
-
-def _headlight(root: Node, notes: list[str]) -> Headlight:
-    """Return the light at the camera. notes: receives a line for each unreadable headlight."""
-    headlight = Headlight()
-    for node in inside(root, "visual"):
-        if node.tag == "headlight":
-            try:
-                values = seen_values(node)
-            except MJCFError as error:
-                notes.append(str(error))
-                continue
-            if values.get("active") in ("0", "false"):
-                return Headlight((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-            given = {name: values[name] for name in ("ambient", "diffuse") if name in values}
-            headlight = replace(headlight, **given)
-    return headlight

@@ -19,7 +19,7 @@ from stepcore.mjcf.nodes import below, inside, sections
 from stepcore.mjcf.sections import Shape, WorldReader
 from stepcore.mjcf.validation import references
 from stepcore.scene import frames
-from stepcore.scene.elements import Body, Geom, Joint, MassRules, Site
+from stepcore.scene.elements import Body, MassRules
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.scene.records import plain
@@ -28,14 +28,6 @@ if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
 
 OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")
-NOTE = (
-    "an attached model makes masses by other rules (<compiler>): bodies have the masses that their "
-    "own rules make, and changed densities or sizes of geoms would not change these"
-)
-
-
-# Bodies by mass rules; the keys are the values of the rules.
-Groups = dict[tuple[object, ...], tuple[MassRules, list[Body]]]
 
 
 @dataclass(frozen=True)
@@ -74,13 +66,6 @@ class Weight:
         """The inertia as xx yy zz xy xz yz [kg·m²]."""
         places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
         return tuple(float(self.inertia[place]) for place in places)
-
-    def equals(self, other: Weight | None) -> bool:
-        return other is not None and (
-            self.mass == other.mass
-            and bool((self.ipos == other.ipos).all())
-            and bool((self.inertia == other.inertia).all())
-        )
 
     def give(self, body: Body) -> None:
         body.mass, body.inertia, body.iquat = self.mass, self.six, self.iquat
@@ -133,67 +118,21 @@ def place_weightless(world: WorldReader) -> None:
         or (sensor.type != "contact" and "body" in (sensor.objtype, sensor.reftype))
         for sensor in scene.sensors
     )
-    groups: Groups = {}
-    for body in scene.bodies:
-        rules = world.rules_of(body)
-        counts = sensed or id(body) in touching or rules.boundmass > 0 or rules.boundinertia > 0
-        if counts and body.mass is None and id(body) in world.written:
-            unbounded = MassRules(**(rules.values() | {"boundmass": 0.0, "boundinertia": 0.0}))
-            key = tuple(unbounded.values().values())
-            groups.setdefault(key, (unbounded, []))[1].append(body)
-    for unbounded, bodies in groups.values():
-        known = weights(scene, bodies, unbounded)
-        for body in bodies:
-            if known[id(body)].mass == 0.0:
-                pos, quat = world.written[id(body)]
-                Weight(0.0, np.array(pos), np.zeros((3, 3)), quat).give(body)
-
-
-def settle_masses(world: WorldReader) -> None:
-    """Assign masses to bodies of attached models where the mass rules of the models differ.
-
-    As in MuJoCo, a body follows the `<compiler>` of the model that defines it. A scene has one set
-    of mass rules: those of the outer model, unless they would change a mass assigned here.
-    """
-    scene = world.scene
-    groups: Groups = {}
-    for body in Layout(scene).bodies[1:]:
-        rules = world.rules_of(body)
-        groups.setdefault(_for_one_body(rules), (rules, []))[1].append(body)
-    if not groups.keys() - {_for_one_body(scene.mass_rules)}:
+    rules = scene.mass_rules
+    every = sensed or rules.boundmass > 0 or rules.boundinertia > 0
+    bodies = [
+        body
+        for body in scene.bodies
+        if body.mass is None and id(body) in world.written and (every or id(body) in touching)
+    ]
+    if not bodies:
         return
-    kept = scene.mass_rules
-    if kept.inertiafromgeom is True or kept.boundmass > 0 or kept.boundinertia > 0:
-        kept = MassRules(settotalmass=kept.settotalmass)
-    settled = False
-    for rules, bodies in groups.values():
-        if _for_one_body(rules) == _for_one_body(kept):
-            continue
-        known, otherwise = weights(scene, bodies, rules), _weights_if(kept, scene, bodies)
-        for body in bodies:
-            if not known[id(body)].equals(otherwise.get(id(body))):
-                settled = True
-                known[id(body)].give(body)
-    scene.mass_rules = kept
-    world.settled = True
-    if settled:
-        scene.notes.append(NOTE)
-
-
-def _for_one_body(rules: MassRules) -> tuple[object, ...]:
-    """Return the rules that concern a single body: all but settotalmass."""
-    return tuple((rules.values() | {"settotalmass": None}).values())
-
-
-def _weights_if(rules: MassRules, scene: Scene, bodies: list[Body]) -> dict[int, Weight]:
-    """Return the mass properties by ``id`` of the bodies that these rules accept."""
-    try:
-        return weights(scene, bodies, rules)
-    except ValueError:
-        if len(bodies) == 1:
-            return {}
-    # One rejected body does not affect the others, so compute the bodies one by one.
-    return {key: w for body in bodies for key, w in _weights_if(rules, scene, [body]).items()}
+    unbounded = MassRules(**(rules.values() | {"boundmass": 0.0, "boundinertia": 0.0}))
+    known = weights(scene, bodies, unbounded)
+    for body in bodies:
+        if known[id(body)].mass == 0.0:
+            pos, quat = world.written[id(body)]
+            Weight(0.0, np.array(pos), np.zeros((3, 3)), quat).give(body)
 
 
 def leave_out_visual_geoms(world: WorldReader) -> None:
@@ -219,38 +158,6 @@ def leave_out_visual_geoms(world: WorldReader) -> None:
     _remove(world, gone)
 
 
-def discard_visual(world: WorldReader) -> None:
-    """Remove all geoms that neither collide nor are referred to, as `discardvisual` requires.
-
-    A body keeps the mass that a removed geom gives it.
-    """
-    scene = world.scene
-    nodes = below(world.root)
-    named = {name for node in nodes for _, kind, name in references(node) if kind == "geom"}
-    there = {id(geom) for geom in scene.geoms}
-    gone = [
-        shape
-        for shape in world.shapes
-        if id(shape.geom) in there
-        and not shape.collides
-        and not (shape.geom.name and shape.geom.name in named)
-        and not shape.fluid
-    ]
-    heavy = [shape for shape in gone if weighs(world, shape)]
-    if heavy and scene.mass_rules.inertiafromgeom is True:
-        raise heavy[0].node.error(
-            "discardvisual would change the inertia of the body, which inertiafromgeom takes "
-            "from its geoms"
-        )
-    bodies = {id(shape.geom.body): shape.geom.body for shape in heavy}
-    for key, weight in (weights(scene, bodies.values()) if heavy else {}).items():
-        weight.give(bodies[key])
-    _remove(world, {id(shape.geom) for shape in gone})
-    used = {id(asset) for geom in scene.geoms for asset in (geom.mesh, geom.hfield)}
-    scene.meshes = [mesh for mesh in scene.meshes if id(mesh) in used]
-    scene.hfields = [hfield for hfield in scene.hfields if id(hfield) in used]
-
-
 def _remove(world: WorldReader, gone: set[int]) -> None:
     if world.assets.drawn:
         world.only_drawn |= gone
@@ -264,7 +171,7 @@ def weighs(world: WorldReader, shape: Shape) -> bool:
     The mass of a fixed body counts too, because the user may add a joint to the body.
     """
     body = shape.geom.body
-    rules = world.rules_of(body)
+    rules = world.scene.mass_rules
     low, high = rules.inertiagrouprange
     if not shape.heavy or not low <= shape.geom.group <= high or rules.inertiafromgeom is False:
         return False
@@ -367,64 +274,3 @@ def _add_weight(world: WorldReader, body: Body, carrier: Body, known: dict[int, 
         node = world.nodes[id(body)]
         raise node.unbuilt("fusing bodies (fusestatic) with bounds of their inertia")
     both.give(carrier)
-
-
-def align(world: WorldReader) -> None:
-    """Align the frames of free bodies with their principal axes of inertia where `align` is set.
-
-    As in MuJoCo, only a body without child bodies is aligned. Values in the body's frame that other
-    elements give (anchors of equalities, keyframes) are not changed.
-    """
-    scene = world.scene
-    parents = {id(body.parent) for body in scene.bodies}
-    bodies = [
-        joint.body
-        for joint in scene.joints
-        if joint.type == "free" and id(joint.body) not in parents and _is_aligned(world, joint)
-    ]
-    known = weights(scene, bodies) if bodies else {}
-    placed: dict[int, list[Geom | Site]] = {id(body): [] for body in bodies}
-    elements: list[Geom | Site] = [*scene.geoms, *scene.sites]
-    for element in elements:
-        placed.setdefault(id(element.body), []).append(element)
-    shapes: dict[int, list[Shape]] = {}
-    for shape in world.shapes:
-        shapes.setdefault(id(shape.geom.body), []).append(shape)
-    for body in bodies:
-        weight = known[id(body)]
-        # balanceinertia makes the moments equal, and so the computed axes arbitrary.
-        quat = _written_axes(world, body, shapes.get(id(body), [])) or weight.iquat
-        assert quat is not None
-        pose = (tuple(map(float, weight.ipos)), quat)
-        back = _inverse(pose)
-        for element in placed[id(body)]:
-            element.pos, element.quat = frames.composed(back, element.pos, element.quat)
-        if body.mass is not None:
-            moments = weight.seen_from(*back).six[:3]
-            body.ipos, body.inertia = frames.ORIGIN, (*moments, 0.0, 0.0, 0.0)
-            body.iquat = frames.IDENTITY
-        body.pos, body.quat = frames.composed((body.pos, body.quat), *pose)
-
-
-def _is_aligned(world: WorldReader, joint: Joint) -> bool:
-    node = world.nodes[id(joint)]
-    asked = node.values.get("align", "auto")
-    alignfree = (node.compiler or world.main).values.get("alignfree")
-    return asked is True or (asked == "auto" and bool(alignfree))
-
-
-def _written_axes(world: WorldReader, body: Body, shapes: list[Shape]) -> Vec | None:
-    """Return the principal axes that the file gives: of the inertial, or of a body's only geom."""
-    rules = world.rules_of(body)
-    if body.mass is not None and rules.inertiafromgeom is not True:
-        return body.iquat
-    low, high = rules.inertiagrouprange
-    geoms = [shape.geom for shape in shapes if shape.heavy and low <= shape.geom.group <= high]
-    # The principal axes of a mesh are computed.
-    return geoms[0].quat if len(geoms) == 1 and geoms[0].mesh is None else None
-
-
-def _inverse(pose: Pose) -> Pose:
-    pos, (w, x, y, z) = pose
-    back = (w, -x, -y, -z)
-    return tuple(-a for a in frames.rotated(back, pos)), back

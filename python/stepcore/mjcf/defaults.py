@@ -91,6 +91,22 @@ class Compiler:
             places += [os.path.join(home, within, name), os.path.join(beside, name)]
         return next((place for place in places if os.path.isfile(place)), places[0])
 
+    def asset(self, node: Node, name: str, folder: str = "meshdir") -> str | None:
+        """Return the path of the file that an asset names; None in a text without a folder.
+
+        folder: the attribute that gives the folder of such files.
+        """
+        name = name.replace("\\", "/")
+        within = self.values.get(folder, self.values.get("assetdir", ""))
+        stripped = bool(self.values.get("strippath"))
+        if stripped:
+            name = name.rpartition("/")[2]
+        if self.directory is None and not os.path.isabs(os.path.join(within, name)):
+            return None
+        # With strippath, the folder of an included file is not searched either.
+        path = os.path.join(self.directory or "", within, name)
+        return os.path.normpath(path if stripped else self.path(node, name, within))
+
     def mass_rules(self) -> MassRules:
         return MassRules(**given(MassRules, self.values))
 
@@ -126,8 +142,6 @@ class Compiler:
 
 
 MAIN = "main"
-# Attributes of a class that name assets.
-ASSETS = ("mesh", "hfield", "material")
 
 
 def overlay(under: Values, over: Values) -> Values:
@@ -186,26 +200,6 @@ class Defaults:
                 self.chains[inner_name] = (*self.chains[name], self.chains[name][-1])
             pending += [(child, child.attrs["class"]) for child in reversed(inner)]
 
-    def adopt(self, other: Defaults, prefix: str) -> dict[str, str]:
-        """Add the classes of an attached model, with the prefix before class and asset names.
-
-        Returns the new name of each class by its original name. If this model has a different class
-        of the prefixed name, the new name gets an apostrophe.
-        """
-        names = {}
-        for name, own in other.classes.items():
-            new = {
-                tag: {k: prefix + v if k in ASSETS else v for k, v in values.items()}
-                for tag, values in own.items()
-            }
-            both = new, other.chains[name]
-            here = prefix + name
-            while here in self.classes and (self.classes[here], self.chains[here]) != both:
-                here += "'"
-            names[name] = here
-            self.classes[here], self.chains[here] = both
-        return names
-
     def known(self, node: Node, attribute: str) -> str | None:
         """Return the class that an attribute of a node names; None without the attribute."""
         name = node.attrs.get(attribute)
@@ -225,6 +219,19 @@ class Defaults:
 
     def gains(self, node: Node) -> ActuatorGains:
         return inherited(self.chains[self.known(node, "class") or MAIN], node)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A validated file without anything that MuJoCo has to expand.
+
+    files: the files that it was read from.
+    """
+
+    root: Node
+    compiler: Compiler
+    defaults: Defaults
+    files: tuple[str, ...]
 
 
 @dataclass(frozen=True)

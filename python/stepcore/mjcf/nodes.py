@@ -93,16 +93,10 @@ class Source:
     asset_bytes: int = 0
     without: tuple[str, ...] = ()
 
-    def of(self, root: Node) -> Source:
-        """Return this source with the file names of a model whose includes are expanded."""
-        files, unread = [root.file], []
-        pending = [root]
-        while pending:
-            node = pending.pop()
-            files.append(node.file)
-            unread += [value for name, value in node.attrs.items() if name.startswith("file")]
-            pending += reversed(node.children)
-        return replace(self, files=tuple(dict.fromkeys(files)), unread=tuple(dict.fromkeys(unread)))
+    def of(self, root: Node, files: tuple[str, ...]) -> Source:
+        """Return this source with its files, and the file names in the text (below `root`)."""
+        named = [v for n in below(root) for name, v in n.attrs.items() if name.startswith("file")]
+        return replace(self, files=files, unread=tuple(dict.fromkeys(named)))
 
 
 class Node:
@@ -110,14 +104,9 @@ class Node:
 
     values: the attributes as numbers and words; `validate` sets them.
     path: section and tag, such as "sensor/touch"; `validate` sets it.
-    compiler: for an element of an attached model, the compiler settings of that model.
-    parts: for a keyframe of an attached model, each vector as (element, numbers of the element).
     """
 
-    __slots__ = (
-        *("attrs", "children", "compiler", "file", "line", "parts", "path", "tag"),
-        "values",
-    )
+    __slots__ = ("attrs", "children", "file", "line", "path", "tag", "values")
 
     def __init__(self, tag: str, attrs: dict[str, str], file: str, line: int) -> None:
         self.tag = tag
@@ -127,8 +116,6 @@ class Node:
         self.children: list[Node] = []
         self.values: dict[str, Any] = {}
         self.path = tag
-        self.compiler: Any = None
-        self.parts: dict[str, list[tuple[Node, tuple[float, ...]]]] | None = None
 
     def error(self, text: str) -> MJCFError:
         return MJCFError(self.file, self.line, text)

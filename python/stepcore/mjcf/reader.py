@@ -20,29 +20,26 @@ from stepcore.checks import ElementError, flag, nearest
 from stepcore.mjcf import option
 from stepcore.mjcf import sections as of_section
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.attach import Attacher, Copies, Model, expand_replicates
 from stepcore.mjcf.bodies import (
-    align,
-    discard_visual,
     fuse,
     leave_out_visual_geoms,
     place_weightless,
-    settle_masses,
 )
-from stepcore.mjcf.defaults import Compiler, Defaults
+from stepcore.mjcf.defaults import Compiler, Defaults, Model
 from stepcore.mjcf.nodes import (
     MJCFError,
     Node,
     Refusals,
     Source,
+    below,
     expand,
     inside,
     parse,
     read_main,
-    read_named,
     sections,
 )
 from stepcore.mjcf.sections import WorldReader
+from stepcore.mjcf.through_mujoco import Expansion, first_to_expand
 from stepcore.mjcf.validation import REFERENCES, Exclusions, validate
 from stepcore.scene import gc_pause
 from stepcore.scene.layout import LISTS, Layout, named
@@ -61,56 +58,35 @@ SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
     "sensor": of_section.sensor,
 }
 NAMED_ANYWHERE = ("joint", "site", "actuator", "tendon")
-# The maximum nesting depth of attached models.
-MOST_NESTED = 50
 
 
-class Models:
-    """The models of one load; `prepared` validates one and expands <attach> and <replicate>."""
+def prepared(
+    scene: Scene, root: Node, directory: str | None, refusals: Refusals, exclusions: Exclusions
+) -> Model:
+    """Validate a model whose includes are expanded, and let MuJoCo expand what it has to.
 
-    def __init__(self, scene: Scene, refusals: Refusals, exclusions: Exclusions) -> None:
-        self.scene, self.refusals, self.exclusions = scene, refusals, exclusions
-        # `open`: the files of the models being read, the outermost first. `made`: finished models.
-        self.open: list[str] = []
-        self.made: dict[str, Model] = {}
-        self.copies = Copies()
+    directory: the folder of the model's main file.
+    """
+    scene.ignored += validate(root, refusals, exclusions)
+    compiler = Compiler(sections(root, "compiler"), directory, root.file)
+    files = dict.fromkeys(node.file for node in below(root))
+    cause = first_to_expand(root)
+    if cause is not None:
+        refusals.raise_all()
 
-    def prepared(self, root: Node, directory: str | None) -> Model:
-        """Return the model of a root whose includes are expanded.
+        def check(attached: Node) -> None:
+            scene.ignored.extend(validate(attached, refusals, exclusions))
+            refusals.raise_all()
 
-        directory: the folder of the model's main file.
-        """
-        self.scene.ignored += validate(root, self.refusals, self.exclusions)
+        expansion = Expansion(root, compiler, check)
+        ranges, fusestatic = compiler.ranges, compiler.values.get("fusestatic", False)
+        root = expansion.expanded(cause)
+        scene.notes += expansion.notes
+        validate(root, refusals, exclusions)
         compiler = Compiler(sections(root, "compiler"), directory, root.file)
-        model = Model(root, compiler, Defaults(sections(root, "default")))
-        attacher = Attacher(model, lambda node: self._load(node, compiler), self.copies)
-        attacher.run()
-        self.scene.notes += attacher.notes
-        expand_replicates(root, compiler, self.copies)
-        return model
-
-    def _load(self, node: Node, compiler: Compiler) -> Model:
-        """Return the model that an <asset><model> names."""
-        name = node.values["file"]
-        if not name or "\0" in name:
-            raise node.error('<model> needs a file="…"')
-        if compiler.directory is None and not os.path.isabs(name):
-            raise node.error(f'<model file="{name}"> in a text needs loads(text, base=folder)')
-        path = Path(compiler.path(node, name))
-        here = os.path.realpath(path)
-        if here in (*self.open, os.path.realpath(node.file)):
-            raise node.error(f'<model file="{name}">: the file attaches itself')
-        if here in self.made:
-            return self.made[here]
-        if len(self.open) >= MOST_NESTED:
-            raise node.error(f"attached models are nested deeper than {MOST_NESTED}")
-        root = read_named(node, str(path))
-        self.scene.notes += expand(root, path.parent, path)
-        self.open.append(here)
-        model = self.prepared(root, os.path.abspath(path.parent))
-        self.open.pop()
-        self.made[here] = model
-        return model
+        compiler.ranges, compiler.values["fusestatic"] = ranges, fusestatic
+        files = dict.fromkeys(expansion.files)
+    return Model(root, compiler, Defaults(sections(root, "default")), tuple(files))
 
 
 @gc_pause.paused()
@@ -165,14 +141,15 @@ def _fill(scene: Scene, root: Node, source: Source, without: Iterable[str]) -> N
     scene.name = root.attrs.get("model", "")
     refusals, exclusions = Refusals(), Exclusions(without)
     try:
-        model = Models(scene, refusals, exclusions).prepared(root, source.directory)
+        model = prepared(scene, root, source.directory, refusals, exclusions)
         world = read_sections(scene, model, refusals)
     except ValueError as error:
         refusals.add(error if isinstance(error, MJCFError) else root.error(str(error)))
         world = None
     refusals.raise_all()
     assert world is not None
-    scene._source = replace(source.of(root), without=tuple(exclusions.nodes))
+    source = source.of(root, model.files)
+    scene._source = replace(source, without=tuple(exclusions.nodes))
     try:
         finish(world, source.fuse)
     except ElementError as error:
@@ -208,7 +185,7 @@ def read_sections(
         world.read(node)
     for section, read in SECTIONS.items():
         for node in inside(root, section):
-            world.at(node, partial(read, world))
+            refusals.at(node, partial(read, world))
     return world
 
 
@@ -217,9 +194,8 @@ def finish(world: WorldReader, chosen: bool | None) -> None:
 
     chosen: whether to fuse bodies that cannot move relative to their parent; None: as in the file.
     """
-    scene, main = world.scene, world.main.values
-    if chosen is not None:
-        main["fusestatic"] = chosen
+    scene = world.scene
+    fusestatic = world.compiler.values.get("fusestatic") if chosen is None else chosen
     # A keyframe has numbers for all joints and actuators of the file, in the order of its tree.
     of_section.keyframes(world)
     # Sensors and materials may name bodies and geoms that later passes remove.
@@ -230,18 +206,9 @@ def finish(world: WorldReader, chosen: bool | None) -> None:
     world.assets.read_used(scene)
     # A massless body needs the pose of its inertia before a rule (boundmass) gives it mass.
     place_weightless(world)
-    # The passes below use one set of mass rules.
-    settle_masses(world)
-    # A body keeps the mass of a removed geom, and passes it on when the body is fused.
-    if main.get("discardvisual"):
-        discard_visual(world)
     # The mass of a fused body is the sum of the masses computed above.
-    if main.get("fusestatic"):
+    if fusestatic:
         fuse(world)
-    # A free body is aligned with its inertia after fusing.
-    align(world)
-    # Free joints that a keyframe of an attached model omits take the final poses of bodies.
-    of_section.follow_bodies(world)
     # This pass removes names by which the passes above find elements.
     for node in option.own_texts(inside(world.root, "custom")):
         world.refusals.at(node, partial(option.read_own_text, scene))

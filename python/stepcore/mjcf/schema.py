@@ -207,24 +207,23 @@ _VIEWS = {
 VISUAL = _draws("", {tag: _draws(words) for tag, words in _VIEWS.items()})
 # The attributes of these elements that views show; their values are checked when drawing.
 SEEN = {
-    "light": spec(
-        f"type:spot|directional|point|image directional:{BOOL} active:{BOOL} "
-        "pos:3 dir:3 diffuse:3 cutoff:1"
-    ),
-    "headlight": spec("active:0|1|2|false|true ambient:3 diffuse:3"),
     "material": spec("texture rgba:4"),
     "texture": spec("file builtin:none|gradient|checker|flat rgb1:3 rgb2:3"),
 }
 
 # The sections <asset> and <deformable>.
 
+_BUILTIN = (
+    "plate|square|disc|grid|box|cylinder|ellipsoid|wedge|sphere|hemisphere|cone|supersphere|"
+    "supertorus"
+)
 _MESH_DEFAULT = of(Mesh, "scale", "maxhullvert", "inertia")
 ASSET = spec(
     "",
     {
         "mesh": spec(
             f"{of(Mesh)} class content_type vertex:* normal:* texcoord:* face:int* "
-            f"smoothnormal:{BOOL} builtin params:* material",
+            f"smoothnormal:{BOOL} builtin:{_BUILTIN} params:* material",
             {"plugin": plugin()},
         ),
         "hfield": spec(

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.attach import Model
-from stepcore.mjcf.defaults import CONTROLLERS, ActuatorGains, saturated
+from stepcore.mjcf.defaults import CONTROLLERS, ActuatorGains, Model, saturated
 from stepcore.mjcf.nodes import Node, Refusals, inside, options, sections
 from stepcore.mjcf.schema import NOT_IN_WORLD, given
 from stepcore.mjcf.validation import REFERENCES, bad
@@ -20,8 +18,6 @@ from stepcore.scene.elements import (
     Equality,
     Geom,
     Joint,
-    Key,
-    MassRules,
     Pair,
     Sensor,
     Tendon,
@@ -32,12 +28,11 @@ from stepcore.scene.elements.sensor import ADHERES, ENDS, MOST_NUMBERS
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
 from stepcore.scene.elements.tendon import STOPS, Stop
 from stepcore.scene.frames import Vec
-from stepcore.scene.layout import DOFS, QPOS, Layout
+from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
 
-T = TypeVar("T")
 # Fields of a joint and of a geom that are not copied from attributes.
 _OF_JOINT = ("name", "type", "pos", "axis", "range", "actuatorfrcrange", "ref", "springref")
 _OF_GEOM = ("name", "type", "size", "pos", "quat", "mesh", "hfield")
@@ -72,7 +67,6 @@ class Shape:
     """A geom of the file.
 
     heavy: whether the geom gives mass to a body without an inertial.
-    fluid: whether the geom has a fluid shape.
     values: the attributes, completed from the default class.
     """
 
@@ -80,7 +74,6 @@ class Shape:
     geom: Geom
     collides: bool
     heavy: bool
-    fluid: bool
     values: dict[str, Any]
 
 
@@ -90,35 +83,27 @@ class WorldReader:
     Elements and nodes are identified by their ``id``.
 
     nodes: the node of each element.
-    elements: the element of each node.
     names: the names that later sections can refer to, by kind.
     references: (node, kind, name) of each reference to a material or mesh.
     shapes: the geoms, with the data that decides whether they are needed.
     written: for each body inside a frame, the pose that the file gives.
     ranges: for each joint or tendon, limited or not, the range that servos can inherit.
-    lights: the lights, each with its place.
     mesh_sites: the names of sites whose volume is a mesh.
-    open_keys: keyframes of attached models, with the joints whose positions they give.
     only_drawn: geoms that only draw, if they are kept for drawing (`Assets.drawn`).
-    settled: whether one set of mass rules applies to all bodies (`masses.settle_masses`).
     """
 
     def __init__(self, scene: Scene, model: Model, assets: Assets, refusals: Refusals) -> None:
         self.scene, self.assets, self.refusals = scene, assets, refusals
         self.root, self.defaults = model.root, model.defaults
-        self.main = self.compiler = model.compiler
+        self.compiler = model.compiler
         self.nodes: dict[int, Node] = {}
-        self.elements: dict[int, Element] = {}
         self.names: dict[str, set[str]] = {"body": {"world"}, "geom": set(), "camera": set()}
         self.references: list[tuple[Node, str, str]] = []
         self.shapes: list[Shape] = []
         self.written: dict[int, tuple[Vec, Vec]] = {}
         self.ranges: dict[int, tuple[float, ...]] = {}
         self.mesh_sites: set[str] = set()
-        self.lights: list[tuple[Node, Place]] = []
-        self.open_keys: list[tuple[Key, set[int]]] = []
         self.only_drawn: set[int] = set()
-        self.settled = False
         # Geoms of explicit pairs collide regardless of their masks.
         pairs = [node for node in inside(self.root, "contact") if node.tag == "pair"]
         self.paired = {pair.attrs.get(end, "") for pair in pairs for end in ("geom1", "geom2")}
@@ -129,20 +114,9 @@ class WorldReader:
         pending = [(child, Place(self.scene.world)) for child in reversed(world.children)]
         while pending:
             node, place = pending.pop()
-            inner = self.at(node, partial(self._element, place))
+            inner = self.refusals.at(node, partial(self._element, place))
             if inner is not None:
                 pending += [(child, inner) for child in reversed(node.children)]
-
-    def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
-        """Read an element with the compiler settings of its own model, and collect its errors."""
-        self.compiler = node.compiler or self.main
-        return self.refusals.at(node, read)
-
-    def rules_of(self, body: Body) -> MassRules:
-        """Return the mass rules of a body: the compiler settings of the model that defines it."""
-        node = self.nodes.get(id(body))
-        compiler = None if node is None or self.settled else node.compiler
-        return self.scene.mass_rules if compiler is None else compiler.mass_rules()
 
     def _element(self, place: Place, node: Node) -> Place | None:
         """Read an element; return the place of its children, or None to skip them."""
@@ -159,8 +133,6 @@ class WorldReader:
             self._site(node, place)
         elif node.tag == "camera":
             self.names["camera"].add(name)
-        elif node.tag == "light":
-            self.lights.append((node, place))
         elif node.tag == "freejoint":
             self.keep(node, self.scene.add_joint(place.body, "free", name=name))
         elif node.tag == "joint":
@@ -169,7 +141,6 @@ class WorldReader:
 
     def keep(self, node: Node, element: Element) -> None:
         self.nodes[id(element)] = node
-        self.elements[id(node)] = element
         # setattr would refuse `place`, because it is not a field.
         element.__dict__["place"] = f"{node.file}:{node.line}"
 
@@ -313,8 +284,7 @@ class WorldReader:
             place.body, kind, size, name=name, pos=pos, quat=quat, **assets, **fields
         )
         self.keep(node, geom)
-        fluid = values.get("fluidshape", "none") != "none"
-        self.shapes.append(Shape(node, geom, collides, heavy, fluid, values))
+        self.shapes.append(Shape(node, geom, collides, heavy, values))
 
     def _shape(
         self, node: Node, values: dict[str, Any], kind: str, place: Place
@@ -650,10 +620,6 @@ def _inherited(
     return middle - half, middle + half
 
 
-# The number of values per mocap body.
-MOCAP = {"mpos": 3, "mquat": 4}
-
-
 def keyframes(world: WorldReader) -> None:
     """Read the keyframes, completed from the default state, and add those of ``<size nkey>``."""
     layout = Layout(world.scene)
@@ -683,13 +649,8 @@ def _keyframe(world: WorldReader, layout: Layout, rest: dict[str, list[float]], 
     if values.get("plastic"):
         raise bad(node, "plastic", values["plastic"], "empty: the model has no plastic")
     fields: dict[str, Any] = {}
-    said: set[int] = set()
     for name, default in rest.items():
         given = list(values.get(name, ()))
-        if node.parts is not None:
-            given = _assembled(world, layout, node, name, default)
-            if name == "qpos":
-                said = {id(world.elements.get(id(part))) for part, _ in node.parts.get(name, ())}
         if len(given) > len(default):
             raise bad(node, name, tuple(given), f"at most {len(default)} numbers, not {len(given)}")
         if given:
@@ -698,41 +659,3 @@ def _keyframe(world: WorldReader, layout: Layout, rest: dict[str, list[float]], 
         fields["qpos"] = layout.unit_quaternions(fields["qpos"])
     added = world.scene.add_key(values.get("name", ""), time=values.get("time", 0.0), **fields)
     world.keep(node, added)
-    if "qpos" in fields and node.parts is not None:
-        world.open_keys.append((added, said))
-
-
-def follow_bodies(world: WorldReader) -> None:
-    """Set free joints that keyframes of attached models omit to the final poses of their bodies."""
-    layout = Layout(world.scene)
-    for key, said in world.open_keys:
-        qpos, at = list(key.qpos or ()), 0
-        for joint in layout.joints:
-            if joint.type == "free" and id(joint) not in said:
-                qpos[at : at + 7] = [*joint.body.pos, *joint.body.quat]
-            at += QPOS[joint.type]
-        key.qpos = tuple(qpos)
-
-
-def _assembled(
-    world: WorldReader, layout: Layout, node: Node, name: str, default: list[float]
-) -> list[float]:
-    """Return a vector of an attached model's keyframe, assembled from the numbers per element."""
-    starts: dict[int, int] = {}
-    at = 0
-    sizes = {"qpos": QPOS, "qvel": DOFS}.get(name)
-    if name in MOCAP:
-        for body in (body for body in layout.bodies if body.mocap):
-            starts[id(body)], at = at, at + MOCAP[name]
-    for element in world.scene.actuators if sizes is None else layout.joints:
-        starts.setdefault(id(element), at)
-        if isinstance(element, Actuator):
-            at += element.law.states if name == "act" else 1
-        elif sizes is not None:
-            at += sizes[element.type]
-    numbers = list(default)
-    for part, own in (node.parts or {}).get(name, ()):
-        start = starts.get(id(world.elements.get(id(part))))
-        if start is not None:
-            numbers[start : start + len(own)] = own
-    return numbers

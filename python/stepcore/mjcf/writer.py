@@ -12,10 +12,8 @@ import math
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.parsers import expat
 
 from stepcore import checks, files
 from stepcore._core import Settings
@@ -474,8 +472,10 @@ def _end(
     return {numbered if sensor.type in (*OF_GAP, "contact") and numbered in ENDS else kind: name}
 
 
-# The first byte, the byte after the last, and the replacement.
-_Edit = tuple[int, int, bytes]
+# A start tag, a tag of stepcore's own text, and an attribute that names a file.
+_START = rb"""<%s\b(?:[^"'>]|"[^"]*"|'[^']*')*>"""
+_OWN_START = re.compile(rb"""<text\s[^>]*\bname\s*=\s*["']%s["'][^>]*>""" % OWN_TEXT.encode())
+_NAMES_FILE = re.compile(rb"\sfile\w*\s*=")
 
 
 def save(scene: Scene, path: str | os.PathLike[str]) -> None:
@@ -497,17 +497,13 @@ def kept(scene: Scene, directory: str) -> bytes | None:
     same.name = scene.name
     if same != scene:
         return None
-    try:
-        tags = _Starts(source.data)
-    except expat.ExpatError:
-        return None
-    if tags.names_files and directory != source.directory:
+    if _NAMES_FILE.search(source.data) and directory != source.directory:
         return None
     if original == scene:
         return source.data
     for in_place in (True, False):
-        data = _edited(source.data, tags, in_place, original, scene)
-        if data is not None and _read(type(scene)(), data, source) == scene:
+        data = _edited(source.data, in_place, original, scene)
+        if _read(type(scene)(), data, source) == scene:
             return data
     return None
 
@@ -521,62 +517,11 @@ def _read(scene: Scene, data: bytes, source: Source) -> Scene | None:
     return scene
 
 
-@dataclass
-class _Start:
-    """A start tag: its byte range in the text, and whether the tag closes itself."""
-
-    start: int
-    stop: int
-    closed: bool
-
-
-class _Starts:
-    """The start tags with settings: the last of each path. The path of the root is "".
-
-    end: the byte position of the root's end tag.
-    names_files: whether any element has a file.
-    """
-
-    def __init__(self, data: bytes) -> None:
-        self.last: dict[str, _Start] = {}
-        self.end = -1
-        self.names_files = False
-        path: list[str] = []
-        parser = expat.ParserCreate()
-
-        def start(tag: str, attrs: dict[str, str]) -> None:
-            path.append(tag)
-            where = "/".join(path[1:])
-            self.names_files |= "file" in attrs
-            if where == "option":
-                self.last.pop("option/flag", None)
-            ours = where == "custom/text" and attrs.get("name") == OWN_TEXT
-            if ours or where in ("", "option", "option/flag"):
-                at = parser.CurrentByteIndex
-                # The tag ends at the first ">" outside quotes.
-                match = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(data, at)
-                stop = match.end() if match else at
-                self.last[where] = _Start(at, stop, data[stop - 2 : stop] == b"/>")
-
-        def end(_tag: str) -> None:
-            path.pop()
-            if not path:
-                self.end = parser.CurrentByteIndex
-
-        parser.StartElementHandler, parser.EndElementHandler = start, end
-        parser.Parse(data, True)
-
-
-def _edited(
-    data: bytes, tags: _Starts, in_place: bool, original: Scene, scene: Scene
-) -> bytes | None:
-    """Return the text with the settings of `scene`, or None if the root has no end tag.
+def _edited(data: bytes, in_place: bool, original: Scene, scene: Scene) -> bytes:
+    """Return the text with the settings of `scene`, which only reading it can prove.
 
     in_place: whether to edit the last <option>; otherwise a new one is added at the end.
     """
-    root = tags.last[""]
-    if root.closed:
-        return None
     before, after = original.settings.as_dict(), scene.settings.as_dict()
     implications = implied(before).keys() ^ implied(after).keys()
     changed = {
@@ -585,56 +530,57 @@ def _edited(
         if value != before[name] or name in implications
     }
     attributes, flags, _ = said(changed)
-    edits: list[_Edit] = []
-    added: list[Tag] = []
     if scene.name != original.name:
-        edits.append(_with(data, root, {"model": scene.name}))
-    if in_place:
-        for path, values in (("option", attributes), ("option/flag", flags)):
-            if path in tags.last:
-                edits.append(_with(data, tags.last[path], values))
-                values.clear()
-    if attributes or flags:
-        added.append(_option(attributes, flags))
+        data = _with(data, _last_start(data, "mujoco"), {"model": scene.name})
+    for tag, values in (("option", attributes), ("flag", flags)):
+        start = _last_start(data, tag) if in_place else None
+        if start:
+            data = _with(data, start, values)
+            values.clear()
+    added = [_option(attributes, flags)] if attributes or flags else []
     rest = said(to_say(scene.settings))[2]
-    held = tags.last.get("custom/text")
-    if held is not None:
-        edits.append(_custom(data, held, rest))
+    own = _OWN_START.search(data)
+    if own:
+        data = _with_words(data, own, rest)
     elif rest:
         added.append(Tag("custom"))
         added[-1].add(Tag("text", name=OWN_TEXT, data=own_data(rest)))
-    if added:
-        lines = "".join(f"  {_on_one_line(tag)}\n" for tag in added)
-        edits.append((tags.end, tags.end, lines.encode()))
-    for start, stop, new in sorted(edits, reverse=True):
-        data = data[:start] + new + data[stop:]
-    return data
+    lines = "".join(f"  {_on_one_line(tag)}\n" for tag in added)
+    end = max(data.rfind(b"</"), 0)
+    return data[:end] + lines.encode() + data[end:]
 
 
-def _custom(data: bytes, held: _Start, rest: dict[str, Any]) -> _Edit:
-    tag = data[held.start : held.stop].decode("utf-8", "replace")
-    match = re.search(r"""\bdata\s*=\s*["']([^"']*)["']""", tag)
+def _last_start(data: bytes, tag: str) -> re.Match[bytes] | None:
+    return max(re.finditer(_START % tag.encode(), data), key=re.Match.start, default=None)
+
+
+def _with_words(data: bytes, own: re.Match[bytes], rest: dict[str, Any]) -> bytes:
+    """Return the text with these settings in stepcore's own text, which keeps its other words."""
+    match = re.search(r"""\bdata\s*=\s*["']([^"']*)["']""", own[0].decode("utf-8", "replace"))
     settings = Settings().as_dict()
-    words = (match.group(1) if match else "").split()
+    words = (match[1] if match else "").split()
     others = [word for word in words if word.partition("=")[0] not in settings]
     text = " ".join([*filter(None, [own_data(rest)]), *others])
-    if not text and held.closed:
+    if not text and own[0].endswith(b"/>"):
         # MuJoCo refuses a text without data.
-        return held.start, held.stop, b""
-    return _with(data, held, {"data": text})
+        return data[: own.start()] + data[own.end() :]
+    return _with(data, own, {"data": text})
 
 
-def _with(data: bytes, tag: _Start, attributes: dict[str, str]) -> _Edit:
-    text = data[tag.start : tag.stop]
+def _with(data: bytes, start: re.Match[bytes] | None, attributes: dict[str, str]) -> bytes:
+    """Return the text with these attributes in a start tag."""
+    if start is None:
+        return data
+    tag = start[0]
     for name, value in attributes.items():
         word = f'{name}="{escaped(value)}"'.encode()
-        match = re.search(rb"""(?<=\s)%s\s*=\s*("[^"]*"|'[^']*')""" % name.encode(), text)
+        match = re.search(rb"""(?<=\s)%s\s*=\s*("[^"]*"|'[^']*')""" % name.encode(), tag)
         if match:
-            text = text[: match.start()] + word + text[match.end() :]
+            tag = tag[: match.start()] + word + tag[match.end() :]
         else:
-            cut = len(text) - (2 if tag.closed else 1)
-            text = text[:cut].rstrip() + b" " + word + text[cut:]
-    return tag.start, tag.stop, text
+            cut = len(tag) - (2 if tag.endswith(b"/>") else 1)
+            tag = tag[:cut].rstrip() + b" " + word + tag[cut:]
+    return data[: start.start()] + tag + data[start.end() :]
 
 
 def _on_one_line(tag: Tag) -> str:

@@ -3,19 +3,19 @@
 Meshes are in STL (binary and text), OBJ or MuJoCo's MSH; height fields in PNG images (read with
 pillow) or MuJoCo's binary format.
 
-Each reader takes the bytes of a file. Violations of the format raise ValueError. Faces of more than
-three corners are split as in MuJoCo's OBJ reader. The split matters for faces that are not flat or
-not convex, because hull, volume and inertia depend on the split. The first row of a height field is
-at the largest y.
+Each reader takes the bytes of a file. Violations of the format raise ValueError. The first row of a
+height field is at the largest y.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import io
+import itertools
 import os
 import re
 import struct
+import warnings
 import zlib
 from typing import Any, NamedTuple
 
@@ -39,12 +39,6 @@ class Surface(NamedTuple):
 
 
 Polygon = list[int]
-# Two coordinates.
-Place = tuple[Any, Any]
-# Limit of the work of splitting faces, in comparisons of corners. Each corner is compared with all
-# others of its face, so the work is quadratic. The limit takes seconds and allows a face of 10,000
-# corners.
-MOST_WORK = 10**8
 # Formats by MJCF's content type.
 MESHES = {"model/stl": "stl", "model/obj": "obj", "model/vnd.mujoco.msh": "msh"}
 HFIELDS = {"image/png": "png", "image/vnd.mujoco.hfield": "binary"}
@@ -281,90 +275,36 @@ def split_polygons(polygons: list[Polygon], vertices: NDArray[Any]) -> NDArray[A
 
     polygons: indices of vertices in order.
 
-    Quadrilaterals are split along the shorter diagonal, or along the second if both are equal.
-    Larger polygons are split by ear clipping in a coordinate plane, in single precision as in
-    MuJoCo's reader.
+    Quadrilaterals are split along the shorter diagonal, or along the second if both are equal, as
+    in MuJoCo's reader; larger polygons from their first corner. Raises ValueError for one of these
+    that is not convex.
     """
     split: list[Polygon] = []
-    # More for each corner of the file, so that the number of small faces is not limited.
-    work = MOST_WORK + 1000 * sum(map(len, polygons))
     for polygon in polygons:
-        if len(polygon) == 3:
-            split.append(polygon)
-        elif len(polygon) == 4:
+        if len(polygon) == 4:
             a, b, c, d = polygon
             first, second = vertices[c] - vertices[a], vertices[d] - vertices[b]
             shorter = first @ first < second @ second
             split += [[a, b, c], [a, c, d]] if shorter else [[a, b, d], [b, c, d]]
-        else:
-            with np.errstate(all="ignore"):
-                ears, work = _without_ears(polygon, vertices[polygon].astype(np.float32), work)
-            split += ears
+            continue
+        if len(polygon) > 4 and not _is_convex(vertices[polygon]):
+            raise ValueError(
+                f"a face of {len(polygon)} corners is not convex: save it with triangles"
+            )
+        split += [[polygon[0], *pair] for pair in itertools.pairwise(polygon[1:])]
     return np.array(split, np.int64).reshape(-1, 3)
 
 
-def _without_ears(polygon: Polygon, corners: NDArray[Any], work: int) -> tuple[list[Polygon], int]:
-    """Return the triangles of a polygon by ear clipping, and the remaining work.
-
-    Ear clipping repeatedly cuts off a corner whose triangle contains no other corner. A remainder
-    without such a corner is no simple polygon, and is left out as in MuJoCo.
-
-    work: the remaining number of comparisons of corners for the file. Raises ValueError when it is
-        used up.
-    """
-    x, y = (np.ascontiguousarray(axis) for axis in corners[:, _axes(corners)].T)
-    left, triangles, at, tries = list(polygon), [], 0, len(polygon)
-    while len(left) > 3 and tries > 0:
-        at %= len(left)
-        tries -= 1
-        # The test of a corner costs as much as 500 comparisons, besides those that it makes.
-        work -= 500 + len(left)
-        if work < 0:
-            raise ValueError(
-                "its faces of many corners take too long to split into triangles: save it with "
-                "triangles"
-            )
-        ear = [at, (at + 1) % len(left), (at + 2) % len(left)]
-        places = [(x[corner], y[corner]) for corner in ear]
-        if _points_in(*places) or _holds_other(ear, places, x, y):
-            at += 1
-            continue
-        triangles.append([left[corner] for corner in ear])
-        del left[ear[1]]
-        x, y = np.delete(x, ear[1]), np.delete(y, ear[1])
-        tries = len(left) + 1
-    return [*triangles, left] if len(left) == 3 else triangles, work
-
-
-def _axes(corners: NDArray[Any]) -> list[int]:
-    """Return the two axes of the coordinate plane for a polygon, by its first proper corner."""
+def _is_convex(corners: NDArray[Any]) -> bool:
+    """Return whether a polygon, flat up to rounding, turns the same way at every corner, once."""
     edges = np.roll(corners, -1, axis=0) - corners
-    turns = np.abs(np.cross(edges, np.roll(edges, -1, axis=0)))
-    for x, y, z in turns.tolist():
-        if max(x, y, z) > np.finfo(np.float32).eps:
-            if x > y and x > z:
-                return [1, 2]
-            return [0, 1] if z > x and z > y else [0, 2]
-    return [1, 2]
-
-
-def _points_in(a: Place, b: Place, c: Place) -> bool:
-    """Return whether a corner counts as reflex.
-
-    As in MuJoCo's reader, the turn at the corner is compared with the side on which the first edge
-    passes the origin, not with the orientation of the polygon.
-    """
-    turn = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
-    return bool(turn * (a[0] * b[1] - a[1] * b[0]) < 0)
-
-
-def _holds_other(ear: list[int], places: list[Place], x: NDArray[Any], y: NDArray[Any]) -> bool:
-    """Return whether a corner other than the ear's lies in its triangle, by ray casting."""
-    inside = np.zeros(len(x), bool)
-    for (ax, ay), (bx, by) in zip(places, places[-1:] + places[:-1], strict=True):
-        inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
-    inside[ear] = False
-    return bool(inside.any())
+    turns = np.cross(edges, np.roll(edges, -1, axis=0))
+    normal = turns.sum(axis=0)
+    normal /= max(float(np.linalg.norm(normal)), np.finfo(float).tiny)
+    # Single precision, in which files are written.
+    rounding = 1e-6 * np.linalg.norm(edges, axis=1).max() ** 2
+    angles = np.arctan2(turns @ normal, (edges * np.roll(edges, -1, axis=0)).sum(axis=1))
+    return bool((turns @ normal >= -rounding).all() and angles.sum() < 3 * np.pi)
 
 
 # Pillow's errors for damaged images.
@@ -376,49 +316,27 @@ def image_levels(data: bytes) -> NDArray[Any]:
 
     Levels of 16 bits are reduced to the upper 8 bits. Opacity has no effect.
     """
-    # W3C, Portable Network Graphics (PNG) Specification, 5.2 and 11.2.1: the first chunk is the
-    # header, which is checked before anything is unpacked.
-    if data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
-        raise ValueError("it does not begin as one")
-    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if not 0 < width * height <= MOST_POINTS:
-        raise ValueError(f"it is {width} × {height} pixels; 1 to {MOST_POINTS} of them are read")
-    needed = _needed(data)
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     try:
-        with Image.open(io.BytesIO(needed), formats=["PNG"]) as image:
+        with warnings.catch_warnings():
+            # Pillow only warns of images that are too large.
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            image = Image.open(io.BytesIO(data), formats=["PNG"])
+        with image:
+            width, height = image.size
+            if width * height > MOST_POINTS:
+                limit = f"at most {MOST_POINTS} of them are read"
+                raise ValueError(f"it is {width} × {height} pixels; {limit}")
             # Read before the pixels: pillow then pads the palette.
             colours = image.palette.getdata()[1] if image.palette is not None else b""
             levels = np.asarray(image)
             if image.mode == "P":
                 levels = _red(levels, np.frombuffer(colours, np.uint8)[::3])
-    except UnidentifiedImageError:
-        raise ValueError("its head is damaged") from None
-    except DAMAGED as error:
-        raise ValueError(f"its pixels are damaged: {checks.one_line(error)}") from None
+    except (*DAMAGED, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise ValueError(f"it is damaged: {checks.one_line(error)}") from None
     levels = levels[..., 0] if levels.ndim == 3 else levels
     return np.asarray(levels // 256 if levels.dtype.itemsize > 1 else levels, float)
-
-
-def _needed(data: bytes) -> bytes:
-    """Return the image without ancillary chunks, whose names begin with a small letter (5.4).
-
-    The checksums of all chunks are verified (5.3); pillow verifies only some.
-    """
-    view, at, kind = memoryview(data), 8, b""
-    parts = [view[:8]]
-    while kind != b"IEND":
-        if at >= len(data):
-            raise ValueError("its end is missing")
-        end = at + 8 + int.from_bytes(view[at : at + 4], "big")
-        kind, check = bytes(view[at + 4 : at + 8]), view[end : end + 4]
-        if len(check) != 4 or int.from_bytes(check, "big") != zlib.crc32(view[at + 4 : end]):
-            raise ValueError("a part of it is cut off or damaged")
-        if kind[:1].isupper():
-            parts.append(view[at : end + 4])
-        at = end + 4
-    return b"".join(parts)
 
 
 def _red(indices: NDArray[Any], reds: NDArray[Any]) -> NDArray[Any]:

@@ -38,10 +38,8 @@ def once_each(attrs: str, children: dict[str, Spec]) -> Spec:
     return spec(attrs, children, once=tuple(children))
 
 
-MATERIAL = once_each("name", {"color": spec("rgba:4"), "texture": spec("filename!")})
-SHAPE = {"origin": ORIGIN, "geometry": GEOMETRY}
-VISUAL = once_each("name group", {**SHAPE, "material": MATERIAL})
 INERTIA = spec("ixx!:1 iyy!:1 izz!:1 ixy:1 ixz:1 iyz:1")
+SHAPE = {"origin": ORIGIN, "geometry": GEOMETRY}
 LINK = {
     "inertial": once_each("", {"origin": ORIGIN, "mass": spec("value!:1"), "inertia": INERTIA}),
     "collision": once_each("name group", SHAPE),
@@ -59,9 +57,6 @@ JOINT = once_each(
     },
 )
 ROBOT = spec("name version", {"link": spec("name! type", LINK, once=("inertial",)), "joint": JOINT})
-# The schema with visual elements.
-DRAWN_LINK = spec("name! type", {**LINK, "visual": VISUAL}, once=("inertial",))
-DRAWN_ROBOT = spec("name version", {"link": DRAWN_LINK, "joint": JOINT, "material": MATERIAL})
 # Attributes of other programs whose names resemble those of URDF. The last three repeat entries
 # of the symmetric inertia matrix.
 FOREIGN = ("concave", "iyx", "izx", "izy")
@@ -116,28 +111,6 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
     return ignored
 
 
-def drop_unreadable_visuals(root: Node) -> list[str]:
-    """Remove each invalid visual and material; return their errors."""
-    links = [node for node in root.children if node.tag == "link"]
-    visuals = [node for link in links for node in link.children if node.tag == "visual"]
-    errors: list[str] = []
-    for parents, tag, schema in (
-        ([root, *visuals], "material", MATERIAL),
-        (links, "visual", VISUAL),
-    ):
-        for parent in parents:
-            kept = []
-            for child in parent.children:
-                refusals = Refusals()
-                if child.tag == tag:
-                    validate(child, schema, refusals)
-                errors += map(str, refusals.errors)
-                if not refusals.errors:
-                    kept.append(child)
-            parent.children = kept
-    return errors
-
-
 def _drop_attributes(node: Node, known: Spec) -> list[str]:
     """Remove attributes outside URDF and infinite limits; return lines about the attributes."""
     if node.tag == "limit":
@@ -156,7 +129,7 @@ def _drop_attributes(node: Node, known: Spec) -> list[str]:
 
 
 def file_path(node: Node, directory: str | None, extended: bool) -> str:
-    """Return the path of the file that a mesh or texture names, or the name if there is no file.
+    """Return the path of the file that a mesh names, or the name if there is no file.
 
     The name is ``package://name/…``, ``file://…``, or a path.
     extended: whether the URDF has MuJoCo's extension. The extension's meshdir and strippath then
@@ -198,22 +171,20 @@ def _in_package(name: str, directory: str | None) -> str:
 MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
 
 
-def to_mjcf(root: Node, directory: str | None, drawn: bool = False) -> Robot:
+def to_mjcf(root: Node, directory: str | None) -> Robot:
     """Translate a URDF to MJCF.
 
     directory: the folder of the file, for relative mesh paths; None for a text without a folder.
-    drawn: whether to read `<visual>` geoms and their materials too.
 
     Raises MJCFError with all errors of the file: unknown shapes and attributes, a circle of links,
     several roots.
     """
-    undrawn = drop_unreadable_visuals(root) if drawn else []
     refusals = Refusals()
     # Namespace declarations have no meaning here.
     root.attrs = {name: text for name, text in root.attrs.items() if not name.startswith("xmlns")}
     extension = [child for child in root.children if child.tag == "mujoco"]
     root.children = [child for child in root.children if child.tag != "mujoco"]
-    ignored = validate(root, DRAWN_ROBOT if drawn else ROBOT, refusals)
+    ignored = validate(root, ROBOT, refusals)
     refusals.raise_all()
     robot = Robot(root, directory, extension)
     robot.ignored = ignored
@@ -222,7 +193,6 @@ def to_mjcf(root: Node, directory: str | None, drawn: bool = False) -> Robot:
     except MJCFError as error:
         refusals.add(error)
     refusals.raise_all()
-    robot.undrawn = undrawn + robot.undrawn
     return robot
 
 
@@ -232,8 +202,6 @@ class Robot:
     extension: the MJCF elements of the file, `<mujoco><compiler …/></mujoco>`.
     tree: the MJCF tree.
     ignored: the lines for `Scene.ignored`.
-    drawn: the geoms of each link, (those that collide, those that only draw).
-    undrawn: errors of visuals, if visuals are read.
     """
 
     tree: Node
@@ -259,18 +227,6 @@ class Robot:
         self.unfollowed: list[str] = []
         self.unnamed: list[str] = []
         self.shape_names: set[str] = set()
-        self.drawn: list[tuple[list[Node], list[Node]]] = []
-        self.undrawn: list[str] = []
-        visuals = [n for link in self.links.values() for n in link.children if n.tag == "visual"]
-        # Any link may use a material that another link or the robot defines.
-        self.materials = {
-            node.values.get("name", ""): node
-            for holder in (*visuals, root)
-            for node in holder.children
-            if node.tag == "material" and (child_of(node, "color") or child_of(node, "texture"))
-        }
-        # The MJCF texture and material of each textured material, by the ``id`` of its node.
-        self.textured: dict[int, tuple[Node, Node]] = {}
 
     def _place(self, joint: Node) -> None:
         for end in ("parent", "child"):
@@ -305,9 +261,11 @@ class Robot:
         model = _element("mujoco", self.root, model=self.root.attrs.get("name", ""))
         compiler = _element("compiler", self.root, angle="radian", fusestatic="true")
         asset = _element("asset", self.root)
-        textured = [node for pair in self.textured.values() for node in pair]
-        asset.children = [*self.meshes.values(), *textured]
+        asset.children = [*self.meshes.values()]
         extended = [child for node in self.extension for child in node.children]
+        for child in extended:
+            # Visual geoms are not read.
+            child.attrs.pop("discardvisual", None)
         model.children = [compiler, *extended, asset, world, equality]
         return model
 
@@ -344,16 +302,7 @@ class Robot:
         inertial = child_of(link, "inertial")
         if inertial is not None:
             body.children.append(_inertial(inertial))
-        collisions = [self._geom(node) for node in link.children if node.tag == "collision"]
-        visuals = []
-        for visual in link.children:
-            if visual.tag == "visual":
-                try:
-                    visuals.append(self._visual(visual))
-                except MJCFError as error:
-                    self.undrawn.append(str(error))
-        self.drawn.append((collisions, visuals))
-        body.children += collisions + visuals
+        body.children += [self._geom(node) for node in link.children if node.tag == "collision"]
         return body
 
     def _joints(self, joint: Node) -> list[Node]:
@@ -440,9 +389,6 @@ class Robot:
         if size:
             attrs["size"] = _written(size)
         name = collision.values.get("name", "")
-        if collision.tag == "visual":
-            # A collision may have the same name.
-            name = ""
         if name in self.shape_names:
             self.unnamed.append(f'"{name}"')
         elif name:
@@ -468,36 +414,6 @@ class Robot:
                 "mesh", node, name=name, file=path, scale=_written(scale)
             )
         return self.meshes[path, scale].attrs["name"]
-
-    def _visual(self, visual: Node) -> Node:
-        geom = self._geom(visual)
-        geom.attrs |= {"contype": "0", "conaffinity": "0", "mass": "0"}
-        try:
-            geom.attrs |= self._colour(visual)
-        except MJCFError as error:
-            self.undrawn.append(str(error))
-        return geom
-
-    def _colour(self, visual: Node) -> dict[str, str]:
-        material = child_of(visual, "material")
-        if material is None:
-            return {}
-        if not (child_of(material, "color") or child_of(material, "texture")):
-            material = self.materials.get(material.values.get("name", ""), material)
-        rgba = _value(material, "color", "rgba", ())
-        attrs = {"rgba": _written(rgba)} if rgba else {}
-        texture = child_of(material, "texture")
-        if texture is None:
-            return attrs
-        if id(material) not in self.textured:
-            name = f"material {len(self.textured)}"
-            path = file_path(texture, self.directory, bool(self.extension))
-            image = _element("texture", texture, name=name, type="2d", file=path)
-            self.textured[id(material)] = (
-                image,
-                _element("material", material, name=name, texture=name),
-            )
-        return attrs | {"material": self.textured[id(material)][1].attrs["name"]}
 
     def notes(self) -> list[str]:
         """Return the notes about the translation for the user."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.mjcf.appearance import GREY, Headlight, Light, Look, Looks, read_looks
+from stepcore.mjcf.appearance import GREY, Look, Looks, read_looks
 from stepcore.report.plot.style import BODIES, VIEW, rgb
 from stepcore.scene import frames
 from stepcore.scene.frames import Vec
@@ -73,8 +73,6 @@ class Drawing:
     moving: whether each body can move. extent: a length by which the bodies together are as large
     [m].
     weight: of all that moves [N]; 0 without gravity. notes: what is not drawn as the file says.
-    lights: those of the file, and headlight: the one at the camera; without any of them a view has
-    its own.
     """
 
     name: str
@@ -84,8 +82,6 @@ class Drawing:
     extent: float
     weight: float
     notes: list[str] = field(default_factory=list)
-    lights: list[Light] = field(default_factory=list)
-    headlight: Headlight = field(default_factory=Headlight)
 
     @property
     def reach(self) -> float:
@@ -136,8 +132,6 @@ def drawing_of(model: Model, world: World) -> Drawing:
         extent=_extent(shapes, world, moving),
         weight=weight,
         notes=looks.notes,
-        lights=looks.lights,
-        headlight=looks.headlight,
     )
 
 
@@ -162,7 +156,7 @@ def _shapes(model: Model, world: World, looks: Looks, moving: NDArray[np.bool_])
             quat = quat_of(turn.T @ world.geom_xmat[index])
             if kind == "mesh":
                 surface = model.geom_hull(index)
-        shown = geom.group in SHOWN_GROUPS and index not in looks.covered
+        shown = geom.group in SHOWN_GROUPS
         drawn = "triangles" if surface is not None else kind
         shapes.append(Shape(body, drawn, size, pos, quat, rgba, shown, surface, geom.name, squares))
     for body, geom, look in looks.geoms:

@@ -31,18 +31,15 @@
   const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
   const scene = new THREE.Scene();
   scene.background = new THREE.Color(dark ? 0x23272e : 0xe9eef4);
-  const lit = data.runs[0].drawing;
-  // Without lights of the file, a sky, and a sun behind the camera, which becomes its headlight.
-  const own = lit.lights.length === 0;
-  scene.add(new THREE.HemisphereLight(0xffffff, 0x8d8d99, own ? 0.75 : 0.5));
-  const sun = new THREE.DirectionalLight(0xffffff, own ? 0.55 : 1);
-  if (!own) sun.color.setRGB(...lit.headlight.diffuse);
+  // A sky, and a sun behind the camera.
+  scene.add(new THREE.HemisphereLight(0xffffff, 0x8d8d99, 0.75));
+  const sun = new THREE.DirectionalLight(0xffffff, 0.55);
   scene.add(sun, sun.target);
   const extent = data.extent;
   const camera = new THREE.PerspectiveCamera(40, 1, extent / 200, extent * 200);
   camera.up.set(0, 0, 1);
 
-  const { lamp, meshOf, stretch, surfaceOf, tendon } = shapeMakers(renderer, data, bytes);
+  const { meshOf, stretch, surfaceOf, tendon } = shapeMakers(renderer, data, bytes);
   const extras = [];
 
   function build(run, number) {
@@ -50,11 +47,6 @@
     const surfaces = drawing.surfaces.map(surfaceOf);
     run.bodies = drawing.bodies.map(() => new THREE.Group());
     for (const body of run.bodies) scene.add(body);
-    for (const light of number === 0 ? drawing.lights : []) {
-      const made = lamp(light, drawing.lights);
-      // One that shines to all sides has no target.
-      run.bodies[light.body].add(made, ...(made.target ? [made.target] : []));
-    }
     for (const shape of drawing.shapes) {
       // The ground is drawn once.
       if (number > 0 && !drawing.moving[shape.body]) continue;

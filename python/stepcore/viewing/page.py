@@ -17,7 +17,6 @@ import re
 import zipfile
 import zlib
 from collections.abc import Sequence
-from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -141,8 +140,6 @@ def _drawing(drawing: Drawing) -> dict[str, Any]:
         "surfaces": packed,
         "bodies": list(drawing.bodies),
         "moving": drawing.moving.tolist(),
-        "lights": [asdict(light) for light in drawing.lights],
-        "headlight": asdict(drawing.headlight),
     }
 
 

@@ -1,4 +1,4 @@
-// What a page draws: geoms, tendons and lights as things of three.js.
+// What a page draws: geoms and tendons as things of three.js.
 "use strict";
 function shapeMakers(renderer, { extent, colours }, bytes) {
   function surfaceOf(packedSurface) {
@@ -106,25 +106,6 @@ function shapeMakers(renderer, { extent, colours }, bytes) {
     });
   }
 
-  const LIGHTS = {
-    directional: THREE.DirectionalLight, spot: THREE.SpotLight, point: THREE.PointLight,
-  };
-
-  // Several lights are together no brighter than one.
-  function lamp({ pos, dir, diffuse, kind, cutoff }, lights) {
-    const brightest = lights.reduce((sum, light) => sum + Math.max(...light.diffuse), 0);
-    const light = new LIGHTS[kind](0xffffff, 0.55 / Math.max(0.7, brightest));
-    light.color.setRGB(...diffuse);
-    light.position.set(...pos);
-    if (light.target) light.target.position.set(...dir).add(light.position);
-    if (kind !== "directional") light.decay = 0;
-    if (kind === "spot") {
-      light.angle = Math.min(Math.PI / 2, (cutoff * Math.PI) / 180);
-      light.penumbra = 1;
-    }
-    return light;
-  }
-
   function meshOf(shape, run, surfaces) {
     const made = shape.kind === "triangles"
       ? surfaces[shape.surface] : makers[shape.kind](shape.size);
@@ -136,5 +117,5 @@ function shapeMakers(renderer, { extent, colours }, bytes) {
     return mesh;
   }
 
-  return { lamp, meshOf, stretch, surfaceOf, tendon };
+  return { meshOf, stretch, surfaceOf, tendon };
 }

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks
-from stepcore.mjcf.appearance import Light
 from stepcore.report.plot.style import SKY, rgb
 from stepcore.scene import frames
 from stepcore.viewing.camera import ANGLE, LARGEST, Camera, Mark
@@ -22,8 +21,8 @@ from stepcore.viewing.drawing import Drawing, Shape
 from stepcore.viewing.frames import Instant
 from stepcore.viewing.needs import need
 
-# Of a drawing without lights.
-SUN = Light(0, (0.0, 0.0, 5.0), (0.3, 0.4, -1.0), (0.4, 0.4, 0.4), "directional", 45.0)
+# The direction in which the sun of a picture shines.
+SUN = (0.3, 0.4, -1.0)
 
 
 class MujocoPicture:
@@ -53,9 +52,6 @@ class MujocoPicture:
         look.global_.offwidth, look.global_.offheight = width, height
         look.global_.fovy = ANGLE
         look.headlight.ambient, look.headlight.diffuse = [0.35] * 3, [0.45] * 3
-        if drawing.lights:
-            look.headlight.diffuse = drawing.headlight.diffuse
-            look.headlight.ambient = np.maximum(drawing.headlight.ambient, 0.25)
         look.headlight.specular = [0.1] * 3
         spec.stat.extent, spec.stat.center = drawing.extent, [0, 0, 0]
         look.map.znear, look.map.zfar = 0.01, 100
@@ -71,18 +67,12 @@ class MujocoPicture:
         bodies = [
             spec.worldbody.add_body(name=f"body{k}", mocap=True) for k in range(len(drawing.bodies))
         ]
-        for light in drawing.lights or [SUN]:
-            # MuJoCo's renderer passes by lights of type "point"; a spot of 180 degrees is one.
-            wide = light.kind == "point"
-            kind = "SPOT" if wide else light.kind.upper()
-            bodies[light.body].add_light(
-                type=getattr(mujoco.mjtLightType, f"mjLIGHT_{kind}"),
-                pos=light.pos,
-                dir=light.dir,
-                diffuse=light.diffuse,
-                cutoff=180.0 if wide else light.cutoff,
-                castshadow=False,
-            )
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            dir=SUN,
+            diffuse=[0.4] * 3,
+            castshadow=False,
+        )
         for k, shape in enumerate(drawing.shapes):
             if shape.shown:
                 self._add(spec, bodies[shape.body], shape, k)
@@ -205,7 +195,7 @@ class MitsubaPicture:
             # Each ray asks for a light six times, and takes one of them each time.
             "integrator": {"type": "direct", "emitter_samples": 6, "bsdf_samples": 0},
             "lamp": _light(camera.target - camera.position, 0.42),
-            **self._lights(instant, camera),
+            "sun": _light(SUN, 0.45),
             "camera": self._camera(camera),
         }
         for k, (shape, group) in enumerate(self.shapes):
@@ -224,25 +214,6 @@ class MitsubaPicture:
         clear = 1 - np.clip(np.array(image)[..., 3:4], 0, 1)
         sky = 255 * np.mean([rgb(colour) for colour in SKY], axis=0)
         return np.clip(drawn[..., :3] + clear * sky, 0, 255).astype(np.uint8)
-
-    def _lights(self, instant: Instant, camera: Camera) -> dict[str, Any]:
-        """Return the lights of the drawing, each as if it were far away, or a sun without them.
-
-        A light that shines to all sides is aimed at the target of the camera.
-        """
-        lights = self.drawing.lights
-        if not lights:
-            return {"sun": _light(SUN.dir, 0.45)}
-        brightest = max(1.0, sum(max(light.diffuse) for light in lights))
-        found = {}
-        for k, light in enumerate(lights):
-            (place,) = instant.placed(light.body, light.pos)
-            way = instant.placed(light.body, light.dir)[0] - instant.xpos[light.body]
-            aside = camera.target - place
-            if light.kind == "point" and np.linalg.norm(aside) > 0:
-                way = aside
-            found[f"light{k}"] = _light(way, 0.65 * max(light.diffuse) / brightest)
-        return found
 
     def _camera(self, camera: Camera) -> dict[str, Any]:
         width, height = self.size

@@ -33,8 +33,6 @@ class Stage:
         # Everything stands in a frame, which follows a motion: the camera is the reader's.
         self.root = server.scene.add_frame(ROOT, show_axes=False)
         self.anchor: NDArray[Any] | None = None
-        if drawings[0].lights:
-            self._lights(drawings[0])
         self.bodies = [self._bodies(number, each) for number, each in enumerate(drawings)]
         self.newtons = drawings[0].weight
 
@@ -71,34 +69,6 @@ class Stage:
             if shape.kind == "plane":
                 self._grid(name, shape)
         return frames
-
-    def _lights(self, drawing: Drawing) -> None:
-        """Add the lights of the file and a weak sky; the camera has no headlight."""
-        scene = self.server.scene
-        scene.configure_default_lights(enabled=False)
-        # What surfaces reflect beside the lamps; viser's own washes colours out.
-        scene.configure_environment_map("warehouse", environment_intensity=0.5)
-        scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), intensity=0.9)
-        brightest = max(1.0, sum(max(light.diffuse) for light in drawing.lights))
-        for k, light in enumerate(drawing.lights):
-            common: dict[str, Any] = {
-                "name": f"{ROOT}/run0/body{light.body}/light{k}",
-                "color": _bytes(light.diffuse),
-                "intensity": 1.8 / brightest,
-                "decay": 0.0,
-            }
-            if light.kind == "point":
-                scene.add_light_point(position=light.pos, **common)
-                continue
-            wide = light.kind == "directional"
-            scene.add_light_spot(
-                angle=np.pi / 2 if wide else min(np.pi / 2, np.deg2rad(light.cutoff)),
-                penumbra=1.0,
-                direction=light.dir,
-                # One that shines everywhere alike comes from far away.
-                position=tuple(-50 * self.extent * np.array(light.dir)) if wide else light.pos,
-                **common,
-            )
 
     def _grid(self, name: str, shape: Shape) -> None:
         """Add lines on a plane, which make motion over it visible."""

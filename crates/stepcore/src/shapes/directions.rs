@@ -6,8 +6,9 @@
 
 use nalgebra::Vector3;
 
-/// So many by so many cells on each side.
-const CELLS: usize = 8;
+/// So many by so many cells on each side. A robot of 30 meshes that lies on the ground takes steps of 4 %
+/// fewer instructions than with 8, and 8 % longer to load.
+const CELLS: usize = 16;
 /// All cells.
 pub const COUNT: usize = 6 * CELLS * CELLS;
 /// Of unit vectors along another: what is exceeded by no more is listed too, so that rounding keeps

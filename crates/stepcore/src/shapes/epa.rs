@@ -24,17 +24,17 @@ struct Face {
     normal: V3<f64>,
     /// From the origin along the normal; infinite where the triangle has no area.
     height: f64,
-    alive: bool,
     /// Nothing lies beyond it but rounding.
     done: bool,
 }
 
-/// The polytope as grown so far, with room for so many points, and twice as many faces.
-pub struct Polytope<const POINTS: usize, const FACES: usize> {
-    points: [V3<f64>; POINTS],
-    npoint: usize,
-    faces: [Face; FACES],
-    nface: usize,
+/// The polytope as grown so far. Its lists are used again for the next one.
+#[derive(Default)]
+pub struct Polytope {
+    points: Vec<V3<f64>>,
+    faces: Vec<Face>,
+    /// So many points, and twice as many faces, have room.
+    most: usize,
     size: f64,
     /// The last push found nothing more, or no room for it.
     pub stuck: bool,
@@ -43,6 +43,19 @@ pub struct Polytope<const POINTS: usize, const FACES: usize> {
     /// The direction of the shortest way out that was seen.
     pub best: V3<f64>,
     least: f64,
+    growth: Growth,
+}
+
+/// What one growth of the polytope lists.
+#[derive(Default)]
+struct Growth {
+    /// By face: the new point sees it.
+    seen: Vec<bool>,
+    waiting: Vec<u16>,
+    /// Edges of the rim: the face outside, and which of its edges.
+    rim: Vec<(u16, u16)>,
+    /// By point the rim's edge that leaves it; by face its place once the gaps are closed.
+    places: Vec<u16>,
 }
 
 /// A face, and the set's reach along its normal.
@@ -54,75 +67,44 @@ pub struct Way {
     pub reach: f64,
 }
 
-impl<const POINTS: usize, const FACES: usize> Polytope<POINTS, FACES> {
-    /// A tetrahedron of points of the set, or None where the set is flat.
-    pub fn new(support: &impl Fn(&V3<f64>) -> V3<f64>, simplex: &[V3<f64>]) -> Option<Self> {
-        let mut seeds = [V3::zeros(); SEEDS];
-        seeds[..simplex.len()].copy_from_slice(simplex);
-        let mut count = simplex.len();
-        let mut corners = spread(&seeds[..count]);
-        if corners.is_none() {
-            for axis in 0..3 {
-                for side in [1.0, -1.0] {
-                    let mut way = V3::zeros();
-                    way[axis] = side;
-                    seeds[count] = support(&way);
-                    count += 1;
-                }
-            }
-            corners = spread(&seeds[..count]);
-        }
-        // Two crossed needles: what was seen lies in one plane or on one line, the set does not.
-        for _ in 0..2 {
-            if corners.is_none() {
-                for way in beside(&seeds[..count])? {
-                    seeds[count] = support(&way);
-                    count += 1;
-                }
-                corners = spread(&seeds[..count]);
-            }
-        }
-        let [a, b, c, d] = corners?;
-        let blank = Face {
-            corners: [0; 3],
-            across: [0; 3],
-            normal: V3::zeros(),
-            height: 0.0,
-            alive: false,
-            done: false,
-        };
-        let mut new = Self {
-            points: [V3::zeros(); POINTS],
-            npoint: 4,
-            faces: [blank; FACES],
-            nface: 4,
-            size: 0.0,
-            stuck: false,
-            full: false,
-            best: V3::x(),
-            least: f64::INFINITY,
-        };
-        new.points[..4].copy_from_slice(&[a, b, c, d]);
-        new.size = [a, b, c, d].iter().map(|p| p.dot(p).sqrt()).fold(0.0, f64::max);
-        // Counter-clockwise, d above the triangle a b c seen from d.
+impl Polytope {
+    /// Begins with a tetrahedron of points of the set; false where the set is flat.
+    pub fn start(
+        &mut self,
+        support: &impl Fn(&V3<f64>) -> V3<f64>,
+        simplex: &[V3<f64>],
+        most: usize,
+    ) -> bool {
+        let Some(corners) = tetrahedron(support, simplex) else { return false };
+        let [a, b, c, d] = corners;
+        self.points.clear();
+        self.points.extend(corners);
+        self.size = corners.iter().map(|p| p.dot(p).sqrt()).fold(0.0, f64::max);
+        (self.most, self.stuck, self.full) = (most, false, false);
+        (self.best, self.least) = (V3::x(), f64::INFINITY);
+        // Counter-clockwise, d above the triangle a b c seen from d; across edges the other faces.
         let up = (b - a).cross(&(c - a)).dot(&(d - a)) > 0.0;
         let lists = if up {
-            [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+            [
+                ([0, 2, 1], [3, 2, 1]),
+                ([0, 1, 3], [0, 2, 3]),
+                ([1, 2, 3], [0, 3, 1]),
+                ([2, 0, 3], [0, 1, 2]),
+            ]
         } else {
-            [[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]]
+            [
+                ([0, 1, 2], [1, 2, 3]),
+                ([1, 0, 3], [0, 3, 2]),
+                ([2, 1, 3], [0, 1, 3]),
+                ([0, 2, 3], [0, 2, 1]),
+            ]
         };
-        for (i, list) in lists.iter().enumerate() {
-            new.faces[i] = new.face(*list);
+        self.faces.clear();
+        for (corners, across) in lists {
+            let face = Face { across, ..self.face(corners) };
+            self.faces.push(face);
         }
-        for i in 0..4 {
-            for k in 0..3 {
-                let edge = (lists[i][(k + 1) % 3], lists[i][k]);
-                let other =
-                    |j: &usize| (0..3).any(|m| (lists[*j][m], lists[*j][(m + 1) % 3]) == edge);
-                new.faces[i].across[k] = (0..4).find(other)? as u16;
-            }
-        }
-        Some(new)
+        true
     }
 
     fn face(&self, corners: [u16; 3]) -> Face {
@@ -138,15 +120,15 @@ impl<const POINTS: usize, const FACES: usize> Polytope<POINTS, FACES> {
         } else {
             normal.dot(&a).max(normal.dot(&b)).max(normal.dot(&c))
         };
-        Face { corners, across: [0; 3], normal, height, alive: true, done: sliver }
+        Face { corners, across: [0; 3], normal, height, done: sliver }
     }
 
     /// The lowest face that `skip` does not leave out; None: all are done.
     pub fn lowest(&self, skip: impl Fn(&V3<f64>, f64) -> bool) -> Option<usize> {
         let mut best: Option<usize> = None;
-        for (i, face) in self.faces[..self.nface].iter().enumerate() {
+        for (i, face) in self.faces.iter().enumerate() {
             let lower = best.is_none_or(|b| face.height < self.faces[b].height);
-            if face.alive && !face.done && lower && !skip(&face.normal, face.height) {
+            if !face.done && lower && !skip(&face.normal, face.height) {
                 best = Some(i);
             }
         }
@@ -179,119 +161,155 @@ impl<const POINTS: usize, const FACES: usize> Polytope<POINTS, FACES> {
         Way { normal, height, reach }
     }
 
-    /// Room for another point and the faces around it.
-    fn room(&self, edges: usize) -> bool {
-        self.npoint < POINTS && self.nface + edges <= FACES
-    }
-
     /// Takes away what the new point sees and joins the rim to it.
     fn grow(&mut self, seed: usize, w: V3<f64>) -> bool {
-        let mut seen = [false; FACES];
-        let mut stack = [0_u16; FACES];
-        let mut waiting = 1;
-        stack[0] = seed as u16;
+        self.see(seed, &w);
+        if !self.find_rim() {
+            return false;
+        }
+        let edges = self.growth.rim.len();
+        if self.points.len() >= self.most || self.faces.len() + edges > 2 * self.most {
+            self.full = true;
+            return false;
+        }
+        if !self.close_rim() {
+            return false;
+        }
+        let point = self.points.len() as u16;
+        self.points.push(w);
+        self.size = self.size.max(w.dot(&w).sqrt());
+        let first = self.faces.len() as u16;
+        for (i, at) in (first..).zip(0..edges) {
+            let (outside, k) = self.growth.rim[at];
+            let (from, to) = self.ends((outside, k));
+            let mut face = self.face([from, to, point]);
+            face.across = [outside, first + self.growth.places[usize::from(to)], 0];
+            self.faces.push(face);
+            self.faces[usize::from(outside)].across[usize::from(k)] = i;
+        }
+        for i in first..first + edges as u16 {
+            let after = self.faces[usize::from(i)].across[1];
+            self.faces[usize::from(after)].across[2] = i;
+        }
+        self.compact();
+        true
+    }
+
+    /// Lists which faces a point sees, from one of them on.
+    fn see(&mut self, seed: usize, w: &V3<f64>) {
+        let Growth { seen, waiting, .. } = &mut self.growth;
+        seen.clear();
+        seen.resize(self.faces.len(), false);
         seen[seed] = true;
-        // Edges of the rim: the face outside, and which of its edges.
-        let mut rim = [(0_u16, 0_u16); FACES];
-        let mut edges = 0;
-        while waiting > 0 {
-            waiting -= 1;
-            let here = usize::from(stack[waiting]);
-            for other in self.faces[here].across {
+        waiting.push(seed as u16);
+        while let Some(here) = waiting.pop() {
+            for other in self.faces[usize::from(here)].across {
                 let face = &self.faces[usize::from(other)];
-                let over = face.normal.dot(&w) - face.height > FLAT * self.size;
+                let over = face.normal.dot(w) - face.height > FLAT * self.size;
                 if over && !seen[usize::from(other)] {
                     seen[usize::from(other)] = true;
-                    stack[waiting] = other;
-                    waiting += 1;
+                    waiting.push(other);
                 }
             }
         }
-        for here in (0..self.nface).filter(|i| seen[*i]) {
+    }
+
+    /// Lists the edges between what is seen and what is not; false where faces do not know each other.
+    fn find_rim(&mut self) -> bool {
+        let Growth { seen, rim, .. } = &mut self.growth;
+        rim.clear();
+        for here in (0..self.faces.len()).filter(|i| seen[*i]) {
             let Face { across, corners, .. } = self.faces[here];
-            for k in 0..3 {
+            for k in (0..3).filter(|k| !seen[usize::from(across[*k])]) {
                 let face = &self.faces[usize::from(across[k])];
-                if seen[usize::from(across[k])] {
-                    continue;
-                }
                 let from = corners[(k + 1) % 3];
                 let Some(back) = (0..3)
                     .find(|m| usize::from(face.across[*m]) == here && face.corners[*m] == from)
                 else {
                     return false;
                 };
-                if edges == FACES {
-                    self.full = true;
-                    return false;
-                }
-                rim[edges] = (across[k], back as u16);
-                edges += 1;
+                rim.push((across[k], back as u16));
             }
         }
-        if !self.room(edges) {
-            self.full = true;
-            return false;
-        }
-        // The rim must be one closed loop: each corner leaves once and arrives once.
-        let rim = &rim[..edges];
-        // Seen from inside the rim an edge runs the other way.
-        let ends = |faces: &[Face; FACES], (face, k): (u16, u16)| {
-            let corners = &faces[usize::from(face)].corners;
-            (corners[(usize::from(k) + 1) % 3], corners[usize::from(k)])
-        };
-        let mut next = [NONE; POINTS];
-        for (i, edge) in rim.iter().enumerate() {
-            let from = usize::from(ends(&self.faces, *edge).0);
-            if next[from] != NONE {
-                return false;
-            }
-            next[from] = i as u16;
-        }
-        if rim.iter().any(|edge| next[usize::from(ends(&self.faces, *edge).1)] == NONE) {
-            return false;
-        }
-        let point = self.npoint;
-        self.points[point] = w;
-        self.npoint += 1;
-        self.size = self.size.max(w.dot(&w).sqrt());
-        let first = self.nface;
-        for (i, edge) in rim.iter().enumerate() {
-            let (from, to) = ends(&self.faces, *edge);
-            let mut face = self.face([from, to, point as u16]);
-            face.across = [edge.0, first as u16 + next[usize::from(to)], 0];
-            self.faces[first + i] = face;
-        }
-        for (i, edge) in rim.iter().enumerate() {
-            self.faces[usize::from(edge.0)].across[usize::from(edge.1)] = (first + i) as u16;
-            let after = self.faces[first + i].across[1];
-            self.faces[usize::from(after)].across[2] = (first + i) as u16;
-        }
-        self.nface += edges;
-        for here in 0..first {
-            if seen[here] {
-                self.faces[here].alive = false;
-            }
-        }
-        self.compact();
         true
     }
 
-    /// Closes the gaps that dead faces left.
-    fn compact(&mut self) {
-        let mut to = [NONE; FACES];
-        let mut kept = 0;
-        for from in 0..self.nface {
-            if self.faces[from].alive {
-                to[from] = kept as u16;
-                self.faces[kept] = self.faces[from];
-                kept += 1;
-            }
+    /// Lists which edge of the rim leaves each point; false unless it is one closed loop, in which each
+    /// corner leaves once and arrives once.
+    fn close_rim(&mut self) -> bool {
+        let mut places = std::mem::take(&mut self.growth.places);
+        places.clear();
+        places.resize(self.points.len(), NONE);
+        let mut closed = true;
+        for (i, edge) in (0..).zip(&self.growth.rim) {
+            let from = &mut places[usize::from(self.ends(*edge).0)];
+            closed &= *from == NONE;
+            *from = i;
         }
-        self.nface = kept;
-        for face in &mut self.faces[..kept] {
-            face.across = face.across.map(|i| to[usize::from(i)]);
+        let arrives = |edge: &(u16, u16)| places[usize::from(self.ends(*edge).1)] != NONE;
+        closed &= self.growth.rim.iter().all(arrives);
+        self.growth.places = places;
+        closed
+    }
+
+    /// An edge of the rim. Seen from inside the rim it runs the other way.
+    fn ends(&self, (face, k): (u16, u16)) -> (u16, u16) {
+        let corners = &self.faces[usize::from(face)].corners;
+        (corners[(usize::from(k) + 1) % 3], corners[usize::from(k)])
+    }
+
+    /// Takes out the faces that are seen, and closes the gaps.
+    fn compact(&mut self) {
+        let Growth { seen, places, .. } = &mut self.growth;
+        seen.resize(self.faces.len(), false);
+        places.clear();
+        let mut kept = 0;
+        for seen in &*seen {
+            places.push(kept);
+            kept += u16::from(!seen);
+        }
+        let mut at = 0;
+        self.faces.retain(|_| {
+            at += 1;
+            !seen[at - 1]
+        });
+        for face in &mut self.faces {
+            face.across = face.across.map(|i| places[usize::from(i)]);
         }
     }
+}
+
+/// Four points of the set that span a volume; None where the set is flat.
+fn tetrahedron(
+    support: &impl Fn(&V3<f64>) -> V3<f64>,
+    simplex: &[V3<f64>],
+) -> Option<[V3<f64>; 4]> {
+    let mut seeds = [V3::zeros(); SEEDS];
+    seeds[..simplex.len()].copy_from_slice(simplex);
+    let mut count = simplex.len();
+    let mut corners = spread(&seeds[..count]);
+    if corners.is_none() {
+        for axis in 0..3 {
+            for side in [1.0, -1.0] {
+                let mut way = V3::zeros();
+                way[axis] = side;
+                seeds[count] = support(&way);
+                count += 1;
+            }
+        }
+        corners = spread(&seeds[..count]);
+    }
+    // Two crossed needles: what was seen lies in one plane or on one line, the set does not.
+    for _ in 0..2 {
+        if corners.is_none() {
+            for way in beside(&seeds[..count])? {
+                seeds[count] = support(&way);
+                count += 1;
+            }
+            corners = spread(&seeds[..count]);
+        }
+    }
+    corners
 }
 
 /// The first of the points, the one furthest from it, and the one furthest from their line; with

@@ -40,10 +40,19 @@ impl Pairing<'_> {
     /// What a face near a direction says, if no search can find more. Of shapes apart: the other one's
     /// nearest point stands over the face. Of shapes that overlap: around the other one's deepest point
     /// the face's own shape has room for a ball as large as the overlap. The difference of the two
-    /// shapes then holds that ball around the origin, and no way out is shorter.
-    pub(super) fn on_face(&self, near: &V3<f64>, cosine: f64) -> Option<Separation> {
+    /// shapes then holds that ball around the origin, and no way out is shorter. `proven`: what is known to
+    /// be the answer.
+    pub(super) fn on_face(
+        &self,
+        near: &V3<f64>,
+        cosine: f64,
+        proven: Option<&Separation>,
+    ) -> Option<Separation> {
         let facing = self.facing(near, cosine);
         let best = self.best_of(&facing)?;
+        if proven.is_some_and(|proven| proven.normal == best.normal) {
+            return Some(best);
+        }
         let certain = |Facing { separation, face }: &Facing| {
             let Separation { normal, apart, cause } = separation;
             let foot = normal * apart.max(0.0);
@@ -108,7 +117,7 @@ mod tests {
             let shapes = [shape(0), shape(1)];
             let pairing = Pairing::new(solid(kinds[0], &shapes[0]), solid(kinds[1], &shapes[1]));
             let found = pairing.search(f64::INFINITY).unwrap();
-            if let Some(face) = pairing.on_face(&found.normal, -1.0) {
+            if let Some(face) = pairing.on_face(&found.normal, -1.0, None) {
                 assert_eq!(format!("{face:?}"), format!("{found:?}"), "{kinds:?} {poses:?}");
                 certain += 1;
             }

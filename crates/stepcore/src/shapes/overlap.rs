@@ -4,43 +4,35 @@ use super::epa::Polytope;
 use super::separation::{Pairing, Separation, ROUNDING};
 use super::solid::{Core, Solid};
 use crate::spatial::V3;
+use core::cell::RefCell;
 
-/// Rounds of the search.
+/// Rounds of the search, and room for points of the polytope; of shapes with corners alone more, because
+/// meshes of many faces may lie deep in others.
 const ROUNDS: usize = 90;
-/// The same of meshes of many faces.
+const POINTS: usize = 72;
 const MANY: usize = 2000;
+const MANY_POINTS: usize = 600;
 /// Over the size of the pair: how near a search must have come for a first answer.
 const FIRST: f64 = 0.05;
 
+thread_local! {
+    static POLYTOPE: RefCell<Polytope> = RefCell::default();
+}
+
 impl Pairing<'_> {
-    /// The shortest way out, from a simplex that may hold the origin. Meshes of many faces that lie
-    /// deep in others may need more room than is enough for all else.
+    /// The shortest way out, from a simplex that may hold the origin.
     pub(super) fn overlap(&self, simplex: &[V3<f64>]) -> Separation {
-        let (found, proven) = self.expand::<72, 144>(simplex, ROUNDS);
-        if proven || self.smooth {
-            return found;
-        }
-        let (again, _) = self.expand::<600, 1200>(simplex, MANY);
-        if again.apart > found.apart {
-            again
-        } else {
-            found
-        }
+        POLYTOPE.with_borrow_mut(|polytope| self.expand(polytope, simplex))
     }
 
-    /// The same with this much room; false: room or rounds ended before all others were ruled out.
-    #[inline(never)]
-    fn expand<const POINTS: usize, const FACES: usize>(
-        &self,
-        simplex: &[V3<f64>],
-        rounds: usize,
-    ) -> (Separation, bool) {
+    fn expand(&self, polytope: &mut Polytope, simplex: &[V3<f64>]) -> Separation {
         let support = |way: &V3<f64>| self.furthest(way);
-        let Some(mut polytope) = Polytope::<POINTS, FACES>::new(&support, simplex) else {
+        let (rounds, most) = if self.smooth { (ROUNDS, POINTS) } else { (MANY, MANY_POINTS) };
+        if !polytope.start(&support, simplex, most) {
             let length = self.between.dot(&self.between).sqrt();
             let n = if length > 0.0 { self.between * (1.0 / length) } else { V3::x() };
-            return (self.refine(&n), true);
-        };
+            return self.refine(&n);
+        }
         let faceted = |solid: &Solid<f64>| matches!(solid.core, Core::Hull(_) | Core::Prism(_));
         // Within this cosine a refined direction is the best one: facets of a mesh may be as near to
         // one another as this.
@@ -72,27 +64,19 @@ impl Pairing<'_> {
             }
         }
         if let (Some(first), true, true) = (best, self.smooth, proven) {
-            let (better, room) = self.beside(first, &mut polytope, own, rounds);
-            (best, proven) = (Some(better), room);
+            best = Some(self.beside(first, polytope, own));
         }
         let found = best.map_or_else(|| self.refine(&-polytope.best), |best| self.settled(best));
-        (self.topped(found), proven)
+        self.topped(found)
     }
 
     /// A better answer that hides behind faces which look along the best one's direction: of a large
-    /// shape's rim with a small shape around it they may be far below the surface. false: room or
-    /// rounds ended first.
-    fn beside<const POINTS: usize, const FACES: usize>(
-        &self,
-        mut best: Separation,
-        polytope: &mut Polytope<POINTS, FACES>,
-        own: f64,
-        rounds: usize,
-    ) -> (Separation, bool) {
+    /// shape's rim with a small shape around it they may be far below the surface.
+    fn beside(&self, mut best: Separation, polytope: &mut Polytope, own: f64) -> Separation {
         let support = |way: &V3<f64>| self.furthest(way);
-        for _ in 0..rounds {
+        for _ in 0..ROUNDS {
             let skip = |_: &V3<f64>, height: f64| height >= -best.apart - 1e-12 * self.size;
-            let Some(face) = polytope.lowest(skip) else { return (best, !polytope.full) };
+            let Some(face) = polytope.lowest(skip) else { break };
             let close = -1e-3 * best.apart + 1e-6 * self.size;
             let way = polytope.push_beyond(face, close, &support);
             let ended = way.reach - way.height <= close || polytope.stuck;
@@ -103,6 +87,6 @@ impl Pairing<'_> {
                 }
             }
         }
-        (best, false)
+        best
     }
 }

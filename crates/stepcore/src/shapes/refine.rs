@@ -22,6 +22,26 @@ const CAP: f64 = 0.9;
 const HIDDEN: usize = 3;
 /// Edges of a corner that are tried.
 const EDGES: usize = 16;
+/// Points that are kept of those that a search has seen last.
+const KEPT: usize = 8;
+
+/// Points of two minus one. Along no direction are the two further apart than these are, so that
+/// directions that gain nothing are known without asking for their furthest points.
+struct Seen {
+    points: [V3<f64>; KEPT],
+    next: usize,
+}
+
+impl Seen {
+    fn add(&mut self, point: V3<f64>) {
+        self.points[self.next % KEPT] = point;
+        self.next += 1;
+    }
+
+    fn apart_at_most(&self, normal: &V3<f64>) -> f64 {
+        self.points.iter().map(|point| normal.dot(point)).fold(f64::INFINITY, f64::min)
+    }
+}
 
 impl Pairing<'_> {
     /// The largest separation near a rough direction. What meets there may be other corners than
@@ -57,7 +77,8 @@ impl Pairing<'_> {
             return found;
         }
         let top = peak(self, &found.normal);
-        let (normal, apart) = self.climb(&top, None);
+        let mut seen = self.seen(&top);
+        let (normal, apart) = self.climb(&top, None, &mut seen);
         let free = Separation { normal, apart, cause: Cause::Free };
         let mut best = found;
         // Directions that differ by 1e-8 are as good but for rounding; their points are not.
@@ -98,16 +119,17 @@ impl Pairing<'_> {
     }
 
     pub(super) fn refine_once(&self, rough: &V3<f64>, near: f64) -> Separation {
-        let start = self.apart(rough);
+        let mut seen = self.seen(rough);
+        let start = rough.dot(&seen.points[0]);
         let facing = self.facing(rough, (1.0 - near * near).sqrt());
         let mut best = self.best_of(&facing).unwrap_or(Separation {
             normal: *rough,
             apart: f64::NEG_INFINITY,
             cause: Cause::Free,
         });
-        let mut offer = |normal: V3<f64>, apart: f64, cause: Cause| {
+        let offer = |best: &mut Separation, normal: V3<f64>, apart: f64, cause: Cause| {
             if apart > best.apart + ROUNDING * self.size {
-                best = Separation { normal, apart, cause };
+                *best = Separation { normal, apart, cause };
             }
         };
         let (ones, nones) = edges(&self.one, rough, near);
@@ -115,8 +137,13 @@ impl Pairing<'_> {
         for e in &ones[..nones] {
             for f in &twos[..ntwos] {
                 if let Some(normal) = across(e, f, rough) {
+                    if seen.apart_at_most(&normal) < best.apart {
+                        continue;
+                    }
+                    let point = self.furthest(&-normal);
+                    seen.add(point);
                     let [e, f] = [self.one.pose.to_local(e), self.two.pose.to_local(f)];
-                    offer(normal, self.apart(&normal), Cause::Edges(e, f));
+                    offer(&mut best, normal, normal.dot(&point), Cause::Edges(e, f));
                 }
             }
         }
@@ -125,18 +152,18 @@ impl Pairing<'_> {
             let starts = [Some(*rough), self.over_rim_of_one(rough), self.over_rim_of_two(rough)];
             for from in starts.iter().flatten() {
                 for e in &ones[..nones] {
-                    let (normal, apart) = self.climb(from, Some(e));
-                    offer(normal, apart, Cause::EdgeOne(self.one.pose.to_local(e)));
+                    let (normal, apart) = self.climb(from, Some(e), &mut seen);
+                    offer(&mut best, normal, apart, Cause::EdgeOne(self.one.pose.to_local(e)));
                 }
                 for f in &twos[..ntwos] {
-                    let (normal, apart) = self.climb(from, Some(f));
-                    offer(normal, apart, Cause::EdgeTwo(self.two.pose.to_local(f)));
+                    let (normal, apart) = self.climb(from, Some(f), &mut seen);
+                    offer(&mut best, normal, apart, Cause::EdgeTwo(self.two.pose.to_local(f)));
                 }
-                let (normal, apart) = self.climb(from, None);
-                offer(normal, apart, Cause::Free);
+                let (normal, apart) = self.climb(from, None, &mut seen);
+                offer(&mut best, normal, apart, Cause::Free);
             }
         }
-        offer(*rough, start, Cause::Free);
+        offer(&mut best, *rough, start, Cause::Free);
         best
     }
 
@@ -155,8 +182,13 @@ impl Pairing<'_> {
         self.two.over_rim(&cap, &there, self.size).map(|n| -n)
     }
 
+    /// What a search from a direction sees first.
+    fn seen(&self, rough: &V3<f64>) -> Seen {
+        Seen { points: [self.furthest(&-rough); KEPT], next: 1 }
+    }
+
     /// Newton's method for the largest separation near a direction; with an edge, across it.
-    fn climb(&self, rough: &V3<f64>, edge: Option<&V3<f64>>) -> (V3<f64>, f64) {
+    fn climb(&self, rough: &V3<f64>, edge: Option<&V3<f64>>, seen: &mut Seen) -> (V3<f64>, f64) {
         let onto = |n: V3<f64>| edge.map_or(n, |e| n - e * e.dot(&n));
         let mut normal = unit(&onto(*rough));
         let mut point = self.furthest(&-normal);
@@ -168,16 +200,19 @@ impl Pairing<'_> {
             let mut share = 1.0;
             let better = loop {
                 let next = unit(&onto(normal + step * share));
-                let there = self.furthest(&-next);
-                let gained = next.dot(&there);
-                if gained > apart {
-                    break Some((next, there, gained));
-                }
-                // The last steps gain less than rounding shows.
-                let even = gained > apart - ROUNDING * self.size;
-                if share == 1.0 && square < 1e-4 && even && hidden < HIDDEN {
-                    hidden += 1;
-                    break Some((next, there, gained));
+                if seen.apart_at_most(&next) > apart - 2.0 * ROUNDING * self.size {
+                    let there = self.furthest(&-next);
+                    seen.add(there);
+                    let gained = next.dot(&there);
+                    if gained > apart {
+                        break Some((next, there, gained));
+                    }
+                    // The last steps gain less than rounding shows.
+                    let even = gained > apart - ROUNDING * self.size;
+                    if share == 1.0 && square < 1e-4 && even && hidden < HIDDEN {
+                        hidden += 1;
+                        break Some((next, there, gained));
+                    }
                 }
                 share *= 0.25;
                 if share < 1e-3 {

@@ -116,11 +116,14 @@ impl<'a> Pairing<'a> {
         let enough = (within + self.one.radius + self.two.radius + SURE * self.size).max(0.0);
         let Hint { axis, face } = hint.map(Cell::get).unwrap_or_default();
         let known = axis != V3::zeros();
+        let mut own = None;
         let found = if known && beyond(&self.furthest(&-axis), &axis, enough) {
             Err(axis)
         } else {
-            let near = if known { axis } else { self.toward() };
-            let own = if known && !face { None } else { self.on_face(&near, -1.0) };
+            if face || !known {
+                let near = if known { axis } else { self.toward() };
+                own = self.on_face(&near, -1.0, None);
+            }
             match own {
                 Some(found) if found.apart > enough => Err(found.normal),
                 Some(found) => Ok(found),
@@ -128,15 +131,16 @@ impl<'a> Pairing<'a> {
             }
         };
         // Of a face the same numbers, however it was found.
-        let found = found.map(|found| self.on_face(&found.normal, ALONG).unwrap_or(found));
+        let found =
+            found.map(|found| self.on_face(&found.normal, ALONG, own.as_ref()).unwrap_or(found));
         if let Some(hint) = hint {
-            hint.set(match &found {
+            let (axis, face) = match &found {
                 Ok(Separation { normal, cause, .. }) => {
-                    let face = matches!(cause, Cause::FaceOne(_) | Cause::FaceTwo(_));
-                    Hint { axis: *normal, face }
+                    (*normal, matches!(cause, Cause::FaceOne(_) | Cause::FaceTwo(_)))
                 }
-                Err(proof) => Hint { axis: *proof, face },
-            });
+                Err(proof) => (*proof, face),
+            };
+            hint.set(Hint { axis, face });
         }
         found.ok()
     }

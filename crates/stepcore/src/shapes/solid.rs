@@ -151,11 +151,7 @@ impl<'a, R: Real> Solid<'a, R> {
             Core::Box(size) => {
                 (0..3).map(|i| p[i].abs() - size[i]).fold(f64::NEG_INFINITY, f64::max)
             }
-            Core::Hull(hull) => hull
-                .faces
-                .iter()
-                .map(|face| face.normal.dot(&p) - face.offset)
-                .fold(f64::NEG_INFINITY, f64::max),
+            Core::Hull(hull) => -hull.under_all_but(usize::MAX, &p, f64::NEG_INFINITY),
             Core::Prism(corners) => PRISM_FACES
                 .iter()
                 .map(|face| normal_of(corners, face).dot(&(p - corners[face[0]])))
@@ -176,9 +172,7 @@ impl<'a, R: Real> Solid<'a, R> {
                 let mut others = (0..6).filter(|other| *other != face);
                 others.all(|other| up(other, other / 2) - size[other / 2] < -depth)
             }
-            Core::Hull(hull) => (hull.faces.iter().enumerate()).all(|(other, plane)| {
-                other == face || plane.normal.dot(&p) - plane.offset < -depth
-            }),
+            Core::Hull(hull) => hull.under_all_but(face, &p, depth) > depth,
             Core::Prism(corners) => (PRISM_FACES.iter().enumerate()).all(|(other, list)| {
                 let height = normal_of(corners, list).dot(&(p - corners[list[0]]));
                 other == face || height < -depth

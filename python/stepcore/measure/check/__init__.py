@@ -126,11 +126,11 @@ class Check(Result):
         so_far = " so far" if AS_SHIPPED in self.not_done else ""
         said = [f"No problems found{' other than the time step' if explodes else so_far}."]
         if self.findings:
-            several = ", the most severe first" if len(self.findings) > 1 else ""
-            said = [f"{counted(len(self.findings), 'finding')}{several}:"]
-            said += [f"- {finding.severity}: {finding.text}" for finding in self.findings]
+            said = [f"{finding.severity.capitalize()}: {finding.text}" for finding in self.findings]
         if self.diagnosis is not None:
-            said += self.diagnosis.sentences[: None if self.diagnosis.fails else 1]
+            # The motion is said once, below.
+            answers = self.diagnosis.sentences[: None if self.diagnosis.fails else 1]
+            said += [text for text in answers if text != f"The motion: {self.diagnosis.ran}."]
         return [*said, "Next:", *(f"- {command} ({why})" for command, why in self.commands)]
 
     @property

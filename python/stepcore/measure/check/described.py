@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepcore.engine.actuator import Actuator, actuators
+from stepcore.engine.actuator import Actuator, actuators, loads
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
+from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import STEPS
 from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.sizes import Sizes
@@ -26,8 +27,10 @@ from stepcore.measure.monitors.finding import (
     HALF,
     PLOT,
     SEEN,
+    Cure,
     Finding,
     Next,
+    Remedy,
     listed,
     named,
     worst,
@@ -40,9 +43,18 @@ from stepcore.measure.monitors.joints import (
     unit_of,
     width_of,
 )
-from stepcore.measure.monitors.recording import Recording, followed
+from stepcore.measure.monitors.recording import Recording, followed, free_bodies
 from stepcore.measure.monitors.soft_rows import yielding
-from stepcore.report.units import hertz, metres, rounded, seconds, times
+from stepcore.report.units import (
+    FORCES,
+    TORQUES,
+    hertz,
+    metres,
+    quantity,
+    rounded,
+    seconds,
+    times,
+)
 from stepcore.scene.elements import Geom
 from stepcore.scene.layout import Layout
 
@@ -475,6 +487,83 @@ def _saturated(scene: Described) -> Iterator[Finding]:
         yield Finding("saturation", "warning", problem, cure, servos, force, commands=PLOT)
 
 
+def _balance(scene: Described) -> Iterator[Finding]:
+    """Yield actuators that cannot carry the weight at the start, whatever their controls.
+
+    Forces are those of the engine at both ends of the controls, whether at joints, sites, tendons
+    or bodies. What touches something or hangs on an equality may be carried by that.
+    """
+    model, sim = scene.model, Sim(scene.model)
+    if not model.nu or sim.act.size or not model.scene.features.actuation:
+        return
+    scene.start.put(sim)
+    least, most = np.zeros((2, model.nu, model.nv))
+    for ends in np.clip(model.actuator_ctrlrange.T, -1e9, 1e9):
+        sim.ctrl = ends
+        sim.forward()
+        acting = sim.element_forces()
+        each = np.array([acting.get(("actuator", k), np.zeros(model.nv)) for k in range(model.nu)])
+        least, most = np.minimum(least, each), np.maximum(most, each)
+    sim.ctrl = scene.ctrl
+    sim.forward()
+    need, carried = loads(sim), np.array(sim.constraint_force) != 0
+    up, free = -np.asarray(model.scene.gravity, float), free_bodies(model)
+    for joint, kind in enumerate(model.jnt_type):
+        dof, body = int(model.jnt_dofadr[joint]), int(model.jnt_body[joint])
+        if kind == "free" and up.any():
+            axis = np.zeros(model.nv)
+            axis[dof : dof + 3] = up / np.linalg.norm(up)
+            yield from _unlifted(
+                scene, body, np.maximum(least @ axis, most @ axis), float(need @ axis)
+            )
+        if kind not in ("hinge", "slide") or carried[dof] or model.root(body) in free:
+            continue
+        each = most[:, dof] if need[dof] > 0 else -least[:, dof]
+        have = float(each.sum()) + scene.layout.joints[joint].frictionloss
+        if each.any() and have < (1 - SEEN) * abs(need[dof]):
+            drives = named(model, "actuator", np.flatnonzero(each))
+            units = TORQUES if kind == "hinge" else FORCES
+            problem = (
+                f"{listed(drives, 'actuator')} cannot hold this pose: {quantity(have, units)} at "
+                f"most at {model.element_name('joint', joint)}, whose load at the start is "
+                f"{quantity(abs(float(need[dof])), units)}"
+            )
+            cure, unit = f"{times(abs(float(need[dof])) / have)} the force, or another pose", "N·m"
+            unit = unit if kind == "hinge" else "N"
+            yield Finding("balance", "warning", problem, cure, drives, have, unit, PLOT)
+
+
+def _unlifted(scene: Described, body: int, each: Floats, need: float) -> Iterator[Finding]:
+    """Yield the actuators that push a body up with less than its weight; each: of these [N]."""
+    model, have = scene.model, float(each.sum())
+    if not 0 < have < (1 - SEEN) * need:
+        return
+    lifting = np.flatnonzero(each > SEEN * each.max()).tolist()
+    drives, ratio = named(model, "actuator", lifting), need / have
+    problem = (
+        f"{listed(drives, 'actuator')} cannot lift {model.element_name('body', body)}: "
+        f"{have:.4g} N of thrust at most against {need:.4g} N of weight"
+    )
+    gears = {k: np.asarray(model.scene.actuators[k].gear) * ratio * (1 + FEW) for k in lifting}
+    values = {f"actuator/#{k}/gear": tuple(map(rounded, gear)) for k, gear in gears.items()}
+    words = f"{times(ratio * (1 + FEW))} the gear of each"
+
+    def again(other: Model) -> Recording:
+        """Run with all controls that lift at their ends."""
+        ctrl = np.array(scene.ctrl)[None, None].copy()
+        ctrl[..., lifting] = np.clip(model.actuator_ctrlrange[lifting, 1], -1e9, 1e9)
+        return followed(other, scene.start, round(HORIZON / other.settings.dt), ctrl=ctrl)
+
+    def sinks(run: Recording) -> float:
+        heights = run.centre_of_mass(body) @ -np.sign(np.asarray(model.scene.gravity, float))
+        return float(heights[0] - heights[-1])
+
+    way = ((Cure(words, Change(values)),),)
+    remedy = Remedy(way, sinks, 0.0, lambda left: "it rising under full controls", again=again)
+    cure = "less mass"
+    yield Finding("balance", "warning", problem, cure, drives, have, "N", PLOT, remedy=remedy)
+
+
 def _without_armature(scene: Described) -> Iterator[Finding]:
     """Yield servos that are stiff relative to the inertia that their joint moves."""
     model, dt = scene.model, scene.model.settings.dt
@@ -505,8 +594,8 @@ def _without_armature(scene: Described) -> Iterator[Finding]:
     )
     needed = rounded(least(of) - of.inertia, 2, up=True)
     cure = (
-        f'armature="{needed:g}" on {model.element_name("joint", of.joint)} makes it slow enough '
-        "(a geared motor has that much), or lower the gains"
+        f'armature="{needed:g}" on {model.element_name("joint", of.joint)} makes it slow enough, '
+        "or lower the gains"
     )
     yield Finding("armature", "warning", problem, cure, servos, of.inertia, unit)
 
@@ -542,5 +631,5 @@ def _unused(scene: Described) -> Iterator[Finding]:
 OF_LIMITS = (_beyond, _asked_beyond, _overpowered)
 FINDINGS = (
     *(_lengths, _tiny, _angles, _degrees, _densities, _inertias, _beyond, _clamped),
-    *(_asked_beyond, _overpowered, _saturated, _without_armature, _unused),
+    *(_asked_beyond, _overpowered, _saturated, _balance, _without_armature, _unused),
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 
@@ -11,36 +10,40 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import SimulationError
+from stepcore.deadline import Deadline, OutOfTime, in_time
 from stepcore.engine.model import Model
-from stepcore.engine.parameters import Column, named_columns, own_value
-from stepcore.engine.trajectory import Trajectory
-from stepcore.experiment.arguments import Source
+from stepcore.engine.parameters import columns, named_columns, own_value
+from stepcore.experiment.arguments import Source, Workers
 from stepcore.experiment.change import Change
 from stepcore.loading import find_model
 from stepcore.measure.identification.doubts import (
-    Certainty,
+    WEAK,
     certainty,
     fit_findings,
     gap_findings,
     horizon_findings,
+    log_findings,
     predictable,
-    unit_findings,
 )
 from stepcore.measure.identification.log import (
     DELAY,
     Log,
     MeasuredLog,
+    driven,
     is_delay,
     late_entries,
+    opened,
     read_log,
     within,
 )
-from stepcore.measure.identification.predictions import Predictions
+from stepcore.measure.identification.misfit import Quality, misfits, missing
+from stepcore.measure.identification.predictions import Predictions, cut
 from stepcore.measure.identification.readings import check_smooth
 from stepcore.measure.identification.result import FINER, Curve, Identification
 from stepcore.measure.monitors.finding import Finding
-from stepcore.report.progress import Choice, Progress
-from stepcore.report.units import counted, seconds
+from stepcore.report import units
+from stepcore.report.progress import Choice
+from stepcore.report.units import counted
 
 __all__ = ["Identification", "identify"]
 
@@ -55,41 +58,49 @@ ROUGH = {"xtol": 1e-3, "ftol": 1e-4, "gtol": 1e-8}
 FINE = {"xtol": 1e-7, "ftol": 1e-14, "gtol": 1e-14}
 
 
+@in_time
 def identify(
     model: Source,
     logs: Log | Sequence[Log],
     parameters: Mapping[str, tuple[float, float]],
     *,
+    pieces: float | str | None = None,
     most: int = 50,
+    threads: int | None = None,
     progress: Choice = None,
+    seconds: float | None = None,
 ) -> Identification:
     """Find values of a model from logs of its motion, with exact derivatives.
 
     model: a Model, a Scene, or any argument of `stepcore.load`; its values are the first guess.
-    logs: a log, or a list of several. A log is a `Trajectory`; a dict of arrays with "time" (T,)
-        [s], and as far as they were measured "qpos" and "qvel" (T, n) and "sensordata" (T, m), and
-        "ctrl" (T, nu), each row from its time on; a DataFrame, or a file (.csv, .npz, .parquet,
-        .mcap), with a column of times and columns such as "qpos[knee]", "knee.velocity", or the
-        name of a joint, a sensor or an actuator; or a dict of such sources by array, each with
-        times of its own: {"qpos": "log.mcap:/joint_states", "ctrl": "log.mcap:/commands"}. NaN is
-        not measured. The first row needs a whole qpos.
-    parameters: the range of each value, by path as in `Sim.linearize`: (low, high), without 0. A
-        value that is 0 in the model begins at √(low·high). "delay" is the time by which controls
-        act later than their rows say [s]; it begins at the low end. "delay/qpos", "delay/qvel",
-        "delay/sensordata" and "delay/NAME" of a sensor are how much later the log has what was
-        measured than it was [s]; they begin at 0. Rows as early as the high end are left out.
+    logs: a log, or a list of several. A log is a `stepcore.Log` or what one is read from, such as a
+        file, a DataFrame or a `Trajectory`; or a dict of such sources by array, each with times of
+        its own: {"qpos": "log.mcap:/joint_states", "ctrl": "log.mcap:/commands"}. NaN is not
+        measured. Torques are played by motors, which are made where a model has no actuators.
+    parameters: the range (low, high) of each value, without 0, by path as in `Sim.linearize`.
+        "joint/*/damping" gives each joint's damping this range. A value that is 0 in the model
+        begins at √(low·high). "delay" is the time by which controls act later than their rows say
+        [s]; it begins at the low end. "delay/qpos", "delay/qvel", "delay/sensordata" and
+        "delay/NAME" of a sensor are how much later the log has a measured number than it was true
+        [s]; they begin at 0, and rows earlier than the high end are left out.
+    pieces: cut each log into pieces of this length, a time [s] or a text such as "0.5s". Each piece
+        has a first state of its own, which keeps errors from growing over a long or unstable
+        motion.
     most: the largest number of iterations.
+    threads: the number of steps that are linearised at the same time (default: one per core).
     progress: False for no progress bar, or a function of (label, done, total).
+    seconds: the longest time [s]. The result then has the best values so far, and `unfinished` says
+        what was not done.
 
     Each log is predicted from its first row, which is estimated too, under its controls, each held
-    until the next; a step has their mean. Predictions are taken between steps where the log's times
-    are no steps. The method is scipy's `least_squares` within bounds, whose Jacobian is exact: it
-    goes forward with each step's derivative (sensors: differences of the fourth order). Needs scipy
-    (the extra "identify").
+    until the next; a step has their mean. Predictions are interpolated where the log's times are
+    not those of steps. The method is scipy's `least_squares` within bounds, with exact derivatives
+    of each step (for sensors, differences of the fourth order). Needs scipy (the extra "identify").
 
     Raises ValueError for unknown parameters and ranges without the present value, for logs that do
     not fit the model or have times in milliseconds, for sensors that do not change smoothly, and if
-    the run with the present values fails; OSError for files that cannot be read.
+    the run with the present values fails; OSError for files that cannot be read; OutOfTime if the
+    time is over before the first iteration.
 
     >>> import stepcore as sc
     >>> model = sc.lesson.spring().compile().with_settings(dt=0.005, integrator="semi-implicit")
@@ -99,148 +110,169 @@ def identify(
     >>> round(found.values["joint/spring/stiffness"], 6)
     90.0
     """
-    checks.progress("identify", progress)
-    given = Change(precision="f64").of(find_model(model))
+    workers = Workers.checked("identify", threads, None, progress)
+    logs = opened(logs)
+    given = driven(Change(precision="f64").of(find_model(model)), logs)
     if any(actuator.delay > 0 for actuator in given.scene.actuators):
         limit = 'without delays of actuators: make these 0, and "delay" a parameter'
         raise ValueError(f"model: must be {limit}")
     compiled, bounds, guess = _bounds(given, parameters)
-    read = [within(compiled, log, bounds) for log in _read(compiled, logs)]
+    whole = _read(compiled, logs)
+    length = None if pieces is None else units.time("pieces", pieces)
+    read = [within(compiled, log, bounds) for log in cut(compiled, whole, length)]
     labels = list(bounds)
-    fit = Predictions(compiled, read, labels)
+    fit = Predictions(compiled, read, labels, threads=workers.threads)
     check_smooth(compiled, {part.entry for part in fit.parts if part.array == "sensordata"})
-    findings = [*unit_findings(compiled, read), *gap_findings(read)]
-    start = np.concatenate([guess, np.zeros(fit.free)])
+    findings = [*log_findings(compiled, whole, labels), *gap_findings(whole)]
+    for finding in findings:
+        workers.deadline.so_far(finding.text)
+    start = np.concatenate([list(guess.values()), np.zeros(fit.free)])
     most = checks.count("most", most)
-    with Progress("iterations at most", most, progress) as bar:
-        try:
-            fit.residual(start)
-        except SimulationError as error:
-            limit = "must be values with which the logs can be run"
-            raise ValueError(f"model: {checks.one_line(error)}: {limit}") from None
-        x, settled = _fitted(fit, bounds, start, most, bar)
-    sure = certainty(fit.jacobian(x), fit.residual(x), fit.kinds[fit.known], labels)
-    result = _result(fit, bounds, start, x, sure, findings)
-    if not settled:
+    try:
+        first = fit.predicted(start)
+    except SimulationError as error:
+        limit = "must be values with which the logs can be run"
+        said = " ".join(["", *(finding.text for finding in findings)])
+        raise ValueError(f"model: {checks.one_line(error)}: {limit}.{said}") from None
+    search = Search(fit, bounds, start, workers, most)
+    with workers.deadline.closing():
+        result = _result(search, first, findings, workers.deadline)
+    if not search.settled and not workers.deadline.left_out:
         result.unfinished = f"The search was cut off by most = {most}: the values may still change."
     return result
 
 
-def _read(model: Model, logs: Log | Sequence[Log]) -> list[MeasuredLog]:
-    alone = isinstance(logs, (Trajectory, Mapping, str, os.PathLike)) or hasattr(logs, "columns")
-    several: list[Log] = [logs] if alone else [*logs]  # type: ignore[misc]
-    if not several:
-        raise ValueError("logs: must be at least one")
-    return [read_log(model, log, f"logs[{k}]") for k, log in enumerate(several)]
+def _read(model: Model, logs: Sequence[Log]) -> list[MeasuredLog]:
+    return [read_log(model, log, f"logs[{k}]") for k, log in enumerate(logs)]
 
 
 def _bounds(
     model: Model, parameters: Mapping[str, tuple[float, float]]
-) -> tuple[Model, dict[str, tuple[float, float]], list[float]]:
-    """Return the model to begin with, the checked ranges by label, and the guess: its values."""
+) -> tuple[Model, dict[str, tuple[float, float]], dict[str, float]]:
+    """Return the model to begin with, and the checked ranges and the guess by label."""
     if not isinstance(parameters, Mapping) or not parameters:
         limit = 'a dict of paths and ranges, such as {"joint/knee/damping": (0.01, 10)}'
         raise ValueError(f"parameters = {checks.shown(parameters)}: must be {limit}")
-    known, guess = dict[str, tuple[float, float]](), []
+    known, guess = dict[str, tuple[float, float]](), dict[str, float]()
     for path, given in parameters.items():
         pair = checks.listed(given) or ()
         low, high = (checks.number(x) for x in pair) if len(pair) == 2 else (None, None)
         if low is None or high is None or not low < high:
             raise ValueError(f"parameters[{checks.shown(path)}]: must be a range (low, high)")
-        label, value = path, low
-        limit, allowed = "a range without 0", low > 0 or high < 0
+        limit, allowed, own = "a range without 0", low > 0 or high < 0, {path: low}
         if path == DELAY:
             limit, allowed = "a range of times [s] from 0 on, of a model with controls", low >= 0
             allowed = allowed and model.nu > 0
         elif isinstance(path, str) and is_delay(path):
             late_entries(model, path)
-            value, allowed = min(max(0.0, low), high), True
+            own, allowed = {path: min(max(0.0, low), high)}, True
         elif allowed:
-            model, column = _begun(model, path, low, high)
-            label, value = column.label, column.value
-            limit, allowed = f"a range around {value:g}, the model's value", low <= value <= high
+            model, own = _begun(model, path, low, high)
+            off = next((x for x in own.items() if not low <= x[1] <= high), None)
+            if off is not None:
+                path, allowed = off[0], False
+                limit = f"a range around {off[1]:g}, the model's value"
         if not allowed:
             shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
             raise ValueError(f"{shown}: must be {limit}")
-        known[label] = (float(low), float(high))
-        guess.append(float(value))
+        guess |= {label: float(value) for label, value in own.items()}
+        known |= dict.fromkeys(own, (float(low), float(high)))
     return model, known, guess
 
 
-def _begun(model: Model, path: str, low: float, high: float) -> tuple[Model, Column]:
-    """Return the model to begin with and the number of a path: √(low·high) where it is zero.
+def _begun(model: Model, path: str, low: float, high: float) -> tuple[Model, dict[str, float]]:
+    """Return the model to begin with and the numbers of a path: √(low·high) for one that is zero.
 
     A step leaves out what is zero, and so has no derivative by it.
     """
-    several = named_columns(model, [path])
-    if len(several) > 1:
-        raise ValueError(f"parameters: {path} has several entries: name one, as {several[0].label}")
-    (column,) = several
-    if column.value == 0:
-        value = own_value(model, column.path)
-        middle = math.copysign(math.sqrt(abs(low)) * math.sqrt(abs(high)), low)
-        value[() if column.entry is None else column.entry] = middle
-        try:
-            model = Change({column.path: value.tolist()}).of(model)
-        except ValueError as error:
-            shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
-            raise ValueError(f"{shown}: must be a range of values: {error}") from None
-        (column,) = named_columns(model, [column.label])
-    column.check()
-    return model, column
-
-
-def _fitted(
-    fit: Predictions,
-    bounds: Mapping[str, tuple[float, float]],
-    start: np.ndarray,
-    most: int,
-    bar: Progress,
-) -> tuple[np.ndarray, bool]:
-    """Return the values x that fit best, and whether the search had ended."""
+    middle = math.copysign(math.sqrt(abs(low)) * math.sqrt(abs(high)), low)
+    changed = dict[str, np.ndarray]()
+    for column in named_columns(model, [path]):
+        if column.value == 0:
+            value = changed.setdefault(column.path, own_value(model, column.path))
+            value[() if column.entry is None else column.entry] = middle
     try:
-        from scipy.optimize import least_squares
-    except ImportError:
-        raise ImportError('identify needs scipy: pip install "stepcore[identify]"') from None
-    low, high = np.array(list(bounds.values())).T
-    # Estimates in units of their range; then what the first states are off.
-    units = np.concatenate([high - low, np.ones(fit.free)])
-    origin = np.concatenate([low, np.zeros(fit.free)])
-    free = np.full(fit.free, np.inf)
-    ends = np.concatenate([0 * low, -free]), np.concatenate([0 * low + 1, free])
+        model = Change({name: value.tolist() for name, value in changed.items()}).of(model)
+    except ValueError as error:
+        shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
+        raise ValueError(f"{shown}: must be a range of values: {error}") from None
+    return model, {column.label: column.value for column in columns(model, [path])}
 
-    def solve(
-        part: Predictions, begin: np.ndarray, when: Mapping[str, float]
-    ) -> tuple[np.ndarray, bool]:
-        first = np.clip((begin - origin) / units, ends[0] + 1e-9, ends[1] - 1e-9)
+
+class Search:
+    """The search for the values x that fit best, which ends early when its time is over.
+
+    x, jacobian: the best values so far, and the derivatives of the residuals there.
+    settled: whether the values no longer change.
+    """
+
+    def __init__(
+        self,
+        fit: Predictions,
+        bounds: Mapping[str, tuple[float, float]],
+        start: np.ndarray,
+        workers: Workers,
+        most: int,
+    ) -> None:
+        self.fit, self.bounds, self.start = fit, bounds, start
+        self.workers, self.most = workers, most
+        low, high = np.array(list(bounds.values())).T
+        # Estimates in units of their range; then what the first states are off.
+        self._units = np.concatenate([high - low, np.ones(fit.free)])
+        self._origin = np.concatenate([low, np.zeros(fit.free)])
+        free = np.full(fit.free, np.inf)
+        self._ends = np.concatenate([0 * low, -free]), np.concatenate([0 * low + 1, free])
+        self.settled, self._known = False, dict[Predictions, tuple[np.ndarray, np.ndarray]]()
+        with workers.bar("iterations at most", most) as self._bar:
+            self._run(start)
+            if fit not in self._known:
+                raise OutOfTime("no iteration is complete")
+        self.x, self.jacobian = self._known[fit]
+
+    def _run(self, x: np.ndarray) -> None:
+        fit = self.fit
+        with self.workers.deadline.stage("the rest of the search"):
+            if all(BEGINNING * log.steps(fit.base.settings.dt) >= ENOUGH for log in fit.logs):
+                part = fit.until(BEGINNING)
+                self._solve(part, x, ROUGH)
+                near, _ = self._known[part]
+                fit.steps, fit.linearised = fit.steps + part.steps, fit.linearised + part.linearised
+                before, after = (np.sum(_residual(fit, each) ** 2) for each in (x, near))
+                x = near if after < before else x
+            self.settled = self._solve(fit, x, FINE)
+
+    def _solve(self, part: Predictions, begin: np.ndarray, when: Mapping[str, float]) -> bool:
+        """Find the values that fit a part of the logs best; return whether they are settled."""
+        try:
+            from scipy.optimize import least_squares
+        except ImportError:
+            raise ImportError('identify needs scipy: pip install "stepcore[identify]"') from None
+        low, high = self._ends
+        first = np.clip((begin - self._origin) / self._units, low + 1e-9, high - 1e-9)
 
         def at(y: np.ndarray) -> np.ndarray:
             # The run of the first is known.
-            return begin if np.array_equal(y, first) else origin + y * units
+            return begin if np.array_equal(y, first) else self._origin + y * self._units
 
         def slopes(y: np.ndarray) -> np.ndarray:
-            bar.advance()
-            return part.jacobian(at(y)) * units
+            x = at(y)
+            self._known[part] = x, part.jacobian(x)
+            self._bar.advance()
+            self.workers.deadline.so_far(
+                ", ".join(f"{k} = {v:.4g}" for k, v in zip(part.labels, x, strict=False))
+            )
+            return self._known[part][1] * self._units
 
         found = least_squares(
             lambda y: _residual(part, at(y)),
             first,
             jac=slopes,
-            bounds=ends,
+            bounds=self._ends,
             x_scale="jac",
-            max_nfev=most,
+            max_nfev=self.most,
             **when,
         )
-        return at(found.x), found.status > 0
-
-    x = start
-    if all(BEGINNING * log.steps(fit.base.settings.dt) >= ENOUGH for log in fit.logs):
-        part = fit.until(BEGINNING)
-        near, _ = solve(part, x, ROUGH)
-        fit.steps, fit.linearised = fit.steps + part.steps, fit.linearised + part.linearised
-        before, after = (np.sum(_residual(fit, each) ** 2) for each in (x, near))
-        x = near if after < before else x
-    return solve(fit, x, FINE)
+        return bool(found.status > 0)
 
 
 def _residual(fit: Predictions, x: np.ndarray) -> np.ndarray:
@@ -252,19 +284,31 @@ def _residual(fit: Predictions, x: np.ndarray) -> np.ndarray:
 
 
 def _result(
-    fit: Predictions,
-    bounds: Mapping[str, tuple[float, float]],
-    start: np.ndarray,
-    x: np.ndarray,
-    sure: Certainty,
-    findings: Sequence[Finding],
+    search: Search, first: np.ndarray, findings: Sequence[Finding], limit: Deadline
 ) -> Identification:
-    ends, after, first = predictable(fit, x), fit.predicted(x), fit.predicted(start)
-    finer = fit.predicted(x, FINER)
+    """Return what is known after the search. first: the predictions with the first guess."""
+    fit, x, after = search.fit, search.x, search.fit.predicted(search.x)
+    ends, finer = predictable(fit, x), after
+    with limit.stage("the error of the time step"):
+        finer = fit.predicted(x, FINER)
+    found = misfits(fit, after, fit.rms(after, finer))
+    spreads, kinds = [each.spread for each in found.values()], fit.kinds[fit.known]
+    sure = certainty(search.jacobian, fit.residual(x), kinds, fit.labels, spreads)
+    half, lacks = SIGMAS * sure.errors, None
+    shorter = fit.residual_of(finer) - fit.residual_of(after)
+    # Of an exact log nothing is left to explain.
+    if any(each.residual > WEAK * fit.scales[label] for label, each in found.items()):
+        with limit.stage("the value that would explain the residual"):
+            lacks = missing(fit, x, search.jacobian, shorter, found)
+    quality = Quality(found, lacks)
+    if quality.verdict == "bad":
+        half = np.full(len(half), np.inf)
+    elif quality.verdict == "unexplained" and lacks is not None:
+        half = half + np.abs(lacks.shift)
+    whole = sum(log.duration for log in fit.logs)
     # One step of Gauss and Newton from the estimates, by what shorter steps change.
-    moved = x - sure.inverse @ (fit.residual_of(finer) - fit.residual_of(after))
-    low, high = np.array(list(bounds.values())).T
-    half = SIGMAS * sure.errors
+    moved = x - sure.inverse @ shorter
+    low, high = np.array(list(search.bounds.values())).T
     ranges = zip((x[: len(half)] - half).tolist(), (x[: len(half)] + half).tolist(), strict=True)
 
     def named(values: np.ndarray) -> dict[str, float]:
@@ -276,14 +320,13 @@ def _result(
         logs=len(fit.logs),
         samples=int(fit.known.sum()),
         values=named(x),
-        start=named(start),
-        bounds=dict(bounds),
+        start=named(search.start),
+        bounds=dict(search.bounds),
         intervals=dict(zip(fit.labels, ranges, strict=True)),
         alike=sure.alike,
         correlations=sure.correlations,
-        residuals=fit.rms(fit.measured, after),
+        quality=quality,
         before=fit.rms(fit.measured, first),
-        integration=fit.rms(after, finer),
         finer=named(np.clip(moved[: len(low)], low, high)),
         predictable=ends,
         findings=[*findings, *fit_findings(fit, first), *horizon_findings(fit.logs, ends)],
@@ -291,14 +334,8 @@ def _result(
         model=fit.model(x),
         steps=fit.steps,
         linearised=fit.linearised,
-        ran=f"{counted(len(fit.logs), 'log')} of {seconds(sum(log.duration for log in fit.logs))} "
-        "in all",
-        notes=[
-            f"{log.name} has columns that are nothing of the model: "
-            f"{checks.cut(', '.join(log.unread), 120)}"
-            for log in fit.logs
-            if log.unread
-        ],
+        ran=f"{counted(len(fit.logs), 'log')} of {units.seconds(whole)} in all",
+        notes=[note for log in fit.logs for note in log.notes],
     )
 
 

@@ -3,18 +3,23 @@ estimates: their errors, correlations, and what cannot be told apart."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from stepcore.engine.actuator import actuators
+from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.predictable import GROWTH
-from stepcore.measure.identification.log import MeasuredLog, Series
+from stepcore.measure.identification.log import DELAY, MeasuredLog
 from stepcore.measure.identification.predictions import Predictions
-from stepcore.measure.monitors.finding import Finding, named
-from stepcore.report.units import seconds, times
+from stepcore.measure.monitors.finding import Finding, listed, named
+from stepcore.report.units import seconds
+from stepcore.report.units import times as times_said
 
 DEGREES = 180 / np.pi
 # A ratio is that of two units if it is this close to it.
@@ -29,65 +34,152 @@ RATIOS = {
     1e3: "mm",
     1e-3: "mm in the model",
 }
+# By how many times as fast the position changes as the velocity says.
+SECONDS = "times must be in seconds"
+SCALES = {DEGREES: "it looks like degrees", 1 / DEGREES: "it looks like degrees"}
+SCALES |= {1e-3: SECONDS, 1e3: SECONDS}
+# Two columns that belong together are correlated by more than this, or those of a wrong pair.
+SIGN = 0.9
 # Estimates whose correlation is above this cannot be told apart.
 ALIKE = 0.99
 # Directions of which a log says less than this share of what it says of the best known.
 WEAK = 1e-6
-# A gap of the controls is this many times as long as most of their rows are apart.
-GAP = 10
 
 
-def unit_findings(model: Model, logs: Sequence[MeasuredLog]) -> list[Finding]:
-    """Return findings on units that the logs alone show."""
+def log_findings(
+    model: Model, logs: Sequence[MeasuredLog], searched: Sequence[str]
+) -> list[Finding]:
+    """Return findings on units, signs, order and delays of columns that the logs alone show.
+
+    searched: the parameters, among which a delay may be.
+    """
     found = []
     for log in logs:
-        for joint in [k for k, kind in enumerate(model.jnt_type) if kind == "hinge"]:
-            what, value, cure = _unit_of(model, log, joint)
-            if what:
-                element = named(model, "joint", [joint])
-                problem = f"{element[0].name}: in {log.name} {what}"
-                found.append(Finding("units", "error", problem, cure, element, value))
+        joints = [k for k, kind in enumerate(model.jnt_type) if kind in ("hinge", "slide")]
+        # The same of several joints is said once.
+        alike = dict[tuple[str, str, str], tuple[list[int], str]]()
+        for kind, own, problem, cure in [
+            *_position_doubts(model, log, joints),
+            *_velocity_doubts(model, log, joints, searched),
+            *_control_doubts(model, log),
+        ]:
+            pair = " and ".join(each.name for each in named(model, "joint", own)[1:])
+            alike.setdefault((kind, cure, pair), ([], problem))[0].extend(own)
+        for (kind, cure, pair), (own, problem) in alike.items():
+            elements = named(model, "joint", own)
+            said = f"{elements[0].name} and {pair}" if pair else listed(elements, "joint")
+            text = f"{said}: in {log.name} {problem}"
+            found.append(Finding(kind, "error", text, cure, elements))
     return found
 
 
-def _unit_of(model: Model, log: MeasuredLog, joint: int) -> tuple[str, float, str]:
-    """Return what of a hinge's numbers is in another unit, by which number, and which."""
-    qpos, qvel = log.measured["qpos"], log.measured.get("qvel")
-    q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    largest = float(np.nanmax(np.abs(qpos.values[:, q])))
-    limit, degrees = float(np.abs(model.jnt_range[joint]).max()), "it looks like degrees"
-    if limit > 0 and OUTSIDE * limit < largest < OUTSIDE * DEGREES * limit:
-        what = f"its position reaches {largest:.3g} rad, its range {limit:.3g} rad"
-        return what, largest, degrees
-    ratio = None if qvel is None else _ratio(qpos, q, qvel, v)
-    if ratio is None:
-        return "", 0.0, ""
-    if _near(ratio, DEGREES):
-        return f"its position changes {times(ratio)} its velocity", ratio, degrees
-    if _near(ratio, 1 / DEGREES):
-        what = f"its velocity is {times(1 / ratio)} the change of its position"
-        return what, ratio, degrees
-    if _near(ratio, 1e-3) or _near(ratio, 1e3):
-        what = f"the position changes {times(ratio)} the measured velocity"
-        return what, ratio, "times must be in seconds"
-    return "", 0.0, ""
+# The kind of a finding, the joints, the problem and the cure.
+Doubt = tuple[str, list[int], str, str]
 
 
-def _ratio(qpos: Series, q: int, qvel: Series, v: int) -> float | None:
-    """Return how many times the change of a position is the velocity, in the least squares."""
-    known = np.isfinite(qpos.values[:, q])
-    moved, at = qpos.values[known, q], qpos.times[known]
-    have = np.isfinite(qvel.values[:, v])
-    if known.sum() < 3 or have.sum() < 3:
-        return None
-    rate, middle = np.diff(moved) / np.diff(at), (at[1:] + at[:-1]) / 2
-    speed = np.interp(middle, qvel.times[have], qvel.values[have, v])
-    if not speed @ speed > 0 or not rate @ rate > 0:
-        return None
-    ratio = float(rate @ speed / (speed @ speed))
-    # Rows so far apart that they miss the motion show nothing.
-    alike = (rate @ speed) ** 2 / ((rate @ rate) * (speed @ speed))
-    return ratio if alike > BETTER and ratio > 0 else None
+def _position_doubts(model: Model, log: MeasuredLog, joints: Sequence[int]) -> Iterator[Doubt]:
+    """Yield hinges whose positions are far outside of their range."""
+    for joint in [k for k in joints if model.jnt_type[k] == "hinge"]:
+        column = log.measured["qpos"][1][:, int(model.jnt_qposadr[joint])]
+        largest, limit = np.nanmax(np.abs(column)), float(np.abs(model.jnt_range[joint]).max())
+        if limit > 0 and OUTSIDE * limit < largest < OUTSIDE * DEGREES * limit:
+            what = f"its position reaches {largest:.3g} rad, its range {limit:.3g} rad"
+            yield "units", [joint], what, "it looks like degrees"
+
+
+def _velocity_doubts(
+    model: Model, log: MeasuredLog, joints: Sequence[int], searched: Sequence[str]
+) -> Iterator[Doubt]:
+    """Yield joints whose velocity is not the change of their position."""
+    if "qvel" not in log.measured or len(log.measured["qpos"].times) < 4:
+        return
+    (times, qpos), (clock, qvel) = log.measured["qpos"], log.measured["qvel"]
+    middle = (times[1:] + times[:-1]) / 2
+    rates = (np.diff(qpos, axis=0) / np.diff(times)[:, None])[:, model.jnt_qposadr[joints]]
+    speeds, changes = np.zeros((2, *rates.shape))
+    for k, column in enumerate(qvel[:, model.jnt_dofadr[joints]].T):
+        known = np.isfinite(column)
+        if known.sum() > 2:
+            speeds[:, k] = np.interp(middle, clock[known], column[known])
+            slope = np.gradient(column[known], clock[known])
+            changes[:, k] = np.interp(middle, clock[known], slope)
+    rates = np.nan_to_num(rates)
+    lengths = np.linalg.norm(rates, axis=0)[:, None] * np.linalg.norm(speeds, axis=0)
+    alike = np.divide(rates.T @ speeds, lengths, out=np.zeros_like(lengths), where=lengths > 0)
+    for kind, own, what in _disordered(alike, "velocity", "the change of its position"):
+        yield kind, [joints[k] for k in own], what, "check the names and signs of the columns"
+    for k, joint in enumerate(joints):
+        # Rows so far apart that they miss the motion show nothing.
+        if alike[k, k] <= math.sqrt(BETTER):
+            continue
+        ratio = float(alike[k, k] * lengths[k, k] / (speeds[:, k] @ speeds[:, k]))
+        turns = model.jnt_type[joint] == "hinge"
+        for unit, cure in SCALES.items():
+            if _near(ratio, unit) and (turns or cure == SECONDS):
+                what = f"its position changes {times_said(ratio)} its velocity"
+                if ratio < 1:
+                    what = f"its velocity is {times_said(1 / ratio)} the change of its position"
+                yield "units", [joint], what, cure
+        off, slope = rates[:, k] - speeds[:, k], changes[:, k]
+        late = float(off @ slope / (slope @ slope)) if slope.any() else 0.0
+        # Longer than a row, and five times what noise makes of it.
+        enough = 5 * math.sqrt(float(off @ off) / len(off) / max(float(slope @ slope), 1e-300))
+        delays = any(label.startswith(f"{DELAY}/") for label in searched)
+        if not delays and abs(late) > max(enough, float(np.median(np.diff(times)))):
+            word, array = ("velocity", "qvel") if late > 0 else ("position", "qpos")
+            what = f"its {word} is {seconds(abs(late))} late"
+            yield "delay", [joint], what, f'search "delay/{array}" too'
+
+
+def _control_doubts(model: Model, log: MeasuredLog) -> Iterator[Doubt]:
+    """Yield joints whose actuators push another way than the measured motion needs."""
+    times, qpos = log.measured["qpos"]
+    drives = [each for each in actuators(model) if each.direct and each.gain and each.gear]
+    known = np.isfinite(qpos).all() and len(times) > 8
+    if not drives or not known or model.settings.law != "solref":
+        return
+    moved = Coordinates(model).change(qpos[:-2], qpos[2:])
+    qvel, at = moved / (times[2:] - times[:-2])[:, None], times[1:-1]
+    if "qvel" in log.measured and np.isfinite(log.measured["qvel"].values).all():
+        clock, seen = log.measured["qvel"]
+        qvel = np.column_stack([np.interp(at, clock, column) for column in seen.T])
+    qacc, sim = np.gradient(qvel, at, axis=0), unwatched(Sim(model))
+    rows = np.unique(np.linspace(1, len(at) - 2, 200).astype(int))
+    force = np.empty((len(rows), model.nv))
+    for row, k in enumerate(rows):
+        sim.qpos[:], sim.qvel[:] = qpos[k + 1], qvel[k]
+        sim.forward()
+        force[row] = sim.inverse(qacc[k])
+    gain, gear, offset, kp, kv = np.array(
+        [(each.gain, each.gear, each.offset, each.kp, each.kv) for each in drives]
+    ).T
+    dofs, places = [each.dof for each in drives], [each.qposadr for each in drives]
+    feedback = kp * gear * qpos[rows + 1][:, places] + kv * gear * qvel[rows][:, dofs]
+    needed = (force[:, dofs] / gear - offset + feedback) / gain
+    own = [each.index for each in drives]
+    given = [log.controls.steps(float(at[k]), model.settings.dt, 1)[0, own] for k in rows]
+    both = np.column_stack([needed, given])
+    spread = both.std(axis=0)
+    scaled = (both - both.mean(axis=0)) / np.where(spread > 0, spread, np.inf)
+    alike = (scaled[:, : len(drives)].T @ scaled[:, len(drives) :]) / len(scaled)
+    for kind, own, what in _disordered(alike, "control", "the one that its motion needs"):
+        joints = [drives[k].joint or 0 for k in own]
+        yield kind, joints, what, "check the names and signs of the control columns"
+
+
+def _disordered(alike: np.ndarray, what: str, other: str) -> Iterator[tuple[str, list[int], str]]:
+    """Yield what is of another joint, or of the other sign: kind, numbers, problem.
+
+    alike: correlations of each joint's first number with each joint's second, near 1 on a diagonal.
+    """
+    own = np.diag(alike)
+    for k in np.flatnonzero(own < -SIGN).tolist():
+        yield "sign", [k], f"its {what} has the opposite sign of {other}"
+    for j, k in itertools.combinations(range(len(own)), 2):
+        crossed = min(alike[j, k], alike[k, j])
+        # Fingers that move together are as much alike as their own columns.
+        if crossed > SIGN and 1 - max(own[j], own[k]) > 4 * (1 - crossed):
+            yield "swapped", [j, k], f"the {what} of each is {other} of the other"
 
 
 def _near(ratio: float, unit: float) -> bool:
@@ -109,19 +201,19 @@ def fit_findings(fit: Predictions, predicted: np.ndarray) -> list[Finding]:
         left, before = np.sum((known - ratio * made) ** 2), np.sum((known - made) ** 2)
         word = next((word for unit, word in RATIOS.items() if _near(ratio, unit)), None)
         if word is not None and left < BETTER**2 * before:
-            problem = f"{label}: measured {times(ratio)} the prediction"
+            problem = f"{label}: measured {times_said(ratio)} the prediction"
             cure = f"it looks like another unit, {word}"
             found.append(Finding("units", "error", problem, cure, (), ratio))
     return found
 
 
 def gap_findings(logs: Sequence[MeasuredLog]) -> list[Finding]:
-    """Return findings on controls that are missing for long."""
+    """Return findings on controls that are missing for ten times as long as their rows last."""
     cure, found = "the last ones before it were held; split the log there if they were not", []
     for log in logs:
         times = log.controls.times
         apart = np.diff(times)
-        for k in np.flatnonzero(apart > GAP * np.median(apart)) if len(apart) else ():
+        for k in np.flatnonzero(apart > 10 * np.median(apart)) if len(apart) else ():
             gap = f"{log.name} has no controls for {seconds(apart[k])} from {seconds(times[k])} on"
             found.append(Finding("gap", "warning", gap, cure))
     return found
@@ -148,7 +240,7 @@ def horizon_findings(logs: Sequence[MeasuredLog], ends: Sequence[float]) -> list
         if end < log.duration:
             problem = (
                 f"{log.name} can be predicted for {seconds(end)} of {seconds(log.duration)}: from "
-                f"then on what is off at its beginning has grown {times(GROWTH)}"
+                f"then on what is off at its beginning has grown {times_said(GROWTH)}"
             )
             cure = f"cut it into pieces of {seconds(end)} or less, and give them as a list"
             found.append(Finding("horizon", "warning", problem, cure, (), end, "s"))
@@ -173,18 +265,26 @@ class Certainty:
 
 
 def certainty(
-    jacobian: np.ndarray, residual: np.ndarray, kinds: np.ndarray, labels: Sequence[str]
+    jacobian: np.ndarray,
+    residual: np.ndarray,
+    kinds: np.ndarray,
+    labels: Sequence[str],
+    spreads: Sequence[float],
 ) -> Certainty:
     """Return the certainty of estimates from the Jacobian of the residuals.
 
     jacobian: shape (n, all), of which the first columns are of the parameters `labels`.
     residual: shape (n,). kinds: the quantity of each residual, whose variance is its own.
+    spreads: of each quantity, how many times the variance of a mean is that of white noise.
 
     The estimates are off by J⁺ e, whose covariance is J⁺ V J⁺ᵀ with the variances V of e.
     """
     spare = max(1, len(residual) - jacobian.shape[1]) / len(residual)
     variances = np.array(
-        [np.mean(residual[kinds == kind] ** 2) / spare for kind in range(kinds.max() + 1)]
+        [
+            spread * np.mean(residual[kinds == kind] ** 2) / spare
+            for kind, spread in enumerate(spreads)
+        ]
     )
     inverse, turns, weak = _inverse(jacobian)
     count = len(labels)

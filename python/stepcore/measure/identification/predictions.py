@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -14,11 +15,13 @@ from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.gradients import Steps, sensitivities
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import columns, own_value, split_entry
+from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 from stepcore.measure.identification.log import (
     DELAY,
     MEASURED,
     MeasuredLog,
+    Series,
     entries_of,
     is_delay,
     late_entries,
@@ -48,8 +51,8 @@ class Predictions:
 
     labels: the parameters, in this order. parts: what was measured. measured: all of its numbers,
     one part after another, as predictions have them; known: which of them are no NaN. kinds: the
-    number in `quantities` of each. steps: time steps made in all. linearised: of these, how many
-    were linearised too.
+    number in `quantities` of each. threads: of the linearisation. steps: time steps made in all.
+    linearised: of these, how many were linearised too.
     """
 
     def __init__(
@@ -58,7 +61,9 @@ class Predictions:
         logs: Sequence[MeasuredLog],
         labels: Sequence[str],
         scales: Mapping[str, float] | None = None,
+        threads: int = 1,
     ) -> None:
+        self.threads = threads
         self.base, self.logs, self.labels = model, logs, tuple(labels)
         self.paths = [label for label in labels if not is_delay(label)]
         self.free = 2 * model.nv * len(logs)
@@ -78,7 +83,7 @@ class Predictions:
     def until(self, share: float) -> Predictions:
         """Return the predictions of the beginning of each log, in the same units."""
         logs = [log.until(share * log.duration) for log in self.logs]
-        return Predictions(self.base, logs, self.labels, self.scales)
+        return Predictions(self.base, logs, self.labels, self.scales, self.threads)
 
     def model(self, x: np.ndarray) -> Model:
         """Return the model with these values of the parameters."""
@@ -97,7 +102,11 @@ class Predictions:
     def _made(self, x: np.ndarray, finer: int = 1) -> list[Run]:
         model = self.model(x)
         short = Change(dt=model.settings.dt / finer).of(model)
-        return [Run(self, short, x, nth) for nth in range(len(self.logs))]
+        runs = []
+        for nth in range(len(self.logs)):
+            checkpoint()
+            runs.append(Run(self, short, x, nth))
+        return runs
 
     def predicted(self, x: np.ndarray, finer: int = 1) -> np.ndarray:
         """Return the predictions of all parts; finer: by so many steps for one."""
@@ -111,6 +120,11 @@ class Predictions:
     def residual_of(self, predicted: np.ndarray) -> np.ndarray:
         """Return the residual of predictions."""
         return ((predicted - self.measured) / self._units)[self.known]
+
+    def in_units(self, sizes: Sequence[float]) -> np.ndarray:
+        """Return a size of each quantity, in its unit, as one of each residual in theirs."""
+        whole: np.ndarray = (np.asarray(sizes)[self.kinds] / self._units)[self.known]
+        return whole
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivative of the residuals by x."""
@@ -142,7 +156,7 @@ class Run:
         # What the first position and velocity are off.
         self.off = x[len(fit.labels) :].reshape(-1, 2, nv)[nth]
         self.delay = float(x[fit.labels.index(DELAY)]) if DELAY in fit.labels else 0.0
-        batch = unwatched(Batch(model, 1, threads=1))
+        batch = unwatched(Batch(model, 1, threads=fit.threads))
         batch.qpos = Coordinates(model).nudged(self.log.start[0], self.off[0])
         batch.qvel = self.log.start[1] + self.off[1]
         count = self.log.steps(self.dt)
@@ -259,6 +273,40 @@ class Run:
         table = np.full((self.steps.count + 1, *own.shape[1:]), np.nan)
         table[near] = own
         return table
+
+
+def cut(model: Model, logs: Sequence[MeasuredLog], length: float | None) -> list[MeasuredLog]:
+    """Return logs in pieces of a length [s], each from a row with a whole qpos on; None: as is."""
+    if length is None:
+        return list(logs)
+    pieces = []
+    for log in logs:
+        times, qpos = log.measured["qpos"]
+        whole = times[np.isfinite(qpos).all(axis=1)]
+        marks = np.arange(length, log.duration - length / 2, length)
+        begins = np.unique([0.0, *whole[np.searchsorted(whole, marks).clip(max=len(whole) - 1)]])
+        for begin, end in zip(begins, [*begins[1:], np.inf], strict=True):
+            pieces.append(_piece(model, log, begin, end) if begin or end < np.inf else log)
+    return pieces
+
+
+def _piece(model: Model, log: MeasuredLog, begin: float, end: float) -> MeasuredLog:
+    """Return the rows of a log from one time to before another [s], with the first state there."""
+    measured = {}
+    for name, (times, values) in log.measured.items():
+        own = (times >= begin) & (times < end)
+        if np.isfinite(values[own]).any():
+            measured[name] = Series(times[own] - begin, values[own])
+    (times, qpos), first = measured["qpos"], log.start[1]
+    if begin:
+        later = qpos[1:][np.isfinite(qpos[1:]).all(axis=1)]
+        after = times[1:][np.isfinite(qpos[1:]).all(axis=1)]
+        first = Coordinates(model).change(qpos[0], later[0]) / after[0] if len(after) else 0 * first
+        if "qvel" in measured and measured["qvel"].times[0] == 0.0:
+            seen = measured["qvel"].values[0]
+            first = np.where(np.isfinite(seen), seen, first)
+    controls = replace(log.controls, times=log.controls.times - begin)
+    return replace(log, measured=measured, controls=controls, start=(qpos[0], first))
 
 
 def _parts(model: Model, logs: Sequence[MeasuredLog], labels: Sequence[str]) -> list[Part]:

@@ -11,14 +11,17 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.measure.identification.log import DELAY, is_delay
+from stepcore.measure.identification.misfit import Quality
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted
+from stepcore.report.units import counted, times
 from stepcore.scene.value_paths import WHOLE
 
 # The step whose integration error is looked at is this many times shorter.
 FINER = 4
+# What explains a log, by the verdict on the fit.
+LIMITS = {"noise": "its noise", "step": "the error of its time step"}
 # The columns of estimates that are numbers.
 NUMBERS = ("value", "low", "high", "before", "finer")
 
@@ -61,7 +64,10 @@ class Identification(Result):
 
     settings: of the runs. logs: how many there were. samples: measured numbers in all.
     values: the estimates by path. start: the values before. bounds: the ranges given.
-    intervals: 95 % intervals by path, (low, high), from the residuals, taken as independent noise.
+    intervals: 95 % intervals by path, (low, high), widened by what is not noise in the residuals;
+        infinite where the logs say nothing, and if more is unexplained than the noise.
+    quality: how much of the residual of each quantity is noise, and the value that would explain
+        most of the rest.
     alike: sets of parameters that the logs cannot tell apart.
     correlations: of the estimates, shape (n, n), in the order of `values`.
     residuals, before: RMS residual of each quantity after and before, such as "qpos[knee]" [m or
@@ -97,9 +103,8 @@ class Identification(Result):
     intervals: dict[str, tuple[float, float]]
     alike: list[tuple[str, ...]]
     correlations: np.ndarray
-    residuals: dict[str, float]
+    quality: Quality
     before: dict[str, float]
-    integration: dict[str, float]
     finer: dict[str, float]
     predictable: list[float]
     findings: list[Finding]
@@ -123,9 +128,46 @@ class Identification(Result):
         return f"{counted(self.samples, 'measured number')}, {made}. {self.settings!r}"
 
     @property
+    def residuals(self) -> dict[str, float]:
+        return {label: misfit.residual for label, misfit in self.quality.misfits.items()}
+
+    @property
+    def integration(self) -> dict[str, float]:
+        return {label: misfit.step for label, misfit in self.quality.misfits.items()}
+
+    @property
     def sentences(self) -> list[str]:
-        """The estimates, what is doubtful about them, and the residuals."""
-        return [*self._estimates(), *self._doubts(), *self._remains()]
+        """How good the fit is, what is doubtful about the logs, the estimates and the residuals."""
+        found = [finding.text for finding in self.findings]
+        return [self.fit, *found, *self._estimates(), *self._doubts(), *self._remains()]
+
+    @property
+    def fit(self) -> str:
+        """How good the fit is, in a sentence."""
+        logs = "log" if self.logs == 1 else "logs"
+        label, lacks, verdict = self.quality.worst, self.quality.missing, self.quality.verdict
+        if verdict in LIMITS:
+            return f"The model explains the {logs} to within {LIMITS[verdict]}."
+        worst = self.quality.misfits[label]
+        said = f"{self._amount(label, worst.residual)}, {times(worst.ratio)} the noise"
+        said = f"The fit is bad: {said}"
+        if verdict == "unexplained":
+            said = "The residual is about as small as the noise, but not random"
+        if lacks is None:
+            return f"{said}."
+        if lacks.share < 0.5:
+            return f"{said}; no single value besides these explains most of it."
+        return f"{said}; it looks like {lacks.looks} ({in_words(lacks.label)}?)."
+
+    def _amount(self, label: str, value: float) -> str:
+        """Return a residual with its unit: "0.1 rad at knee"."""
+        array, _, name = label.removesuffix("]").partition("[")
+        names = self.model.names["joint"]
+        kind = self.model.jnt_type[names.index(name)] if name in names else ""
+        unit = {"hinge": " rad", "slide": " m"}.get(kind, "")
+        if array not in ("qpos", "qvel") or not unit:
+            return f"{value:.2g} RMS of {label}"
+        return f"{value:.2g}{unit}{'/s' if array == 'qvel' else ''} RMS at {name}"
 
     def _estimates(self) -> Iterator[str]:
         for path, value in self.values.items():
@@ -135,7 +177,6 @@ class Identification(Result):
             yield f"{path} = {value:.6g} ({interval}; it was {self.start[path]:.6g})."
 
     def _doubts(self) -> Iterator[str]:
-        yield from (finding.text for finding in self.findings)
         for paths in self.alike:
             *others, last = map(in_words, paths)
             yield (
@@ -173,7 +214,12 @@ class Identification(Result):
 
     @property
     def unknown(self) -> list[str]:
-        """The parameters of which the logs say little: the interval is half of the range."""
+        """The parameters of which the logs say little: the interval is half of the range.
+
+        None of a bad fit, which has no intervals.
+        """
+        if self.quality.verdict == "bad":
+            return []
         spans = {
             path: (np.ptp(self.intervals[path]), np.ptp(own)) for path, own in self.bounds.items()
         }
@@ -197,13 +243,20 @@ class Identification(Result):
     @property
     def residual_table(self) -> Table:
         """A row for each measured quantity, RMS."""
-        columns = {"residual": self.residuals, "before": self.before, "finer": self.integration}
         rows = [
-            {"quantity": key, **{name: column[key] for name, column in columns.items()}}
-            for key in self.residuals
+            {
+                "quantity": key,
+                "residual": each.residual,
+                "noise": each.noise,
+                "white": "yes" if each.white else "no",
+                "before": self.before[key],
+                "finer": each.step,
+            }
+            for key, each in self.quality.misfits.items()
         ]
         heading = (
-            "RMS residual of each quantity; finer: what shorter steps change of its prediction"
+            "RMS residual of each quantity, and what of it is noise; finer: what shorter steps "
+            "change of its prediction"
         )
         return Table(rows, heading=heading)
 
@@ -224,6 +277,7 @@ class Identification(Result):
 
     def details(self) -> dict[str, Any]:
         """Return further numbers of the result."""
+        lacks = self.quality.missing
         names = ("values", "intervals", "alike", "residuals", "integration", "finer")
         more = ("predictable", "steps", "linearised")
         return {
@@ -231,6 +285,9 @@ class Identification(Result):
             "correlations": self.correlations.tolist(),
             "residuals_before": self.before,
             "findings": [finding.record() for finding in self.findings],
+            "misfits": {label: vars(misfit) for label, misfit in self.quality.misfits.items()},
+            "fit": self.quality.verdict,
+            "missing": lacks and {"path": lacks.label, "share": lacks.share},
         }
 
 

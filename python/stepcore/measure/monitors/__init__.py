@@ -6,6 +6,9 @@ look at a run of the scene as shipped.
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.experiment.schedule import Schedule
@@ -46,8 +49,9 @@ def monitored(
     was made already, and may be longer.
     """
 
-    def again(other: Model) -> Recording | None:
-        run = recorded(other, schedule)
+    def again(other: Model, share: float) -> Recording | None:
+        periods = math.ceil(share * schedule.periods)
+        run = recorded(other, dataclasses.replace(schedule, periods=periods))
         return run if run.failure is None else None
 
     run = cut(model, schedule, ran) or recorded(model, schedule)

@@ -197,7 +197,7 @@ def _overlapping(
     bodies = model.geom_body[list(geoms)].tolist()
     roots = run.roots[bodies].tolist()
     mover = model.element_name("body", bodies[1] if roots[1] else bodies[0])
-    cure = f"move {mover} away by that much in the model or in the keyframe"
+    cure = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
     if roots[0] == roots[1] and roots[0]:
         a, b = (model.body_names[body] or "…" for body in bodies)
         exclude = f'<exclude body1="{a}" body2="{b}"/>'

@@ -39,8 +39,8 @@ LEFT = 0.1
 # Number of elements that a sentence names after the first.
 OTHERS = 3
 # The cost of all cures' runs, in steps × (dofs + 2). Go2 takes 0.35 s for 10⁵ of that, its findings
-# included.
-EFFORT = 3e5
+# included; what cures cup.xml is known after 6e5.
+EFFORT = 1e6
 # The parts of a time step that are tried.
 PARTS = (1, 2, 4)
 
@@ -84,6 +84,8 @@ class Remedy:
     most: the largest number of alternatives that are named.
     now: the problem itself, measured as by `left`; by default the finding's value.
     needed: whether the finding stands only if a cure holds, which shows its cause.
+    by: the share of the run in which the problem is seen. A cure is first run so far, since most
+        that fail do so at once.
     again: makes the run that `left` reads with another model; by default the motion of the finding.
     """
 
@@ -94,6 +96,7 @@ class Remedy:
     most: int = 1
     now: float | None = None
     needed: bool = False
+    by: float = 1.0
     again: Callable[[Model], Any] | None = None
 
 
@@ -174,12 +177,16 @@ def others(elements: Sequence[Element], noun: str) -> str:
     return f" (and {', '.join(of.name for of in elements[:OTHERS])}{rest})"
 
 
-# Runs the motion of a finding with another model, and returns the `Recording`; None if that fails.
-Again = Callable[[Model], Any]
+# Runs a share of the motion of a finding with another model, and returns the `Recording`; None if
+# that fails.
+Again = Callable[[Model, float], Any]
 
 
 def verified(
-    findings: Iterable[Finding], model: Model, again: Again = lambda model: None, steps: int = 0
+    findings: Iterable[Finding],
+    model: Model,
+    again: Again = lambda model, share: None,
+    steps: int = 0,
 ) -> list[Finding]:
     """Return findings with the cures that were seen to hold, and with what they leave.
 
@@ -188,17 +195,25 @@ def verified(
     model: the model of the run. again: runs the same motion with another model; by default only
     cures with a motion of their own are run. steps: the number of time steps of the run.
     """
-    trials = _Trials(model, again, float(steps * (model.nv + 2)))
+    trials = _Trials(model, again, steps)
     return [cured for finding in findings if (cured := trials.cured(finding)) is not None]
+
+
+class _Held(NamedTuple):
+    """A cure that holds, what it leaves, and the share of the run in which that was seen."""
+
+    left: float
+    cure: Cure
+    share: float
 
 
 @dataclass
 class _Trials:
-    """The runs of cures. cost: of one run. effort: what is left."""
+    """The runs of cures. steps: of one run. effort: what is left of `EFFORT`."""
 
     model: Model
     again: Again
-    cost: float
+    steps: int
     effort: float = EFFORT
 
     def cured(self, finding: Finding) -> Finding | None:
@@ -210,11 +225,11 @@ class _Trials:
         also = f", or {finding.cure}" if finding.cure else ""
         held, failed, untried = self._run(remedy, finding.value)
         if held:
-            words = ", or ".join(f"{cure.words} leaves {remedy.say(left)}" for left, cure in held)
-            settings = dict(held[0][1].change.settings)
-            commands = (*_commands(held[0][1].change), *finding.commands)
+            words = ", or ".join(self._words(remedy, one) for one in held)
+            change = held[0].cure.change
+            commands = (*_commands(change), *finding.commands)
             return dataclasses.replace(
-                finding, cure=words + also, settings=settings, commands=commands
+                finding, cure=words + also, settings=dict(change.settings), commands=commands
             )
         if remedy.needed and (failed or finding.severity == "remark"):
             return None
@@ -223,49 +238,55 @@ class _Trials:
         words = f"tried without success, and more of it: {'; '.join(failed)}" if failed else ""
         return dataclasses.replace(finding, cure=finding.cure or words)
 
-    def _run(
-        self, remedy: Remedy, value: float | None
-    ) -> tuple[list[tuple[float, Cure]], list[str], str]:
-        """Return cures that hold, or else the one that helps most, and what they leave.
+    def _words(self, remedy: Remedy, held: _Held) -> str:
+        length = held.share * self.steps * self.model.settings.dt
+        within = f" in the first {seconds(float(f'{length:.2g}'))}" if held.share < 1 else ""
+        return f"{held.cure.words} leaves {remedy.say(held.left)}{within}"
+
+    def _run(self, remedy: Remedy, value: float | None) -> tuple[list[_Held], list[str], str]:
+        """Return cures that hold, or else the one that helps most.
 
         Then the first cures of the ways that failed, and the first that there was no time for.
         """
         now = value if remedy.now is None else remedy.now
         helps = math.inf if now is None else HALF * abs(now)
-        held, helped = list[tuple[float, Cure]](), list[tuple[float, Cure]]()
-        failed, untried = list[str](), ""
+        held, helped, failed, untried = list[_Held](), list[_Held](), list[str](), ""
         for way in remedy.ways:
             for cure in way if len(held) < remedy.most else ():
-                ran, left = self._tried(remedy, cure)
-                if not ran:
+                share, left = self._tried(remedy, cure)
+                if not share:
                     untried = untried or cure.words
                     break
                 failed += [cure.words] * (cure is way[0])
                 if left is not None and left <= remedy.enough:
-                    held.append((left, cure))
+                    held.append(_Held(left, cure, share))
                     break
                 if left is not None and left <= helps:
-                    helped.append((left, cure))
-        return held or sorted(helped, key=lambda entry: entry[0])[:1], failed, untried
+                    helped.append(_Held(left, cure, share))
+        return held or sorted(helped)[:1], failed, untried
 
-    def _tried(self, remedy: Remedy, cure: Cure) -> tuple[bool, float | None]:
-        """Run a cure: whether there was time for it, and what it leaves.
+    def _tried(self, remedy: Remedy, cure: Cure) -> tuple[float, float | None]:
+        """Run a cure: the share of the motion that there was time for, and what it leaves.
 
         What it leaves is None if its run fails, or makes an error of its own.
         """
-        dt = self.model.settings.dt
-        cost = max(1.0, dt / dict(cure.change.settings).get("dt", dt)) * self.cost
-        if cost > self.effort:
-            return False, None
-        self.effort -= cost
-        ran, left = False, None
-        with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
-            try:
-                seen = (remedy.again or self.again)(cure.change.of(self.model))
-                left = None if seen is None else remedy.left(seen)
-            except (ValueError, SimulationError):
-                left = None
-            ran = True
+        dt, ran, left = self.model.settings.dt, 0.0, None
+        finer = max(1.0, dt / dict(cure.change.settings).get("dt", dt))
+        for share in sorted({min(remedy.by, 1.0), 1.0}):
+            cost = finer * share * self.steps * (self.model.nv + 2)
+            if cost > self.effort:
+                return ran, left
+            self.effort -= cost
+            with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
+                try:
+                    changed = cure.change.of(self.model)
+                    seen = remedy.again(changed) if remedy.again else self.again(changed, share)
+                    left = None if seen is None else remedy.left(seen)
+                except (ValueError, SimulationError):
+                    left = None
+                ran = share
+            if left is None or left > remedy.enough:
+                return 1.0, left
         return ran, left
 
 

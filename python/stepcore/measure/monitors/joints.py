@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +28,7 @@ from stepcore.measure.monitors.finding import (
     HALF,
     LEFT,
     OTHERS,
+    PARTS,
     PLOT,
     SEEN,
     TEST_CONTACTS,
@@ -39,7 +40,7 @@ from stepcore.measure.monitors.finding import (
     named,
     worst,
 )
-from stepcore.measure.monitors.recording import Recording, free_bodies, settled
+from stepcore.measure.monitors.recording import FEWEST, Recording, free_bodies, settled
 from stepcore.measure.monitors.soft_rows import stiffened
 from stepcore.report.units import (
     FORCES,
@@ -345,6 +346,12 @@ def actuator_findings(run: Recording) -> Iterator[Finding]:
         yield _sags(model, sagging)
     # A servo that presses against an object or a limit does so on purpose, and may be saturated.
     presses = {at.actuator.index for at in still if not at.loaded}
+    rests = {at.actuator.index for at in still}
+    behind = worst(following(run, rests, full), lambda at: at.error / at.width)
+    behind = [at for at in behind if _reason(model, at)]
+    if behind:
+        yield _behind(run, behind)
+        full = {k: full[k] for k in full if k not in {at.actuator.index for at in behind}}
     servos = [of.index for of in _servos(model) if of.index in full.keys() - presses]
     ends = worst(servos, lambda k: full[k] / THIRD)
     if ends:
@@ -369,6 +376,166 @@ def _saturated(run: Recording) -> dict[int, float]:
     low, high = (np.isclose(force, end, 1e-9, 0) for end in run.model.actuator_forcerange.T)
     shares = np.mean((low | high) & (force != 0), axis=0) if len(force) else np.zeros(run.model.nu)
     return {k: float(share) for k, share in enumerate(shares) if share}
+
+
+class Following(NamedTuple):
+    """A servo on its way. Lengths are those before the gear.
+
+    error: RMS from its target. width: RMS of the target's motion, or, of one that is held, the sag
+    that is a warning. hertz: the frequency that has most of the motion; 0 without one. share, lag:
+    of its amplitude [1], and behind it [rad]. full: the share of the time at an end of its force.
+    load: the largest that it has to hold [N·m or N]. need: that of the motion asked for.
+    """
+
+    actuator: Actuator
+    error: float
+    width: float
+    hertz: float
+    share: float
+    lag: float
+    full: float
+    load: float
+    need: float
+
+    @property
+    def omega(self) -> float:
+        """Its natural frequency [rad/s]."""
+        return math.sqrt(self.actuator.stiffness / self.actuator.inertia)
+
+    @property
+    def rings(self) -> bool:
+        """Whether its damping takes less than a factor e of a swing in one second."""
+        return self.actuator.damping / 2 / self.actuator.inertia < 1
+
+    @property
+    def passes(self) -> float:
+        """The frequency at which its gain falls to 1/√2, at small amplitudes [Hz]."""
+        x = 1 - (self.actuator.damping / self.omega / self.actuator.inertia) ** 2 / 2
+        return self.omega * math.sqrt(x + math.hypot(x, 1)) / (2 * math.pi)
+
+    @property
+    def weak(self) -> bool:
+        """Whether its load over its kp is most of its error."""
+        return self.load / self.actuator.kp > HALF * self.error
+
+    @property
+    def late(self) -> bool:
+        """Whether it follows one frequency, with a delay."""
+        return self.hertz > 0 and self.lag >= 0 and not self.weak
+
+
+def _reason(model: Model, at: Following) -> str:
+    """Return why a servo is behind, in words; "" if none of these shows it."""
+    of, said = at.actuator, ""
+    say: Callable[[float], str] = functools.partial(strength, model, of.index)
+    if at.full > THIRD:
+        more = f", and the motion needs {say(at.need)}" if at.need > of.bound else ""
+        return f"its force ends at {say(of.bound)} for {percent(at.full)} of the run{more}"
+    if at.weak:
+        said = f"its kp {of.kp:.3g} is too small for its load of {say(at.load)}"
+    elif 0 < at.passes < at.hertz:
+        said = f"its bandwidth is {at.passes:.3g} Hz with kp {of.kp:.3g} and kv {of.kv:.3g}"
+    ratio = of.damping / 2 / math.sqrt(of.stiffness * of.inertia)
+    rings = f"its kv {of.kv:.3g} damps nothing (damping ratio {ratio:.2g})" * at.rings
+    return " and ".join(filter(None, (said, rings)))
+
+
+def following(
+    run: Recording, rests: Collection[int], full: Mapping[int, float]
+) -> Iterator[Following]:
+    """Yield servos whose targets move, and others that come to no rest where nothing holds them."""
+    # The controls of the first reading have led to no step.
+    model, run = run.model, run.part(1)
+    if run.late < 0:
+        return
+    some = np.unique(np.linspace(0, len(run) - 1, FEWEST).astype(int)).tolist()
+    held = np.max([np.abs(loads(run.at(k))) for k in some], axis=0)
+    for of in _servos(model):
+        asked = of.target(np.clip(run["ctrl"][:, of.index], *of.ctrlrange))
+        moves, length = np.ptp(asked) > 0, of.gear * run["qpos"][:, of.qposadr]
+        still = of.index in rests or int(run.roots[model.jnt_body[of.joint]]) in free_bodies(model)
+        if not moves and still:
+            continue
+        first = 0 if moves else run.late
+        error = math.sqrt(float(np.mean((asked - length)[first:] ** 2)))
+        load = float(held[of.dof]) / abs(of.gear)
+        hertz, share, lag, size = _wave(run, of, asked, length) if moves else (0.0,) * 4
+        need = of.inertia / of.gear**2 * (2 * np.pi * hertz) ** 2 * size + load
+        width = float(np.std(asked)) if moves else FEW / SEEN * _notable(model, of)
+        at = Following(of, error, width, hertz, share, lag, full.get(of.index, 0), load, need)
+        # Of one that is held, a swing is seen in a period.
+        if moves or at.omega * (len(run) - first) * run.spacing > 2 * np.pi:
+            yield at
+
+
+def _wave(
+    run: Recording, of: Actuator, asked: Floats, length: Floats
+) -> tuple[float, float, float, float]:
+    """Return frequency [Hz], share, lag and amplitude of the motion asked for; zeros without one.
+
+    A motion that readings do not resolve has none: its differences are slower than its speeds.
+    """
+    speeds = abs(of.gear) * np.abs(run["qvel"][:, of.dof])
+    made = np.abs(np.diff(length)) / (run.spacing or 1.0)
+    power = np.fft.rfft(asked - asked.mean())[1:]
+    sizes = np.abs(power) ** 2
+    if not len(sizes) or sizes.max() < HALF * sizes.sum() or made.mean() < HALF * speeds.mean():
+        return 0.0, 0.0, 0.0, 0.0
+    k = int(sizes.argmax())
+    passed = complex(np.fft.rfft(length - length.mean())[1 + k] / power[k])
+    hertz = (k + 1) / (len(run) * run.spacing)
+    return hertz, abs(passed), -math.atan2(passed.imag, passed.real), math.sqrt(2) * asked.std()
+
+
+def _behind(run: Recording, found: list[Following]) -> Finding:
+    """Return a finding on servos that do not follow, with gains that were run."""
+    model, first = run.model, found[0]
+    of, indices = first.actuator, [at.actuator.index for at in found]
+    assert of.joint is not None
+    joint, elements = of.joint, named(model, "actuator", indices)
+
+    def say(error: float) -> str:
+        return f"{length_of(model, joint, error / abs(of.gear))} RMS"
+
+    does = f"is {say(first.error)} from its target"
+    if first.late:
+        late = f"{math.degrees(first.lag):.0f}° late"
+        does = f"follows {first.hertz:.2g} Hz with {percent(first.share)} of the amplitude, {late}"
+        does += f" ({say(first.error)} of error)"
+    problem = f"{listed(elements, 'servo')} {does}, because {_reason(model, first)}"
+    ways = [tuple(_gained(model, found, part, False) for part in PARTS)]
+    if first.full > THIRD:
+        ways = [tuple(_gained(model, found, part, True) for part in PARTS)]
+
+    def left(other: Recording) -> float:
+        every = following(other, (), {})
+        errors = {at.actuator.index: at.error / at.width for at in every}
+        return first.width * max((errors.get(k, 0.0) for k in indices), default=0.0)
+
+    remedy = Remedy(tuple(ways), left, HALF * first.width, say)
+    cure = "a slower or smaller motion" if first.late else ""
+    unit, value = unit_of(model, joint), first.error / abs(of.gear)
+    what = "servo does not follow", "warning", problem, cure, elements, value, unit, PLOT
+    return Finding(*what, remedy=remedy)
+
+
+def _gained(model: Model, found: Sequence[Following], part: int, bound: bool) -> Cure:
+    """Return critically damped gains that should follow; bound: with the forces that this needs."""
+    values, words = dict[str, Any](), list[str]()
+    for at in found:
+        of, inertia = at.actuator, at.actuator.inertia / at.actuator.gear**2
+        # At this frequency a critically damped servo has 1/√2 of the amplitude.
+        least = inertia * (2 * math.pi * at.hertz) ** 2 / (math.sqrt(2) - 1)
+        kp = rounded(part**2 * max(of.kp, least, at.load / (LEFT * at.width)))
+        kv = rounded(2 * math.sqrt(kp * inertia))
+        values |= gained(model, of.index, kp, kv)
+        words.append(f"kp {kp:g} and kv {kv:g}")
+        if bound:
+            force = rounded(part * at.need, 2, up=True)
+            values[f"actuator/#{of.index}/forcerange"] = (-force, force)
+            words[-1] += f" with a forcerange of ±{force:g}"
+    more = f" ({len(words) - 1} more in proportion)" if len(words) > 1 else ""
+    return Cure(words[0] + more, Change(values))
 
 
 class Servo(NamedTuple):
@@ -484,20 +651,22 @@ def stronger(model: Model, ratios: Mapping[int, float], damped: bool) -> dict[st
     damped: whether kv grows, too, so that the damping ratio is kept.
     """
     changes: dict[str, Any] = {}
+    every = actuators(model)
     for k, ratio in ratios.items():
-        fields = {field.name: field for field in Element.of(model, "actuator", k).fields(model)}
         faster = math.sqrt(ratio) if damped else 1.0
-        if "kp" in fields:
-            changes[f"actuator/#{k}/kp"] = rounded(fields["kp"].value * ratio)
-            if fields["kv"].value > 0:
-                changes[f"actuator/#{k}/kv"] = rounded(fields["kv"].value * faster)
-        elif "biasprm" in fields:
-            for name, factors in (("gainprm", [ratio]), ("biasprm", [1.0, ratio, faster])):
-                terms = np.atleast_1d(np.asarray(fields[name].value, float))
-                terms[: len(factors)] *= factors[: len(terms)]
-                scaled = tuple(map(rounded, terms.tolist()))
-                changes[f"actuator/#{k}/{name}"] = scaled if len(scaled) > 1 else scaled[0]
+        changes |= gained(model, k, rounded(every[k].kp * ratio), rounded(every[k].kv * faster))
     return changes
+
+
+def gained(model: Model, k: int, kp: float, kv: float) -> dict[str, Any]:
+    """Return gains of a position servo as values of the model, by path."""
+    fields = {field.name: field for field in Element.of(model, "actuator", k).fields(model)}
+    path, actuator = f"actuator/#{k}", model.scene.actuators[k]
+    if "kp" in fields:
+        ratio = {} if actuator.dampratio is None else {f"{path}/dampratio": None}
+        return {f"{path}/kp": kp, f"{path}/kv": kv} | ratio
+    own = actuators(model)[k]
+    return {f"{path}/gainprm": (own.gain * kp / own.kp,), f"{path}/biasprm": (own.offset, -kp, -kv)}
 
 
 def strength(model: Model, actuator: int, force: float) -> str:

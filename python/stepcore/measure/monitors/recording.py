@@ -88,6 +88,20 @@ class Recording:
         data = {name: values[some] for name, values in self.data.items()}
         return dataclasses.replace(self, times=self.times[some], data=data)
 
+    def between(self, first: int, last: int) -> Recording:
+        """Return the run between two readings, made again with a reading at every step.
+
+        The controls are those of the readings, and pushes are left out.
+        """
+        sim, dt = self.at(first), self.model.settings.dt
+        qpos, qvel, act = (np.array(self[name][first]) for name in ("qpos", "qvel", "act"))
+        mocap = np.array(sim.mocap_pos), np.array(sim.mocap_quat)
+        start, hold = Start(qpos, qvel, act, mocap), max(1, round(self.spacing / dt))
+        rows = self["ctrl"][None, first:last]
+        again = followed(self.driven, start, hold * (last - first), ctrl=rows, hold=hold)
+        times = again.times + self.times[first]
+        return dataclasses.replace(again, model=self.model, times=times)
+
     @functools.cached_property
     def sizes(self) -> Sizes:
         return Sizes(self.model)

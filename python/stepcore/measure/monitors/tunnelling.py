@@ -8,23 +8,27 @@ between two readings or through readings within; a ray along that way hits it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.model import Model
+from stepcore.experiment.change import Change
 from stepcore.measure.monitors.finding import (
     HALF,
     PARTS,
+    Cure,
     Finding,
     Remedy,
+    assigned,
     finer,
     named,
     others,
     shorter,
 )
-from stepcore.measure.monitors.recording import FEWEST, Recording
+from stepcore.measure.monitors.recording import FEWEST, Recording, friction_of
 from stepcore.measure.monitors.soft_rows import hardest
 from stepcore.report.units import metres, seconds, speed
 
@@ -75,8 +79,14 @@ def _near(run: Recording) -> list[tuple[int, int, int]]:
     return list(zip(*(values[near].tolist() for values in (mover, wall, pair)), strict=True))
 
 
-def _passage(run: Recording, mover: int, wall: int, pair: int) -> Passage | None:
-    """Return how a geom passed through another one; None if it did not."""
+def _passage(
+    run: Recording, mover: int, wall: int, pair: int, whole: bool = True
+) -> Passage | None:
+    """Return how a geom passed through another one; None if it did not.
+
+    Between two readings a geom may go round a wall that is less wide than its way. The readings
+    there are then made again at every step; whole: whether these are not.
+    """
     centres, axes = run.geoms
     seen = np.einsum("nji,nj->ni", axes[:, wall], centres[:, mover] - centres[:, wall])
     halves = np.array(run.sizes.halves[wall])
@@ -92,12 +102,16 @@ def _passage(run: Recording, mover: int, wall: int, pair: int) -> Passage | None
         # A way that ends on the same side of the middle has not passed.
         if not meets or side * seen[last, axis] > 0:
             continue
-        if _hits(run, mover, wall, seen[[first, last]], last):
-            # Soft contact slows it down.
-            arrival = -side * np.diff(seen[max(0, first - FEWEST) : first + 2, axis])
-            fast, room = arrival.max() / run.spacing, run.sizes.thick[mover] + halves[axis]
+        # Soft contact slows it down.
+        arrival = -side * np.diff(seen[max(0, first - FEWEST) : first + 2, axis])
+        fast, room = float(arrival.max() / run.spacing), run.sizes.thick[mover] + halves[axis]
+        if whole and np.linalg.norm(way) > np.delete(halves, axis).min():
+            each = _passage(run.between(first, last), mover, wall, pair, whole=False)
+            if each is not None:
+                return each._replace(speed=max(each.speed, fast))
+        elif _hits(run, mover, wall, seen[[first, last]], last):
             time = float(run.times[first + 1])
-            return Passage(mover, wall, pair, float(fast), float(room), time)
+            return Passage(mover, wall, pair, fast, float(room), time)
     return None
 
 
@@ -126,20 +140,43 @@ def tunnelling_findings(run: Recording) -> Iterator[Finding]:
         f"{metres(first.room)}"
     )
     contacts = named(model, "contact", [entry.pair for entry in passed])
-    fast = max(passed, key=lambda entry: entry.speed / entry.room)
+    span = float(run.times[-1] - run.times[0])
+    # Once more as long as until the first passed.
+    seen = min(1.0, 2 * (first.time - float(run.times[0])) / span)
+    remedy = Remedy(
+        tuple(_cures(model, passed)),
+        lambda other: float(len(passages(other))),
+        0.0,
+        lambda count: f"{count:g} that pass" if count else "none that passes",
+        most=2 if _steep(model, first.pair) else 1,
+        now=float(len(passed)),
+        by=seen,
+    )
+    elements, value = (*movers, *contacts), first.speed
+    yield Finding("tunnelling", "error", problem, "", elements, value, "m/s", remedy=remedy)
+
+
+def _steep(model: Model, pair: int) -> bool:
+    """Return whether the friction of a pair makes pyramids that are soft along the normal."""
+    return model.settings.cone == "pyramidal" and friction_of(model, pair) > 1
+
+
+def _cures(model: Model, passed: Sequence[Passage]) -> Iterator[tuple[Cure, ...]]:
+    """Yield what may keep geoms from passing; what costs no shorter steps first."""
+    dt, fast = model.settings.dt, max(passed, key=lambda entry: entry.speed / entry.room)
+    if any(_steep(model, entry.pair) for entry in passed):
+        yield (Cure('cone="elliptic"', Change(cone="elliptic")),)
+        contacts = named(model, "contact", [entry.pair for entry in passed])
+        fields = {of.name: of.value for of in contacts[0].fields(model)}
+        flat = (1.0, *fields["friction"][1:])
+        words = "a friction of 1 on both geoms"
+        yield (Cure(words, Change(assigned(model, contacts, {"friction": flat}))),)
     # A step should go half of both thicknesses at most.
     most = min(dt / 2, HALF * fast.room / fast.speed)
     steps = list(dict.fromkeys(finer(model.settings, most / part) for part in PARTS))
     # A geom's contacts with all that it can touch, because another wall is next.
     ids = {entry.mover for entry in passed}
     touching = np.flatnonzero(np.isin(model.pair_geoms, list(ids)).any(axis=1)).tolist()
-    hard = tuple(hardest(model, touching, step) for step in dict.fromkeys((dt, *steps)))
-    remedy = Remedy(
-        (shorter(steps), hard),
-        lambda other: float(len(passages(other))),
-        0.0,
-        lambda count: f"{count:g} that pass" if count else "none that passes",
-        now=float(len(passed)),
-    )
-    elements, value = (*movers, *contacts), first.speed
-    yield Finding("tunnelling", "error", problem, "", elements, value, "m/s", remedy=remedy)
+    yield (hardest(model, touching, dt),)
+    yield shorter(steps)
+    yield tuple(hardest(model, touching, step) for step in steps)

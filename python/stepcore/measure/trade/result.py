@@ -350,7 +350,9 @@ class Trade(Result):
         """Say what it takes to verify the error that was asked for."""
         truth = self.reference
         if not math.isfinite(truth.needs):
-            return "Shorter steps do not make it surer: try your own motion."
+            given = self.motion is not None and self.motion.is_users
+            other = "a shorter piece of this motion" if given else "your own motion"
+            return f"Shorter steps do not make it surer: try {other}."
         effort = rounded(self.effort + truth.needs / KNOWING, 1, up=True)
         spent = seconds(max(1.0, round(1e-6 * OPERATION * effort)))
         return f"With --effort {effort:.0e} (in Python effort=) it may be: about {spent}."

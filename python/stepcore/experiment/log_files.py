@@ -1,0 +1,462 @@
+"""What a log is read from: CSV, npz, Parquet and MCAP files, DataFrames, dicts and arrays.
+
+`content_of` returns the columns as they stand there; `stepcore.experiment.log` says what they are.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import re
+import struct
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from stepcore import checks, files
+from stepcore.engine.trajectory import KIND, Trajectory, acting
+from stepcore.viewing.needs import need
+
+ENDINGS = (".csv", ".npz", ".npy", ".parquet", ".mcap")
+# A path, and behind a colon the topic of an MCAP file and what is taken of it as controls:
+# "log.csv:effort", "log.mcap:/joints.effort".
+PATH = re.compile(
+    rf"(?P<file>.+({'|'.join(map(re.escape, ENDINGS))}))(:(?P<part>[^:]+))?", re.DOTALL
+)
+TABLE = "a table"
+# Cells without a number, and the beginnings of lines that are comments.
+MISSING = ("", "nan", "null", "none", "na", "n/a", "-", "--")
+COMMENTS = ("#", "%", "//")
+# What a unit is in SI. Those of times count seconds.
+TIMES = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+ANGLES = dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180)
+ANGLES |= {f"{name}/s": value for name, value in ANGLES.items()}
+FORCES = dict.fromkeys(("nm", "n·m", "n*m", "n.m", "n m", "n"), 1.0)
+LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}
+UNITS = {
+    **TIMES,
+    **ANGLES,
+    **FORCES,
+    **LENGTHS,
+    "rad": 1.0,
+    "rad/s": 1.0,
+    "": 1.0,
+    "-": 1.0,
+    "1": 1.0,
+}
+UNITS |= {"rpm": math.pi / 30, "1/min": math.pi / 30, "mnm": 1e-3, "kn": 1e3, "knm": 1e3}
+# The topic of arrays in logs of stepcore.
+OWN = "/recorded"
+# Lists of names, and of numbers by these, in the messages of ROS.
+NAMES, STATES = ("name", "names", "joint_names"), ("position", "velocity", "effort")
+
+
+@dataclass
+class Content:
+    """Columns by name, each of shape (n,) or (n, m); rows without names stand under "".
+
+    units: of columns, where they are told apart from the names. lines: the line of each row in a
+    file of text. texts: of columns with other texts than numbers, the first: its place and what it
+    is.
+    """
+
+    columns: dict[str, np.ndarray]
+    units: dict[str, str] = field(default_factory=dict)
+    lines: Sequence[int] | None = None
+    texts: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+
+def parts_of(path: str) -> tuple[str, str | None, str]:
+    """Return the file of a path, the topic of an MCAP file or None, and what is taken of it.
+
+    >>> parts_of("log.csv:effort"), parts_of("a.mcap:/joints.effort"), parts_of("a.mcap:/joints")
+    (('log.csv', None, 'effort'), ('a.mcap', '/joints', 'effort'), ('a.mcap', '/joints', ''))
+    """
+    match = PATH.fullmatch(path)
+    if match is None:
+        raise ValueError(f"{checks.cut(path, 200)}: must end in {', '.join(ENDINGS)}")
+    file, part = match["file"], match["part"] or ""
+    if not file.endswith(".mcap") or part in STATES:
+        return file, None, part
+    topic, _, taken = part.partition(".")
+    return file, topic or None, taken
+
+
+def is_file(text: str) -> bool:
+    """Return whether a text is the path of a log, by its ending."""
+    return PATH.fullmatch(text) is not None
+
+
+def content_of(source: Any, name: str) -> Content:
+    """Return what a user's source holds.
+
+    name: of the source in errors.
+
+    Raises ValueError for what is no table, ImportError, and OSError for a file.
+    """
+    if isinstance(source, (str, os.PathLike)):
+        return _of_file(os.fsdecode(source), name)
+    if isinstance(source, Trajectory):
+        arrays = {key: acting(key, array) for key, array in source.data.items() if array.ndim == 2}
+        return Content({"time": source.time, **arrays}, {"time": "s"})
+    if isinstance(source, Mapping):
+        return _of_columns(name, source)
+    if not (hasattr(source, "columns") and hasattr(source, "to_numpy")):
+        names = getattr(getattr(source, "dtype", None), "names", None)
+        return _of_columns(name, {key: source[key] for key in names or ()} or {"": source})
+    # A DataFrame of pandas, polars or a similar library.
+    titles = list(source.columns)
+    if not any(isinstance(title, (str, tuple)) for title in titles):
+        return _of_columns(name, {"": source.to_numpy()})
+    called = [
+        "/".join(map(str, title)) if isinstance(title, tuple) else str(title) for title in titles
+    ]
+    _check_once(name, called)
+    columns = {key: source[title].to_numpy() for key, title in zip(called, titles, strict=True)}
+    index = getattr(source, "index", None)
+    dated = str(getattr(index, "dtype", "")).startswith(("datetime", "timedelta"))
+    title = "time" if dated else getattr(index, "name", None)
+    if title is not None:
+        columns[str(title)] = np.asarray(index)
+    return _of_columns(name, columns)
+
+
+def _of_file(path: str, name: str) -> Content:
+    file, topic, taken = parts_of(path)
+    if file.endswith(".mcap"):
+        return _of_messages(file, topic, taken)
+    if file.endswith(".csv"):
+        try:
+            return _of_text(name, _decoded(files.read(file, TABLE)))
+        except csv.Error as error:
+            raise ValueError(f"{name}: is not {TABLE}: {checks.one_line(error)}") from None
+    if file.endswith(".parquet"):
+        parquet = need("pyarrow.parquet", f"reading {checks.cut(file, 80)}", "data")
+        data = files.read(file, TABLE)
+        try:
+            columns = parquet.read_table(io.BytesIO(data)).to_pydict()
+        except (ValueError, TypeError, OSError) as error:
+            raise ValueError(f"{file}: {checks.one_line(error)}") from None
+        # Without the unnamed index of a DataFrame of pandas.
+        return _of_columns(name, {key: columns[key] for key in columns if "__index_" not in key})
+    arrays = files.arrays(file, TABLE)
+    if str(arrays.get("kind")) == KIND:
+        return content_of(Trajectory.load(file), name)
+    if file.endswith(".npy") and (fields := arrays[""].dtype.names):
+        arrays = {key: arrays[""][key] for key in fields}
+    return _of_columns(name, arrays)
+
+
+# --- columns --------------------------------------------------------------------------------------
+
+
+def _of_columns(name: str, given: Mapping[Any, Any]) -> Content:
+    """Return columns of the same length; a single number is that of all rows.
+
+    Arrays "position", "velocity" and "effort" beside a list of names have a column for each.
+    """
+    content = Content({})
+    names = next((list(map(str, given[key])) for key in NAMES if key in given), None)
+    for title, values in given.items():
+        array = _numbers(name, str(title), values, content)
+        if str(title) in NAMES:
+            continue
+        if names is not None and title in STATES and array.shape[1:] == (len(names),):
+            content.columns |= {f"{joint}.{title}": array[:, k] for k, joint in enumerate(names)}
+        else:
+            content.columns[str(title)] = array
+    rows = max((len(array) for array in content.columns.values() if array.ndim), default=0)
+    if names is None and [*content.columns] == [""]:
+        content.columns[""] = content.columns[""].reshape(rows, -1 if rows else 0)
+    for title, array in content.columns.items():
+        if array.ndim == 0 or (array.ndim == 1 and len(array) == 1):
+            content.columns[title] = np.broadcast_to(np.ravel(array), max(rows, 1))
+        elif len(array) != rows:
+            raise ValueError(f"{name}: column {checks.quoted(title)} has another length")
+    return content
+
+
+def _numbers(name: str, title: str, values: Any, content: Content) -> np.ndarray:
+    """Return values as numbers, times in seconds; keep in `content` which text is none."""
+    array = values if isinstance(values, np.ndarray) else _array(name, title, values)
+    if array.dtype.kind in "Mm":
+        content.units[title] = "s"
+        whole = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64)
+        return np.where(np.isnat(array), np.nan, 1e-9 * whole)
+    if array.dtype.kind in "OUS" and array.ndim == 1:
+        return np.array([*_cells(title, enumerate(array.tolist()), content)])
+    if array.dtype.kind in "OUScV":
+        limit = "numbers, one row a period"
+        raise ValueError(f"{name} = {checks.shown(values)}: must be {limit}")
+    return array.astype(float)
+
+
+def _array(name: str, title: str, values: Any) -> np.ndarray:
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        called = f"{name}, column {title}" if title else name
+        raise ValueError(f"{called}: must be numbers: {checks.one_line(error)}") from None
+
+
+def _cells(title: str, cells: Iterable[tuple[int, Any]], content: Content) -> Iterator[float]:
+    """Yield the numbers of cells, which have their places with them."""
+    for place, cell in cells:
+        try:
+            yield number(cell)
+        except ValueError:
+            moment = _moment(cell)
+            if moment is None:
+                content.texts.setdefault(title, (place, str(cell)))
+            else:
+                content.units[title] = "s"
+            yield math.nan if moment is None else moment
+
+
+def number(cell: Any) -> float:
+    """Return the number of a cell, with a decimal point or comma; NaN for an empty one.
+
+    Raises ValueError for other texts.
+
+    >>> number(" 1.5"), number("2,5e3"), number("n/a")
+    (1.5, 2500.0, nan)
+    """
+    if cell is None:
+        return math.nan
+    try:
+        return float(cell)
+    except TypeError:
+        raise ValueError(f"{checks.shown(cell)} is no number") from None
+    except ValueError:
+        text = cell.strip().lower()
+        return math.nan if text in MISSING else float(text.replace(",", "."))
+
+
+def _moment(cell: Any) -> float | None:
+    """Return the seconds since 1970 of a date and time, in UTC if it tells no zone; else None."""
+    try:
+        moment = cell if isinstance(cell, datetime) else datetime.fromisoformat(cell.strip())
+    except (ValueError, AttributeError):
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def _check_once(source: str, names: Iterable[Any]) -> None:
+    twice = [name for name, count in Counter(map(str, names)).items() if name and count > 1]
+    if twice:
+        raise ValueError(f"{source}: several columns are named {checks.quoted(min(twice))}")
+
+
+# --- text -----------------------------------------------------------------------------------------
+
+
+def _decoded(data: bytes) -> str:
+    """Return the text of a file in UTF-8, with a mark of its encoding or none, or in Latin-1."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", "replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _of_text(name: str, text: str) -> Content:
+    """Parse separated values, with or without names, units and comments above them."""
+    lines = [*enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1)]
+    lines = [(k, line.strip(" ")) for k, line in lines if line.strip()]
+    body = [(k, line) for k, line in lines if not line.startswith(COMMENTS)]
+    # Decimal commas stand in fewer lines than what separates cells: not in the names.
+    found = {mark: sum(mark in line for _, line in body) for mark in "\t;,"}
+    separator = max(found, key=lambda mark: found[mark]) if any(found.values()) else " "
+    rows = [(k, _split(line, separator)) for k, line in body]
+    first = next((n for n, (_, cells) in enumerate(rows) if _is_data(cells)), len(rows))
+    above, data = [cells for _, cells in rows[:first]], rows[first:]
+    units = above.pop() if len(above) > 1 and _are_units(above[-1]) else []
+    names = above[-1] if above else []
+    if data and not names:
+        heads = [line for k, line in lines if line.startswith(COMMENTS) and k < data[0][0]]
+        last = _split(heads[-1].lstrip("#%/ "), separator) if heads else []
+        names = last if len(last) == len(data[0][1]) and not _is_data(last) else []
+    width = len(names or (data[0][1] if data else ()))
+    for row, cells in data:
+        while len(cells) > width and not cells[-1]:
+            cells.pop()
+        if len(cells) != width:
+            cure = "decimal commas need semicolons between cells"
+            cure = cure if len(cells) > width else "remove this row, which is cut off"
+            raise ValueError(f"{name}, row {row}: {len(cells)} columns, above {width}: {cure}")
+    return _of_rows(name, names, units, data)
+
+
+def _of_rows(
+    name: str, names: list[str], units: list[str], data: list[tuple[int, list[str]]]
+) -> Content:
+    """Return the columns of rows of cells, whose lines they have with them."""
+    content = Content({}, lines=[k for k, _ in data])
+    titles = names or [str(k + 1) for k in range(len(data[0][1]) if data else 0)]
+    _check_once(name, titles)
+    for n, title in enumerate(titles):
+        cells = ((k, row[n]) for k, row in data)
+        content.columns[title] = np.array([*_cells(title, cells, content)])
+    if not names:
+        for column, (row, cell) in content.texts.items():
+            where = f"{name}, row {row}, column {column}"
+            raise ValueError(f"{where}: {checks.shown(cell)}: must be a number")
+        content.columns = {"": np.array([*content.columns.values()]).T}
+    else:
+        # The index that pandas writes has no name.
+        content.columns.pop("", None)
+    told = zip(titles, units, strict=False)
+    content.units |= {title: unit for title, unit in told if plain(unit)}
+    return content
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return line.split()
+    (cells,) = csv.reader([line], delimiter=separator, skipinitialspace=True)
+    return [cell.strip() for cell in cells]
+
+
+def _is_data(cells: Sequence[str]) -> bool:
+    """Return whether half of the cells or more are numbers, dates or empty, and not all empty."""
+    there = [cell for cell in cells if cell.lower() not in MISSING]
+    known = sum(_is_number(cell) or _moment(cell) is not None for cell in there)
+    return known > 0 and 2 * (known + len(cells) - len(there)) >= len(cells)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return math.isfinite(number(cell))
+    except ValueError:
+        return False
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    return 2 * sum(plain(cell) in UNITS for cell in cells) >= len(cells)
+
+
+def plain(unit: str) -> str:
+    """Return a unit as `UNITS` has it."""
+    return unit.strip("[]() ").lower()
+
+
+# --- logs of messages -----------------------------------------------------------------------------
+
+
+def _of_messages(path: str, topic: str | None, taken: str) -> Content:
+    """Return the numbers of the messages of one topic, in JSON or sensor_msgs/JointState of ROS 2.
+
+    A message has numbers by name; a list of names with lists of numbers, as JointState has; or
+    lists of numbers alone. taken: the list that is read, where one was chosen.
+    """
+    reader = need("mcap.reader", f"reading {checks.cut(path, 80)}", "mcap")
+    found: dict[str, list[tuple[int, dict[str, Any]]]] = {}
+    unread, begin = set(), 0
+    try:
+        with files.opened(path, "a log", sys.maxsize) as (file, _):
+            for _, _, message in reader.make_reader(file).iter_messages():
+                begin = message.log_time
+                break
+            file.seek(0)
+            for schema, channel, message in reader.make_reader(file).iter_messages(topics=topic):
+                decode = _decoder(channel.message_encoding, schema)
+                if decode is None:
+                    unread.add(f"{channel.topic} ({channel.message_encoding})")
+                elif row := _message(decode(message.data), taken):
+                    found.setdefault(channel.topic, []).append((message.log_time, row))
+    except OSError:
+        raise
+    except Exception as error:  # mcap raises errors of its own, and those of struct and json
+        raise ValueError(f"{path}: {checks.one_line(error)}") from None
+    chosen = OWN if OWN in found else min(found, default="")
+    if len(found) > 1 and chosen != OWN:
+        raise ValueError(
+            f"{path}: has numbers in {', '.join(sorted(found))}: choose one, as in log.mcap:/TOPIC"
+        )
+    if not found:
+        other = f"; not read: {', '.join(sorted(unread))}" if unread else ""
+        raise ValueError(
+            f"{path}: has no messages with numbers by name, or lists of numbers{other}"
+        )
+    rows = [row for _, row in found[chosen]]
+    if any(row.keys() != rows[0].keys() for row in rows):
+        raise ValueError(f"{path}: not all messages of {chosen} have the numbers of the first")
+    content = _of_columns(path, {key: [row[key] for row in rows] for key in rows[0]})
+    # Times count from the file's first message, so that topics can be compared.
+    content.columns["time"] = 1e-9 * np.array([at - begin for at, _ in found[chosen]], float)
+    content.units["time"] = "s"
+    if chosen == OWN:
+        content.columns |= {key: acting(key, content.columns[key]) for key in rows[0]}
+    return content
+
+
+def _decoder(encoding: str, schema: Any) -> Any:
+    """Return the function that decodes a message, or None for a format that is not read."""
+    if encoding == "json":
+        return json.loads
+    ros = schema is not None and schema.name.replace("/msg/", "/") == "sensor_msgs/JointState"
+    return _joint_state if encoding == "cdr" and ros else None
+
+
+def _joint_state(data: bytes) -> dict[str, list[Any]]:
+    """Decode a JointState in CDR: stamp, frame, names, and three sequences of float64.
+
+    Numbers are aligned to their size from byte 4 on, whose second byte before tells their order
+    (OMG, DDS-XTypes 1.3, section 7.4).
+    """
+    order, at = "<" if data[1] & 1 else ">", 4
+
+    def numbers(code: str, size: int, count: int) -> tuple[Any, ...]:
+        nonlocal at
+        at += -(at - 4) % size if count else 0
+        values = struct.unpack_from(f"{order}{count}{code}", data, at)
+        at += size * count
+        return values
+
+    def text() -> str:
+        nonlocal at
+        (length,) = numbers("I", 4, 1)
+        at += length
+        return data[at - length : at].rstrip(b"\0").decode()
+
+    numbers("I", 4, 2)
+    text()
+    message: dict[str, list[Any]] = {"name": [text() for _ in range(numbers("I", 4, 1)[0])]}
+    for state in STATES:
+        (count,) = numbers("I", 4, 1)
+        message[state] = list(numbers("d", 8, count))
+    return message
+
+
+def _message(message: Any, taken: str) -> dict[str, Any]:
+    """Return the numbers of a message by name, and its lists of numbers."""
+    if not isinstance(message, dict):
+        return {}
+    names = next((message[key] for key in NAMES if isinstance(message.get(key), list)), None)
+    if names is not None:
+        lists = dict.fromkeys([*STATES, taken])
+        return {
+            f"{joint}.{state}": value
+            for state in lists
+            if isinstance(message.get(state), list) and len(message[state]) == len(names)
+            for joint, value in zip(names, message[state], strict=True)
+        }
+    if taken and taken in message:
+        return {"": message[taken]} if isinstance(message[taken], list) else {}
+    plain = {key: value for key, value in message.items() if not isinstance(value, bool)}
+    return {key: value for key, value in plain.items() if _is_numeric(value)}
+
+
+def _is_numeric(value: Any) -> bool:
+    if isinstance(value, list):
+        return bool(value) and all(isinstance(entry, (int, float)) for entry in value)
+    return isinstance(value, (int, float))

@@ -1,0 +1,373 @@
+"""Let MuJoCo expand what this reader does not, and write what MuJoCo holds as MJCF.
+
+`<replicate>`, `<attach>`, builtin meshes, aligned free bodies and `discardvisual` describe another
+file. MuJoCo (the extra `mujoco`) writes it, as plain MJCF with exact numbers. The file is checked
+first, with every file that it attaches, so that errors name file and line; MuJoCo's own errors get
+the line of the element that they are about.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import re
+import sys
+import tempfile
+import warnings
+from bisect import bisect
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from stepcore.checks import cut, nearest
+from stepcore.mjcf.defaults import Compiler
+from stepcore.mjcf.nodes import (
+    SECTIONS,
+    MJCFError,
+    Node,
+    below,
+    expand,
+    inside,
+    parse,
+    read_named,
+    sections,
+)
+from stepcore.mjcf.validation import bad
+from stepcore.scene.element import table
+from stepcore.scene.elements import MassRules
+
+# The maximum number of elements that one file makes, and of models that attach each other in turn.
+MOST_ELEMENTS = 1_000_000
+MOST_NESTED = 50
+# Name prefixes of the MjModel arrays that affect the simulation.
+PHYSICS = (
+    *("body_", "jnt_", "dof_", "geom_", "site_", "tendon_", "actuator_", "eq_", "sensor_", "pair_"),
+    *("exclude_", "key_", "mesh_vert", "hfield_data", "qpos0", "qpos_spring"),
+)
+# Name suffixes of arrays used only for drawing or for MuJoCo's broad phase.
+ASIDE = ("_rgba", "_matid", "_bvhadr", "_bvhnum", "_user")
+# Attributes of <compiler> that say where files are.
+_FOLDERS = ("meshdir", "texturedir", "assetdir", "strippath")
+
+
+def first_to_expand(root: Node) -> Node | None:
+    """Return the first element of a validated file that MuJoCo has to expand."""
+    return next((node for node in below(root) if _needs_mujoco(node)), None)
+
+
+def _needs_mujoco(node: Node) -> bool:
+    match node.tag:
+        case "replicate" | "attach":
+            return True
+        case "mesh":
+            return "builtin" in node.values
+        case "freejoint":
+            return node.values.get("align") is True
+        case "compiler":
+            return any(node.values.get(name) is True for name in ("alignfree", "discardvisual"))
+    return False
+
+
+# A start or end tag, and its element.
+Line = tuple[str, Node]
+
+
+@dataclass(frozen=True)
+class Attached:
+    """A model to attach.
+
+    size: the number of elements that it makes.
+    file: a file with its text.
+    named: the names of the elements outside its tree.
+    """
+
+    name: str
+    size: int
+    file: str
+    named: tuple[str, ...]
+
+
+class Expansion:
+    """A model with the models that it attaches, expanded by MuJoCo.
+
+    check: validates the root of an attached model.
+    files: the files of all models.
+    notes: a line for each warning of MuJoCo, and for each file outside the main file's folder.
+    """
+
+    def __init__(self, root: Node, compiler: Compiler, check: Callable[[Node], None]) -> None:
+        self.root, self.compiler, self.check = root, compiler, check
+        self.files = [node.file for node in below(root)]
+        self.notes: list[str] = []
+        # The attached models by path.
+        self._made: dict[str, Attached] = {}
+        self._folder = ""
+
+    def expanded(self, cause: Node) -> Node:
+        """Return the root of the expanded model. cause: the first element to expand."""
+        try:
+            import mujoco  # type: ignore[import-untyped,unused-ignore]
+        except ImportError:
+            how = 'MuJoCo, which is not installed (pip install "stepcore[mujoco]")'
+            raise cause.error(f"<{cause.tag}> is expanded by {how}") from None
+        with tempfile.TemporaryDirectory() as self._folder, _warnings() as warned:
+            models = self._models(self.root, self.compiler, [self.root.file])
+            _size(self.root, models)
+            lines = _lines(self.root, self.compiler)
+            try:
+                text = _written(mujoco.MjSpec.from_string(_text(lines)))
+            except Exception as error:  # of a type of mujoco's own
+                raise self._located(error, lines, cause) from None
+        made = parse(text, self.root.file)
+        said = dict.fromkeys(" ".join(str(warning.message).split()) for warning in warned)
+        self.notes += [f"{cause.file}:{cause.line}: MuJoCo: {line}" for line in said]
+        self.notes += _left_out(self.root, models, made)
+        return _placed(made, self.root, cause)
+
+    def _located(self, error: Exception, lines: list[Line], cause: Node) -> MJCFError:
+        """Return MuJoCo's error, at the line that it names unless that may be another model's."""
+        at = re.search(r"\bline (\d+)", str(error))
+        number = int(at[1]) if at and not self._made else 0
+        node = lines[number - 1][1] if 0 < number <= len(lines) else cause
+        return node.error(f"MuJoCo: {re.sub(r',? *line [0-9]+', '', str(error))}")
+
+    def _models(self, root: Node, compiler: Compiler, chain: list[str]) -> dict[str, Attached]:
+        """Return the models that a model can attach, by name, and name their texts in its own.
+
+        chain: the files of the models around this one, and its own.
+        """
+        models: dict[str, Attached] = {}
+        for node in inside(root, "asset"):
+            if node.tag == "model":
+                model = self._model(node, compiler, chain)
+                name = node.values.get("name", model.name)
+                if name in models:
+                    raise node.error(f'model "{name}": the name is used twice')
+                models[name] = model
+                node.attrs["name"], node.attrs["file"] = name, model.file
+        return models
+
+    def _model(self, node: Node, compiler: Compiler, chain: list[str]) -> Attached:
+        """Check the model that an <asset><model> names, and write its text."""
+        name = node.values["file"]
+        if not name or "\0" in name:
+            raise node.error('<model> needs a file="…"')
+        if compiler.directory is None and not os.path.isabs(name):
+            raise node.error(f'<model file="{name}"> in a text needs loads(text, base=folder)')
+        path = Path(compiler.path(node, name))
+        here = os.path.realpath(path)
+        if here in map(os.path.realpath, (*chain, node.file)):
+            raise node.error(f'<model file="{name}">: the file attaches itself')
+        if len(chain) > MOST_NESTED:
+            raise node.error(f"attached models are nested deeper than {MOST_NESTED}")
+        if here not in self._made:
+            root = read_named(node, str(path))
+            self.notes += expand(root, path.parent, path)
+            self.check(root)
+            self.files += [inner.file for inner in below(root)]
+            own = Compiler(sections(root, "compiler"), os.path.abspath(path.parent), root.file)
+            size = _size(root, self._models(root, own, [*chain, str(path)]))
+            file = Path(self._folder, f"{len(self._made)}.xml")
+            file.write_text(_text(_lines(root, own)), encoding="utf-8")
+            rest = [node for tag in SECTIONS for node in inside(root, tag)]
+            named = tuple(node.attrs["name"] for node in rest if node.attrs.get("name"))
+            self._made[here] = Attached(root.attrs.get("model", ""), size, str(file), named)
+        return self._made[here]
+
+
+@contextlib.contextmanager
+def _warnings() -> Iterator[list[warnings.WarningMessage]]:
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        yield warned
+
+
+def _lines(root: Node, compiler: Compiler) -> list[Line]:
+    """Return the text of a model with full paths of files."""
+    lines: list[Line] = []
+    pending: list[tuple[Node, bool]] = [(root, False)]
+    while pending:
+        node, ends = pending.pop()
+        if ends:
+            lines.append((f"</{node.tag}>", node))
+            continue
+        attrs = _attributes(node, compiler)
+        words = [node.tag, *(f"{name}={quoteattr(value)}" for name, value in attrs.items())]
+        lines.append((f"<{' '.join(words)}>", node))
+        pending.append((node, True))
+        pending += [(child, False) for child in reversed(node.children)]
+    return lines
+
+
+def _text(lines: list[Line]) -> str:
+    return "\n".join(text for text, _ in lines)
+
+
+def _attributes(node: Node, compiler: Compiler) -> dict[str, str]:
+    """Return the attributes of an element, with full paths of files."""
+    if node.tag == "compiler":
+        # Bodies are fused by this reader, except before masses are scaled to a total.
+        fused = ("fusestatic",) if compiler.values.get("settotalmass", 0.0) <= 0 else ()
+        return {n: text for n, text in node.attrs.items() if n not in (*_FOLDERS, *fused)}
+    attrs = dict(node.attrs)
+    folder = "texturedir" if node.tag == "texture" else "meshdir"
+    for name, text in node.attrs.items():
+        if name.startswith("file") and text and node.tag != "model":
+            attrs[name] = compiler.asset(node, text, folder) or text
+    return attrs
+
+
+def _size(root: Node, models: Mapping[str, Attached]) -> int:
+    """Return the number of elements that a model makes; raise MJCFError if there are too many.
+
+    An element outside the tree counts once for each copy of a body, which it may refer to.
+    """
+    size, most = 0, 1
+    pending = [(node, 1) for node in inside(root, "worldbody")]
+    while pending:
+        node, copies = pending.pop()
+        size += copies
+        if node.tag == "replicate":
+            count = node.values["count"]
+            if count < 0:
+                raise bad(node, "count", count, ">= 0")
+            copies *= count
+            most = max(most, copies)
+        elif node.tag == "attach":
+            size += copies * _attached(node, models).size
+        if max(size, most) > MOST_ELEMENTS:
+            raise node.error(f"<{node.tag}>: a model has at most {MOST_ELEMENTS} copied elements")
+        pending += [(child, copies) for child in node.children]
+    rest = sum(1 for part in root.children if part.tag != "worldbody" for _ in below(part))
+    if size + most * rest > MOST_ELEMENTS and most > 1:
+        raise root.error(f"a model has at most {MOST_ELEMENTS} copied elements")
+    return size + most * rest
+
+
+def _attached(node: Node, models: Mapping[str, Attached]) -> Attached:
+    name = node.values.get("model")
+    if name is None:
+        raise node.unbuilt("an <attach> of a part of the same model")
+    if name not in models:
+        raise node.error(f'<attach model="{name}">: no such model{nearest(name, sorted(models))}')
+    return models[name]
+
+
+def _left_out(root: Node, models: Mapping[str, Attached], expanded: Node) -> list[str]:
+    """Return a note on each <attach> without some elements that refer to parts left out."""
+    names = sorted(node.attrs.get("name", "") for node in below(expanded))
+    notes = []
+    for node in (node for node in below(root) if node.tag == "attach"):
+        gone = []
+        for name in models[node.values["model"]].named:
+            full = node.values["prefix"] + name
+            at = bisect(names, full) - 1
+            # A copy by <replicate> has a longer name.
+            if not any(there.startswith(full) for there in names[max(at, 0) : at + 2]):
+                gone.append(name)
+        if gone:
+            listed = cut(", ".join(gone), 200)
+            notes.append(f"{node.file}:{node.line}: <attach> leaves out {listed}")
+    return notes
+
+
+def _placed(expanded: Node, root: Node, cause: Node) -> Node:
+    """Give each expanded element the file and line of the element that it came from.
+
+    That is the element of the same name, or else the element around it.
+    """
+    places = {(node.tag, node.attrs["name"]): node for node in below(root) if "name" in node.attrs}
+    pending = [(expanded, cause)]
+    while pending:
+        node, around = pending.pop()
+        place = places.get((node.tag, node.attrs.get("name", "")), around)
+        node.file, node.line = place.file, place.line
+        pending += [(child, place) for child in node.children]
+    return expanded
+
+
+def xml_of(spec: Any) -> str:
+    """Return the MJCF of a spec, without changing the spec."""
+    copy = spec.copy()
+    # Some versions write what is compiled only.
+    copy.compile()
+    text: str = copy.to_xml()
+    return text
+
+
+def _written(spec: Any) -> str:
+    """Return the MJCF of a spec with exact numbers; raise ValueError if it is another model's."""
+    import mujoco  # type: ignore[import-untyped,unused-ignore]
+
+    model = _compiled(spec)
+    other = ""
+    # Free bodies are aligned now; and where models have other rules for masses, every body's
+    # inertia is written in place of the rules.
+    for followed in (("alignfree",), ("alignfree", *table(MassRules))):
+        spec.compiler.saveinertial |= len(followed) > 1
+        with exact_numbers():
+            text = re.sub(rf' ({"|".join(followed)})="[^"]*"', "", spec.to_xml())
+        other = difference(model, _compiled(mujoco.MjSpec.from_string(text)))
+        if not other:
+            return text
+    raise ValueError(f"the expanded model cannot be written without a change of its {other}")
+
+
+def _compiled(spec: Any) -> Any:
+    """Compile a spec without lengths of muscles: MuJoCo's search for these may have no end."""
+    spec.compiler.LRopt.mode = 0
+    return spec.compile()
+
+
+def difference(model: Any, other: Any) -> str:
+    """Return the name of the first array in which the physics of two models differs, or ""."""
+    if bytes(model.names) != bytes(other.names):
+        return "names"
+    for name in dir(model):
+        if not name.startswith(PHYSICS) or name.endswith(ASIDE):
+            continue
+        mine, theirs = getattr(model, name), getattr(other, name)
+        if isinstance(mine, np.ndarray) and mine.dtype.kind in "fiu":
+            same = mine.shape == theirs.shape
+            # Two compilations of the same text may differ by this.
+            if not same or not np.allclose(mine, theirs, 1e-6, 1e-9, equal_nan=True):
+                return name
+    return ""
+
+
+@contextlib.contextmanager
+def exact_numbers() -> Iterator[None]:
+    """Make MuJoCo write all digits of numbers, if this version can."""
+    read, write = _precision()
+    before = read()
+    # So many digits represent a double exactly; MuJoCo writes six by default.
+    write(17)
+    try:
+        yield
+    finally:
+        write(before)
+
+
+def _precision() -> tuple[Any, Any]:
+    """Return MuJoCo's functions that read and set the number of digits written, if it has them."""
+    import mujoco  # type: ignore[import-untyped,unused-ignore]
+
+    folder = Path(mujoco.__file__).parent
+    pattern = {"win32": "mujoco*.dll", "darwin": "libmujoco*.dylib"}.get(
+        sys.platform, "libmujoco.so*"
+    )
+    for library in sorted(folder.glob(pattern)):
+        try:
+            loaded = ctypes.CDLL(str(library))
+            read = loaded._mjPRIVATE__get_xml_precision
+            write = loaded._mjPRIVATE__set_xml_precision
+        except (OSError, AttributeError):
+            continue
+        read.restype, write.argtypes, write.restype = ctypes.c_int, [ctypes.c_int], None
+        return read, write
+    return (lambda: 0), (lambda _: None)
