@@ -215,7 +215,8 @@ class Diagnosis(Result):
             if limit.longest < self.wanted:
                 does = "is not known yet" if self.observed is None else "fails"
                 held = f"Runs hold up to {seconds(limit.longest)} under {own}"
-                return f"{held}; {step[0].lower()}{step[1:]} {does}."
+                more = "The limit is not known yet: it takes more time (seconds)."
+                return f"{held}; {step[0].lower()}{step[1:]} {does}. {more}"
             return f"No element limits dt below {below} under {own}, {judged}.{fastest}"
         if limit.dt <= 0 and self.longest_period:
             return f"{step} explodes under {own}: the control function is sampled too rarely."
@@ -348,7 +349,7 @@ class Diagnosis(Result):
             yield f"Which changes make {wanted} stable is not known: none was run."
         if failed:
             yield f"Tried without success: {', '.join(failed)}."
-        if limit > 0 and self.runaway is None:
+        if 0 < limit < math.inf and self.runaway is None:
             safe = round_number(min(limit, self.wanted) / MARGIN, up=False)
             yield f"Unchanged, the scene needs a step of {seconds(safe)} for the same margin."
 
