@@ -64,7 +64,7 @@ def test_two_stiff_springs_are_changed_together():
 def test_a_scene_without_anything_stiff_says_so():
     d = diagnosed(stiff.slider(0.0, 0.0))
     assert all(math.isinf(d.limit(name)) for name in INTEGRATORS)
-    answer = "No element limits dt below 1 s under euler, judged over 100 ms of motion."
+    answer = "No element limits dt below 10 ms under euler, judged over 100 ms of motion."
     assert d.sentences[0] == answer and len(d.sentences) == 2
     assert d.stiffest("euler") == ""
 

@@ -100,6 +100,9 @@ def diagnose(
         checks.one_of(*INTEGRATORS)("diagnose", "integrators", name)
     setup = set_up(diagnose, model, motion, fields, missing="no step to diagnose")
     workers, compiled, shipped = setup.workers, setup.model, setup.model.settings
+    if setup.motion.control is not None:
+        # What a function remembers between calls is of one run.
+        workers = dataclasses.replace(workers, threads=1)
     motion = dataclasses.replace(setup.motion, horizon=setup.motion.horizon or HORIZON)
     horizon = motion.horizon or HORIZON
     inner: InnerSteps | None = None
@@ -125,9 +128,15 @@ def diagnose(
         with workers.deadline.closing():
             limits[own] = case.known(own)
     if limits[own].ran:
-        workers.deadline.so_far(case.so_far(limits[own]))
+        longest = seconds(min(limits[own].dt, limits[own].longest))
+        workers.deadline.so_far(f"runs hold under {own} up to dt {longest}; the rest is run now")
     found: list[Limit | None] = []
-    with workers.deadline.stage(lambda: f"the limits under {_missing(found, others)}", LIMITS):
+
+    def missing() -> str:
+        known = {limit.integrator for limit in found if limit is not None}
+        return f"the limits under {', '.join(name for name in others if name not in known)}"
+
+    with workers.deadline.stage(missing, LIMITS):
         workers.each(case.limit, others, "limits", found)
     limits |= {limit.integrator: limit for limit in found if limit is not None}
     named = dict.fromkeys(limits, tuple[Element, ...]())
@@ -168,11 +177,6 @@ def diagnose(
     return result
 
 
-def _missing(found: Sequence[Limit | None], names: Sequence[str]) -> str:
-    known = {limit.integrator for limit in found if limit is not None}
-    return ", ".join(name for name in names if name not in known)
-
-
 class Case:
     """One motion, its states, and its runs.
 
@@ -187,7 +191,7 @@ class Case:
         settings, start = motions.model.settings, motions.first()
         near = Held(self.model, start, self.horizon).limit("implicitfast", settings.dt, fine=1.0)
         safe = min(max(near / 4, SHORTEST / 10), settings.dt)
-        self.judge = Judge.of(motions, safe)
+        self.judge = Judge.calm(motions, safe)
         self.controlled = motions.users is not None
         if self.judge.runaway is not None and self.controlled:
             # If the motion does not blow up by itself, the control makes it.
@@ -207,6 +211,9 @@ class Case:
     def limit(self, integrator: str) -> Limit:
         near, change = self.motions.model.settings.dt, Change(integrator=integrator)
         dt, longest, ran = math.nan, LONGEST, self.judge.runaway is None
+        if self.judge.loop is not None:
+            bears = self.held[-1].limit(integrator, near)
+            return Limit(integrator, 0.0, bears, shortest=self.judge.fine.dt)
         if ran and self.motions.costly and self.motions.users is None:
             # What nobody may wait for comes first; the linearised step of such a scene takes long.
             dt, longest = run_limit(self.judge, change, [])
@@ -224,8 +231,10 @@ class Case:
             # A step below the limit fails where failure is not monotonic.
             dt, _ = run_limit(self.judge, change, [], top=self.wanted)
             outcome = self.judge.outcome(change, self.wanted)
-        kind = "" if outcome is None else outcome.kind
-        return Limit(integrator, dt, last, self._state(dt, each), kind, longest)
+        limit = Limit(integrator, dt, last, self._state(dt, each), longest=longest)
+        if outcome is None:
+            return limit
+        return dataclasses.replace(limit, outcome=outcome.kind, time=outcome.time)
 
     def known(self, integrator: str) -> Limit:
         """Return what is known of an integrator when the time is over: no limit below some step."""
@@ -242,10 +251,6 @@ class Case:
         gaps = [abs(math.log(one / dt)) if 0 < one < math.inf else math.inf for one in each]
         # Both are known to the shares of a limit.
         return int(np.argmin(gaps)) if min(gaps) <= 2 * math.log(STEP) else -1
-
-    def so_far(self, limit: Limit) -> str:
-        longest = seconds(min(limit.dt, limit.longest))
-        return f"runs hold under {limit.integrator} up to dt {longest}; the rest is run now"
 
     def limiters(self, limit: Limit) -> tuple[Element, ...]:
         """Return the elements that limit an integrator, or the fastest one if nothing does."""

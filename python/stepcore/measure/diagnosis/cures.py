@@ -279,7 +279,6 @@ class Making:
         return figures(self.held)
 
     def _joint(self, element: Element) -> int | None:
-        """Return the hinge or slide that an element acts on, or None."""
         joint = element.index
         if element.kind in ("actuator", "control"):
             joint = int(self.model.actuator_joint[element.index])
@@ -491,7 +490,6 @@ class Search:
         return None
 
     def _holds(self, change: Change, margin: float) -> bool:
-        """Return whether a change leaves a margin, by the linearised step or by runs."""
         integrator = self.limit.integrator
         steps = (margin * self.wanted, self.wanted)
         if not self.linear:
@@ -511,9 +509,7 @@ class Search:
         own = Change(integrator=integrator or self.limit.integrator)
         try:
             motions = self.judge.motions.changed(change)
-            judge = Judge.of(motions, min(self.judge.fine.dt, self.wanted))
-            if not isinstance(judge, Judge):
-                return 0.0, 0.0
+            judge = Judge.of(motions, min(self.judge.fine.dt, self.wanted), self.judge.loop)
             guesses = []
             for state in (self.states[-1], self.held.state):
                 held = Held(motions.of(Change()), state, motions.horizon)
@@ -586,7 +582,7 @@ class Search:
             return None
         period = self.wanted * max(1, math.floor(longest / MARGIN / self.wanted + 1e-9))
         if period > longest / MARGIN * (1 + 1e-9):
-            return Advice(what, text="a shorter control period")
+            return None
         text = f"sample the control every {seconds(period)}: stable up to {seconds(longest)}"
         size = ratio(motions.period, period)
         return Advice(what, (), {"control_dt": period}, True, text, size, longest)
@@ -629,7 +625,6 @@ def other_integrators(search: Search, limits: Mapping[str, Limit]) -> Iterator[A
 
 
 def _octaves(down: bool, both: bool) -> list[float]:
-    """Return the numbers x to try, from little change to much."""
     third = OCTAVES // 3
     if not down:
         return [2.0**k for k in range(-third, third + 1)]
@@ -638,7 +633,6 @@ def _octaves(down: bool, both: bool) -> list[float]:
 
 
 def _repeats(advice: Advice, met: Sequence[Advice]) -> bool:
-    """Return whether an advice contains a smaller change that works."""
     smaller = {a.what: a for a in met if a.met}
     if advice.what == GAINS:
         return "kp" in smaller or "kv" in smaller

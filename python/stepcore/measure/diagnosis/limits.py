@@ -40,6 +40,7 @@ class Limit:
         NaN if the time was over before.
     state: the index of the state whose linearised step has this limit, too; -1 if none has.
     outcome: how the run fails beyond dt: "diverges", "gains energy" or "grows"; "" if it does not.
+    time: when it does [s].
     """
 
     integrator: str
@@ -50,6 +51,7 @@ class Limit:
     longest: float = LONGEST
     shortest: float = SHORTEST
     ran: bool = True
+    time: float = math.nan
 
 
 def run_limit(

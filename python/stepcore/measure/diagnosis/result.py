@@ -182,6 +182,11 @@ class Diagnosis(Result):
             yield self._blown_up(self.runaway)
         yield self._answer()
         yield from self._differs()
+        if self.own.outcome == "diverges" and self.own.state < 0 and self.own.time > self.horizon:
+            yield (
+                f"Just above it the run diverges only after {seconds(self.own.time)}: which steps "
+                f"hold for longer is not known; horizon={2 * math.ceil(self.own.time)} tells."
+            )
         if self.longest_period is not None and self.motion.control_dt is not None:
             yield self._period(self.longest_period, self.motion.control_dt)
         if self.fails:
@@ -197,7 +202,6 @@ class Diagnosis(Result):
             yield f"The limiting state is {state.label}{where}."
 
     def _answer(self) -> str:
-        """Return whether the wanted dt holds, and which element limits dt."""
         limit, step = self.own, f"A step of {seconds(self.wanted)}"
         elements, own = self._limiters(None), limit.integrator
         name = Elements(elements).together or "the motion as a whole"
@@ -207,11 +211,15 @@ class Diagnosis(Result):
             judged = "by the linearised step"
         if math.isinf(limit.dt):
             fastest = f" The fastest element is {name}{traits}." if elements else ""
-            below = seconds(limit.longest)
+            below = seconds(min(limit.longest, max(self.wanted, self.horizon / 10)))
             if limit.longest < self.wanted:
                 does = "is not known yet" if self.observed is None else "fails"
-                return f"Runs hold up to {below} under {own}; {step[0].lower()}{step[1:]} {does}."
+                held = f"Runs hold up to {seconds(limit.longest)} under {own}"
+                more = "The limit is not known yet: it takes more time (seconds)."
+                return f"{held}; {step[0].lower()}{step[1:]} {does}. {more}"
             return f"No element limits dt below {below} under {own}, {judged}.{fastest}"
+        if limit.dt <= 0 and self.longest_period:
+            return f"{step} explodes under {own}: the control function is sampled too rarely."
         if limit.dt <= 0:
             tried = f"every step tried unstable, down to {seconds(limit.shortest)}"
             return f"{step} explodes under {own}: {name}{traits} {_verb(elements, 'make')} {tried}."
@@ -223,12 +231,8 @@ class Diagnosis(Result):
         over = f"over {seconds(self.horizon)}"
         margin = limit.dt / self.wanted
         holds = f"{step} is stable under {own} {over}, with a stability margin of {times(margin)}"
-        if margin < AMPLE:
-            return f"{holds}: {cause}."
-        return (
-            f"{holds}, so stability does not limit dt; accuracy does: run stepcore trade. "
-            f"{cause[0].upper()}{cause[1:]}."
-        )
+        accurate = "" if margin < AMPLE else " Accuracy ends before that: run stepcore trade."
+        return f"{holds}: {cause}.{accurate}"
 
     def _traits(self, elements: Sequence[Element]) -> str:
         """Return frequency and damping of the limiting element, in brackets, or that it saturates.
@@ -256,7 +260,6 @@ class Diagnosis(Result):
         return f" ({', '.join([*first, *traits])})" if traits else ""
 
     def _failure(self, elements: Sequence[Element]) -> str:
-        """Return the verb phrase for the failure of the wanted step."""
         seen, kinds = self.observed, {element.kind for element in elements}
         if self.saturated or kinds & {*FRICTION_LOSSES}:
             # The force is bounded, so the motion stays finite.
@@ -268,7 +271,6 @@ class Diagnosis(Result):
         return "explodes"
 
     def _differs(self) -> Iterator[str]:
-        """Yield what the linearised step bears where the run shows another limit, and why."""
         limit = self.own
         run, held = limit.dt, limit.held
         if not limit.ran or run == held or run <= 0 or math.isnan(held):
@@ -305,7 +307,6 @@ class Diagnosis(Result):
         )
 
     def _blown_up(self, runaway: Runaway) -> str:
-        """Return the sentence on a motion that blows up at every step."""
         coarse, fine = (seconds(dt) for dt in runaway.dts)
         before, after = (seconds(time) for time in runaway.times)
         if runaway.alike:
@@ -321,7 +322,6 @@ class Diagnosis(Result):
         return f"The motion blows up at every step tried{how}: {cause}."
 
     def _period(self, longest: float, asked: float) -> str:
-        """Return the control period, and the longest one at which the wanted step holds."""
         stable = f"a period of up to {seconds(longest)} is stable"
         if math.isinf(longest):
             stable = "every period is stable"
@@ -331,7 +331,6 @@ class Diagnosis(Result):
         return f"{held}; at steps of {seconds(min(self.wanted, asked))} {stable}."
 
     def _advised(self) -> Iterator[str]:
-        """Yield the changes that were tried, and the step that is stable without any change."""
         met = [advice.text for advice in self.advice if advice.met]
         failed = [advice.text for advice in self.advice if not advice.met]
         wanted, limit = seconds(self.wanted), self.own.dt
@@ -344,16 +343,17 @@ class Diagnosis(Result):
                 "Each was made, and the same motion run. The smallest change comes first, hardware "
                 "last."
             )
-        else:
+        elif failed:
             yield f"No change that was tried makes {wanted} stable."
+        else:
+            yield f"Which changes make {wanted} stable is not known: none was run."
         if failed:
-            yield f"Tried without success: {', '.join(_shortly(failed))}."
-        if limit > 0 and self.runaway is None:
+            yield f"Tried without success: {', '.join(failed)}."
+        if 0 < limit < math.inf and self.runaway is None:
             safe = round_number(min(limit, self.wanted) / MARGIN, up=False)
             yield f"Unchanged, the scene needs a step of {seconds(safe)} for the same margin."
 
     def _remarks(self) -> Iterator[str]:
-        """Yield notes on the validity of the diagnosis."""
         fine, limit = self.covered, self.own
         labels = ", ".join(state.label for state in self.states)
         if fine.dt >= limit.shortest:
@@ -387,7 +387,6 @@ class Diagnosis(Result):
             )
 
     def _growing(self) -> str:
-        """Return the note on growth of the motion itself."""
         if self.physical * SHORTEST > 1:
             return (
                 f"at some state nearby motions diverge e-fold in less than {seconds(SHORTEST)}, "
@@ -472,7 +471,6 @@ class Diagnosis(Result):
         }
 
     def _extremes(self) -> str:
-        """Return the meanings of limits of 0 and inf, if there are any."""
         every = [x for limit in self.limits.values() for x in (limit.dt, limit.held)]
         meanings = []
         if any(limit <= 0 for limit in every):
@@ -512,17 +510,6 @@ COLUMNS = ("element", "frequency", "ratio", "rate", "omega", "softened", "state"
 
 
 def _verb(elements: Sequence[Element], verb: str) -> str:
-    """Return the verb in the form that follows the elements' names."""
     if len(elements) > 1 or INERTIAL in elements:
         return verb
     return verb + ("es" if verb.endswith("ch") else "s")
-
-
-def _shortly(failed: Sequence[str]) -> list[str]:
-    """Return the changes that failed; two gains that also failed as a pair become "both".
-
-    >>> _shortly(["kp", "kv", "kp and kv", "armature"])
-    ['kp', 'kv', 'both', 'armature']
-    """
-    pairs = {f"{a} and {b}" for a in failed for b in failed}
-    return ["both" if text in pairs else text for text in failed]

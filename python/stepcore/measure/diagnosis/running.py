@@ -115,7 +115,7 @@ class UntilTheEnd:
 
 @dataclass(frozen=True)
 class Loop:
-    """A change of a user's control function: its gain, its period [s], controls that are frozen."""
+    """A change of a user's control function: gain, period [s] (0: every step), frozen controls."""
 
     gain: float = 1.0
     period: float | None = None
@@ -391,14 +391,13 @@ class Motions:
         return Pair(dt, ran.times, apart, kinetic, gained, why, reached, runs[0])
 
     def _driven(self, dt: float, count: int, loop: Loop | None) -> dict[str, Any]:
-        """Return the controls of a run, as `follow` takes them."""
         if self.users is None:
             steps = min(count, max(1, math.ceil(self.horizon / dt * (1 - 1e-9))))
             rows, held = self.schedule.controls.rows([0], dt, steps)
             # The motion ends with its horizon, though a table may go on.
             return {"ctrl": rows if rows is None else rows[:, : -(-steps // held)], "hold": held}
         loop = loop or Loop()
-        period = loop.period or self.period
+        period = self.period if loop.period is None else loop.period
         hold = 1 if period is None else max(1, round(period / dt))
         usual = self.usual or (1.0, None)
         end = self.horizon - self.model.settings.dt
@@ -418,7 +417,6 @@ class Motions:
 
 
 def _counted(sim: Sim) -> float:
-    """Return the operations of a step; those of calling it where it fails."""
     try:
         return OVERHEAD + sim.count_flops()
     except (SimulationError, ValueError):
@@ -431,6 +429,7 @@ class Judge:
 
     motions: the runs. fine: the converged pair. confirmed: whether two steps agreed. long: one that
     was made longer, because other runs fail later. runaway: how the motion blows up by itself.
+    loop: how the converged motion samples a user's control; None for as the other runs do.
     """
 
     motions: Motions
@@ -438,39 +437,53 @@ class Judge:
     confirmed: bool
     long: Pair | None = None
     runaway: Runaway | None = None
+    loop: Loop | None = None
     _known: dict[tuple[Change, float, Loop | None], Outcome] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, motions: Motions, dt: float) -> Judge:
+    def of(cls, motions: Motions, dt: float, loop: Loop | None = None) -> Judge:
         """Return the judge of a motion, whose converged run has a step of at most `dt` [s]."""
         runs, floor = list[Pair](), motions.floor
         for part in FINER:
             if runs and part * dt * motions.most < runs[-1].reached / 2 and not runs[-1].failure:
                 break
-            runs.append(motions.pair(FINE, part * dt, samples=LEAST))
+            runs.append(motions.pair(FINE, part * dt, loop=loop, samples=LEAST))
             motions.count(runs[-1])
             if len(runs) > 1 and _same(runs[-2], runs[-1], floor):
                 longer = max(runs[-2:], key=lambda run: round(run.reached, 9))
-                return cls(motions, longer, True)._ended()
+                return cls(motions, longer, True, loop=loop)._ended()
         usable = [run for run in runs if math.isinf(run.blows_up(floor))]
-        judge = cls(motions, (usable or runs)[-1], False)
+        judge = cls(motions, (usable or runs)[-1], False, loop=loop)
         if len(runs) > 1:
             judge.runaway = _runaway(runs[-2], runs[-1], floor)
             judge.fine = judge.fine if judge.runaway is None else runs[-1]
         return judge
+
+    @classmethod
+    def calm(cls, motions: Motions, dt: float) -> Judge:
+        """Return the judge of a motion, without its control period where that flutters."""
+        own = cls.of(motions, dt)
+        if motions.period is None or motions.users is None:
+            return own
+        closed = cls.of(motions, dt, Loop(period=0.0))
+        if closed.runaway is not None:
+            return own
+        most = LARGE * max(float(np.nanmax(closed.fine.energy)), motions.floor)
+        flutters = own.runaway is not None or float(np.nanmax(own.fine.energy)) > most
+        return closed if flutters else own
 
     def _ended(self) -> Judge:
         """Make a motion that grows at its end longer, until it is calm or blows up by itself."""
         motions, run, steps = self.motions, self.fine, round(self.fine.reached / self.fine.dt)
         while run.grows() and LONGER * steps <= motions.most:
             steps *= LONGER
-            run = motions.pair(FINE, run.dt, steps, samples=LEAST)
+            run = motions.pair(FINE, run.dt, steps, self.loop, LEAST)
             if math.isfinite(run.blows_up(motions.floor)):
                 break
             self.long = run
         while math.isfinite(run.blows_up(motions.floor)) and 2 * steps <= motions.most:
             steps *= 2
-            finer = motions.pair(FINE, run.dt / 2, steps, samples=LEAST)
+            finer = motions.pair(FINE, run.dt / 2, steps, self.loop, LEAST)
             self.runaway = _runaway(run, finer, motions.floor)
             if self.runaway is None or self.runaway.alike:
                 break
@@ -512,7 +525,7 @@ class Judge:
         steps = min(math.ceil(1.1 * time / dt), self.motions.most)
         if steps <= 1.05 * known.times[-1] / dt:
             return False
-        longer = self.motions.pair(FINE, dt, steps, samples=LEAST)
+        longer = self.motions.pair(FINE, dt, steps, self.loop, LEAST)
         if not longer.failure:
             self.long = longer
         return not longer.failure
@@ -563,13 +576,11 @@ class Judge:
 
 
 def _runaway(coarse: Pair, fine: Pair, floor: float) -> Runaway | None:
-    """Return how two runs of the motion blow up; None if one does not."""
     times = coarse.blows_up(floor), fine.blows_up(floor)
     return Runaway(times, (coarse.dt, fine.dt)) if math.isfinite(max(times)) else None
 
 
 def _same(coarse: Pair, fine: Pair, floor: float) -> bool:
-    """Return whether two runs agree in kinetic energy and in what becomes of the perturbation."""
     if not math.isinf(min(coarse.blows_up(floor), fine.blows_up(floor))):
         return False
     until = min(coarse.reached, fine.reached) * (1 + 1e-9)
