@@ -99,6 +99,11 @@ class Check(Result):
         yield from ALWAYS
 
     @property
+    def failed(self) -> bool:
+        """Whether the run failed."""
+        return any(finding.kind == "failure" for finding in self.findings)
+
+    @property
     def title(self) -> str:
         """The scene checked."""
         return f"{self.name}: check"
@@ -109,8 +114,8 @@ class Check(Result):
         said = f"Under {label(self.settings)}."
         # The user's controls drive both runs; without them, this run holds the keyframe's controls
         # constant.
-        driven = self.motion.is_users or self.motion.kind is not None
-        if self.diagnosis is not None and not driven and self.diagnosis.ran not in ("", self.ran):
+        same = self.motion.is_users or self.motion.kind is not None or self.failed
+        if self.diagnosis is not None and not same and self.diagnosis.ran not in ("", self.ran):
             said += f"\nThe time step was judged on another motion: {self.diagnosis.ran}."
         return said
 
@@ -123,14 +128,17 @@ class Check(Result):
     def sentences(self) -> list[str]:
         """The problems with their cures, the diagnosis' answer, and the commands to run next."""
         explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
-        so_far = " so far" if AS_SHIPPED in self.not_done else ""
-        said = [f"No problems found{' other than the time step' if explodes else so_far}."]
-        if self.findings:
-            said = [f"{finding.severity.capitalize()}: {finding.text}" for finding in self.findings]
-        if self.diagnosis is not None:
-            # The motion is said once, below.
+        said = [f"{finding.severity.capitalize()}: {finding.text}" for finding in self.findings]
+        if AS_SHIPPED in self.not_done:
+            said.insert(0, "Not known yet: what its run shows, for which there was no time.")
+        elif not said and not explodes:
+            said = ["No problems found."]
+        # A run that fails is not followed by how stable another part of the motion is.
+        if self.diagnosis is not None and (self.diagnosis.fails or not self.failed):
             answers = self.diagnosis.sentences[: None if self.diagnosis.fails else 1]
-            said += [text for text in answers if text != f"The motion: {self.diagnosis.ran}."]
+            # The failure has the answer already, and the motion is said once, below.
+            once = (f"The motion: {self.diagnosis.ran}.", answers[0] if self.failed else "")
+            said += [text for text in answers if text not in once]
         return [*said, "Next:", *(f"- {command} ({why})" for command, why in self.commands)]
 
     @property
@@ -166,8 +174,8 @@ def check(
     """Find what makes a scene misbehave, in seconds; the first thing to run.
 
     `check` reads the scene (implausible masses and inertias, units that look like mm or
-    degrees, starts and keyframes outside of limits, servos that are too stiff or saturated,
-    limits that an actuator overpowers), monitors one run as shipped (overlaps, creep,
+    degrees, starts and keyframes outside of limits, saturated servos, loads that actuators cannot
+    hold, limits that an actuator overpowers), monitors one run as shipped (overlaps, creep,
     gaps, depths, sag, saturation), and diagnoses the time step. Each finding is a sentence with its
     cure, most severe first. The diagnosis' answer and the commands to run next follow.
 
@@ -205,15 +213,19 @@ def check(
     horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
     far = horizon_of(compiled, _held(compiled, motion), horizon)
     schedule = _schedule(compiled, motion, far.length)
-    failure, seen = list[Finding](), list[Finding]()
+    failure, seen, judged = list[Finding](), list[Finding](), motion
     # Half of the time is the diagnosis'.
     with deadline.stage(AS_SHIPPED, HALF):
         failure, seen = _monitored(compiled, schedule, wanted, far.ran)
         deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
+    if failure:
+        # The step is judged on the very motion that failed.
+        judged, horizon = _held(compiled, motion), schedule.horizon
     with deadline.stage("runs of the cures that the scene alone suggests", HALF):
         read = verified(read, compiled)
     driven = motion.is_users or motion.kind is not None
-    diagnosis, notes = _diagnosis(setup, dataclasses.replace(motion, horizon=horizon))
+    diagnosis, notes = _diagnosis(setup, dataclasses.replace(judged, horizon=horizon))
+    failure = [_caused(finding, diagnosis) for finding in failure]
     return Check(
         name=setup.name,
         settings=compiled.settings,
@@ -257,14 +269,23 @@ def _monitored(
     model: Model, schedule: Schedule, depth: float | None, ran: Followed | None
 ) -> tuple[list[Finding], list[Finding]]:
     """Return the failure of the run, if any, and the findings that the run shows."""
-    shipped = model.with_settings(balanced(model.settings))
-    seen, failure = monitored(shipped, schedule, depth, ran)
+    seen, failure = monitored(model, schedule, depth, ran)
     if failure is None:
         return [], seen
+    # With an account of its energy a run knows what drove it.
+    cause = monitored(model.with_settings(balanced(model.settings)), schedule, depth)[1]
     replay = Next("run", "writes a replay of the failure for `stepcore replay`")
-    # Its time and its cause; the diagnosis gives the cure.
-    said = f"The run fails: {beginning(failure, 2)}"
+    said = f"The run fails: {beginning(cause or failure, 2)}"
     return [Finding("failure", "error", said, commands=(replay,))], seen
+
+
+def _caused(failure: Finding, diagnosis: Diagnosis | None) -> Finding:
+    """Return a failure with the cause that the diagnosis of the same motion found."""
+    if diagnosis is None or not diagnosis.fails:
+        return failure
+    answer = diagnosis.sentences[0].rstrip(".")
+    said = f"The run fails: {answer[0].lower()}{answer[1:]}"
+    return dataclasses.replace(failure, problem=said)
 
 
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:

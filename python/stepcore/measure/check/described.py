@@ -48,11 +48,9 @@ from stepcore.measure.monitors.soft_rows import yielding
 from stepcore.report.units import (
     FORCES,
     TORQUES,
-    hertz,
     metres,
     quantity,
     rounded,
-    seconds,
     times,
 )
 from stepcore.scene.elements import Geom
@@ -564,42 +562,6 @@ def _unlifted(scene: Described, body: int, each: Floats, need: float) -> Iterato
     yield Finding("balance", "warning", problem, cure, drives, have, "N", PLOT, remedy=remedy)
 
 
-def _without_armature(scene: Described) -> Iterator[Finding]:
-    """Yield servos that are stiff relative to the inertia that their joint moves."""
-    model, dt = scene.model, scene.model.settings.dt
-
-    def least(of: Actuator) -> float:
-        """The inertia at which ω dt is a half and a damping rate × dt is 1."""
-        return max(of.stiffness * (dt / HALF) ** 2, of.damping * dt)
-
-    bare = (
-        of
-        for of in scene.drives
-        if not scene.layout.joints[of.joint or 0].armature > 0
-        and not model.scene.actuators[of.index].armature > 0
-    )
-    stiff = worst(bare, lambda of: math.sqrt(max(0.0, least(of)) / of.inertia))
-    if not stiff:
-        return
-    of, servos = stiff[0], named(model, "actuator", [drive.index for drive in stiff])
-    assert of.joint is not None
-    omega = math.sqrt(max(of.stiffness, 0.0) / of.inertia)
-    gain, rate = f"kv {of.damping:.3g}", f"a damping rate of {of.damping / of.inertia:.3g}/s"
-    if omega * dt > HALF:
-        gain, rate = f"kp {of.stiffness:.3g}", hertz(omega)
-    unit = "kg·m²" if unit_of(model, of.joint) == "rad" else "kg"
-    problem = (
-        f"{listed(servos, 'servo')} has {gain} on a joint without armature that moves "
-        f"{of.inertia:.3g} {unit}, which is {rate} at a dt of {seconds(dt)}"
-    )
-    needed = rounded(least(of) - of.inertia, 2, up=True)
-    cure = (
-        f'armature="{needed:g}" on {model.element_name("joint", of.joint)} makes it slow enough, '
-        "or lower the gains"
-    )
-    yield Finding("armature", "warning", problem, cure, servos, of.inertia, unit)
-
-
 # Tendons.
 
 
@@ -631,5 +593,5 @@ def _unused(scene: Described) -> Iterator[Finding]:
 OF_LIMITS = (_beyond, _asked_beyond, _overpowered)
 FINDINGS = (
     *(_lengths, _tiny, _angles, _degrees, _densities, _inertias, _beyond, _clamped),
-    *(_asked_beyond, _overpowered, _saturated, _balance, _without_armature, _unused),
+    *(_asked_beyond, _overpowered, _saturated, _balance, _unused),
 )
