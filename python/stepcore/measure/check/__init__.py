@@ -24,7 +24,7 @@ from stepcore.experiment.horizon import STEPS, horizon_of
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.schedule import HORIZON, SAMPLES, Schedule, home, scheduled
-from stepcore.measure.check.described import Described, described
+from stepcore.measure.check.described import ENDLESS, Described, described
 from stepcore.measure.diagnosis import Diagnosis, diagnose
 from stepcore.measure.monitors import Finding, Next, monitored, ordered, verified
 from stepcore.measure.monitors.finding import HALF
@@ -92,7 +92,7 @@ class Check(Result):
         if HALF * limit < dt:
             yield Next("diagnose", "every element's largest stable dt, and all the advice")
         for finding in self.findings:
-            if finding.kind == "failure":
+            if finding.kind == "failure" and not self.endless:
                 short = f"{min(dt / 4, limit / 2 if limit > 0 else dt):.1g}"
                 yield Next("run", "whether a smaller time step survives", ("--dt", short))
             yield from finding.commands
@@ -102,6 +102,11 @@ class Check(Result):
     def failed(self) -> bool:
         """Whether the run failed."""
         return any(finding.kind == "failure" for finding in self.findings)
+
+    @property
+    def endless(self) -> bool:
+        """Whether the motion grows at every time step, so that none is the cure."""
+        return any(finding.kind == ENDLESS for finding in self.findings)
 
     @property
     def title(self) -> str:
@@ -133,11 +138,13 @@ class Check(Result):
             said.insert(0, "Not known yet: what its run shows, for which there was no time.")
         elif not said and not explodes:
             said = ["No problems found."]
-        # A run that fails is not followed by how stable another part of the motion is.
-        if self.diagnosis is not None and (self.diagnosis.fails or not self.failed):
-            answers = self.diagnosis.sentences[: None if self.diagnosis.fails else 1]
+        # A run that fails is not followed by how stable another part of the motion is, and one that
+        # grows at every time step not by the largest stable one.
+        if self.diagnosis is not None and not self.endless:
+            judged = self.diagnosis.fails or not self.failed
+            answers = self.diagnosis.sentences[: None if self.diagnosis.fails else 1 * judged]
             # The failure has the answer already, and the motion is said once, below.
-            once = (f"The motion: {self.diagnosis.ran}.", answers[0] if self.failed else "")
+            once = (f"The motion: {self.diagnosis.ran}.", *answers[: int(self.failed)])
             said += [text for text in answers if text not in once]
         return [*said, "Next:", *(f"- {command} ({why})" for command, why in self.commands)]
 
@@ -225,7 +232,8 @@ def check(
         read = verified(read, compiled)
     driven = motion.is_users or motion.kind is not None
     diagnosis, notes = _diagnosis(setup, dataclasses.replace(judged, horizon=horizon))
-    failure = [_caused(finding, diagnosis) for finding in failure]
+    if not any(finding.kind == ENDLESS for finding in read):
+        failure = [_caused(finding, diagnosis) for finding in failure]
     return Check(
         name=setup.name,
         settings=compiled.settings,
