@@ -68,7 +68,7 @@ def test_a_horizon_that_cannot_end_is_refused_up_front():
     for measured in (sc.trade, sc.predict):
         with pytest.raises(ValueError, match=said):
             measured(spring, horizon=1e9, progress=False)
-    with pytest.raises(ValueError, match="horizon = 2e9 s .* would take 2e11 steps"):
+    with pytest.raises(ValueError, match=r"horizon = 2e9 s .* would take 2e11 steps"):
         sc.stability_map(values=[10], dts=[0.01], horizon=2e9, progress=False)
 
 
