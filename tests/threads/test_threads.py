@@ -1,6 +1,6 @@
 """Scenes rebuilt from public threads in which people asked for help: what is true of each is said.
 
-tests/threads has the scenes. What is true was measured in MuJoCo, or follows from a closed form.
+The scenes are beside this file. What is true was measured in MuJoCo, or follows from a closed form.
 """
 
 import importlib
@@ -14,7 +14,7 @@ import pytest
 import stepcore as sc
 from stepcore.cli import main
 
-FOLDER = Path(__file__).parents[1] / "threads"
+FOLDER = Path(__file__).parent
 # What the findings say, without the time step.
 FOUND = {
     "friction8": ("102 mm deep", 'cone="elliptic" leaves 108 µm'),
@@ -83,6 +83,60 @@ def test_what_is_true_is_found(case):
     assert bool(result.findings) == bool(FOUND[case])
     # The servo of the hip is healthy; a gain of energy of 1e-8 J is no failure.
     assert "lf1_lf2" not in said and (case != "decimation pd" or not result.failed)
+
+
+# Fields of elements as the answers above name them, and what must be true after some seconds.
+CURED = {
+    "friction8": ("cone=elliptic", 1.0, lambda sim: abs(sim.overlap - 108e-6) < 2e-6),
+    "friction1000": ("cone=elliptic", 2.0, lambda sim: sim.qpos[2] > 0.4),
+    "friceq": (
+        "joint B solreffriction .004 1, joint B solimpfriction .9999 .9999 .001 .5 2",
+        1.0,
+        lambda sim: abs(sim.qpos[1]) < 1e-3,
+    ),
+    "cubedrop": (
+        "geom * solref .004 1, geom * solimp .99 .99 .001 .5 2",
+        5.0,
+        lambda sim: sim.qpos[2] > 0.8,
+    ),
+    "legweak": (
+        "actuator lf2_lf3 kp 11.7, actuator lf2_lf3 kv .159",
+        2.0,
+        lambda sim: abs(sim.qpos[1]) < 0.02,
+    ),
+    "newtonball": ("actuator * kv 1.46", 10.0, lambda sim: abs(sim.qvel).max() < 1e-6),
+    "hingeball": ("integrator=midpoint", 40.0, lambda sim: abs(sum(sim.energy) - 196.2) < 2),
+}
+
+
+@pytest.mark.filterwarnings("ignore::stepcore.ModelWarning", "ignore::stepcore.EnergyWarning")
+@pytest.mark.parametrize("name", CURED)
+def test_a_cure_that_is_named_holds_when_it_is_made_by_hand(name):
+    cure, time, holds = CURED[name]
+    scene = sc.load(FOLDER / f"{name}.xml")
+    settings = {}
+    for change in cure.split(", "):
+        if "=" in change:
+            field, settings[field] = change.split("=")
+            continue
+        kind, which, field, *values = change.split()
+        numbers = tuple(map(float, values))
+        for element in getattr(scene, f"{kind}s"):
+            if which in ("*", element.name):
+                setattr(element, field, numbers if len(numbers) > 1 else numbers[0])
+    cured, shipped = scene.with_settings(**settings), sc.load(FOLDER / f"{name}.xml")
+    assert ends(cured, time, holds) and not ends(shipped, time, holds)
+
+
+def ends(scene, time, holds):
+    """Whether a law holds at the end of a run that holds the keyframe's controls."""
+    sim = sc.Sim(scene)
+    sim.reset(key=0 if sim.model.keys else None)
+    try:
+        sim.step(round(time / sim.settings.dt))
+    except sc.SimulationError:
+        return False
+    return bool(holds(sim))
 
 
 @pytest.mark.parametrize("case", ANSWERED)
