@@ -25,7 +25,7 @@ from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import Truth
 from stepcore.measure.monitors import verified
 from stepcore.measure.monitors.recording import recorded
-from stepcore.measure.monitors.resting import resting_findings
+from stepcore.measure.monitors.scene import resting_findings
 from stepcore.report import units
 from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
