@@ -63,7 +63,7 @@ def servo(more="", kp=10):
 def test_nothing_is_found_in_a_healthy_scene(name):
     result = sc.check(name, horizon=0.5, threads=1, progress=False)
     assert result.findings == [] and result.sentences[0] == "No problems found."
-    assert result.sentences[1] == result.diagnosis.sentences[0]
+    assert result.diagnosis.sentences[0].startswith(result.sentences[1])
     commands = [command for command, _ in result.commands]
     assert commands[0] == f"stepcore trade {name} --error 1mm --horizon 0.5" and len(commands) == 3
 

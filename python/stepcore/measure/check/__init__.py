@@ -36,7 +36,7 @@ from stepcore.report.units import beginning, counted
 
 __all__ = ["Check", "check"]
 
-AS_SHIPPED = "the run as shipped"
+AS_SHIPPED, TIME_STEP = "the run as shipped", "the diagnosis of the time step"
 # Commands for any scene.
 ALWAYS = (
     Next("trade", "how large the error is, and what is cheaper", ("--error", "1mm")),
@@ -134,15 +134,17 @@ class Check(Result):
         """The problems with their cures, the diagnosis' answer, and the commands to run next."""
         explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
         said = [f"{finding.severity.capitalize()}: {finding.text}" for finding in self.findings]
-        if AS_SHIPPED in self.not_done:
-            said.insert(0, "Not known yet: what its run shows, for which there was no time.")
+        unknown = [what for what in (AS_SHIPPED, TIME_STEP) if what in self.not_done]
+        if unknown:
+            said.insert(0, f"Not known yet: {' and '.join(unknown)}.")
         elif not said and not explodes:
             said = ["No problems found."]
-        # A run that fails is not followed by how stable another part of the motion is, and one that
-        # grows at every time step not by the largest stable one.
+        # A motion that grows at every time step is not followed by the largest stable one.
         if self.diagnosis is not None and not self.endless:
-            judged = self.diagnosis.fails or not self.failed
-            answers = self.diagnosis.sentences[: None if self.diagnosis.fails else 1 * judged]
+            answers = self.diagnosis.sentences
+            if not self.diagnosis.fails:
+                # A run that fails is not followed by how stable another part of the motion is.
+                answers = [] if self.failed else [f"{beginning(answers[0])}."]
             # The failure has the answer already, and the motion is said once, below.
             once = (f"The motion: {self.diagnosis.ran}.", *answers[: int(self.failed)])
             said += [text for text in answers if text not in once]
@@ -325,7 +327,7 @@ def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str
             progress=workers.progress,
         )
     except OutOfTime:
-        workers.deadline.left_out.append("the diagnosis of the time step")
+        workers.deadline.left_out.append(TIME_STEP)
         return None, []
     except Exception as error:
         # The diagnosis may fail on a misbehaving scene; the findings must still be reported.
