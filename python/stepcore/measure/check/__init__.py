@@ -283,9 +283,10 @@ def _monitored(
     if failure is None:
         return [], seen
     # With an account of its energy a run knows what drove it.
-    cause = monitored(model.with_settings(balanced(model.settings)), schedule, depth)[1]
+    cause = monitored(model.with_settings(balanced(model.settings)), schedule, depth)[1] or ""
     replay = Next("run", "writes a replay of the failure for `stepcore replay`")
-    said = f"The run fails: {beginning(cause or failure, 2)}"
+    why = beginning(cause, 2).removeprefix(beginning(cause))
+    said = f"The run fails: {beginning(failure)}{why}"
     return [Finding("failure", "error", said, commands=(replay,))], seen
 
 
