@@ -234,13 +234,16 @@ def check(
         read = verified(read, compiled)
     driven = motion.is_users or motion.kind is not None
     diagnosis, notes = _diagnosis(setup, dataclasses.replace(judged, horizon=horizon))
-    if not any(finding.kind == ENDLESS for finding in read):
-        failure = [_caused(finding, diagnosis) for finding in failure]
+    merged = list(_merged(read, seen))
+    found = [*(_caused(finding, diagnosis) for finding in failure), *merged]
+    if any(finding.kind == ENDLESS for finding in read):
+        # What grows at every time step is the cause, and no step is.
+        found = [*merged, *failure]
     return Check(
         name=setup.name,
         settings=compiled.settings,
         motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=1),
-        findings=ordered([*failure, *_merged(read, seen)]),
+        findings=ordered(found),
         diagnosis=diagnosis,
         ran=far.after(
             motion_in_words(compiled, motion, schedule)
