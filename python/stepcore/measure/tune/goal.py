@@ -131,8 +131,7 @@ class Tuned:
         """Return the proposal as plain data."""
         names = ("kind", "name", "measured", "expected", "reached")
         goal = {"goal": self.goal.name, "wanted": self.goal.value, "mjcf": " ".join(self.lines)}
-        found = {name: getattr(self, name) for name in names} | goal
-        return found | {"measured": self.measured if math.isfinite(self.measured) else None}
+        return {name: getattr(self, name) for name in names} | goal
 
 
 class At(NamedTuple):
