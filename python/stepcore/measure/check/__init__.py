@@ -89,6 +89,9 @@ class Check(Result):
     def _following(self) -> Iterator[Next]:
         dt = self.settings.dt
         limit = self.diagnosis.limit() if self.diagnosis else math.inf
+        if self.diagnosis is not None and self.diagnosis.fails:
+            # What runs hold up to, where the limit is not known.
+            limit = min(limit, self.diagnosis.own.longest)
         if HALF * limit < dt:
             yield Next("diagnose", "every element's largest stable dt, and all the advice")
         for finding in self.findings:
@@ -141,12 +144,13 @@ class Check(Result):
             said = ["No problems found."]
         # A motion that grows at every time step is not followed by the largest stable one.
         if self.diagnosis is not None and not self.endless:
-            answers = self.diagnosis.sentences
-            if not self.diagnosis.fails:
+            answers, fails = self.diagnosis.sentences, self.diagnosis.fails
+            known = fails and math.isfinite(self.diagnosis.limit())
+            if not known:
                 # A run that fails is not followed by how stable another part of the motion is.
-                answers = [] if self.failed else [f"{beginning(answers[0])}."]
+                answers = [f"{beginning(answers[0])}."] if fails or not self.failed else []
             # The failure has the answer already, and the motion is said once, below.
-            once = (f"The motion: {self.diagnosis.ran}.", *answers[: int(self.failed)])
+            once = (f"The motion: {self.diagnosis.ran}.", *answers[: int(self.failed and known)])
             said += [text for text in answers if text not in once]
         return [*said, "Next:", *(f"- {command} ({why})" for command, why in self.commands)]
 
@@ -295,7 +299,7 @@ def _monitored(
 
 def _caused(failure: Finding, diagnosis: Diagnosis | None) -> Finding:
     """Return a failure with the cause that the diagnosis of the same motion found."""
-    if diagnosis is None or not diagnosis.fails:
+    if diagnosis is None or not diagnosis.fails or math.isinf(diagnosis.limit()):
         return failure
     answer = diagnosis.sentences[0].rstrip(".")
     said = f"The run fails: {answer[0].lower()}{answer[1:]}"
