@@ -193,7 +193,6 @@ class Search:
             return found[steps].bound
 
         steps = least(ladder, wrong, error, first) if ladder else None
-        # Where the shipped settings fail, no error is asked for.
         return None if steps is None else found.get(steps)
 
     def _adaptive(self, error: float, best: Trial | None) -> Trial | None:
