@@ -188,10 +188,8 @@ def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST
     """Raise ValueError if runs over the horizon [s] need more than `most` steps in all."""
     total = horizon / dt * runs
     if not total <= most:
-        raise ValueError(
-            f"horizon = {horizon:g}: {words} of dt = {dt:g} s that is {total:.2g} steps; must be "
-            f"at most {most:g}"
-        )
+        said = f"horizon = {horizon:g} s with dt = {dt:g} s: {words} would take {total:.2g} steps"
+        raise ValueError(f"{said}; must be at most {most:g}".replace("e+0", "e").replace("e+", "e"))
 
 
 def flag_of(name: str, value: object) -> bool:

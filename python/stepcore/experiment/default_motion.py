@@ -134,9 +134,9 @@ def _far(moves: Moves, chosen: Chosen) -> str:
     """Return how far joints go: "up to 0.35 rad and 5 mm", or "" if none moves."""
     slides = np.array([moves.model.jnt_type[joint] == "slide" for joint in moves.joints], bool)
     ends = (radians, chosen.far[~slides]), (metres, chosen.far[slides])
-    parts = [said(float(far.max())) for said, far in ends if far.any()]
+    parts = [said(float(far.max())) for said, far in ends if far.max(initial=0.0) > 1e-6]
     most = float(np.abs(chosen.spans).max(initial=0.0))
-    if not parts and most:
+    if not parts and most > 1e-6:
         parts = [f"{most:.2g} of control"]
     return f"up to {' and '.join(parts)}" if parts else ""
 

@@ -119,7 +119,7 @@ def _onnx(path: str, shown: str) -> Network:
         width = shape[-1] if shape else None
         if isinstance(width, int) and width != len(observed):
             how = "observe=FUNCTION of stepcore.policy makes its input (by default qpos and qvel)"
-            raise ValueError(f"{path}: takes {width} numbers, and not {len(observed)}: {how}")
+            raise ValueError(f"{path} expects {width} inputs, not {len(observed)}: {how}")
         row = observed[None] if len(shape) > 1 else observed
         return np.ravel(session.run(None, {name: row})[0])
 

@@ -204,7 +204,7 @@ def laid_out(
     """
     count = starts or motion.starts or STARTS
     length = default_horizon(period, horizon) if motion.horizon is None else motion.horizon
-    checks.steps(length, dt, count, f"from {count} start{'s' * (count > 1)} in steps")
+    checks.steps(length, dt, count, f"runs from {count} start{'s' * (count > 1)}")
     periods = int(length / period + 1e-9)
     if periods < 1:
         raise ValueError(f"horizon = {length:g} s: shorter than one period of {period:g} s")

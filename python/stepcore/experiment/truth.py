@@ -237,7 +237,7 @@ class Converging:
             if before is None or before.failure or now.failure:
                 continue
             moved[k], wrong = off(before, now), off(shipped, now)
-            asked = SHARE**2 * wrong if math.isfinite(wrong) else 1e-3 * study.size
+            asked = SHARE**2 * wrong if 0 < wrong < math.inf else 1e-3 * study.size
             goal = asked if self.goal is None else self.goal
             if moved[k] <= goal:
                 self.goal = goal

@@ -23,6 +23,9 @@ from stepcore.experiment.mujoco_engine import FLAGS
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import Truth
+from stepcore.measure.monitors import verified
+from stepcore.measure.monitors.recording import recorded
+from stepcore.measure.monitors.scene import resting_findings
 from stepcore.report import units
 from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
@@ -85,6 +88,7 @@ class Ablation(Result):
     smallest: the smallest model as a Scene; None for MuJoCo, whose flags are in `in_file`.
     reference: the error of the converged motion in the worst start [m]; None without one.
     complete: whether the search for the smallest model came to its end.
+    resting: which bodies only rest, and what fixing them saves, as a sentence; "" without any.
 
     >>> from stepcore import ablate, lesson
     >>> result = ablate(lesson.drop(), horizon=0.2, starts=1, progress=False)
@@ -110,6 +114,7 @@ class Ablation(Result):
     smallest: Scene | None
     reference: float | None
     complete: bool = True
+    resting: str = ""
 
     @property
     def title(self) -> str:
@@ -219,7 +224,8 @@ class Ablation(Result):
     @property
     def sentences(self) -> list[str]:
         """The smallest model, features without effect, the largest effect, and failures."""
-        said, whole = self._smallest(), self.whole.trial.work
+        said, whole = [self.resting] * bool(self.resting), self.whole.trial.work
+        said += self._smallest()
         alike = [r for r in self.rows if r.trial.error == 0.0 and r.trial.work < whole]
         if alike:
             labels = "; ".join(row.removal.label for row in alike)
@@ -323,7 +329,12 @@ def ablate(
     study = Study(motion=setup.motion, engine=setup.engine, workers=setup.workers)
     time = setup.workers.deadline
     tolerance = units.length("ablate", "added", added, study.size)
-    truth, notes = None, list[str]()
+    truth, notes, resting = None, list[str](), ""
+    if engine == "stepcore":
+        with time.stage("bodies that only rest"):
+            found = resting_findings(recorded(study.model, study.schedule))
+            resting = " ".join(one.text for one in verified(found, study.model))
+            time.so_far(resting)
     with time.stage("the converged motion, and errors against it", CONVERGED):
         truth, notes = _truth(study, tolerance)
     choice, complete, proof = Choice(study, tolerance, truth), False, None
@@ -368,6 +379,7 @@ def ablate(
         notes=[*notes, *study.schedule.notes],
         ran=study.motion_ran,
         complete=complete,
+        resting=resting,
     )
 
 

@@ -182,7 +182,10 @@ def _cell(value: Any, spec: str) -> str:
         return "yes" if value else ""
     if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:
         value = value.item()
-    return f"{value:{spec}}" if isinstance(value, float) else _line_of(value)
+    if isinstance(value, float):
+        # What is not a number is not known.
+        return "" if value != value else f"{value:{spec}}"
+    return _line_of(value)
 
 
 def _line_of(text: object) -> str:

@@ -47,12 +47,18 @@ def quantity(value: float, units: Units, digits: int = 3) -> str:
     """Format a number in the largest unit in which its absolute value is at least 1."""
     for unit, size in units:
         if abs(value) >= size * (1 - 0.5 * 10**-digits):
-            return f"{value / size:.{digits}g} {unit}"
+            return f"{_plain(value / size, digits)} {unit}"
     plain = next((unit for unit, size in units if size == 1.0), units[0][0])
     if not value or math.isnan(value):
         return f"{value:g} {plain}"
     unit, size = units[-1]
     return f"{value / size:.{digits}g} {unit}"
+
+
+def _plain(value: float, digits: int) -> str:
+    """Return a number of some digits; one below a million without an exponent."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text
 
 
 # Numbers in a readable unit: a time [s], a speed [m/s], a force [N], an energy [J], an angle [rad],

@@ -24,7 +24,7 @@ from stepcore.experiment.horizon import STEPS, horizon_of
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.schedule import HORIZON, SAMPLES, Schedule, home, scheduled
-from stepcore.measure.check.described import Described, described
+from stepcore.measure.check.described import ENDLESS, Described, described
 from stepcore.measure.diagnosis import Diagnosis, diagnose
 from stepcore.measure.monitors import Finding, Next, monitored, ordered, verified
 from stepcore.measure.monitors.finding import HALF
@@ -36,7 +36,7 @@ from stepcore.report.units import beginning, counted
 
 __all__ = ["Check", "check"]
 
-AS_SHIPPED = "the run as shipped"
+AS_SHIPPED, TIME_STEP = "the run as shipped", "the diagnosis of the time step"
 # Commands for any scene.
 ALWAYS = (
     Next("trade", "how large the error is, and what is cheaper", ("--error", "1mm")),
@@ -89,14 +89,27 @@ class Check(Result):
     def _following(self) -> Iterator[Next]:
         dt = self.settings.dt
         limit = self.diagnosis.limit() if self.diagnosis else math.inf
+        if self.diagnosis is not None and self.diagnosis.fails:
+            # What runs hold up to, where the limit is not known.
+            limit = min(limit, self.diagnosis.own.longest)
         if HALF * limit < dt:
             yield Next("diagnose", "every element's largest stable dt, and all the advice")
         for finding in self.findings:
-            if finding.kind == "failure":
+            if finding.kind == "failure" and not self.endless:
                 short = f"{min(dt / 4, limit / 2 if limit > 0 else dt):.1g}"
                 yield Next("run", "whether a smaller time step survives", ("--dt", short))
             yield from finding.commands
         yield from ALWAYS
+
+    @property
+    def failed(self) -> bool:
+        """Whether the run failed."""
+        return any(finding.kind == "failure" for finding in self.findings)
+
+    @property
+    def endless(self) -> bool:
+        """Whether the motion grows at every time step, so that none is the cure."""
+        return any(finding.kind == ENDLESS for finding in self.findings)
 
     @property
     def title(self) -> str:
@@ -109,8 +122,8 @@ class Check(Result):
         said = f"Under {label(self.settings)}."
         # The user's controls drive both runs; without them, this run holds the keyframe's controls
         # constant.
-        driven = self.motion.is_users or self.motion.kind is not None
-        if self.diagnosis is not None and not driven and self.diagnosis.ran not in ("", self.ran):
+        same = self.motion.is_users or self.motion.kind is not None or self.failed
+        if self.diagnosis is not None and not same and self.diagnosis.ran not in ("", self.ran):
             said += f"\nThe time step was judged on another motion: {self.diagnosis.ran}."
         return said
 
@@ -123,14 +136,22 @@ class Check(Result):
     def sentences(self) -> list[str]:
         """The problems with their cures, the diagnosis' answer, and the commands to run next."""
         explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
-        so_far = " so far" if AS_SHIPPED in self.not_done else ""
-        said = [f"No problems found{' other than the time step' if explodes else so_far}."]
-        if self.findings:
-            said = [f"{finding.severity.capitalize()}: {finding.text}" for finding in self.findings]
-        if self.diagnosis is not None:
-            # The motion is said once, below.
-            answers = self.diagnosis.sentences[: None if self.diagnosis.fails else 1]
-            said += [text for text in answers if text != f"The motion: {self.diagnosis.ran}."]
+        said = [f"{finding.severity.capitalize()}: {finding.text}" for finding in self.findings]
+        unknown = [what for what in (AS_SHIPPED, TIME_STEP) if what in self.not_done]
+        if unknown:
+            said.insert(0, f"Not known yet: {' and '.join(unknown)}.")
+        elif not said and not explodes:
+            said = ["No problems found."]
+        # A motion that grows at every time step is not followed by the largest stable one.
+        if self.diagnosis is not None and not self.endless:
+            answers, fails = self.diagnosis.sentences, self.diagnosis.fails
+            known = fails and math.isfinite(self.diagnosis.limit())
+            if not known:
+                # A run that fails is not followed by how stable another part of the motion is.
+                answers = [f"{beginning(answers[0])}."] if fails or not self.failed else []
+            # The failure has the answer already, and the motion is said once, below.
+            once = (f"The motion: {self.diagnosis.ran}.", *answers[: int(self.failed and known)])
+            said += [text for text in answers if text not in once]
         return [*said, "Next:", *(f"- {command} ({why})" for command, why in self.commands)]
 
     @property
@@ -166,8 +187,8 @@ def check(
     """Find what makes a scene misbehave, in seconds; the first thing to run.
 
     `check` reads the scene (implausible masses and inertias, units that look like mm or
-    degrees, starts and keyframes outside of limits, servos that are too stiff or saturated,
-    limits that an actuator overpowers), monitors one run as shipped (overlaps, creep,
+    degrees, starts and keyframes outside of limits, saturated servos, loads that actuators cannot
+    hold, limits that an actuator overpowers), monitors one run as shipped (overlaps, creep,
     gaps, depths, sag, saturation), and diagnoses the time step. Each finding is a sentence with its
     cure, most severe first. The diagnosis' answer and the commands to run next follow.
 
@@ -205,20 +226,28 @@ def check(
     horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
     far = horizon_of(compiled, _held(compiled, motion), horizon)
     schedule = _schedule(compiled, motion, far.length)
-    failure, seen = list[Finding](), list[Finding]()
+    failure, seen, judged = list[Finding](), list[Finding](), motion
     # Half of the time is the diagnosis'.
     with deadline.stage(AS_SHIPPED, HALF):
         failure, seen = _monitored(compiled, schedule, wanted, far.ran)
         deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
+    if failure:
+        # The step is judged on the very motion that failed.
+        judged, horizon = _held(compiled, motion), schedule.horizon
     with deadline.stage("runs of the cures that the scene alone suggests", HALF):
         read = verified(read, compiled)
     driven = motion.is_users or motion.kind is not None
-    diagnosis, notes = _diagnosis(setup, dataclasses.replace(motion, horizon=horizon))
+    diagnosis, notes = _diagnosis(setup, dataclasses.replace(judged, horizon=horizon))
+    merged = list(_merged(read, seen))
+    found = [*(_caused(finding, diagnosis) for finding in failure), *merged]
+    if any(finding.kind == ENDLESS for finding in read):
+        # What grows at every time step is the cause, and no step is.
+        found = [*merged, *failure]
     return Check(
         name=setup.name,
         settings=compiled.settings,
         motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=1),
-        findings=ordered([*failure, *_merged(read, seen)]),
+        findings=ordered(found),
         diagnosis=diagnosis,
         ran=far.after(
             motion_in_words(compiled, motion, schedule)
@@ -257,14 +286,24 @@ def _monitored(
     model: Model, schedule: Schedule, depth: float | None, ran: Followed | None
 ) -> tuple[list[Finding], list[Finding]]:
     """Return the failure of the run, if any, and the findings that the run shows."""
-    shipped = model.with_settings(balanced(model.settings))
-    seen, failure = monitored(shipped, schedule, depth, ran)
+    seen, failure = monitored(model, schedule, depth, ran)
     if failure is None:
         return [], seen
+    # With an account of its energy a run knows what drove it.
+    cause = monitored(model.with_settings(balanced(model.settings)), schedule, depth)[1] or ""
     replay = Next("run", "writes a replay of the failure for `stepcore replay`")
-    # Its time and its cause; the diagnosis gives the cure.
-    said = f"The run fails: {beginning(failure, 2)}"
+    why = beginning(cause, 2).removeprefix(beginning(cause))
+    said = f"The run fails: {beginning(failure)}{why}"
     return [Finding("failure", "error", said, commands=(replay,))], seen
+
+
+def _caused(failure: Finding, diagnosis: Diagnosis | None) -> Finding:
+    """Return a failure with the cause that the diagnosis of the same motion found."""
+    if diagnosis is None or not diagnosis.fails or math.isinf(diagnosis.limit()):
+        return failure
+    answer = diagnosis.sentences[0].rstrip(".")
+    said = f"The run fails: {answer[0].lower()}{answer[1:]}"
+    return dataclasses.replace(failure, problem=said)
 
 
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
@@ -296,7 +335,7 @@ def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str
             progress=workers.progress,
         )
     except OutOfTime:
-        workers.deadline.left_out.append("the diagnosis of the time step")
+        workers.deadline.left_out.append(TIME_STEP)
         return None, []
     except Exception as error:
         # The diagnosis may fail on a misbehaving scene; the findings must still be reported.

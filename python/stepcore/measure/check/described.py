@@ -7,6 +7,7 @@ import functools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.horizon import STEPS
+from stepcore.experiment.horizon import LONGEST, STEPS
 from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.finding import (
@@ -37,6 +38,7 @@ from stepcore.measure.monitors.finding import (
 )
 from stepcore.measure.monitors.joints import (
     coordinate,
+    gained,
     length_of,
     limit_remedy,
     strength,
@@ -48,11 +50,9 @@ from stepcore.measure.monitors.soft_rows import yielding
 from stepcore.report.units import (
     FORCES,
     TORQUES,
-    hertz,
     metres,
     quantity,
     rounded,
-    seconds,
     times,
 )
 from stepcore.scene.elements import Geom
@@ -70,6 +70,8 @@ TOO_FAR = 3.0
 # A keyframe is written on purpose: only the rounding of its numbers may be outside, relative to the
 # range. kitchen_env_model.xml has 0.19 %.
 KEYED = 1e-3
+# The kind of finding on a motion that grows at every time step.
+ENDLESS = "ball joint"
 LIST = (Next("plan", "every body, geom and row that a step computes", ("--all",)),)
 
 
@@ -564,40 +566,56 @@ def _unlifted(scene: Described, body: int, each: Floats, need: float) -> Iterato
     yield Finding("balance", "warning", problem, cure, drives, have, "N", PLOT, remedy=remedy)
 
 
-def _without_armature(scene: Described) -> Iterator[Finding]:
-    """Yield servos that are stiff relative to the inertia that their joint moves."""
-    model, dt = scene.model, scene.model.settings.dt
+def _turning(scene: Described) -> Iterator[Finding]:
+    """Yield servos that drive a ball joint on and on, whatever the time step.
 
-    def least(of: Actuator) -> float:
-        """The inertia at which ω dt is a half and a damping rate × dt is 1."""
-        return max(of.stiffness * (dt / HALF) ** 2, of.damping * dt)
+    Torques that each follow one component of the rotation are not the gradient of an energy, so
+    that a motion through other angles may gain some on each round.
+    """
+    model, of_joint = scene.model, dict[int, list[Actuator]]()
+    for of in actuators(model):
+        joint = int(model.actuator_joint[of.index])
+        if of.holds and joint >= 0 and model.jnt_type[joint] == "ball":
+            of_joint.setdefault(joint, []).append(of)
+    for joint, servos in of_joint.items():
+        remedy = _damped(scene, joint, servos)
+        finer = Change(dt=model.settings.dt / 4).of(model)
+        runs = (remedy.again(other) for other in (model, finer) if remedy.again)
+        if len(servos) > 1 and all((remedy.left(run) or 0.0) > HALF for run in runs):
+            drives = named(model, "actuator", (of.index for of in servos))
+            problem = (
+                f"{listed(drives, 'servo')} turns {model.element_name('joint', joint)} on and on, "
+                "at a quarter of the dt too: torques that each follow one angle are no spring's, "
+                "and their damping is too small to bear it"
+            )
+            yield Finding(ENDLESS, "error", problem, "", drives, commands=PLOT, remedy=remedy)
 
-    bare = (
-        of
-        for of in scene.drives
-        if not scene.layout.joints[of.joint or 0].armature > 0
-        and not model.scene.actuators[of.index].armature > 0
-    )
-    stiff = worst(bare, lambda of: math.sqrt(max(0.0, least(of)) / of.inertia))
-    if not stiff:
-        return
-    of, servos = stiff[0], named(model, "actuator", [drive.index for drive in stiff])
-    assert of.joint is not None
-    omega = math.sqrt(max(of.stiffness, 0.0) / of.inertia)
-    gain, rate = f"kv {of.damping:.3g}", f"a damping rate of {of.damping / of.inertia:.3g}/s"
-    if omega * dt > HALF:
-        gain, rate = f"kp {of.stiffness:.3g}", hertz(omega)
-    unit = "kg·m²" if unit_of(model, of.joint) == "rad" else "kg"
-    problem = (
-        f"{listed(servos, 'servo')} has {gain} on a joint without armature that moves "
-        f"{of.inertia:.3g} {unit}, which is {rate} at a dt of {seconds(dt)}"
-    )
-    needed = rounded(least(of) - of.inertia, 2, up=True)
-    cure = (
-        f'armature="{needed:g}" on {model.element_name("joint", of.joint)} makes it slow enough, '
-        "or lower the gains"
-    )
-    yield Finding("armature", "warning", problem, cure, servos, of.inertia, unit)
+
+def _damped(scene: Described, joint: int, servos: list[Actuator]) -> Remedy:
+    """Return critical damping of the servos of a ball joint, judged by whether it comes to rest."""
+    model, sim, dof = scene.model, Sim(scene.model), int(scene.model.jnt_dofadr[joint])
+    scene.start.put(sim)
+    sim.forward()
+    inertia = float(np.diag(sim.mass_matrix())[dof : dof + 3].max())
+    values, damping = dict[str, Any](), 0.0
+    for of in servos:
+        kv = rounded(2 * math.sqrt(of.kp * inertia))
+        values |= gained(model, of.index, of.kp, kv)
+        damping = max(damping, kv)
+
+    def again(other: Model) -> Recording:
+        """Hold the controls of the start until the joint should rest."""
+        steps = min(round(LONGEST / other.settings.dt), STEPS)
+        return followed(other, scene.start, steps, ctrl=scene.ctrl[None, None])
+
+    def turns(run: Recording) -> float:
+        """Return the speed of the joint at the end over its largest; 1 of a run that fails."""
+        speed = np.abs(run["qvel"][:, dof : dof + 3]).max(axis=1)
+        end = float(speed[max(run.late, 0) :].max() / max(float(speed.max()), 1e-300))
+        return end if run.failure is None else 1.0
+
+    way = ((Cure(f"kv {damping:g} of each", Change(values)),),)
+    return Remedy(way, turns, FEW, lambda left: "it at rest", again=again)
 
 
 # Tendons.
@@ -631,5 +649,5 @@ def _unused(scene: Described) -> Iterator[Finding]:
 OF_LIMITS = (_beyond, _asked_beyond, _overpowered)
 FINDINGS = (
     *(_lengths, _tiny, _angles, _degrees, _densities, _inertias, _beyond, _clamped),
-    *(_asked_beyond, _overpowered, _saturated, _balance, _without_armature, _unused),
+    *(_asked_beyond, _overpowered, _saturated, _balance, _turning, _unused),
 )

@@ -17,6 +17,7 @@ from stepcore.measure.monitors.creep import creep_findings
 from stepcore.measure.monitors.finding import Finding, Next, ordered, verified
 from stepcore.measure.monitors.joints import actuator_findings, fall_findings, joint_findings
 from stepcore.measure.monitors.recording import Recording, cut, recorded
+from stepcore.measure.monitors.scene import energy_findings, resting_findings
 from stepcore.measure.monitors.tunnelling import tunnelling_findings
 
 __all__ = ["Finding", "Next", "Recording", "monitored", "ordered", "shown", "verified"]
@@ -24,7 +25,7 @@ __all__ = ["Finding", "Next", "Recording", "monitored", "ordered", "shown", "ver
 # What a run is looked at for; equally severe findings are told in this order.
 FINDINGS = (
     *(fall_findings, tunnelling_findings, creep_findings, contact_findings),
-    *(joint_findings, noise_findings, actuator_findings),
+    *(joint_findings, noise_findings, actuator_findings, resting_findings),
 )
 
 
@@ -57,4 +58,7 @@ def monitored(
     run = cut(model, schedule, ran) or recorded(model, schedule)
     plain = model.with_settings(model.settings.replace(ledger=False))
     steps = schedule.periods * schedule.steps(model.settings.dt)
-    return verified(shown(run, depth), plain, again, steps), run.failure
+    found = shown(run, depth)
+    # What pushes give a run is not known here, so that `shown` asks nothing of energies.
+    found += energy_findings(run) if run.failure is None else ()
+    return verified(ordered(found), plain, again, steps), run.failure

@@ -456,16 +456,17 @@ def following(
         still = of.index in rests or int(run.roots[model.jnt_body[of.joint]]) in free_bodies(model)
         if not moves and still:
             continue
-        first = 0 if moves else run.late
+        # Of one that is held, a swing is seen in a period.
+        period = 2 * np.pi / math.sqrt(of.stiffness / of.inertia)
+        first = 0 if moves else min(run.late, len(run) - math.ceil(period / (run.spacing or 1.0)))
+        if first < 0:
+            continue
         error = math.sqrt(float(np.mean((asked - length)[first:] ** 2)))
         load = float(held[of.dof]) / abs(of.gear)
         hertz, share, lag, size = _wave(run, of, asked, length) if moves else (0.0,) * 4
         need = of.inertia / of.gear**2 * (2 * np.pi * hertz) ** 2 * size + load
         width = float(np.std(asked)) if moves else FEW / SEEN * _notable(model, of)
-        at = Following(of, error, width, hertz, share, lag, full.get(of.index, 0), load, need)
-        # Of one that is held, a swing is seen in a period.
-        if moves or at.omega * (len(run) - first) * run.spacing > 2 * np.pi:
-            yield at
+        yield Following(of, error, width, hertz, share, lag, full.get(of.index, 0), load, need)
 
 
 def _wave(

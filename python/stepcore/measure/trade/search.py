@@ -197,7 +197,7 @@ class Search:
             return found[steps].bound
 
         steps = least(ladder, wrong, error, first) if ladder else None
-        return None if steps is None else found[steps]
+        return None if steps is None else found.get(steps)
 
     def _adaptive(self, error: float, best: Trial | None) -> Trial | None:
         """Return the best one, or steps within an accuracy where these are cheaper."""

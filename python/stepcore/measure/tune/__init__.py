@@ -68,6 +68,7 @@ class Tuning(Result):
             return ["There is nothing to tune: no position servo, and nothing that rests."]
         reached = sum(tuned.reached for tuned in self.found)
         said = [f"{reached} of {len(self.found)} reached, each run as it is printed:"]
+        said = said if reached else ["Not reached:"]
         for tuned in self.found:
             said.append(f"- {tuned.sentence}")
             said += [f"  {line}" for line in tuned.lines] if tuned.reached else []

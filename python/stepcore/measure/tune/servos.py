@@ -19,6 +19,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import least
+from stepcore.measure.monitors.joints import gained
 from stepcore.measure.tune.goal import (
     FEWEST,
     PASSES,
@@ -158,15 +159,6 @@ class Servos:
         kv = np.maximum(0.0, 2 * self.inertia * omegas - self.damping) / self.gear**2
         return [(rounded(p), rounded(v)) for p, v in zip(kp, kv, strict=True)]
 
-    def values(self, k: int, kp: float, kv: float) -> dict[str, Any]:
-        """Return gains of a servo as values of the model, by path."""
-        drive, path = self.drives[k], f"actuator/#{self.drives[k].index}"
-        actuator = self.model.scene.actuators[drive.index]
-        if actuator.type == "general":
-            return {f"{path}/gainprm": (kp,), f"{path}/biasprm": (drive.offset, -kp, -kv)}
-        ratio = {} if actuator.dampratio is None else {f"{path}/dampratio": None}
-        return {f"{path}/kp": kp, f"{path}/kv": kv} | ratio
-
     def shown(self, model: Model, goal: Goal, omega: float) -> tuple[np.ndarray, ...]:
         """Try the servos; see the function `shown`."""
         return shown(model, self.at, [drive.index for drive in self.drives], goal, omega)
@@ -188,7 +180,7 @@ class Servos:
         """Return the values of a goal with the gains of what is asked; nan without a margin."""
         omegas, values = self.omegas(goal.name, asked), dict[str, Any]()
         for k, gains in enumerate(self.gains(omegas)):
-            values |= self.values(k, *gains)
+            values |= gained(self.model, self.drives[k].index, *gains)
         self.change, slowest = Change(values), float(omegas.min())
         model = self.change.also(Change(**settings)).of(self.model)
         found, self.off, self.widths = self.shown(model, goal, slowest)
@@ -258,7 +250,11 @@ def tuned_servos(model: Model, at: At, drives: Sequence[Actuator], goal: Goal) -
         found.append(
             Tuned(
                 *("servo", called[drive.index], goal, unit if goal.name == "sag" else "", change),
-                *(pasted(model, servos.values(k, kp, kv)), float(asked[k]), float(values[k])),
+                *(
+                    pasted(model, gained(model, drive.index, kp, kv)),
+                    float(asked[k]),
+                    float(values[k]),
+                ),
                 *(reached, why, also),
             )
         )
