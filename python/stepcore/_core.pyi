@@ -19,7 +19,6 @@ __all__ = [
     "Settings",
     "Sim",
     "SimulationError",
-    "amplification",
     "compile",
     "empty_caches",
     "end_threads",
@@ -49,9 +48,6 @@ def integrators() -> dict[str, dict[str, Any]]:
     ("start", "middle", "four"); "damping" ("joints", "all", None), "turning" (bias forces: of
     "free bodies", "trees", None) and "stiffness" (bool), which it takes at the end of the step."""
 
-def amplification(integrator: str, z: NDArray[np.complex128]) -> NDArray[np.complex128] | None:
-    """Factors of modes z = dt·s; None where a step is no function of dt·J."""
-
 def linear_step(
     integrator: str,
     dt: float,
@@ -60,8 +56,6 @@ def linear_step(
     mass: _Floats,
     damping: _Floats,
     stiffness: _Floats,
-    after: _Floats | None = None,
-    push: _Floats | None = None,
 ) -> _Floats | None:
     """A x of one step of x' = J x; None where a matrix is singular."""
 

@@ -1,7 +1,9 @@
 """Failures of scenes that were made to break the engine, and what is left of a world after one."""
 
 import copy
+import itertools
 import pickle
+import random
 import struct
 import subprocess
 import sys
@@ -9,6 +11,8 @@ import warnings
 
 import numpy as np
 import pytest
+import violent
+from covering import every_value
 from small import ball
 
 import stepcore as sc
@@ -245,3 +249,64 @@ def test_a_crafted_snapshot_is_refused():
             sim.restore(checked(bad))
     with pytest.raises(ValueError, match=r"state\(\)"):
         sim.restore(checked(payload + b"\0"))
+
+
+# Numerics under which the random scenes below diverge, for one reason or another.
+NUMERICS = [
+    {"integrator": integrator, "dt": dt, "law": law, "solver": "pgs"}
+    for integrator in ("explicit", "semi-implicit", "euler", "midpoint", "rk4")
+    for dt in (0.02, 0.1)
+    for law in ("solref", "rigid")
+]
+
+
+def causes(model, worlds, steps, ctrl, speeds):
+    """What is said of the last world, which fails, by the way in which it is stepped."""
+
+    def begun(world, many):
+        world.qvel[:] = speeds if many else speeds[-1]
+        world.ctrl[:] = ctrl
+        return world
+
+    def cause(step, calls):
+        try:
+            for _ in range(calls):
+                step()
+        except sc.SimulationError as error:
+            return error.element, error.step, error.shares
+        return None
+
+    said = {}
+    for portion in (1, steps):
+        sim = begun(sc.Sim(model), many=False)
+        said["Sim", portion] = cause(lambda sim=sim, n=portion: sim.step(n), steps // portion)
+    for lanes, portion in itertools.product((True, False, "auto"), (1, 4, steps)):
+        batch = begun(sc.Batch(model, worlds, lanes=lanes, on_failure="go on"), many=True)
+        for _ in range(steps // portion):
+            batch.step(portion)
+        error = batch.failures.get(worlds - 1)
+        said[lanes, portion] = error and (error.element, error.step, error.shares)
+    batch = begun(sc.Batch(model, worlds, on_failure="go on"), many=True)
+    batch.rollout(np.broadcast_to(ctrl, (worlds, steps, model.nu)))
+    error = batch.failures.get(worlds - 1)
+    said["rollout"] = error and (error.element, error.step, error.shares)
+    stopped = sc.Batch(model, 1)
+    begun(stopped, many=False)
+    said["stop"] = cause(stopped.step, steps)
+    return said
+
+
+@every_value(numerics=NUMERICS, seed=range(40))
+def test_a_failure_has_the_same_cause_however_it_was_stepped(numerics, seed):
+    """In a Sim, in lanes, one by one, in calls of any length, beside worlds that fail earlier."""
+    rng = random.Random(seed)
+    text, speed = violent.text_of(violent.KINDS[seed % len(violent.KINDS)], rng)
+    model = sc.Model(scene_of(text), **numerics)
+    chance = np.random.default_rng(seed)
+    ctrl = chance.uniform(-2, 2, model.nu)
+    speeds = (1 + speed) * chance.normal(size=(9, model.nv)) * np.linspace(3, 1, 9)[:, None]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        said = causes(model, 9, 200, ctrl, speeds)
+    expected = said["Sim", 1]
+    assert all(own == expected for own in said.values()), said

@@ -12,6 +12,7 @@ use stepcore::batch::{kinds, Failed, Motion};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::WIDEST;
+use stepcore::watch::WorldPast;
 
 use crate::memo::{Lists, Memo, Solve};
 use crate::world::World;
@@ -176,6 +177,7 @@ impl Auto {
         for world in 0..self.worlds {
             let lists = self.now.lists(world);
             other.put(world, &Given::new(|array| &lists[array as usize]));
+            other.take_past(world, &self.now.past(world));
         }
         let before = std::mem::replace(&mut self.now, other);
         self.other = (self.worlds <= KEPT).then_some(before);
@@ -235,6 +237,12 @@ impl Worlds for Auto {
     fn set_failures(&mut self, failed: Vec<Option<Failed>>) {
         self.now.set_failures(failed);
     }
+    fn past(&self, world: usize) -> WorldPast {
+        self.now.past(world)
+    }
+    fn take_past(&mut self, world: usize, past: &WorldPast) {
+        self.now.take_past(world, past);
+    }
     fn time(&self) -> f64 {
         self.now.time()
     }
@@ -282,6 +290,9 @@ impl Worlds for Auto {
         self.now.unwatch();
         self.other.iter_mut().for_each(|other| other.unwatch());
         Some(said)
+    }
+    fn slow(&self) -> Option<String> {
+        self.now.slow()
     }
     fn balance(&mut self) -> Result<()> {
         self.now.balance()

@@ -1,6 +1,8 @@
 //! One map from the engine's errors to Python's.
 
 use std::ffi::CString;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use pyo3::exceptions::{
     PyBaseException, PyKeyboardInterrupt, PyRuntimeError, PyRuntimeWarning, PyUserWarning,
@@ -8,12 +10,14 @@ use pyo3::exceptions::{
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
+use pyo3::PyTypeInfo;
 use stepcore::arrays::{Array, Given};
 use stepcore::elements::{Mention, Named};
 use stepcore::error::{Divergence, Error, Fault};
 use stepcore::post_mortem::{Held, PostMortem, Stable};
 
 use crate::element::id;
+use crate::gil::with_python;
 use crate::memo::Memo;
 use crate::snapshot::encode;
 
@@ -41,17 +45,48 @@ pyo3::create_exception!(
      The run goes on. It is said once a Sim or Batch, whose energies are not looked at after that."
 );
 
-/// Says what there is to say of a world's energies.
-pub fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
+/// Says a warning of type `W` to Python's own caller of `step`.
+pub fn warn<W: PyTypeInfo>(py: Python<'_>, text: &str) -> PyResult<()> {
     let text = CString::new(printable(text)).unwrap_or_default();
-    // Python's own caller of `step`.
-    PyErr::warn(py, &py.get_type::<EnergyWarning>(), &text, 2)
+    PyErr::warn(py, &py.get_type::<W>(), &text, 2)
 }
 
-/// Says why a run takes long.
-pub fn warn_slow(py: Python<'_>, text: &str) -> PyResult<()> {
-    let text = CString::new(printable(text)).unwrap_or_default();
-    PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &text, 2)
+/// A call that takes longer says why.
+const SLOW: Duration = Duration::from_secs(1);
+
+/// Whether it was said why steps within an accuracy are slow: that is said once.
+#[derive(Default)]
+pub struct Slow(AtomicBool);
+
+/// A call, whose steps may be slow.
+pub struct SlowCall<'a> {
+    said: &'a AtomicBool,
+    begun: Instant,
+    raised: Option<PyErr>,
+}
+
+impl Slow {
+    pub fn begin(&self) -> SlowCall<'_> {
+        SlowCall { said: &self.0, begun: Instant::now(), raised: None }
+    }
+}
+
+impl SlowCall<'_> {
+    /// Some of its steps are done; `why`: what makes them slow, if that is known.
+    pub fn portion(&mut self, why: impl FnOnce() -> Option<String>) {
+        if self.begun.elapsed() < SLOW || self.said.load(Ordering::Relaxed) {
+            return;
+        }
+        if let Some(text) = why() {
+            self.said.store(true, Ordering::Relaxed);
+            self.raised = with_python(|py| warn::<PyRuntimeWarning>(py, &text)).err();
+        }
+    }
+
+    /// What came of the call, or of the warning.
+    pub fn end(self, outcome: PyResult<()>) -> PyResult<()> {
+        self.raised.map_or(outcome, Err)
+    }
 }
 
 /// Whatever the engine refuses is raised in Python.

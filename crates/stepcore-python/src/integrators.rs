@@ -1,6 +1,6 @@
 //! The integrators as Python sees them: what each does, and its step where the motion is linear.
 
-use numpy::{Complex64, PyArray1, PyArrayDyn, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use stepcore::integrator::linear_map::{DMatrix, Linear};
@@ -41,7 +41,6 @@ pub fn integrators(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
 
 /// x⁺ of every column of x, or None where a matrix is singular: see `engine/linear_maps.py`.
 #[pyfunction]
-#[pyo3(signature = (integrator, dt, x, rates, mass, damping, stiffness, after=None, push=None))]
 #[allow(clippy::too_many_arguments)]
 pub fn linear_step<'py>(
     py: Python<'py>,
@@ -52,36 +51,19 @@ pub fn linear_step<'py>(
     mass: PyReadonlyArray2<'py, f64>,
     damping: PyReadonlyArray2<'py, f64>,
     stiffness: PyReadonlyArray2<'py, f64>,
-    after: Option<PyReadonlyArray2<'py, f64>>,
-    push: Option<PyReadonlyArray2<'py, f64>>,
 ) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
     let integrator = Integrator::parse(integrator).raised(py)?;
     let matrix = |array: &PyReadonlyArray2<'py, f64>| {
         let array = array.as_array();
         DMatrix::from_row_iterator(array.nrows(), array.ncols(), array.iter().copied())
     };
-    let [after, push] = [after, push].map(|array| array.as_ref().map(matrix));
     let motion = Linear {
         rates: &matrix(&rates),
         mass: &matrix(&mass),
         damping: &matrix(&damping),
         stiffness: &matrix(&stiffness),
-        after: after.as_ref(),
-        push: push.as_ref(),
     };
     let Some(made) = motion.step(integrator, dt, &matrix(&x)) else { return Ok(None) };
     let shape = [made.nrows(), made.ncols()];
     shaped(py, made.transpose().as_slice().to_vec(), &shape).map(Some)
-}
-
-/// The factors of one step on modes, z = dt s of each; None if the step is not a function of dt J.
-#[pyfunction]
-pub fn amplification<'py>(
-    py: Python<'py>,
-    integrator: &str,
-    z: PyReadonlyArray1<'py, Complex64>,
-) -> PyResult<Option<Bound<'py, PyArray1<Complex64>>>> {
-    let map = Integrator::parse(integrator).raised(py)?.scheme().map;
-    let factors: Option<Vec<_>> = z.as_array().iter().map(|z| map.factor(*z)).collect();
-    Ok(factors.map(|factors| PyArray1::from_vec(py, factors)))
 }

@@ -59,7 +59,7 @@ mod _core {
     #[pymodule_export]
     use super::gil::end_threads;
     #[pymodule_export]
-    use super::integrators::{amplification, integrators, linear_step};
+    use super::integrators::{integrators, linear_step};
     #[pymodule_export]
     use super::linearizers::Linearizers;
     #[pymodule_export]

@@ -1,22 +1,20 @@
 //! `Sim` as Python sees it: one world, its arrays, and what can be read of it.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
-use std::time::{Duration, Instant};
 
 use numpy::{PyArrayDyn, PyReadonlyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use stepcore::batch::Motion;
-use stepcore::elements::{Element, Kind};
+use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
 
 use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_filter};
 use crate::element::{id, Id};
-use crate::errors::{warn, warn_slow, Raised};
+use crate::errors::{warn, EnergyWarning, Raised, Slow};
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::linearizers::{neighbourhood, Parameters};
@@ -30,9 +28,6 @@ use crate::settings::Settings;
 use crate::snapshot::{decode, decode_last, encode, encode_last};
 use crate::tables::{contacts, rows, ContactTable, RayTable, RowTable};
 use crate::world::{world, Placed, World};
-
-/// A call that takes longer says why.
-const SLOW: Duration = Duration::from_secs(1);
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// Energy before and after, and gains by element.
@@ -49,8 +44,7 @@ pub struct Sim {
     arrays: Arrays,
     world: Mutex<Box<dyn World>>,
     singles: gil::Singles,
-    /// It was said why steps within an accuracy are slow.
-    slow: AtomicBool,
+    slow: Slow,
     /// Of linearisations and motions.
     pace: gil::Pace,
 }
@@ -58,27 +52,6 @@ pub struct Sim {
 impl Sim {
     fn lock(&self) -> PyResult<MutexGuard<'_, Box<dyn World>>> {
         gil::lock(&self.world, "Sim")
-    }
-
-    /// Says once which body makes steps within an accuracy slow.
-    fn say_slow(&self, world: &mut dyn World) -> PyResult<()> {
-        self.slow.store(true, Ordering::Relaxed);
-        let Some(accuracy) = world.settings().accuracy.0 else { return Ok(()) };
-        let (dt, stretches) = (world.settings().dt, world.effort().stretches);
-        let Some((_, refused)) = stretches.refused else { return Ok(()) };
-        let why = match refused {
-            None => "in longer ones the motion diverges".into(),
-            Some(body) => {
-                let body = self.model.named(Element::whole(Kind::Body, body));
-                format!("longer ones move {body} too far")
-            }
-        };
-        let text = format!(
-            "steps of {dt} s within accuracy {accuracy} m are slow here: one is made of parts as short as \
-             {:.1e} s, because {why}",
-            stretches.shortest
-        );
-        gil::with_python(|py| warn_slow(py, &text))
     }
 
     /// Checks the arrays and copies them into the engine, which is about to solve.
@@ -128,7 +101,7 @@ impl Sim {
             arrays,
             world: Mutex::new(world),
             singles: gil::Singles::default(),
-            slow: AtomicBool::new(false),
+            slow: Slow::default(),
             pace: gil::Pace::default(),
         })
     }
@@ -164,27 +137,24 @@ impl Sim {
             return self.load_beside(py, world);
         }
         self.load(py, world)?;
-        let begun = Instant::now();
-        let mut raised = None;
+        let mut call = self.slow.begin();
         let mut step = |n| {
             let outcome = world.step(n);
-            if begun.elapsed() > SLOW && !self.slow.load(Ordering::Relaxed) {
-                raised = self.say_slow(&mut *world).err();
-            }
+            call.portion(|| world.slow());
             outcome
         };
         let mut outcome = match n {
             1 => self.singles.step(py, || step(1)),
             _ => gil::steps(py, n, step),
         };
-        outcome = raised.map_or(outcome, Err);
+        outcome = call.end(outcome);
         if n > 1 && outcome.is_ok() {
             // Not in each portion: how many there are depends on the machine.
             outcome = gil::release(py, || world.balance_at_end(n));
         }
         self.store(py, world);
         outcome?;
-        world.take_warning().map_or(Ok(()), |text| warn(py, &text))
+        world.take_warning().map_or(Ok(()), |text| warn::<EnergyWarning>(py, &text))
     }
 
     /// Steps under controls, (1, rows, nu); returns what is asked for.
@@ -203,12 +173,18 @@ impl Sim {
         } else {
             self.load(py, world)?;
         }
-        let run = |motion: &mut Motion, from, n| world.follow(motion, from, n);
+        let mut call = self.slow.begin();
+        let run = |motion: &mut Motion, from, n| {
+            let outcome = world.follow(motion, from, n);
+            call.portion(|| world.slow());
+            outcome
+        };
         let (done, samples) = play.run(py, &self.pace, None, run)?;
         self.store(py, world);
         play.write_last(py, done, &self.arrays);
+        call.end(Ok(()))?;
         let samples = samples?;
-        world.take_warning().map_or(Ok(()), |text| warn(py, &text))?;
+        world.take_warning().map_or(Ok(()), |text| warn::<EnergyWarning>(py, &text))?;
         Ok(samples)
     }
 
@@ -226,7 +202,7 @@ impl Sim {
         let outcome = gil::release(py, || world.balance_at_end(u64::MAX));
         self.store(py, world);
         outcome?;
-        world.take_warning().map_or(Ok(()), |text| warn(py, &text))
+        world.take_warning().map_or(Ok(()), |text| warn::<EnergyWarning>(py, &text))
     }
 
     /// Steps once; returns the kinetic and spring energy before and after, and the energy that

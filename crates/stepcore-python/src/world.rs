@@ -146,6 +146,8 @@ pub trait World: Send {
     /// What `max_recovery_speed` left of an overlap in the last solve.
     fn unrecovered(&mut self) -> f64;
     fn effort(&mut self) -> Effort;
+    /// What makes steps within an accuracy slow.
+    fn slow(&self) -> Option<String>;
     /// By body: whether it sleeps.
     fn asleep(&self) -> Vec<bool>;
     /// Who sleeps when it begins.
@@ -447,6 +449,10 @@ impl<R: Real> World for One<R> {
     }
     fn effort(&mut self) -> Effort {
         self.made().effort
+    }
+    fn slow(&self) -> Option<String> {
+        let sim = self.sim();
+        sim.effort.stretches.slow(sim.period(), sim.settings().accuracy.0, sim.model())
     }
     fn asleep(&self) -> Vec<bool> {
         self.sim().asleep()

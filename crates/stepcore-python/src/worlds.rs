@@ -11,6 +11,7 @@ use stepcore::model::Model;
 use stepcore::real::Real;
 use stepcore::settings::{Precision, Settings};
 use stepcore::warm::Sleep;
+use stepcore::watch::WorldPast;
 
 use crate::auto::{Auto, Make};
 use crate::memo::{put_memos, Lists, Memo, Solve};
@@ -43,6 +44,9 @@ pub trait Worlds: Send + Sync {
     /// The worlds that failed while the others went on, and those of another that takes over.
     fn failures(&self) -> Vec<Option<Failed>>;
     fn set_failures(&mut self, failed: Vec<Option<Failed>>);
+    /// The last states of a world, and those of another batch's that goes on here.
+    fn past(&self, world: usize) -> WorldPast;
+    fn take_past(&mut self, world: usize, past: &WorldPast);
     /// A world's arrays as they are here.
     fn lists(&self, world: usize) -> Lists;
     /// Does a world's last solve again in `into`, which then has its rows and contacts.
@@ -66,6 +70,8 @@ pub trait Worlds: Send + Sync {
     fn forget(&mut self, worlds: &[usize]);
     /// What there is to say of a world's energies, once; see `unwatch`.
     fn take_warning(&mut self) -> Option<String>;
+    /// What makes steps within an accuracy slow.
+    fn slow(&self) -> Option<String>;
     /// Accounts of energy are balanced where they end: before worlds go on elsewhere.
     fn balance(&mut self) -> Result<()>;
     /// Energies are not looked at any more, but by the ledger of the settings.
@@ -198,6 +204,12 @@ impl<R: Real> Worlds for Batch<R> {
     fn set_failures(&mut self, failed: Vec<Option<Failed>>) {
         Batch::set_failed(self, failed);
     }
+    fn past(&self, world: usize) -> WorldPast {
+        Batch::past(self, world)
+    }
+    fn take_past(&mut self, world: usize, past: &WorldPast) {
+        Batch::take_past(self, world, past);
+    }
     fn time(&self) -> f64 {
         Batch::time(self)
     }
@@ -296,6 +308,9 @@ impl<R: Real> Worlds for Batch<R> {
     }
     fn take_warning(&mut self) -> Option<String> {
         Batch::take_warning(self)
+    }
+    fn slow(&self) -> Option<String> {
+        Batch::slow(self)
     }
     fn balance(&mut self) -> Result<()> {
         Batch::balance(self)

@@ -53,6 +53,23 @@ pub struct Stretches {
 }
 
 impl Stretches {
+    /// What makes steps of `dt` within an accuracy slow.
+    pub fn slow(&self, dt: f64, accuracy: Option<f64>, model: &Model) -> Option<String> {
+        let (accuracy, (_, refused)) = (accuracy?, self.refused?);
+        let why = match refused {
+            None => "in longer ones the motion diverges".into(),
+            Some(body) => {
+                let body = model.named(Element::whole(Kind::Body, body));
+                format!("longer ones move {body} too far")
+            }
+        };
+        Some(format!(
+            "steps of {dt} s within accuracy {accuracy} m are slow here: one is made of parts as short as \
+             {:.1e} s, because {why}",
+            self.shortest
+        ))
+    }
+
     pub(crate) fn take(&mut self, length: f64) {
         self.shortest = self.shortest.min(length);
     }

@@ -19,7 +19,6 @@ from stepcore.engine.linearization import LinearSteps, LinearWorlds
 from stepcore.engine.parameters import columns, split_entry
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.trajectory import Rollout
-from stepcore.executors import checkpoint
 
 if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
@@ -516,6 +515,9 @@ def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -
     slopes = np.zeros((steps.count + 1, size + count, count + size))
     slopes[0, :size, count:] = np.eye(size)
     slopes[:, size:, :count] = np.eye(count)
+    # A step alone needs no executors.
+    from stepcore.executors import checkpoint
+
     for block in steps.blocks():
         checkpoint()
         A, B, P = (one[0] for one in steps.linear(range(world, world + 1), block)[:3])

@@ -181,8 +181,9 @@ def predict(
 def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[Growth, Change]:
     """Measure the growth from one start, under rk4 first.
 
-    What ends under rk4 may be its own instability (a servo whose damping is too quick for its
-    steps): then another method is asked, and the one that predicts for longer is right.
+    What grows under rk4 may be its own instability (a servo whose damping is too quick for its
+    steps): then another method is asked. The one that predicts for longer is right, and of two that
+    do so alike the one in which less grows.
     """
     found = list[tuple[Growth, Change]]()
     for way in reversed([way for way in engine.ways(schedule, 1.0) if way.fixed]):
@@ -191,7 +192,7 @@ def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[
         growth, change = settled(engine, rungs, schedule, [start], size, DIRECTIONS)
         if not growth.failure:
             found.append((growth, change))
-            if math.isinf(growth.overall):
+            if growth.factor.max() <= math.sqrt(GROWTH):
                 break
         elif change != rungs[-1]:
             # Runs of other steps fail at the same time: the motion itself does.
@@ -199,4 +200,4 @@ def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[
     if not found:
         text = f"the motion fails{schedule.driven}, at shorter steps too"
         raise ValueError(f"{text}: {growth.failure}")
-    return max(found, key=lambda one: one[0].overall)
+    return max(found, key=lambda one: (one[0].overall, -one[0].factor.max()))

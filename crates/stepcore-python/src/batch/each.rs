@@ -11,7 +11,7 @@ use stepcore::model::Model;
 use stepcore::settings::Settings;
 
 use super::{Array, Batch};
-use crate::errors::{warn, Raised};
+use crate::errors::{warn, EnergyWarning, Raised};
 use crate::gil;
 use crate::model::result;
 use crate::world::{world, Placed, World};
@@ -29,7 +29,7 @@ impl Batch {
     pub(super) fn warn(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
         let Some(text) = worlds.take_warning() else { return Ok(()) };
         self.how.unwatched.store(true, Ordering::Relaxed);
-        warn(py, &text)
+        warn::<EnergyWarning>(py, &text)
     }
 
     /// Refuses arrays with which a world cannot be stepped; of all worlds the first.

@@ -16,7 +16,7 @@ use stepcore::model::Model as EngineModel;
 use stepcore::settings::Settings as EngineSettings;
 
 use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_filter};
-use crate::errors::raise;
+use crate::errors::{raise, Slow};
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::memo::{Memo, Solve};
@@ -40,6 +40,7 @@ pub struct Batch {
     arrays: Arrays,
     how: How,
     worlds: Mutex<Box<dyn Worlds>>,
+    slow: Slow,
     pace: gil::Pace,
 }
 
@@ -64,7 +65,8 @@ impl Batch {
             gil::release(py, || how.worlds(vec![model.clone()], &of_one_model(&model, n)?))?;
         let arrays = Arrays::new(py, &model, n)?;
         let worlds = Mutex::new(worlds);
-        Ok(Self { model, settings, arrays, how, worlds, pace: gil::Pace::default() })
+        let (slow, pace) = Default::default();
+        Ok(Self { model, settings, arrays, how, worlds, slow, pace })
     }
 
     /// The arrays that are the user's to write, each with its name.
@@ -114,9 +116,14 @@ impl Batch {
             return self.check(py, worlds);
         }
         self.load(py, worlds)?;
-        let outcome = gil::steps_told(py, n, &self.pace, told, |n| worlds.step(n));
+        let mut call = self.slow.begin();
+        let outcome = gil::steps_told(py, n, &self.pace, told, |n| {
+            let outcome = worlds.step(n);
+            call.portion(|| worlds.slow());
+            outcome
+        });
         self.store(py, worlds);
-        outcome?;
+        call.end(outcome)?;
         self.warn(py, worlds)
     }
 
@@ -178,12 +185,18 @@ impl Batch {
         } else {
             self.load(py, worlds)?;
         }
-        let run = |motion: &mut Motion, from, n| worlds.follow(motion, from, n);
+        let mut call = self.slow.begin();
+        let run = |motion: &mut Motion, from, n| {
+            let outcome = worlds.follow(motion, from, n);
+            call.portion(|| worlds.slow());
+            outcome
+        };
         let (done, samples) = play.run(py, &self.pace, told, run)?;
         if done > 0 {
             self.store(py, worlds);
             play.write_last(py, done, &self.arrays);
         }
+        call.end(Ok(()))?;
         let samples = samples?;
         self.warn(py, worlds)?;
         Ok(samples)

@@ -5,9 +5,10 @@ use crate::arrays::{ArraySet, Given, Givens};
 use crate::error::{Divergence, Error, Result};
 use crate::model::SideBySide;
 use crate::real::Real;
+use crate::sim::Stretches;
 use crate::state::{Inputs, State};
 use crate::warm::Sleep;
-use crate::watch::{Care, Ledger, Watched};
+use crate::watch::{Care, Ledger, Past, Watched};
 use std::sync::Arc;
 
 /// What the last solve of the worlds belonged to.
@@ -45,11 +46,14 @@ pub(super) struct Group<R: Real> {
     pub standing: Standing,
     /// By lane: all worlds stopped because of it. Its impulses are no start for another state.
     pub ended: Vec<bool>,
+    /// Of its last step within an accuracy.
+    pub stretches: Stretches,
+    pub past: Past<R>,
     pub ledger: Option<Box<Ledger<R>>>,
 }
 
 room!(Group<R>: models, mirrored, state, inputs, initial, qacc, actuator, keeps_actuator, start, before, last,
-    standing, ended, ledger; failed);
+    standing, ended, past, ledger; stretches, failed);
 
 impl<R: Real> Group<R> {
     /// A lane's next step starts without impulses, and nothing is known of its last solve; a world
@@ -63,6 +67,7 @@ impl<R: Real> Group<R> {
         self.standing.lanes.get_mut(lane).iter_mut().for_each(|place| **place = None);
         self.ended[lane] = false;
         self.last[lane] = Last::Nothing;
+        self.past.forget(lane);
         self.qacc.iter_mut().for_each(|a| a.set_lane(lane, 0.0));
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
@@ -110,6 +115,8 @@ impl<R: Real> Group<R> {
             failed: None,
             standing: Standing::new(worlds),
             ended: vec![false; R::LANES],
+            stretches: Stretches::default(),
+            past: Past::new(model),
             ledger: care.map(|care| Box::new(Ledger::new(model, care))),
             models,
             mirrored: Mirrored { copies: 0, models: None },
@@ -174,6 +181,21 @@ impl<R: Real> Group<R> {
         if std::mem::take(&mut self.ended[lane]) {
             self.state.forget_impulses(lane);
         }
+        self.past.forget(lane);
+        self.ledger.iter_mut().for_each(|ledger| ledger.forget());
+    }
+
+    /// All worlds go back to where the call began, of whose steps `done` are done again.
+    pub fn go_back(&mut self, done: u64) {
+        if self.state.steps - self.start.steps == done {
+            self.past.rewind(done);
+        } else {
+            // What was kept further on stands in the place of older states.
+            (0..R::LANES).for_each(|lane| self.past.forget(lane));
+        }
+        self.start.copy_to(&mut self.state);
+        self.start.copy_to(&mut self.before);
+        self.last.fill(Last::Forward);
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
 
@@ -183,9 +205,10 @@ impl<R: Real> Group<R> {
         watched: &mut Watched<R>,
         look: impl FnOnce(&mut Watched<R>) -> T,
     ) -> T {
-        let Self { models, mirrored, state, inputs, ledger, standing, .. } = self;
+        let Self { models, mirrored, state, inputs, past, ledger, standing, .. } = self;
         watched.sim.take_models(mirrored.of(models, standing));
-        look(Guest::new(watched, state, inputs, ledger, standing.mask::<R>()).watched)
+        let guest = Guest { watched, state, inputs, past, ledger };
+        look(guest.come(standing.mask::<R>()).watched)
     }
 
     /// Runs `one` up to `n` times on this group's state in a thread's working space; `worlds`: whose
@@ -201,7 +224,8 @@ impl<R: Real> Group<R> {
         one: impl Fn(u64, &mut Watched<R>) -> Result<()>,
         check: impl Fn(u64, &mut Watched<R>) -> Result<()>,
     ) {
-        let Self { models, mirrored, state, inputs, ledger, standing, before, qacc, .. } = self;
+        let Self { models, mirrored, state, inputs, past, ledger, standing, before, qacc, .. } =
+            self;
         let steps = last == Last::Step;
         standing.lanes.iter_mut().flatten().for_each(|failed| failed.done = 0);
         if standing.any() && !standing.mirror(state, inputs) {
@@ -215,7 +239,7 @@ impl<R: Real> Group<R> {
         // then, end with one of their state.
         let solves = steps && watched.sim.settings.accuracy.0.is_some();
         let last = if solves { Last::Forward } else { last };
-        let guest = Guest::new(watched, state, inputs, ledger, copies);
+        let guest = Guest { watched, state, inputs, past, ledger }.come(copies);
         if n == 0 {
             let ended = guest.watched.end_account();
             self.failed = ended.err().map(|error| (0, error));
@@ -252,6 +276,7 @@ impl<R: Real> Group<R> {
         });
         self.failed = self.failed.take().filter(|(k, _)| *k != u64::MAX);
         self.last.fill(last);
+        self.stretches = guest.watched.sim.effort.stretches;
         qacc.copy_from_slice(&guest.watched.sim.qacc);
         self.actuator.copy_from_slice(&guest.watched.sim.placed.actuator);
         self.keeps_actuator = self.failed.is_none() && !standing.any();
@@ -292,24 +317,18 @@ struct Guest<'a, R: Real> {
     watched: &'a mut Watched<R>,
     state: &'a mut State<R>,
     inputs: &'a mut Inputs<R>,
+    past: &'a mut Past<R>,
     ledger: &'a mut Option<Box<Ledger<R>>>,
 }
 
-impl<'a, R: Real> Guest<'a, R> {
-    fn new(
-        watched: &'a mut Watched<R>,
-        state: &'a mut State<R>,
-        inputs: &'a mut Inputs<R>,
-        ledger: &'a mut Option<Box<Ledger<R>>>,
-        copies: u64,
-    ) -> Self {
-        let mut guest = Self { watched, state, inputs, ledger };
-        guest.swap(copies);
-        guest
+impl<R: Real> Guest<'_, R> {
+    fn come(mut self, copies: u64) -> Self {
+        self.swap(copies);
+        self
     }
 
     fn swap(&mut self, copies: u64) {
-        self.watched.swap(self.ledger, copies);
+        self.watched.swap(self.past, self.ledger, copies);
         std::mem::swap(&mut self.watched.sim.state, self.state);
         std::mem::swap(&mut self.watched.sim.inputs, self.inputs);
     }

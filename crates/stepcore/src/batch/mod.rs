@@ -32,7 +32,7 @@ use crate::real::{Constant, Real};
 use crate::room::{can_be_had, listed, Room};
 use crate::settings::Settings;
 use crate::state::{Inputs, State};
-use crate::watch::{Care, Watched};
+use crate::watch::{Care, Watched, WorldPast};
 
 /// Without `Settings::ledger`, of about so many worlds the energies are looked at, evenly spread: each keeps
 /// some of its states and of its inputs.
@@ -45,6 +45,7 @@ pub struct Batch<R: Real> {
     /// By world.
     model_of: Vec<usize>,
     dt: f64,
+    accuracy: Option<f64>,
     layout: LaneLayout,
     groups: Vec<Group<R>>,
     workers: Workers<R>,
@@ -140,6 +141,7 @@ impl<R: Real> Batch<R> {
         Ok(Self {
             worlds,
             dt: settings.dt,
+            accuracy: settings.accuracy.0,
             groups,
             workers,
             goes_on: false,
@@ -249,6 +251,18 @@ impl<R: Real> Batch<R> {
         }
     }
 
+    /// The last states of a world, with which another batch goes on.
+    pub fn past(&self, world: usize) -> WorldPast {
+        let (group, lane) = self.layout.of(world);
+        self.groups[group].past.of(lane)
+    }
+
+    /// A world goes on here; see `past`.
+    pub fn take_past(&mut self, world: usize, past: &WorldPast) {
+        let (group, lane) = self.layout.of(world);
+        self.groups[group].past.take(lane, past);
+    }
+
     /// Some worlds begin anew, wherever their arrays put them: they have no impulses to start from,
     /// have not failed, and nothing was solved there yet. The others are as they were.
     pub fn forget(&mut self, worlds: &[usize]) {
@@ -351,6 +365,17 @@ impl<R: Real> Batch<R> {
         Some(said)
     }
 
+    /// Which world makes steps within an accuracy slow, and what in it: that of the shortest part.
+    pub fn slow(&self) -> Option<String> {
+        let slow =
+            self.groups.iter().enumerate().filter(|(_, own)| own.stretches.refused.is_some());
+        let shortest = |own: &Group<R>| own.stretches.shortest;
+        let (index, group) = slow.min_by(|a, b| shortest(a.1).total_cmp(&shortest(b.1)))?;
+        let world = self.layout.worlds(index)[0];
+        let why = group.stretches.slow(self.dt, self.accuracy, self.model(world))?;
+        Some(format!("world {world}: {why}"))
+    }
+
     /// Accounts of energy end here, and are balanced: the worlds go on elsewhere.
     pub fn balance(&mut self) -> Result<()> {
         self.advance(0, None)
@@ -430,10 +455,7 @@ impl<R: Real> Batch<R> {
         groups.iter_mut().for_each(|group| drop(group.take_said()));
         // All worlds go back, and then on to where this one was still well.
         workers.share(groups, done, |workspace, index, group| {
-            group.start.copy_to(&mut group.state);
-            group.start.copy_to(&mut group.before);
-            group.last.fill(Last::Forward);
-            group.ledger.iter_mut().for_each(|ledger| ledger.forget());
+            group.go_back(done);
             run(workspace, index, group, done);
         });
         if let Error::Diverged(divergence) = &error {

@@ -36,6 +36,8 @@ pub use last_solve::LastSolve;
 pub(crate) use ledger::{Care, Ledger};
 pub use linearize::{Around, Asked, Linearizer, Neighbourhood};
 pub use linearizers::Linearizers;
+pub(crate) use past::Past;
+pub use past::WorldPast;
 pub use rays::{first_hit, RayFilter};
 pub use readout::Coupling;
 pub use tape::StepGains;

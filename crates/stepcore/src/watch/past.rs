@@ -1,73 +1,103 @@
 //! Where a run came from: the states of its last steps, and of some long before.
+//!
+//! Every world has a past of its own, in a `Sim` and in a batch, however its steps are divided into calls: its
+//! failure is explained by the same states.
 
-use crate::arrays::Array;
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::Real;
 use crate::sim::Sim;
 use crate::state::State;
 
-/// How many of the last steps are kept, and how many milestones.
-const MEMORY: usize = 16;
-/// Steps from one milestone to the next.
+/// How many of the last steps are kept.
+const RECENT: usize = 16;
+/// How many milestones are kept, and the steps from one to the next.
+const MILESTONES: usize = 4;
 const STRIDE: u64 = 64;
 
-/// States before each of the last steps, and at every 64th step before.
+/// States before each of the last steps, and at every 64th step before: the lists of each, one after
+/// the other.
 pub(crate) struct Past<R: Real> {
-    recent: Ring<R>,
-    milestones: Ring<R>,
-    steps: u64,
-}
-
-room!(Past<R>: recent, milestones, steps);
-
-/// What of a state is kept: its lists, in the order of `arrays::Array`.
-pub(crate) type Kept<R> = [Vec<R>; Array::CHANGED];
-
-struct Ring<R: Real> {
-    states: Vec<Kept<R>>,
+    recent: Vec<R>,
+    milestones: Vec<R>,
+    /// Numbers of a state.
+    size: usize,
+    /// Where the next of `recent` comes.
     at: usize,
-    len: usize,
+    /// By lane: steps since its world was put where it was.
+    steps: Vec<u64>,
 }
 
-room!(Ring<R>: states, at, len);
+room!(Past<R>: recent, milestones, steps; size, at);
 
-impl<R: Real> Ring<R> {
-    fn new(model: &Model<R::Value>) -> Self {
-        let mut counts = Array::counts(model).into_iter();
-        let empty = core::array::from_fn(|_| vec![R::zero(); counts.next().unwrap_or(0)]);
-        Self { states: vec![empty; MEMORY], at: 0, len: 0 }
-    }
-
-    /// Keeps a state in the place of the oldest.
-    fn keep(&mut self, state: &State<R>) {
-        let lists = self.states[self.at].iter_mut().zip(state.lists());
-        for (to, from) in lists.filter(|(to, _)| !to.is_empty()) {
-            to.copy_from_slice(from);
-        }
-        self.at = (self.at + 1) % MEMORY;
-        self.len = (self.len + 1).min(MEMORY);
-    }
-
-    fn oldest_first(&self) -> impl Iterator<Item = &Kept<R>> {
-        (0..self.len).rev().map(|back| &self.states[(self.at + MEMORY - 1 - back) % MEMORY])
-    }
+/// The past of one world: its steps, and its old states, oldest first.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WorldPast {
+    steps: u64,
+    numbers: Vec<f64>,
 }
 
 impl<R: Real> Past<R> {
     pub fn new(model: &Model<R::Value>) -> Self {
-        Self { recent: Ring::new(model), milestones: Ring::new(model), steps: 0 }
+        let size = State::<R>::new(model).lists().map(Vec::len).iter().sum();
+        let states = |count| vec![R::zero(); count * size];
+        let (recent, milestones) = (states(RECENT), states(MILESTONES));
+        Self { recent, milestones, size, at: 0, steps: vec![0; R::LANES] }
     }
 
-    /// The state at hand did not come from a step.
-    pub fn forget(&mut self) {
-        (self.recent.len, self.milestones.len, self.steps) = (0, 0, 0);
+    /// A lane's state did not come from a step.
+    pub fn forget(&mut self, lane: usize) {
+        self.steps[lane] = 0;
     }
 
-    /// Old states, oldest first.
-    pub fn states(&self) -> impl Iterator<Item = &Kept<R>> {
-        self.milestones.oldest_first().chain(self.recent.oldest_first())
+    /// As many steps of all lanes are about to be done again.
+    pub fn rewind(&mut self, steps: u64) {
+        let back = (steps % RECENT as u64) as usize;
+        self.at = (self.at + RECENT - back) % RECENT;
+        self.steps.iter_mut().for_each(|own| *own = own.saturating_sub(steps));
     }
+
+    /// A lane's old states, oldest first.
+    pub fn states(&self, lane: usize) -> impl Iterator<Item = &[R]> {
+        let (milestones, recent) = self.places(lane);
+        let old = milestones.map(|nth| &self.milestones[nth * self.size..][..self.size]);
+        old.chain(recent.map(|nth| &self.recent[nth * self.size..][..self.size]))
+    }
+
+    /// Where these are in either list.
+    fn places(&self, lane: usize) -> (impl Iterator<Item = usize>, impl Iterator<Item = usize>) {
+        let (at, steps) = (self.at, self.steps[lane]);
+        let end = steps.div_ceil(STRIDE) as usize;
+        let milestones = (end.saturating_sub(MILESTONES)..end).map(|nth| nth % MILESTONES);
+        let known = steps.min(RECENT as u64) as usize;
+        (milestones, (0..known).map(move |nth| (at + RECENT - known + nth) % RECENT))
+    }
+
+    /// What a batch that goes on with a lane's world has to know.
+    pub fn of(&self, lane: usize) -> WorldPast {
+        let numbers = self.states(lane).flatten().map(|x| x.lane(lane)).collect();
+        WorldPast { steps: self.steps[lane], numbers }
+    }
+
+    /// A lane goes on with a world.
+    pub fn take(&mut self, lane: usize, world: &WorldPast) {
+        self.steps[lane] = world.steps;
+        let (milestones, recent) = self.places(lane);
+        let mut states = world.numbers.chunks_exact(self.size.max(1));
+        let (milestones, recent): (Vec<_>, Vec<_>) = (milestones.collect(), recent.collect());
+        for (list, places) in [(&mut self.milestones, milestones), (&mut self.recent, recent)] {
+            for (place, state) in places.into_iter().zip(&mut states) {
+                let own = list[place * self.size..].iter_mut().zip(state);
+                own.for_each(|(to, from)| to.set_lane(lane, *from));
+            }
+        }
+    }
+}
+
+/// Puts one of `Past::states` back: a lane's numbers into all.
+pub(super) fn put_back<R: Real>(kept: &[R], lane: usize, state: &mut State<R>) {
+    let all = state.lists_mut().into_iter().flatten();
+    all.zip(kept).for_each(|(to, from)| *to = R::of(from.lane(lane)));
 }
 
 impl<R: Real> Observer<R> for Past<R> {
@@ -76,10 +106,22 @@ impl<R: Real> Observer<R> for Past<R> {
     }
 
     fn committing(&mut self, sim: &Sim<R>) {
-        if self.steps.is_multiple_of(STRIDE) {
-            self.milestones.keep(&sim.state);
+        let size = self.size;
+        let recent = &mut self.recent[self.at * size..][..size];
+        let mut to = &mut *recent;
+        for list in sim.state.lists() {
+            let (own, rest) = to.split_at_mut(list.len());
+            own.copy_from_slice(list);
+            to = rest;
         }
-        self.steps += 1;
-        self.recent.keep(&sim.state);
+        for (lane, steps) in self.steps.iter_mut().enumerate() {
+            if steps.is_multiple_of(STRIDE) {
+                let nth = (*steps / STRIDE) as usize % MILESTONES;
+                let milestone = self.milestones[nth * size..].iter_mut().zip(&*recent);
+                milestone.for_each(|(to, from)| to.set_lane(lane, from.lane(lane)));
+            }
+            *steps += 1;
+        }
+        self.at = (self.at + 1) % RECENT;
     }
 }

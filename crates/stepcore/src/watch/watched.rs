@@ -77,7 +77,7 @@ impl<R: Real> Watched<R> {
             if std::mem::take(&mut self.failed) {
                 self.sim.state.warm.clear();
             }
-            self.past.forget();
+            self.past.forget(lane);
             self.forget();
         }
     }
@@ -216,11 +216,16 @@ impl<R: Real> Watched<R> {
 
 /// For batches, whose groups of worlds take turns in one working space.
 impl<R: Real> Watched<R> {
-    /// Another group's worlds, of which `copies` (bits) repeat another, and its ledger; the one
-    /// that was here is left in its place.
-    pub(crate) fn swap(&mut self, ledger: &mut Option<Box<Ledger<R>>>, copies: u64) {
+    /// Another group's worlds, of which `copies` (bits) repeat another, with their past and ledger;
+    /// those that were here are left in their place.
+    pub(crate) fn swap(
+        &mut self,
+        past: &mut Past<R>,
+        ledger: &mut Option<Box<Ledger<R>>>,
+        copies: u64,
+    ) {
+        std::mem::swap(&mut self.past, past);
         std::mem::swap(&mut self.ledger, ledger);
-        self.past.forget();
         self.others.copies = copies;
     }
 

@@ -5,11 +5,12 @@
 //! Forces and moments are compared by what they do: Q² / M, the rate at which a
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
-use crate::arrays::Array;
 use crate::elements::forces::strengths;
 use crate::elements::{Element, Kind};
 use crate::real::{Mask, Real};
 use crate::sim::{At, Sim};
+use crate::state::State;
+use crate::watch::past::put_back;
 
 /// An element that beats all of the step before by this factor is exploding, not moving.
 const GROWN: f64 = 2.0;
@@ -17,17 +18,19 @@ const GROWN: f64 = 2.0;
 /// Strength of every element in one lane.
 type Strengths = Vec<(Element, f64)>;
 
-/// The element that became the strongest on the way through these states,
-/// or that is the strongest at the last of them. `sim` is a copy that may be moved about.
+/// The element that became the strongest on the way from old states to the present
+/// one, or that is the strongest there. `sim` is a copy that may be moved about.
 pub(super) fn strongest<R: Real>(
     mut sim: Sim<R>,
-    way: &[[&Vec<R>; Array::CHANGED]],
+    past: &[&[R]],
+    present: &State<R>,
     lane: usize,
 ) -> Option<Element> {
     let mut strengths: Vec<Strengths> = Vec::new();
-    for kept in way {
-        for (to, from) in sim.state.lists_mut().into_iter().zip(kept) {
-            to.copy_from_slice(from);
+    for kept in past.iter().map(Some).chain([None]) {
+        match kept {
+            Some(kept) => put_back(kept, lane, &mut sim.state),
+            None => present.copy_to(&mut sim.state),
         }
         if sim.place_detect_solve(At::State).is_ok() {
             strengths.push(sim.strengths(lane));

@@ -15,12 +15,19 @@ pub(super) struct Budget {
 const WHOLE: u64 = 80_000_000;
 /// The search of a distance, with the contacts that are made of it.
 const SEPARATION: u64 = 3_000;
-/// A failure of a batch is explained for this at least: its element is found.
+/// What finding the element that a failure came from may cost: the same in a `Sim` and in a batch of any
+/// size, so that they name the same one.
+const CAUSE: u64 = 20_000_000;
+/// The rest of a batch's failure is explained for this at least.
 const LEAST: u64 = 500_000;
 
 impl Budget {
     pub fn whole() -> Self {
         Self { left: Cell::new(WHOLE) }
+    }
+
+    pub fn of_cause() -> Self {
+        Self { left: Cell::new(CAUSE) }
     }
 
     /// The share of one among so many worlds, which may all fail.
@@ -68,7 +75,7 @@ impl<R: Real> Sim<R> {
         let updates = (self.effort.row_updates - before.row_updates) / R::LANES as u64;
         // A row touches the dofs of its chain.
         let chain = self.rows.y.len() / self.rows.rows.len().max(1);
-        let separations = self.effort.separations - before.separations;
+        let separations = (self.effort.separations - before.separations) / R::LANES as u64;
         evaluations * self.evaluation()
             + updates * (8 + 4 * chain as u64)
             + separations * SEPARATION

@@ -258,8 +258,6 @@ impl Oscillator {
             mass: &DMatrix::identity(n, n),
             damping: &in_w(&self.late),
             stiffness: &(s.transpose() * &s),
-            after: None,
-            push: None,
         };
         motion.step(integrator, dt, &DMatrix::identity(2 * n, 2 * n))
     }

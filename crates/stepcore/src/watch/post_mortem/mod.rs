@@ -14,7 +14,7 @@ use segment::{Halved, Segment};
 use unsolved::missed_most;
 
 use super::ledger::Ledger;
-use super::past::Past;
+use super::past::{put_back, Past};
 use super::tape::{taped, StepGains};
 use crate::elements::{Element, Kind};
 use crate::error::{Divergence, Error, Fault, Result};
@@ -153,14 +153,14 @@ impl<R: Real> Run<'_, R> {
     }
 
     fn post_mortem(&self, lane: usize, gained: bool) -> PostMortem {
-        let (sim, budget) = (self.sim, Budget::shared(self.worlds));
+        let (sim, budget, cause) = (self.sim, Budget::shared(self.worlds), Budget::of_cause());
         let replayed = self
             .ledger
             .and_then(|ledger| Segment::since_well(ledger, lane, sim.state.steps))
             .and_then(|segment| Some((self.replayed(&segment, lane, &budget)?, segment)));
         let (segment, steps, exact) = match replayed {
             Some((steps, segment)) => (segment, steps, true),
-            None => (Segment::at_present(sim, lane), self.kept_steps(lane, &budget), false),
+            None => (Segment::at_present(sim, lane), self.kept_steps(lane, &cause), false),
         };
         let scale = self.ledger.and_then(|ledger| ledger.scale(lane));
         let (from, window) = feeding(sim.model_of(lane), &steps, scale, gained);
@@ -168,7 +168,7 @@ impl<R: Real> Run<'_, R> {
         let mut shares = shares(window);
         let element = match shares.first() {
             Some((element, _)) => Some(*element),
-            None => self.strongest(lane, was_well, &budget),
+            None => self.strongest(lane, was_well, &cause),
         };
         // Gravity and inertia are innocent where a servo is out of hand, gravity always.
         let seen = if window.is_empty() { &steps[..] } else { window };
@@ -234,32 +234,28 @@ impl<R: Real> Run<'_, R> {
         let Some(mut sim) = Segment::at_present(self.sim, lane).world(self.sim) else {
             return Vec::new();
         };
-        let all = |to: &mut [R], from: &[R]| {
-            to.iter_mut().zip(from).for_each(|(to, from)| *to = R::of(from.lane(lane)));
-        };
         let mut steps = Vec::new();
-        let states: Vec<_> = self.past.states().collect();
-        // Half of what is left is for the rest.
-        let few = states.len() - budget.count(2 * self.sim.tape(), states.len());
-        for kept in &states[few..] {
-            for (to, from) in sim.state.lists_mut().into_iter().zip(*kept) {
-                all(to, from);
-            }
+        for kept in self.affordable(lane, budget) {
+            put_back(kept, lane, &mut sim.state);
             sim.state.warm.clear();
             steps.extend(one_taped(&mut sim, lane, budget));
         }
         steps
     }
 
+    /// The newest of the old states at which a step can be written down.
+    fn affordable(&self, lane: usize, budget: &Budget) -> Vec<&[R]> {
+        let mut states: Vec<_> = self.past.states(lane).collect();
+        states.drain(..states.len() - budget.count(self.sim.tape(), states.len()));
+        states
+    }
+
     /// The element that became the strongest on the way here, or, where all was well until
     /// then, that is the strongest now.
     fn strongest(&self, lane: usize, was_well: bool, budget: &Budget) -> Option<Element> {
-        let sim = Segment::at_present(self.sim, lane).world(self.sim)?;
-        let past = self.past.states().filter(|_| !was_well);
-        let mut way: Vec<_> = past.map(|kept| kept.each_ref()).collect();
-        way.drain(..way.len() - budget.count(self.sim.tape(), way.len()));
-        way.push(self.sim.state.lists());
-        strongest(sim, &way, lane)
+        let present = Segment::at_present(self.sim, lane);
+        let past = if was_well { Vec::new() } else { self.affordable(lane, budget) };
+        strongest(present.world(self.sim)?, &past, &present.state, lane)
     }
 
     /// Which dt would have been stable, as far as that can be found cheaply.
