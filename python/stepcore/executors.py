@@ -248,9 +248,3 @@ def _check_sendable(function: Callable[[T], R], points: Sequence[T], executor: E
             f"this work cannot be sent to the executor's processes: {checks.one_line(error)}; use "
             "functions of a module, not lambdas or functions within functions"
         ) from error
-
-
-def check_executor(owner: str, executor: object) -> None:
-    """Raise ValueError for an object without `submit`."""
-    if executor is not None and not hasattr(executor, "submit"):
-        raise checks.refuse(owner, "executor", executor, "a concurrent.futures executor")

@@ -238,7 +238,6 @@ def controls_of(text: str, model: Model | None) -> Any:
 
 
 def _table(option: str, text: str, read: Callable[[str], Any]) -> Any:
-    """Return the table of a file; option: "ctrl" or "follow"."""
     if not os.path.isfile(parts_of(text)[0]):
         raise Usage(f"--{option} {text}: no such file")
     try:

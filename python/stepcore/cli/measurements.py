@@ -63,7 +63,6 @@ class Measurement:
 
 
 def _function(name: str) -> Callable[..., Any]:
-    """Return the function that a command calls."""
     module = importlib.import_module(f"stepcore.measure.{MEASUREMENTS[name].module}")
     function: Callable[..., Any] = getattr(module, name.replace("-", "_"))
     return function

@@ -543,7 +543,6 @@ def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
 
 
 def _table(sim: SomeWorld, control: ArrayLike) -> Floats:
-    """Return a table of controls, with a row for each period."""
     table = numbers("control", control)
     if table.ndim != 2 or table.shape[1] != sim.model.nu or not len(table):
         limit = f"of shape (n, {sim.model.nu}) with n > 0"

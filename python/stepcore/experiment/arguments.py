@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 from stepcore import checks, deadline
 from stepcore.deadline import Deadline, in_time
 from stepcore.engine.model import Model
-from stepcore.executors import check_executor, each
+from stepcore.executors import each
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
@@ -62,7 +62,8 @@ class Workers:
         owner: the measurement's name, for errors. threads: None for one per core.
         """
         checks.progress(owner, progress)
-        check_executor(owner, executor)
+        if executor is not None and not hasattr(executor, "submit"):
+            raise checks.refuse(owner, "executor", executor, "a concurrent.futures executor")
         return cls(checks.threads(threads), executor, progress)
 
     def bar(self, bar: Bar, total: int) -> AbstractContextManager[Progress]:

@@ -629,7 +629,6 @@ def _accuracies(
 
 
 def _integrators(engine: Engine, asked: str | Sequence[str]) -> list[str]:
-    """Return the integrator names after checking them."""
     names = [asked] if isinstance(asked, str) else list(asked)
     if not names:
         raise ValueError("integrators = []: must name at least one")

@@ -147,7 +147,6 @@ def sweep(
 def _table(
     axes: Mapping[str, Any], points: Sequence[Point], results: Sequence[Point | None]
 ) -> Table:
-    """Return the table of the points that have a result."""
     done = [(p, r) for p, r in zip(points, results, strict=True) if r is not None]
     own = [name for _, result in done for name in result if name != "failure"]
     columns = list(dict.fromkeys([*axes, *own]))
@@ -175,7 +174,6 @@ def _settings_and_values(point: Point) -> tuple[Point, Point]:
 
 
 def _record(measured: Any) -> Point:
-    """Return the result of a measurement as a dict of columns."""
     return dict(measured) if isinstance(measured, Mapping) else {"value": measured}
 
 
