@@ -37,22 +37,12 @@ MISSING = ("", "nan", "null", "none", "na", "n/a", "-", "--")
 COMMENTS = ("#", "%", "//")
 # What a unit is in SI. Those of times count seconds.
 TIMES = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
-ANGLES = dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180)
-ANGLES |= {f"{name}/s": value for name, value in ANGLES.items()}
-FORCES = dict.fromkeys(("nm", "n·m", "n*m", "n.m", "n m", "n"), 1.0)
-LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}
-UNITS = {
-    **TIMES,
-    **ANGLES,
-    **FORCES,
-    **LENGTHS,
-    "rad": 1.0,
-    "rad/s": 1.0,
-    "": 1.0,
-    "-": 1.0,
-    "1": 1.0,
-}
-UNITS |= {"rpm": math.pi / 30, "1/min": math.pi / 30, "mnm": 1e-3, "kn": 1e3, "knm": 1e3}
+UNITS = TIMES | dict.fromkeys(("", "-", "1", "rad", "rad/s", "m", "m/s"), 1.0)
+UNITS |= dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180)
+UNITS |= {f"{name}/s": UNITS[name] for name in ("deg", "degree", "degrees", "°")}
+UNITS |= dict.fromkeys(("nm", "n·m", "n*m", "n.m", "n m", "n"), 1.0)
+UNITS |= {"mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3, "cm/s": 1e-2, "mnm": 1e-3, "kn": 1e3, "knm": 1e3}
+UNITS |= {"rpm": math.pi / 30, "1/min": math.pi / 30}
 # The topic of arrays in logs of stepcore.
 OWN = "/recorded"
 # Lists of names, and of numbers by these, in the messages of ROS.

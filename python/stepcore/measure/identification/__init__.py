@@ -37,7 +37,7 @@ from stepcore.measure.identification.log import (
     within,
 )
 from stepcore.measure.identification.misfit import Quality, misfits, missing
-from stepcore.measure.identification.predictions import Predictions, cut
+from stepcore.measure.identification.predictions import Predictions
 from stepcore.measure.identification.readings import check_smooth
 from stepcore.measure.identification.result import FINER, Curve, Identification
 from stepcore.measure.monitors.finding import Finding
@@ -128,7 +128,8 @@ def identify(
 
     def fitted(length: float | None) -> Identification:
         """Fit the logs in pieces of a length [s]."""
-        read = [within(compiled, log, bounds) for log in cut(compiled, whole, length)]
+        parts = whole if length is None else [p for log in whole for p in log.cut(compiled, length)]
+        read = [within(compiled, part, bounds) for part in parts]
         fit = Predictions(compiled, read, list(bounds), threads=workers.threads)
         check_smooth(compiled, {p.entry for p in fit.parts if p.array == "sensordata"})
         begin = np.concatenate([start, np.zeros(fit.free)])

@@ -64,14 +64,26 @@ class MeasuredLog:
         """Return how many steps of dt [s] the log lasts."""
         return int(np.ceil(self.duration / dt - 1e-9))
 
-    def until(self, end: float) -> MeasuredLog:
-        """Return the beginning of this log, to a time [s]."""
+    def between(self, begin: float, end: float) -> MeasuredLog:
+        """Return the rows of this log from one time to another [s], in time from the first on."""
         cut = {}
-        for name, series in self.measured.items():
-            early = series.times <= end
-            if np.isfinite(series.values[early]).any():
-                cut[name] = Series(series.times[early], series.values[early])
-        return MeasuredLog(self.name, cut, self.controls, self.start)
+        for name, (times, values) in self.measured.items():
+            own = (times >= begin) & (times <= end)
+            if np.isfinite(values[own]).any():
+                cut[name] = Series(times[own] - begin, values[own])
+        controls = replace(self.controls, times=self.controls.times - begin)
+        return replace(self, measured=cut, controls=controls)
+
+    def cut(self, model: Model, length: float) -> list[MeasuredLog]:
+        """Return pieces of a length [s], each from a row with a whole qpos on."""
+        times, qpos = self.measured["qpos"]
+        whole = times[np.isfinite(qpos).all(axis=1)]
+        marks = np.arange(length, self.duration - length / 2, length)
+        begins = np.unique(whole[np.searchsorted(whole, marks).clip(max=len(whole) - 1)])
+        ends = np.nextafter([*begins, np.inf], 0.0)
+        later = [self.between(*rows) for rows in zip(begins, ends[1:], strict=True)]
+        own = [replace(piece, start=first_state(model, piece.measured)) for piece in later]
+        return [self.between(0.0, ends[0]), *own]
 
 
 def opened(logs: Any) -> list[Any]:
@@ -133,10 +145,12 @@ def read_log(model: Model, log: Any, name: str) -> MeasuredLog:
         actuator = model.called("actuator")[without[0]]
         raise ValueError(f"{name}: ctrl is missing of {actuator}: name a column {actuator}.control")
     measured = {key: each for key, each in moved.items() if np.isfinite(each.values).any()}
-    return MeasuredLog(name, measured, ControlLog(*controls), _start(model, moved), tuple(notes))
+    return MeasuredLog(
+        name, measured, ControlLog(*controls), first_state(model, moved), tuple(notes)
+    )
 
 
-def _start(model: Model, measured: Mapping[str, Series]) -> tuple[np.ndarray, np.ndarray]:
+def first_state(model: Model, measured: Mapping[str, Series]) -> tuple[np.ndarray, np.ndarray]:
     """Return the first state: what was measured first, or else the model's pose.
 
     Velocities that were not measured are those between the first two positions.

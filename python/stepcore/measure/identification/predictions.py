@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -21,7 +20,6 @@ from stepcore.measure.identification.log import (
     DELAY,
     MEASURED,
     MeasuredLog,
-    Series,
     entries_of,
     is_delay,
     late_entries,
@@ -82,7 +80,7 @@ class Predictions:
 
     def until(self, share: float) -> Predictions:
         """Return the predictions of the beginning of each log, in the same units."""
-        logs = [log.until(share * log.duration) for log in self.logs]
+        logs = [log.between(0.0, share * log.duration) for log in self.logs]
         return Predictions(self.base, logs, self.labels, self.scales, self.threads)
 
     def model(self, x: np.ndarray) -> Model:
@@ -273,40 +271,6 @@ class Run:
         table = np.full((self.steps.count + 1, *own.shape[1:]), np.nan)
         table[near] = own
         return table
-
-
-def cut(model: Model, logs: Sequence[MeasuredLog], length: float | None) -> list[MeasuredLog]:
-    """Return logs in pieces of a length [s], each from a row with a whole qpos on; None: as is."""
-    if length is None:
-        return list(logs)
-    pieces = []
-    for log in logs:
-        times, qpos = log.measured["qpos"]
-        whole = times[np.isfinite(qpos).all(axis=1)]
-        marks = np.arange(length, log.duration - length / 2, length)
-        begins = np.unique([0.0, *whole[np.searchsorted(whole, marks).clip(max=len(whole) - 1)]])
-        for begin, end in zip(begins, [*begins[1:], np.inf], strict=True):
-            pieces.append(_piece(model, log, begin, end) if begin or end < np.inf else log)
-    return pieces
-
-
-def _piece(model: Model, log: MeasuredLog, begin: float, end: float) -> MeasuredLog:
-    """Return the rows of a log from one time to before another [s], with the first state there."""
-    measured = {}
-    for name, (times, values) in log.measured.items():
-        own = (times >= begin) & (times < end)
-        if np.isfinite(values[own]).any():
-            measured[name] = Series(times[own] - begin, values[own])
-    (times, qpos), first = measured["qpos"], log.start[1]
-    if begin:
-        later = qpos[1:][np.isfinite(qpos[1:]).all(axis=1)]
-        after = times[1:][np.isfinite(qpos[1:]).all(axis=1)]
-        first = Coordinates(model).change(qpos[0], later[0]) / after[0] if len(after) else 0 * first
-        if "qvel" in measured and measured["qvel"].times[0] == 0.0:
-            seen = measured["qvel"].values[0]
-            first = np.where(np.isfinite(seen), seen, first)
-    controls = replace(log.controls, times=log.controls.times - begin)
-    return replace(log, measured=measured, controls=controls, start=(qpos[0], first))
 
 
 def _parts(model: Model, logs: Sequence[MeasuredLog], labels: Sequence[str]) -> list[Part]:

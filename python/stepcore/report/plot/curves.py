@@ -38,11 +38,8 @@ LINES = tuple(COLOURS.values())
 NAMED, DASHES = len(LINES), ("-", "--", ":")
 # What is drawn of a run that has some of these.
 WANTED = ("qpos", "energy", "overlap", "error")
-UNITS = {
-    "overlap": "deepest overlap [m]",
-    "residual": "residual [m/s]",
-    "error": "estimated error [m]",
-}
+UNITS = {"energy": "energy [J]", "overlap": "deepest overlap [m]"}
+UNITS |= {"residual": "residual [m/s]", "error": "estimated error [m]"}
 # What joints have in each unit.
 JOINTS = {"rad": "position [rad]", "m": "position [m]", "": "orientation (quaternion)"}
 JOINTS |= {"rad/s": "velocity [rad/s]", "m/s": "velocity [m/s]"}
@@ -74,11 +71,15 @@ def trajectory(run: Trajectory) -> Any:
         elif name == "error":
             _error(axes, time, run)
         else:
-            _lines(axes, time, words, lines)
+            _lines(axes, time, lines)
+        if name == "overlap":
+            axes.set_ylim(bottom=0)
         if name == "xpos" and "body_error" in run.data:
             _bands(axes, time, run)
-        frame(axes)
-    panels[-1].set_xlabel("time [s]")
+        if 1 < len(axes.get_legend_handles_labels()[1]) <= NAMED * len(DASHES):
+            _legend(axes)
+        frame(axes, y=words)
+    frame(panels[-1], x="time [s]")
     panels[-1].set_xlim(0.0, float(time[-1]) or None)
     return figure
 
@@ -109,8 +110,6 @@ def _energy(axes: Any, time: np.ndarray, run: Trajectory) -> None:
     axes.plot(time, kinetic, color=BLUE, lw=1.2, label="kinetic")
     axes.plot(time, potential, color=ORANGE, lw=1.2, label="potential")
     axes.plot(time, kinetic + potential, color="black", lw=3.0, label="total", zorder=1.9)
-    axes.set_ylabel("energy [J]")
-    _legend(axes)
 
 
 def _error(axes: Any, time: np.ndarray, run: Trajectory) -> None:
@@ -121,9 +120,7 @@ def _error(axes: Any, time: np.ndarray, run: Trajectory) -> None:
     axes.plot(time, np.where(known, rms, np.nan), color=ORANGE, lw=1.2, label="RMS over bodies")
     if not known.all():
         axes.axvspan(time[np.argmin(known)], time[-1], color=GREY, alpha=0.3, label="not known")
-    axes.set_ylabel(UNITS["error"])
     axes.set_ylim(bottom=0)
-    _legend(axes)
 
 
 def _bands(axes: Any, time: np.ndarray, run: Trajectory) -> None:
@@ -135,17 +132,11 @@ def _bands(axes: Any, time: np.ndarray, run: Trajectory) -> None:
         axes.fill_between(time, *ends, color=LINES[k % NAMED], alpha=0.25, lw=0)
 
 
-def _lines(axes: Any, time: np.ndarray, words: str, lines: Mapping[str, np.ndarray]) -> None:
-    """Draw lines by name; many have no names beside them."""
-    named = 1 < len(lines) <= NAMED * len(DASHES)
+def _lines(axes: Any, time: np.ndarray, lines: Mapping[str, np.ndarray]) -> None:
+    """Draw lines by name."""
     for k, (name, values) in enumerate(lines.items()):
         style: dict[str, Any] = {"color": LINES[k % NAMED], "ls": DASHES[k // NAMED % len(DASHES)]}
-        axes.plot(time, values, lw=1.2, label=name if named else None, **style)
-    axes.set_ylabel(words)
-    if words == UNITS["overlap"]:
-        axes.set_ylim(bottom=0)
-    if named:
-        _legend(axes)
+        axes.plot(time, values, lw=1.2, label=name, **style)
 
 
 def _legend(axes: Any) -> None:
@@ -182,8 +173,7 @@ def postmortem(result: PostMortem) -> Any:
     else:
         above.yaxis.set_major_formatter(lambda power, _: f"$10^{{{power:g}}}$")
         above.yaxis.get_major_locator().set_params(integer=True, nbins=7)
-    above.set_ylabel("kinetic and spring\nenergy [J]")
-    frame(above, _heading(result))
+    frame(above, _heading(result), y="kinetic and spring\nenergy [J]")
     size = np.maximum(energy[1:], energy[:-1])
     for name, colour in zip(result.leading(DRAWN), COLOURS.values(), strict=False):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -194,10 +184,8 @@ def postmortem(result: PostMortem) -> Any:
     # In the last steps, inertial forces and rows inject and remove many times the total energy.
     below.set_ylim(max(low, -1.5), min(high, 1.5))
     below.axhline(0.0, color=GREY, lw=0.8)
-    below.set_ylabel("energy injected per step,\npart of that energy")
-    below.set_xlabel("step")
     below.xaxis.get_major_locator().set_params(integer=True)
-    frame(below)
+    frame(below, "", "step", "energy injected per step,\npart of that energy")
     legend(figure, columns=2)
     return figure
 
@@ -221,8 +209,7 @@ def _shares_alone(result: PostMortem) -> Any:
     names = list(result.shares)[:DRAWN][::-1]
     shares = [100 * result.shares[name] for name in names]
     axes.barh([name.replace("`", "") for name in names], shares, color=BLUE, height=0.6)
-    axes.set_xlabel("share of the energy injected over the last steps [%]")
-    frame(axes, _heading(result))
+    frame(axes, _heading(result), "share of the energy injected over the last steps [%]")
     return figure
 
 
@@ -248,10 +235,9 @@ def predictability(result: Predictability) -> Any:
     axes.set_ylim(low, max(high, 3 * result.limit))
     log_ticks(axes.yaxis)
     axes.set_xlim(0, result.horizon)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("growth of a perturbation")
     until = "all of it" if math.isinf(result.time) else f"{seconds(result.time)} of it"
-    frame(axes, f"{result.name}: {seconds(result.horizon)}, {until} predictable")
+    title = f"{result.name}: {seconds(result.horizon)}, {until} predictable"
+    frame(axes, title, "time [s]", "growth of a perturbation")
     legend(figure)
     return figure
 
