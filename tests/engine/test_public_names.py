@@ -51,7 +51,7 @@ def test_a_step_loads_the_scene_and_the_engine():
     )
     allowed += ("mjcf.nodes", "mjcf.refusal_texts")
     rest = [name.removeprefix("stepcore.") for name in loaded if name.startswith("stepcore.")]
-    assert [name for name in rest if not name.startswith(allowed)] == ["report", "mjcf"]
+    assert [name for name in rest if not name.startswith(allowed)] == ["needs", "report", "mjcf"]
 
 
 @pytest.mark.parametrize("names", [["lesson"], sorted(sc.__all__)])

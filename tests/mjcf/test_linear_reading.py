@@ -209,7 +209,8 @@ def test_heights_of_an_image_name_pillow_where_it_is_missing(monkeypatch, tmp_pa
     text = """<mujoco>
     <asset><hfield name="h" file="h.png" size="1 1 1 1"/></asset>
     <worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>"""
-    with pytest.raises(sc.MJCFError, match=r"^<string>:2: .*pillow: pip install 'stepcore"):
+    wanted = r"^<string>:2: .*pillow: pip install '\.\[view\]'"
+    with pytest.raises(sc.MJCFError, match=wanted):
         sc.loads(text, base=tmp_path)
 
 

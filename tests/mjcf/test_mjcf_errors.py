@@ -214,7 +214,7 @@ MISTAKES = {
     "closed wrongly": ("<mujoco>\n<worldbody></mujoco>", 2, "mismatched tag"),
     "an attribute twice": (world('<geom size="1" size="2"/>'), 2, "duplicate attribute"),
     "empty": ("", 1, "the file is empty"),
-    "plain text": ("torso: 1", 1, "not well-formed XML: syntax error"),
+    "plain text": ("torso: 1", 1, "is no XML; `load` reads a file by its path"),
     "binary": ("<\1\2", 1, "not well-formed XML: (invalid token)"),
     "two roots": ("<mujoco/><mujoco/>", 1, "junk after"),
     "entities": ('<!DOCTYPE m [<!ENTITY a "b">]>\n<mujoco model="&a;"/>', 1, "DOCTYPE"),

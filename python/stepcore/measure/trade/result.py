@@ -411,10 +411,14 @@ class Trade(Result):
         if other is None:
             return
         ours, theirs = self.reference.error, other.reference.error
-        same = "computes" if self.parted <= ours + theirs else "does NOT compute"
-        away = f"its converged motion is {metres(self.parted)} from stepcore's"
-        known = f"they are known to {metres(ours)} and {metres(theirs)}"
-        yield f"MuJoCo {same} the same physics: {away}; {known}."
+        if self.parted <= ours + theirs:
+            known = metres(max(ours, theirs))
+            yield f"MuJoCo computes the same physics: both converge to one motion, known to {known}."
+        else:
+            yield (
+                f"MuJoCo does NOT compute the same physics: the converged motions are "
+                f"{metres(self.parted)} apart, and known to {metres(ours)} and {metres(theirs)}."
+            )
         said = f"As shipped MuJoCo's error is {other._wrong(other.shipped)}"
         yield f"{said}{self._there(other.shipped)}{self._times(SHIPPED)}."
         row = other.chosen
