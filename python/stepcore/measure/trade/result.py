@@ -413,7 +413,7 @@ class Trade(Result):
         ours, theirs = self.reference.error, other.reference.error
         if self.parted <= ours + theirs:
             known = metres(max(ours, theirs))
-            yield f"MuJoCo computes the same physics: both converge to one motion, known to {known}."
+            yield f"MuJoCo computes the same physics: both converge to one motion, sure to {known}."
         else:
             yield (
                 f"MuJoCo does NOT compute the same physics: the converged motions are "
