@@ -1,21 +1,26 @@
 //! The rows of an island as Newton's method reads them: number by number instead of row by row, and
-//! in bundles of consecutive rows on the same dofs, such as those of all contacts of two bodies.
+//! in bundles of consecutive rows on the same dofs, such as those of all contacts of two bodies, or on
+//! dofs of one chain, such as the friction losses of a leg.
 
 use super::pattern::Pattern;
 use super::penalty::Cone;
 use crate::model::Span;
+use crate::real::array::from_fn;
 use crate::real::{Mask, Real};
-use crate::solve::dot::dots;
 use crate::solve::rows::{Rows, Set};
 
-/// Rows on the same dofs. Rows and their curvature are counted within the island.
+/// Rows on the same dofs, or on the first of them. Rows and their curvature are counted within the
+/// island.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bundle {
     /// Into `dof_lists`.
     pub dofs: Span,
     pub rows: Span,
-    /// The first entry of its rows in `Rows::y`, where they stand one after another.
+    /// The first entry of its rows, which stand one after another in `Rows::y`, or in
+    /// `Bundles::filled`.
     pub y: usize,
+    /// Some rows are on the first of the dofs alone: their y are filled up with zeros.
+    pub filled: bool,
     pub runs: Span,
     /// Its part of `System::curve`.
     pub curve: Span,
@@ -52,9 +57,11 @@ pub(super) struct Bundles<R: Real> {
     pub mask: Vec<R::Mask>,
     /// Entries of `System::curve`.
     pub curves: usize,
+    /// The y of bundles that need zeros.
+    pub filled: Vec<R>,
 }
 
-room!(Bundles<R>: list, runs, cones, t, inv_c, lo, hi, inv_s, a, per_mass, mask, curves);
+room!(Bundles<R>: list, runs, cones, t, inv_c, lo, hi, inv_s, a, per_mass, mask, curves, filled);
 
 impl<R: Real> Bundles<R> {
     pub fn new() -> Self {
@@ -71,11 +78,12 @@ impl<R: Real> Bundles<R> {
             per_mass: Vec::new(),
             mask: Vec::new(),
             curves: 0,
+            filled: Vec::new(),
         }
     }
 
     /// Takes in the rows of these blocks.
-    pub fn take(&mut self, blocks: &[usize], rows: &Rows<R>) {
+    pub fn take(&mut self, blocks: &[usize], rows: &Rows<R>, dof_lists: &[usize]) {
         self.clear();
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
             let own = &rows.rows[block.rows.range()];
@@ -94,10 +102,30 @@ impl<R: Real> Bundles<R> {
                 self.cones.push(Cone::new(own, block.mu));
                 self.cones.len() - 1
             });
-            let rows = Span { start: at, len: own.len() };
             let curve = Span { start: self.curves, len: block.curves() };
             self.curves += curve.len;
-            self.join(first.dofs, first.y, Run { rows, curve, cone, whole });
+            let run = Run { rows: Span { start: at, len: own.len() }, curve, cone, whole };
+            // The nodes of a heap are those of its rows.
+            let lists = (!rows.heap).then_some(dof_lists);
+            self.join(first.dofs, first.y, run, lists);
+        }
+        self.fill(blocks, rows);
+    }
+
+    /// Writes the rows of bundles that need zeros.
+    fn fill(&mut self, blocks: &[usize], rows: &Rows<R>) {
+        let mut every = blocks.iter().flat_map(|b| &rows.rows[rows.blocks[*b].rows.range()]);
+        for bundle in &mut self.list {
+            let own = every.by_ref().take(bundle.rows.len);
+            if !bundle.filled {
+                own.for_each(drop);
+                continue;
+            }
+            bundle.y = self.filled.len();
+            for (at, row) in own.enumerate() {
+                self.filled.extend_from_slice(&rows.y[row.y..row.y + row.dofs.len]);
+                self.filled.resize(bundle.y + (at + 1) * bundle.dofs.len, R::zero());
+            }
         }
     }
 
@@ -117,14 +145,31 @@ impl<R: Real> Bundles<R> {
             numbers.clear();
         }
         self.mask.clear();
+        self.filled.clear();
         self.curves = 0;
     }
 
-    /// Adds a block's rows to the last bundle and its last run, or begins new ones.
-    fn join(&mut self, dofs: Span, y: usize, run: Run) {
-        let goes_on = |last: &Bundle| last.dofs == dofs && last.y + last.rows.len * dofs.len == y;
+    /// Adds a block's rows to the last bundle and its last run, or begins new ones. `lists`: of dofs,
+    /// where rows may be filled up with zeros.
+    fn join(&mut self, dofs: Span, y: usize, run: Run, lists: Option<&[usize]>) {
+        // All on one chain, and the zeros are no more than the rows.
+        let chained = |last: &Bundle| {
+            lists.is_some_and(|lists| {
+                let (own, other) = (dofs.of(lists), last.dofs.of(lists));
+                let shared = own.len().min(other.len());
+                2 * shared >= own.len().max(other.len()) && own[..shared] == other[..shared]
+            })
+        };
+        let goes_on = |last: &Bundle| {
+            let straight = last.dofs == dofs && last.y + last.rows.len * dofs.len == y;
+            straight || chained(last)
+        };
         match self.list.last_mut() {
             Some(last) if goes_on(last) => {
+                last.filled |= last.dofs.len != dofs.len || last.y + last.rows.len * dofs.len != y;
+                if dofs.len > last.dofs.len {
+                    last.dofs = dofs;
+                }
                 last.rows.len += run.rows.len;
                 last.curve.len += run.curve.len;
                 last.whole &= run.whole;
@@ -141,6 +186,7 @@ impl<R: Real> Bundles<R> {
                 dofs,
                 rows: run.rows,
                 y,
+                filled: false,
                 runs: Span { start: self.runs.len(), len: 1 },
                 curve: run.curve,
                 whole: run.whole,
@@ -173,30 +219,24 @@ impl<'a, R: Real> Problem<'a, R> {
     /// The y of a bundle's rows, one after another.
     #[inline(always)]
     pub fn y(&self, bundle: &Bundle) -> &'a [R] {
-        &self.rows.y[bundle.y..bundle.y + bundle.rows.len * bundle.dofs.len]
+        let y = if bundle.filled { &self.bundles.filled } else { &self.rows.y };
+        &y[bundle.y..bundle.y + bundle.rows.len * bundle.dofs.len]
     }
 
-    /// out = y·x by row; x by dof.
-    pub fn dots(&self, x: &[R], out: &mut [R]) {
+    /// out = y·x by row; x by dof. `own`: scratch, the x of a bundle.
+    pub fn dots(&self, x: &[R], out: &mut [R], own: &mut Vec<R>) {
         for (b, bundle) in self.bundles.list.iter().enumerate() {
-            let (mut y, mut out) = (self.y(bundle), &mut out[bundle.rows.range()]);
+            let (y, out) = (self.y(bundle), &mut out[bundle.rows.range()]);
             if R::ALONE {
                 if let Some(free) = self.pattern.free(b) {
                     free.dot_each(y, x, out);
                     continue;
                 }
             }
-            let list = self.pattern.list(b);
-            while out.len() >= WIDE {
-                let (own, rest) = out.split_at_mut(WIDE);
-                own.copy_from_slice(&dots::<R, WIDE>(list, y, x));
-                (out, y) = (rest, &y[WIDE * list.len()..]);
-            }
-            match out.len() {
-                1 => out.copy_from_slice(&dots::<R, 1>(list, y, x)),
-                2 => out.copy_from_slice(&dots::<R, 2>(list, y, x)),
-                3 => out.copy_from_slice(&dots::<R, 3>(list, y, x)),
-                _ => {}
+            own.clear();
+            own.extend(self.pattern.list(b).iter().map(|k| x[*k]));
+            for (out, y) in out.iter_mut().zip(y.chunks_exact(own.len().max(1))) {
+                *out = product(y, own);
             }
         }
     }
@@ -205,8 +245,7 @@ impl<'a, R: Real> Problem<'a, R> {
     pub fn gather(&self, x: &[R], sign: R, out: &mut [R]) {
         for (b, bundle) in self.bundles.list.iter().enumerate() {
             let own = bundle.rows.range();
-            let (mut y, mut x, mut mask) =
-                (self.y(bundle), &x[own.clone()], &self.bundles.mask[own]);
+            let (y, x, mask) = (self.y(bundle), &x[own.clone()], &self.bundles.mask[own]);
             if R::ALONE {
                 if let Some(free) = self.pattern.free(b) {
                     // A heap is one world.
@@ -215,47 +254,64 @@ impl<'a, R: Real> Problem<'a, R> {
                 }
             }
             let list = self.pattern.list(b);
-            while !x.is_empty() {
-                let to = (list, y);
-                let done = match x.len() {
-                    _ if !bundle.whole => {
-                        for (k, y) in list.iter().zip(y) {
-                            out[*k] = R::select(mask[0], out[*k] + *y * (sign * x[0]), out[*k]);
-                        }
-                        1
-                    }
-                    1 => sums::<R, 1>(to, (sign, x), out),
-                    2 => sums::<R, 2>(to, (sign, x), out),
-                    3 => sums::<R, 3>(to, (sign, x), out),
-                    _ => sums::<R, WIDE>(to, (sign, x), out),
-                };
-                (x, mask, y) = (&x[done..], &mask[done..], &y[done * list.len()..]);
+            if bundle.whole {
+                sums((list, y), (sign, x), out);
+                continue;
+            }
+            for ((x, mask), y) in x.iter().zip(mask).zip(y.chunks_exact(list.len().max(1))) {
+                for (k, y) in list.iter().zip(y) {
+                    out[*k] = R::select(*mask, out[*k] + *y * (sign * *x), out[*k]);
+                }
             }
         }
     }
 }
 
-/// Rows that are multiplied side by side.
+/// Dofs that are multiplied side by side.
 const WIDE: usize = 4;
 
-/// out += sign · Σ y x of N rows, each dof's sum in the order of the rows; N.
+/// y·x: four sums, of every fourth dof, and then these.
 #[inline(always)]
-fn sums<R: Real, const N: usize>(
-    (list, y): (&[usize], &[R]),
-    (sign, x): (R, &[R]),
-    out: &mut [R],
-) -> usize {
-    let len = list.len();
-    let x: [R; N] = crate::real::array::from_fn(|i| sign * x[i]);
-    let rows: [&[R]; N] = crate::real::array::from_fn(|i| &y[i * len..][..len]);
-    for (at, k) in list.iter().enumerate() {
-        let mut sum = out[*k];
-        for i in 0..N {
-            sum += rows[i][at] * x[i];
+fn product<R: Real>(y: &[R], x: &[R]) -> R {
+    let mut sums = [R::zero(); WIDE];
+    let (y, x) = (y.chunks_exact(WIDE), x.chunks_exact(WIDE));
+    let rest = y.remainder().iter().zip(x.remainder());
+    for (y, x) in y.zip(x) {
+        for k in 0..WIDE {
+            sums[k] += y[k] * x[k];
         }
-        out[*k] = sum;
     }
-    N
+    for (sum, (y, x)) in sums.iter_mut().zip(rest) {
+        *sum += *y * *x;
+    }
+    let [a, b, c, d] = sums;
+    (a + b) + (c + d)
+}
+
+/// out += sign · Σ y x over some rows, each dof's sum in their order, four dofs side by side.
+#[inline(always)]
+fn sums<R: Real>((list, y): (&[usize], &[R]), (sign, x): (R, &[R]), out: &mut [R]) {
+    let whole = list.len() - list.len() % WIDE;
+    let rows = || x.iter().zip(y.chunks_exact(list.len()));
+    for at in (0..whole).step_by(WIDE) {
+        let dofs = &list[at..at + WIDE];
+        let mut sums: [R; WIDE] = from_fn(|k| out[dofs[k]]);
+        for (x, y) in rows() {
+            let (x, y) = (sign * *x, &y[at..at + WIDE]);
+            for k in 0..WIDE {
+                sums[k] += y[k] * x;
+            }
+        }
+        for k in 0..WIDE {
+            out[dofs[k]] = sums[k];
+        }
+    }
+    for at in whole..list.len() {
+        let sum = &mut out[list[at]];
+        for (x, y) in rows() {
+            *sum += y[at] * (sign * *x);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -283,7 +339,7 @@ mod tests {
         given.blocks.push((Set::Interval, 0.0, vec![line(0.0)]));
         let rows = pack::<f64>(&[given]);
         let mut bundles = Bundles::new();
-        bundles.take(&[0, 1, 2, 3], &rows);
+        bundles.take(&[0, 1, 2, 3], &rows, &[0, 1, 2, 3, 4]);
         let runs: Vec<(usize, usize)> =
             bundles.runs.iter().map(|run| (run.rows.len, run.curve.len)).collect();
         assert_eq!((bundles.list.len(), runs), (1, vec![(7, 7), (3, 9), (1, 1)]));
@@ -293,19 +349,49 @@ mod tests {
             Problem { pattern: &pattern, bundles: &bundles, rows: &rows, blocks: &[0, 1, 2, 3] };
         let x = [0.3, -0.2, 0.7, 0.1, -0.9];
         let (mut along, mut sums) = ([0.0; 11], [0.5; 5]);
-        problem.dots(&x, &mut along);
+        problem.dots(&x, &mut along, &mut Vec::new());
         problem.gather(&along, -2.0, &mut sums);
         let mut want = [0.5; 5];
         for (row, along) in rows.rows.iter().zip(along) {
             let y = &rows.y[row.y..row.y + 5];
-            assert_eq!(along, y.iter().zip(x).fold(0.0, |sum, (y, x)| sum + y * x));
+            let part = |k: usize| y[k] * x[k];
+            assert_eq!(along, ((part(0) + part(4)) + part(1)) + (part(2) + part(3)));
             for (want, y) in want.iter_mut().zip(y) {
                 *want += y * (-2.0 * along);
             }
         }
         assert_eq!(sums, want);
-        // Not one after another: two bundles.
-        bundles.take(&[0, 2], &rows);
-        assert_eq!(bundles.list.len(), 2);
+    }
+
+    /// Rows on a chain and on its first dofs are one bundle, whose products are those of its rows; a row
+    /// on few of the dofs, and one on others, are not in it.
+    #[test]
+    fn rows_on_a_chain_are_filled_up() {
+        let mut random = Random::new(32);
+        let ones = [1.0; 5];
+        let mut given = Given::new(&ones, &ones);
+        (0..4).for_each(|_| given.limit(&ones, 0.0, 1.0));
+        let mut rows = pack::<f64>(&[given]);
+        let lists = [0, 1, 2, 3, 4, 0, 1, 2, 0, 1, 3];
+        rows.y.clear();
+        for (row, (start, len)) in rows.rows.iter_mut().zip([(5, 3), (0, 5), (0, 2), (9, 2)]) {
+            (row.dofs, row.y) = (Span { start, len }, rows.y.len());
+            rows.y.extend((0..len).map(|_| random.next()));
+        }
+        let (blocks, mut bundles) = ([0, 1, 2, 3], Bundles::new());
+        bundles.take(&blocks, &rows, &lists);
+        let counts: Vec<usize> = bundles.list.iter().map(|bundle| bundle.rows.len).collect();
+        assert_eq!(counts, [2, 1, 1]);
+        let mut pattern = Pattern::default();
+        pattern.fit(&lists, false, bundles.dofs(), &mut [0; 5]);
+        let problem =
+            Problem { pattern: &pattern, bundles: &bundles, rows: &rows, blocks: &blocks };
+        let (x, mut along) = ([0.3, -0.2, 0.7, 0.1, -0.9], [0.0; 4]);
+        problem.dots(&x, &mut along, &mut Vec::new());
+        for (row, along) in rows.rows.iter().zip(along) {
+            let y = &rows.y[row.y..row.y + row.dofs.len];
+            let want: f64 = row.dofs.of(&lists).iter().zip(y).map(|(k, y)| x[*k] * y).sum();
+            assert!((along - want).abs() < 1e-15);
+        }
     }
 }

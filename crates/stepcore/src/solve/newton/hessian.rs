@@ -35,12 +35,10 @@ struct Added<R: Real> {
     stride: usize,
     /// All count in every lane.
     whole: bool,
-    /// Scratch: one line of the matrix.
-    line: Vec<R>,
 }
 
 room!(Hessian<R>: entries, curve, factors, inverse, stale, added);
-room!(Added<R>: rows, bent, line, stride, whole);
+room!(Added<R>: rows, bent, stride, whole);
 
 impl<R: Real> Hessian<R> {
     pub fn new() -> Self {
@@ -124,24 +122,24 @@ impl<R: Real> Hessian<R> {
         let Self { entries, added, stale, .. } = self;
         let Listed { list, places, .. } = pattern.bundles[bundle];
         let list = list.of(&pattern.lists);
-        let mut places = places.map(|first| &pattern.places[first..]);
-        for (at, i) in list.iter().enumerate() {
-            stale[*i] = true;
-            let Some(rest) = places else {
-                let own = &mut entries[pattern.start[*i]..][..=at];
-                added.line[..=at].copy_from_slice(own);
-                added.add(at, y);
-                own.copy_from_slice(&added.line[..=at]);
-                continue;
-            };
-            let (own, rest) = rest.split_at(at + 1);
-            places = Some(rest);
-            for (x, place) in added.line.iter_mut().zip(own) {
-                *x = entries[*place];
-            }
-            added.add(at, y);
-            for (place, x) in own.iter().zip(&added.line) {
-                entries[*place] = *x;
+        list.iter().for_each(|i| stale[*i] = true);
+        // Lanes fill the registers by themselves.
+        let high = if R::ALONE { WIDE } else { 1 };
+        for at in (0..list.len()).step_by(high) {
+            let lines = &list[at..list.len().min(at + high)];
+            match places {
+                // The place of a pair: the lists before it are as long as their number.
+                Some(first) => {
+                    let of = |line: usize| first + line * (line + 1) / 2;
+                    added.add(entries, at, lines.len(), y, |line, col| {
+                        pattern.places[of(at + line) + col]
+                    });
+                }
+                None => {
+                    added.add(entries, at, lines.len(), y, |line, col| {
+                        pattern.start[lines[line]] + col
+                    });
+                }
             }
         }
     }
@@ -158,21 +156,34 @@ impl<R: Real> Hessian<R> {
             let (before, below) = factors.split_at_mut(pattern.start[i + 1]);
             let own = &mut before[pattern.start[i]..];
             own.copy_from_slice(&entries[pattern.row(i)]);
-            for (k, at) in &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]] {
-                let row = pattern.row(*k);
-                let l = below[*at - pattern.start[i + 1]];
-                let a = l * below[row.end - 1 - pattern.start[i + 1]];
-                let source = &below[row.start - pattern.start[i + 1]..=*at - pattern.start[i + 1]];
-                if source.len() == own.len() {
-                    for (x, l) in own.iter_mut().zip(source) {
-                        *x -= a * *l;
+            let row = pattern.start[i + 1];
+            // L and D of a row below, and its L up to the column i.
+            let source = |(k, at): (usize, usize)| {
+                let own = pattern.row(k);
+                let by = below[at - row] * below[own.end - 1 - row];
+                (by, &below[own.start - row..=at - row])
+            };
+            let mut rest = &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]];
+            while let [first, others @ ..] = rest {
+                // Side by side, where each row's begin as this one's.
+                if let Some((four, others)) = rest.split_first_chunk::<4>() {
+                    let four = four.map(source);
+                    if four.iter().all(|(_, l)| l.len() == own.len()) {
+                        take_away(own, four);
+                        rest = others;
+                        continue;
                     }
+                }
+                let (by, l) = source(*first);
+                rest = others;
+                if l.len() == own.len() {
+                    take_away(own, [(by, l)]);
                     continue;
                 }
                 let mut places = pattern.cols[pattern.row(i)].iter().zip(&mut *own);
-                for (j, l) in pattern.cols[row].iter().zip(source) {
+                for (j, l) in pattern.cols[pattern.row(first.0)].iter().zip(l) {
                     if let Some((_, x)) = places.find(|(col, _)| *col == j) {
-                        *x -= a * *l;
+                        *x -= by * *l;
                     }
                 }
             }
@@ -206,8 +217,7 @@ impl<R: Real> Hessian<R> {
 
 impl<R: Real> Added<R> {
     fn new() -> Self {
-        let (rows, bent, line) = (Vec::new(), Vec::new(), Vec::new());
-        Self { rows, bent, stride: 0, whole: true, line }
+        Self { rows: Vec::new(), bent: Vec::new(), stride: 0, whole: true }
     }
 
     /// Nothing yet, of a bundle of so many rows and dofs.
@@ -218,7 +228,6 @@ impl<R: Real> Added<R> {
         self.rows.reserve(rows);
         self.bent.clear();
         self.bent.reserve(rows * self.stride);
-        self.line.resize(self.stride, R::zero());
     }
 
     /// Takes a run's rows of `len` dofs, whose y begin at `first`, where their curvature is new.
@@ -267,29 +276,90 @@ impl<R: Real> Added<R> {
         self.bent.resize(self.rows.len() * self.stride, R::zero());
     }
 
-    /// Adds the first at + 1 entries of line `at` of Σ left · bentᵀ to `line`, one row after the other:
-    /// so a sum is the same however rows are bundled.
+    /// Adds `count` lines of Σ left · bentᵀ from line `at` on, up to the diagonal, to the entries at
+    /// `place`, one row after the other: so a sum is the same however rows are bundled.
     #[inline(always)]
-    fn add(&mut self, at: usize, y: &[R]) {
-        if self.whole {
-            self.add_rows::<true>(at, y);
-        } else {
-            self.add_rows::<false>(at, y);
+    fn add(
+        &self,
+        entries: &mut [R],
+        at: usize,
+        count: usize,
+        y: &[R],
+        place: impl Fn(usize, usize) -> usize,
+    ) {
+        match (count, self.whole) {
+            (WIDE, true) => self.add_lines::<true, WIDE>(entries, at, y, place),
+            (WIDE, false) => self.add_lines::<false, WIDE>(entries, at, y, place),
+            _ => {
+                for line in 0..count {
+                    let place = |_, col| place(line, col);
+                    if self.whole {
+                        self.add_lines::<true, 1>(entries, at + line, y, place);
+                    } else {
+                        self.add_lines::<false, 1>(entries, at + line, y, place);
+                    }
+                }
+            }
         }
     }
 
     #[inline(always)]
-    fn add_rows<const WHOLE: bool>(&mut self, at: usize, y: &[R]) {
-        for (c, part) in self.line.chunks_exact_mut(WIDE).take(at / WIDE + 1).enumerate() {
-            let mut sum: [R; WIDE] = crate::real::array::from_fn(|i| part[i]);
-            for ((row, mask), bent) in self.rows.iter().zip(self.bent.chunks_exact(self.stride)) {
-                let (left, bent) = (y[row + at], &bent[c * WIDE..][..WIDE]);
-                for i in 0..WIDE {
-                    let new = sum[i] + left * bent[i];
-                    sum[i] = if WHOLE { new } else { R::select(*mask, new, sum[i]) };
+    fn add_lines<const WHOLE: bool, const N: usize>(
+        &self,
+        entries: &mut [R],
+        at: usize,
+        y: &[R],
+        place: impl Fn(usize, usize) -> usize,
+    ) {
+        let last = at / WIDE * WIDE;
+        for from in (0..=last).step_by(WIDE) {
+            // The diagonal's block has entries above it, which are not kept.
+            let width = |line: usize| if from < last { WIDE } else { at + line + 1 - last };
+            let mut sums = [[R::zero(); WIDE]; N];
+            for line in 0..N {
+                for i in 0..width(line) {
+                    sums[line][i] = entries[place(line, from + i)];
                 }
             }
-            part.copy_from_slice(&sum);
+            for ((row, mask), bent) in self.rows.iter().zip(self.bent.chunks_exact(self.stride)) {
+                let (left, bent) = (&y[row + at..][..N], &bent[from..][..WIDE]);
+                for line in 0..N {
+                    for i in 0..WIDE {
+                        let new = sums[line][i] + left[line] * bent[i];
+                        sums[line][i] =
+                            if WHOLE { new } else { R::select(*mask, new, sums[line][i]) };
+                    }
+                }
+            }
+            for line in 0..N {
+                for i in 0..width(line) {
+                    entries[place(line, from + i)] = sums[line][i];
+                }
+            }
+        }
+    }
+}
+
+/// own −= Σ by · l of N rows, one after the other.
+#[inline(always)]
+fn take_away<R: Real, const N: usize>(own: &mut [R], rows: [(R, &[R]); N]) {
+    let len = own.len();
+    let rows = rows.map(|(by, l)| (by, &l[..len]));
+    let whole = len - len % WIDE;
+    for at in (0..whole).step_by(WIDE) {
+        let part = &mut own[at..at + WIDE];
+        let mut x: [R; WIDE] = crate::real::array::from_fn(|k| part[k]);
+        for (by, l) in rows {
+            let l = &l[at..at + WIDE];
+            for k in 0..WIDE {
+                x[k] -= by * l[k];
+            }
+        }
+        part.copy_from_slice(&x);
+    }
+    for at in whole..len {
+        for (by, l) in rows {
+            own[at] -= by * l[at];
         }
     }
 }
@@ -325,7 +395,7 @@ mod tests {
             }
             let blocks: Vec<usize> = (0..count).collect();
             let mut bundles = Bundles::new();
-            bundles.take(&blocks, &rows);
+            bundles.take(&blocks, &rows, &lists);
             let mut pattern = Pattern::default();
             pattern.fit(&lists, false, bundles.dofs(), &mut vec![0; nv]);
             let problem =
@@ -334,7 +404,7 @@ mod tests {
             let x: Vec<f64> = (0..n).map(|_| random.next()).collect();
             let mut b: Vec<f64> = x.iter().map(|x| 0.5 * x).collect();
             let mut along = vec![0.0; count];
-            problem.dots(&x, &mut along);
+            problem.dots(&x, &mut along, &mut Vec::new());
             problem.gather(&along, 3.0, &mut b);
             let mut hessian = Hessian::new();
             hessian.start(&pattern, &vec![0.5; n], count);

@@ -36,10 +36,12 @@ pub(super) struct System<R: Real> {
     pub(super) floor: R,
     /// u has moved since the impulses were computed, in some lane.
     pub(super) moved: bool,
+    /// Scratch of products.
+    pub(super) own: Vec<R>,
 }
 
 room!(System<R>: w, rate, impulse, curve, lines, guess, u, d, inv_d, gradient, step, hessian, columns,
-    fresh, decrement, floor, moved);
+    fresh, decrement, floor, moved, own);
 
 impl<R: Real> System<R> {
     pub fn new() -> Self {
@@ -61,6 +63,7 @@ impl<R: Real> System<R> {
             decrement: R::zero(),
             floor: R::zero(),
             moved: false,
+            own: Vec::new(),
         }
     }
 
@@ -90,7 +93,7 @@ impl<R: Real> System<R> {
         if down.none() {
             return Some(begun);
         }
-        slacks(problem, &self.guess, &mut self.rate);
+        slacks(problem, &self.guess, &mut self.rate, &mut self.own);
         for (rate, w) in self.rate.iter_mut().zip(&self.w) {
             *rate -= *w;
         }
@@ -138,7 +141,7 @@ impl<R: Real> System<R> {
 
     /// w = y·u − t by row.
     pub(super) fn find_slacks(&mut self, problem: Problem<R>) {
-        slacks(problem, &self.u, &mut self.w);
+        slacks(problem, &self.u, &mut self.w, &mut self.own);
     }
 
     /// Every row's impulse at its w; in lanes of `bend` also the curvature. Returns the lanes where
@@ -215,8 +218,8 @@ impl<R: Real> System<R> {
 }
 
 /// out = y·u − t by row.
-fn slacks<R: Real>(problem: Problem<R>, u: &[R], out: &mut [R]) {
-    problem.dots(u, out);
+fn slacks<R: Real>(problem: Problem<R>, u: &[R], out: &mut [R], own: &mut Vec<R>) {
+    problem.dots(u, out, own);
     for (w, t) in out.iter_mut().zip(&problem.bundles.t) {
         *w -= *t;
     }

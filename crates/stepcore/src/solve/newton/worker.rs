@@ -93,7 +93,7 @@ impl<R: Real> Worker<R> {
         let inertia = rows.inertia.get(island).copied().unwrap_or_else(R::zero);
         let Self { present, class, bundles, system, .. } = self;
         class.resize(rows.u.len(), NOWHERE);
-        bundles.take(present, rows);
+        bundles.take(present, rows, free.dof_lists);
         pattern.fit(free.dof_lists, rows.heap, bundles.dofs(), class);
         let problem = Problem { pattern, bundles, rows, blocks: present };
         let begun = system.start(problem, (free.inv_d, free.guess, &rows.u), live);
