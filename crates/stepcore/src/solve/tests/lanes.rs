@@ -45,14 +45,17 @@ fn thin<R: Real>(
     keep: impl Fn(usize) -> Vec<usize>,
 ) -> Vec<usize> {
     let mut lists = Vec::new();
+    let all = std::mem::take(&mut rows.y);
     for (b, block) in rows.blocks.iter().enumerate() {
         let dofs = keep(b);
         let span = Span { start: lists.len(), len: dofs.len() };
         for row in &mut rows.rows[block.rows.range()] {
             row.dofs = span;
             row.a = R::zero();
+            let from = std::mem::replace(&mut row.y, rows.y.len());
             for (at, k) in dofs.iter().enumerate() {
-                let y = rows.y[row.y + at];
+                let y = all[from + at];
+                rows.y.push(y);
                 row.a += y * y * R::of(inv_d[*k]);
             }
             row.inv_s = (row.a + row.c).recip_or_zero();
