@@ -275,13 +275,16 @@ class Diagnosis(Result):
         run, held = limit.dt, limit.held
         if not limit.ran or run == held or run <= 0 or math.isnan(held):
             return
+        elements = self._limiters(None)
+        if self.motion.control is not None and "control" in {of.kind for of in elements}:
+            # The linearised step closes no loop of a user's function.
+            return
         if limit.longest <= held if math.isinf(run) else 1 / STEP < held / run < STEP:
             return
         name, rows = limit.integrator, self.states[-1].rows
         bears = "bears any step" if math.isinf(held) else f"bears {seconds(held)}"
         if held <= 0:
             bears = "bears no step"
-        elements = self._limiters(None)
         if run < held:
             why = "the motion passes through other states than its end"
             if self.saturated:
@@ -474,7 +477,7 @@ class Diagnosis(Result):
         every = [x for limit in self.limits.values() for x in (limit.dt, limit.held)]
         meanings = []
         if any(limit <= 0 for limit in every):
-            meanings.append(f"0: no step holds, down to {seconds(self.own.shortest)}.")
+            meanings.append(f"0: no step that was tried holds, down to {seconds(self.own.shortest)}.")
         if any(math.isinf(limit) for limit in every):
             longest = max(limit.longest for limit in self.limits.values())
             meanings.append(f"inf: no step that was tried fails, up to {seconds(longest)}.")
