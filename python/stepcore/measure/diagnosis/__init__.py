@@ -31,6 +31,7 @@ from stepcore.measure.diagnosis.linear import (
 )
 from stepcore.measure.diagnosis.naming import (
     Figures,
+    equals,
     figures,
     linear_limiters,
     run_limiters,
@@ -257,8 +258,10 @@ class Case:
         name, dt = limit.integrator, limit.dt
         if dt == math.inf or (dt <= 0 and not self.controlled):
             at = self.held[-1]
-            own = shares(at, name, min(limit.longest, 1.0) if dt else self.wanted)
-            return tuple(self._theirs(list(own)[:1]))
+            own = list(shares(at, name, min(limit.longest, 1.0) if dt else self.wanted))
+            # Where no step holds, softening one of several equals shows nothing.
+            first = own[:1] if dt or not own else equals(self.model, own[0], own)
+            return tuple(self._theirs(first))
         order = list(shares(self.held[max(limit.state, -1)], name, FAILS * dt))
         if limit.state >= 0:
             held = self.held[limit.state]

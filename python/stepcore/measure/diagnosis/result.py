@@ -145,6 +145,17 @@ class Diagnosis(Result):
         """Return the figures of the element with this name, or None if it never acts."""
         return next((row for row in self.rows if row.name == name), None)
 
+    @property
+    def _late(self) -> bool:
+        """Whether a run just above the limit fails only after the motion."""
+        own = self.own
+        return own.outcome == "diverges" and own.state < 0 and own.time > self.horizon
+
+    @property
+    def _grows(self) -> bool:
+        """Whether nearby motions diverge within the converged motion."""
+        return self.physical * self.covered.reached > 1
+
     def _limiters(self, integrator: str | None) -> tuple[Element, ...]:
         name = self._known(integrator)
         elements = self.limiters[name]
@@ -182,11 +193,14 @@ class Diagnosis(Result):
             yield self._blown_up(self.runaway)
         yield self._answer()
         yield from self._differs()
-        if self.own.outcome == "diverges" and self.own.state < 0 and self.own.time > self.horizon:
+        if self._late:
             yield (
                 f"Just above it the run diverges only after {seconds(self.own.time)}: which steps "
                 f"hold for longer is not known; horizon={2 * math.ceil(self.own.time)} tells."
             )
+            if self.fails and self._grows:
+                growing = f"The motion itself grows: {self._growing()}"
+                yield f"{growing}. stepcore check tells what drives it."
         if self.longest_period is not None and self.motion.control_dt is not None:
             yield self._period(self.longest_period, self.motion.control_dt)
         if self.fails:
@@ -298,7 +312,7 @@ class Diagnosis(Result):
                 why = "rows open and close in the motion"
         else:
             why = "what grows there stays small"
-            if self.physical * self.covered.reached > 1:
+            if self._grows:
                 why = "the motion itself grows there, and grows faster in longer steps"
             if rows:
                 why = f"there {Elements(rows).summary} {_verb(rows, 'act')}, and growth ends where "
@@ -338,8 +352,10 @@ class Diagnosis(Result):
         failed = [advice.text for advice in self.advice if not advice.met]
         wanted, limit = seconds(self.wanted), self.own.dt
         if met:
+            over = f" over {seconds(self.horizon)}" * self._late
             yield (
-                f"Any one of these changes makes {wanted} stable with a margin of {times(MARGIN)}:"
+                f"Any one of these changes makes {wanted} stable{over} with a margin of "
+                f"{times(MARGIN)}:"
             )
             yield from (f"- {text}" for text in met)
             yield (
@@ -352,7 +368,7 @@ class Diagnosis(Result):
             yield f"Which changes make {wanted} stable is not known: none was run."
         if failed:
             yield f"Tried without success: {', '.join(failed)}."
-        if 0 < limit < math.inf and self.runaway is None:
+        if 0 < limit < math.inf and self.runaway is None and not self._late:
             safe = round_number(min(limit, self.wanted) / MARGIN, up=False)
             yield f"Unchanged, the scene needs a step of {seconds(safe)} for the same margin."
 
@@ -372,7 +388,7 @@ class Diagnosis(Result):
             yield f"runs hold at {seconds(HOLDS * limit.dt)}, and fail just above the limit"
         if not self.confirmed and self.runaway is None:
             yield "no two short steps agree on the motion itself"
-        if self.physical * self.covered.reached > 1:
+        if self._grows and not (self._late and self.fails):
             yield self._growing()
         soft = [row for row in self.rows if math.isfinite(row.softened)]
         if soft:
@@ -477,7 +493,9 @@ class Diagnosis(Result):
         every = [x for limit in self.limits.values() for x in (limit.dt, limit.held)]
         meanings = []
         if any(limit <= 0 for limit in every):
-            meanings.append(f"0: no step that was tried holds, down to {seconds(self.own.shortest)}.")
+            meanings.append(
+                f"0: no step that was tried holds, down to {seconds(self.own.shortest)}."
+            )
         if any(math.isinf(limit) for limit in every):
             longest = max(limit.longest for limit in self.limits.values())
             meanings.append(f"inf: no step that was tried fails, up to {seconds(longest)}.")
