@@ -40,6 +40,8 @@ FOUND = {
     "warehouse": ("63 bodies only rest", "a step with 3", "within 1 µm of its motion"),
     "wheelspd damping10": (),
     "decimation pd": ("motor `calf` can push joint `calf`",),
+    "graspslip": ("slips out of its grip", "a friction of 1.44 on both geoms leaves it"),
+    "graspcreep": ("creeps at 4.23 mm/s", 'cone="elliptic" with impratio="500"'),
 }
 # What the whole answer says, with the time step: 2I/D of the wheels is 5.5 ms.
 ANSWERED = {
@@ -49,6 +51,8 @@ ANSWERED = {
     "decimation pd": ("a step of 5 ms is stable",),
     "tendonservo": ("a step of 10 ms", "servo `s`"),
     "robotiqloop": ("connect `right_loop`",),
+    "masstendon": ("limits dt to 399 µs", "use integrator implicitfast"),
+    "velservo": ("the 2 servos `wl`, `wr` together", "use integrator implicitfast", "change kv"),
 }
 
 
@@ -104,12 +108,17 @@ CURED = {
         2.0,
         lambda sim: abs(sim.qpos[1]) < 0.02,
     ),
+    "graspslip": ("geom * friction 1.44 .005 .0001", 2.0, lambda sim: sim.qpos[5] > 0.3),
+    "masstendon": ("integrator=implicitfast", 2.0, lambda sim: abs(sim.qvel[0]) < 1e-6),
+    "velservo": ("integrator=implicitfast", 4.0, lambda sim: abs(sim.qvel[6] - 5) < 0.01),
     "newtonball": ("actuator * kv 1.46", 10.0, lambda sim: abs(sim.qvel).max() < 1e-6),
     "hingeball": ("integrator=midpoint", 40.0, lambda sim: abs(sum(sim.energy) - 196.2) < 2),
 }
 
 
-@pytest.mark.filterwarnings("ignore::stepcore.ModelWarning", "ignore::stepcore.EnergyWarning")
+@pytest.mark.filterwarnings(
+    *(f"ignore::stepcore.{name}Warning" for name in ("Model", "Energy", "Stiffness"))
+)
 @pytest.mark.parametrize("name", CURED)
 def test_a_cure_that_is_named_holds_when_it_is_made_by_hand(name):
     cure, time, holds = CURED[name]
