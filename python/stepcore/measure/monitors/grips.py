@@ -66,7 +66,9 @@ def slips(run: Recording) -> Iterator[Slip]:
         # A grip that held for long is another matter: see `creep`.
         if len(slipping) <= HALF * np.count_nonzero(gripped) or gripped[slipping[-1] + 1 :].any():
             continue
-        if height[slipping[0]] - height[-1] < run.sizes.bodies[body]:
+        # Nor has a grip what falls past a robot.
+        fell, before = height[slipping[0]] - height[-1], height[0] - height[slipping[0]]
+        if not before < run.sizes.bodies[body] < fell:
             continue
         at = grips & np.isin(seen.reading, slipping)
         force = seen.force[at] / (slipping[-1] - slipping[0] + 1)
