@@ -51,6 +51,8 @@ ANSWERED = {
     "decimation pd": ("a step of 5 ms is stable",),
     "tendonservo": ("a step of 10 ms", "servo `s`"),
     "robotiqloop": ("connect `right_loop`",),
+    # A weight on light links: no spin is so fast.
+    "cable": ("the run fails", "the motion as a whole limits dt to 298 µs", "no change that"),
     "masstendon": ("limits dt to 399 µs", "use integrator implicitfast"),
     "velservo": ("the 2 servos `wl`, `wr` together", "use integrator implicitfast", "change kv"),
 }
@@ -155,6 +157,16 @@ def test_the_time_step_is_judged_on_the_motion_that_fails(case):
         assert words in said
     assert not (result.failed and "is stable under" in said)
     contradictions(said)
+
+
+def test_a_limit_has_its_failure():
+    """friceq.xml is chaotic under rk4: a step may hold beside one that fails."""
+    found = sc.diagnose(str(FOLDER / "friceq.xml"), integrators=["rk4"], progress=False, threads=1)
+    assert {limit.outcome for limit in found.limits.values()} <= {
+        "diverges",
+        "gains energy",
+        "grows",
+    }
 
 
 # Two sentences that cannot both be true.

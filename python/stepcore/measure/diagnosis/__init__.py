@@ -38,6 +38,7 @@ from stepcore.measure.diagnosis.naming import (
 )
 from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.running import (
+    LEAST,
     LONGEST,
     SHORTEST,
     Judge,
@@ -267,7 +268,7 @@ class Case:
             held = self.held[limit.state]
             found = linear_limiters(self.model, held, name, dt)
             if found:
-                return tuple(self._theirs(found))
+                return tuple(self._theirs(self._seen(found, limit)))
         nu = self.motions.model.nu if self.controlled else 0
         if self.judge.runaway is not None or dt <= 0:
             return tuple(Element.of(self.motions.model, "control", k) for k in range(nu))
@@ -275,7 +276,18 @@ class Case:
         every.sort(key=lambda e: order.index(e) if e in order else len(order))
         found = run_limiters(self.judge, every, name, dt, nu)
         spins = [e for e in every if e.kind == "spin"]
-        return tuple(self._theirs(found or self._lost(limit) or spins[:1] or (INERTIAL,)))
+        last = self._seen((*spins[:1], INERTIAL)[:1], limit)
+        return tuple(self._theirs(found or self._lost(limit) or last))
+
+    def _seen(self, elements: tuple[Element, ...], limit: Limit) -> tuple[Element, ...]:
+        """Leave out forces of inertia where the motion is too slow for these to have a limit.
+
+        A step makes a rotation at a rate ω grow by (ω dt)²/2 at most, of itself.
+        """
+        states = self.states if limit.state < 0 else [self.states[limit.state]]
+        fastest = max(float(np.abs(state.qvel).max(initial=0.0)) for state in states)
+        slow = LEAST * (fastest * FAILS * limit.dt) ** 2 / 2 < 1
+        return tuple(e for e in elements if not (slow and (e.kind == "spin" or e == INERTIAL)))
 
     def _lost(self, limit: Limit) -> tuple[Element, ...]:
         """Return contacts that end the converged motion, and not a run that gains energy.

@@ -213,7 +213,8 @@ class Diagnosis(Result):
             where = (
                 f", where {acting} {'acts' if len(state.rows) == 1 else 'act'}" if acting else ""
             )
-            yield f"The limiting state is {state.label}{where}."
+            after = ", after the motion" * (state.time > self.horizon * (1 + 1e-9))
+            yield f"The limiting state is {state.label}{after}{where}."
 
     def _answer(self) -> str:
         limit, step = self.own, f"A step of {seconds(self.wanted)}"
@@ -483,14 +484,20 @@ class Diagnosis(Result):
         name = limit.integrator
         return {
             "integrator": name + (" *" if name == self.settings.integrator else ""),
-            DT: limit.dt,
+            # What time cut off is not known, and bears nothing.
+            DT: limit.dt if limit.dt < math.inf or not math.isnan(limit.held) else None,
             HELD: limit.held,
             "by": self.stiffest(name) if math.isfinite(limit.dt) else "",
             "fails": limit.outcome,
         }
 
     def _extremes(self) -> str:
-        every = [x for limit in self.limits.values() for x in (limit.dt, limit.held)]
+        every = [
+            x
+            for limit in self.limits.values()
+            for x in (limit.dt, limit.held)
+            if not math.isnan(limit.held)
+        ]
         meanings = []
         if any(limit <= 0 for limit in every):
             meanings.append(
