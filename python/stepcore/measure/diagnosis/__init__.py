@@ -38,7 +38,6 @@ from stepcore.measure.diagnosis.naming import (
 )
 from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.running import (
-    LEAST,
     LONGEST,
     SHORTEST,
     Judge,
@@ -286,7 +285,8 @@ class Case:
         """
         states = self.states if limit.state < 0 else [self.states[limit.state]]
         fastest = max(float(np.abs(state.qvel).max(initial=0.0)) for state in states)
-        slow = LEAST * (fastest * FAILS * limit.dt) ** 2 / 2 < 1
+        dt = FAILS * limit.dt
+        slow = self.motions.steps(dt) * (fastest * dt) ** 2 / 2 < 1
         return tuple(e for e in elements if not (slow and (e.kind == "spin" or e == INERTIAL)))
 
     def _lost(self, limit: Limit) -> tuple[Element, ...]:
