@@ -41,6 +41,8 @@ FOUND = {
     "wheelspd damping10": (),
     "decimation pd": ("motor `calf` can push joint `calf`",),
     "graspslip": ("slips out of its grip", "a friction of 1.44 on both geoms leaves it"),
+    # A friction of 2 lets it slide out later.
+    "grasplift": ("while the motion asks for more", "a friction of 4 on both geoms leaves it"),
     "graspcreep": ("creeps at 4.23 mm/s", 'cone="elliptic" with impratio="500"'),
 }
 # What the whole answer says, with the time step: 2I/D of the wheels is 5.5 ms.
@@ -111,6 +113,7 @@ CURED = {
         lambda sim: abs(sim.qpos[1]) < 0.02,
     ),
     "graspslip": ("geom * friction 1.44 .005 .0001", 2.0, lambda sim: sim.qpos[5] > 0.3),
+    "grasplift": ("geom * friction 4 .005 .0001", 1.0, lambda sim: sim.qpos[5] > 0.3),
     "masstendon": ("integrator=implicitfast", 2.0, lambda sim: abs(sim.qvel[0]) < 1e-6),
     "velservo": ("integrator=implicitfast", 4.0, lambda sim: abs(sim.qvel[6] - 5) < 0.01),
     "newtonball": ("actuator * kv 1.46", 10.0, lambda sim: abs(sim.qvel).max() < 1e-6),

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stepcore.engine.actuator import actuators
+from stepcore.engine.arrays import Floats
 from stepcore.experiment.change import Change
 from stepcore.experiment.moves import roots
 from stepcore.measure.monitors.creep import STICKS
@@ -62,7 +63,7 @@ def slips(run: Recording) -> Iterator[Slip]:
             for some in (mine, grips, grips & (seen.share >= sticks))
         )
         slipping = np.flatnonzero((slid > 0) & (slid == touched))
-        height = -run.centre_of_mass(body) @ gravity / size
+        height = _height(run, body)
         # A grip that held for long is another matter: see `creep`.
         if len(slipping) <= HALF * np.count_nonzero(gripped) or gripped[slipping[-1] + 1 :].any():
             continue
@@ -77,6 +78,13 @@ def slips(run: Recording) -> Iterator[Slip]:
         pairs = tuple(dict.fromkeys(seen.pair[at].tolist()))
         time = float(run.times[slipping[-1]])
         yield Slip(body, pairs, float(force.sum()), float(force @ friction), weight, time)
+
+
+def _height(run: Recording, body: int) -> Floats:
+    """Return the height of a tree's centre of mass against gravity [m], (n,)."""
+    gravity = np.asarray(run.model.scene.gravity, float)
+    height: Floats = -run.centre_of_mass(body) @ gravity / np.linalg.norm(gravity)
+    return height
 
 
 def grip_findings(run: Recording) -> Iterator[Finding]:
@@ -101,9 +109,16 @@ def grip_findings(run: Recording) -> Iterator[Finding]:
             row = (new, *fields["friction"][1:])
             values |= assigned(model, [contact], {"friction": row})
         ways.append(Cure(f"a friction of {new:g} on both geoms", Change(values)))
+
+    def left(other: Recording) -> float:
+        """Return how many still fall, however."""
+        heights = {slip.body: _height(other, slip.body) for slip in found}
+        size = other.sizes.bodies
+        return float(sum(h.max() - h[-1] > size[body] for body, h in heights.items()))
+
     remedy = Remedy(
         (tuple(ways),),
-        lambda other: float(sum(1 for _ in slips(other))),
+        left,
         0.0,
         lambda count: "it in the grip",
         now=float(len(found)),
