@@ -268,6 +268,40 @@ def test_a_servo_that_grips_is_neither_weak_nor_saturated(force):
     assert findings == []
 
 
+@pytest.mark.parametrize("kv, damping", [(0, 12), (12, 0)])
+def test_a_joint_that_damps_its_servo_makes_up_for_a_missing_kv(kv, damping):
+    """A servo on its way to where it is asked is neither undamped nor loaded by its damper."""
+    scene = sc.loads(
+        f"""<mujoco><worldbody><body><joint name="s" type="slide" axis="1 0 0" damping="{damping}"/>
+        <geom size=".1" mass=".05"/></body></worldbody>
+        <actuator><position joint="s" kp="4" kv="{kv}"/></actuator>
+        <keyframe><key ctrl=".1"/></keyframe></mujoco>"""
+    )
+    assert watched(scene, time=2.0)[1] == []
+
+
+@pytest.mark.parametrize("press", [0.4, 3.0])
+def test_what_slips_out_of_a_grip_is_told_with_the_friction_that_carries_it(press):
+    """Two pads press a ball of 0.2 kg: friction 1 carries 2 μ N of its 1.96 N."""
+    text = GRIPPER.format(cone="elliptic", solref="0.02 1")
+    _, found = watched(sc.loads(text.replace('ctrl="6 6"', f'ctrl="{press} {press}"')))
+    told = [finding for finding in found if finding.kind == "slip"]
+    assert bool(told) == (2 * press < 0.2 * G)
+    for one in told:
+        carries, weight = re.search(
+            r"carries (\S+) N at most, and it weighs (\S+) N", one.text
+        ).groups()
+        assert float(weight) == pytest.approx(0.2 * G, rel=1e-2)
+        assert one.value == pytest.approx(float(carries), rel=1e-2)
+        assert one.value == pytest.approx(2 * press, rel=0.2)
+        friction = re.search(r"a friction of (\S+) on both geoms leaves it in the grip", one.text)[
+            1
+        ]
+        harder = text.replace("solref=", f'friction="{friction} .005 .0001" solref=')
+        kinds = {f.kind for f in watched(sc.loads(harder.replace("6 6", f"{press} {press}")))[1]}
+        assert "slip" not in kinds
+
+
 def test_a_servo_of_a_standing_thing_sags_under_its_weight():
     """A body of 5 kg on a foot of 0.1 kg by a telescope: 5 g / kp."""
     scene = sc.loads(

@@ -126,7 +126,15 @@ def loads(sim: Sim) -> Floats:
 
     It is the bias less the passive forces, of the last `forward` or step; contacts carry none.
     """
+    speeds = np.array(sim.qvel)
+    if speeds.any():
+        # Dampers and the forces of inertia hold nothing at rest.
+        sim.qvel[:] = 0.0
+        sim.forward()
     need: Floats = np.array(sim.bias) - np.array(sim.passive)
+    if speeds.any():
+        sim.qvel[:] = speeds
+        sim.forward()
     return need
 
 

@@ -14,6 +14,7 @@ rows without times, are not tried. A log with times is run to its end, within th
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass, field, replace
 
@@ -189,8 +190,10 @@ class _Pilot:
         for k in spread(ran["qpos"][0, :good]):
             for name in states:
                 getattr(sim, name)[:] = ran[name][0, k]
-            flops.append(sim.count_flops())
-        paid = _paid(sim, float(np.mean(flops)), self.cost)
+            # A run that is about to fail has states from which no step can be made.
+            with contextlib.suppress(SimulationError):
+                flops.append(sim.count_flops())
+        paid = _paid(sim, float(np.mean(flops)), self.cost) if flops else 0.0
         return np.concatenate([xpos, turned], axis=2), paid, bool(ran.failures)
 
     def _ends(self, places: np.ndarray) -> str:

@@ -31,6 +31,7 @@ from stepcore.measure.diagnosis.linear import (
 )
 from stepcore.measure.diagnosis.naming import (
     Figures,
+    equals,
     figures,
     linear_limiters,
     run_limiters,
@@ -257,14 +258,16 @@ class Case:
         name, dt = limit.integrator, limit.dt
         if dt == math.inf or (dt <= 0 and not self.controlled):
             at = self.held[-1]
-            own = shares(at, name, min(limit.longest, 1.0) if dt else self.wanted)
-            return tuple(self._theirs(list(own)[:1]))
+            own = list(shares(at, name, min(limit.longest, 1.0) if dt else self.wanted))
+            # Where no step holds, softening one of several equals shows nothing.
+            first = own[:1] if dt or not own else equals(self.model, own[0], own)
+            return tuple(self._theirs(first))
         order = list(shares(self.held[max(limit.state, -1)], name, FAILS * dt))
         if limit.state >= 0:
             held = self.held[limit.state]
             found = linear_limiters(self.model, held, name, dt)
             if found:
-                return tuple(self._theirs(found))
+                return tuple(self._theirs(self._seen(found, limit)))
         nu = self.motions.model.nu if self.controlled else 0
         if self.judge.runaway is not None or dt <= 0:
             return tuple(Element.of(self.motions.model, "control", k) for k in range(nu))
@@ -272,7 +275,19 @@ class Case:
         every.sort(key=lambda e: order.index(e) if e in order else len(order))
         found = run_limiters(self.judge, every, name, dt, nu)
         spins = [e for e in every if e.kind == "spin"]
-        return tuple(self._theirs(found or self._lost(limit) or spins[:1] or (INERTIAL,)))
+        last = self._seen((*spins[:1], INERTIAL)[:1], limit)
+        return tuple(self._theirs(found or self._lost(limit) or last))
+
+    def _seen(self, elements: tuple[Element, ...], limit: Limit) -> tuple[Element, ...]:
+        """Leave out forces of inertia where the motion is too slow for these to have a limit.
+
+        A step makes a rotation at a rate ω grow by (ω dt)²/2 at most, of itself.
+        """
+        states = self.states if limit.state < 0 else [self.states[limit.state]]
+        fastest = max(float(np.abs(state.qvel).max(initial=0.0)) for state in states)
+        dt = FAILS * limit.dt
+        slow = self.motions.steps(dt) * (fastest * dt) ** 2 / 2 < 1
+        return tuple(e for e in elements if not (slow and (e.kind == "spin" or e == INERTIAL)))
 
     def _lost(self, limit: Limit) -> tuple[Element, ...]:
         """Return contacts that end the converged motion, and not a run that gains energy.
@@ -330,5 +345,8 @@ class Case:
         linear = not own.ran or (own.state >= 0 and not self.controlled)
         search = Search(self.judge, own, at, linear, self.wanted, known, every, self.states)
         if own.ran:
-            yield from other_integrators(search, limits)
+            # One word in the file, whatever was asked for: the integrator of the converged motion.
+            fine = "implicitfast"
+            more = {} if fine in limits else {fine: self.limit(fine)}
+            yield from other_integrators(search, limits | more)
         yield from search.advice()

@@ -614,6 +614,9 @@ def other_integrators(search: Search, limits: Mapping[str, Limit]) -> Iterator[A
     """
     own, left = search.limit.integrator, INTEGRATORS
     others = [limit for name, limit in limits.items() if name not in (own, "explicit")]
+    if others and all(limit.dt < search.wanted for limit in others):
+        name = f"integrator {others[0].integrator}" if len(others) == 1 else "another integrator"
+        yield Advice("integrator", text=name)
     for limit in sorted(others, key=lambda limit: -limit.dt):
         found, name = (limit.dt, limit.longest), limit.integrator
         if limit.dt >= search.wanted and left:

@@ -153,7 +153,7 @@ def linear_limiters(model: Model, held: Held, integrator: str, limit: float) -> 
 
     likely = [element for element, share in own.items() if share > SHARE]
     best = max(likely, key=lambda element: rise((element,)))
-    group = _equal(model, best, own)
+    group = equals(model, best, own)
     if rise((best,)) < ALONE and len(group) > 1 and rise(group) >= ALONE:
         return group
     if rise((best,)) > 1.02:
@@ -182,7 +182,7 @@ def _rise(
     return bisected(lambda dt: softer.stable(integrator, dt), FAILS * limit, top, 0.03) / limit
 
 
-def _equal(model: Model, first: Element, own: Iterable[Element]) -> tuple[Element, ...]:
+def equals(model: Model, first: Element, own: Iterable[Element]) -> tuple[Element, ...]:
     """Return the elements of the kind and the gains of one, itself first among those."""
     alike = [knob.value for knob in knobs(model, first)]
     if not alike:

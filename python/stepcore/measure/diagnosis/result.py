@@ -145,6 +145,17 @@ class Diagnosis(Result):
         """Return the figures of the element with this name, or None if it never acts."""
         return next((row for row in self.rows if row.name == name), None)
 
+    @property
+    def _late(self) -> bool:
+        """Whether a run just above the limit fails only after the motion."""
+        own = self.own
+        return own.outcome == "diverges" and own.state < 0 and own.time > self.horizon
+
+    @property
+    def _grows(self) -> bool:
+        """Whether nearby motions diverge within the converged motion."""
+        return self.physical * self.covered.reached > 1
+
     def _limiters(self, integrator: str | None) -> tuple[Element, ...]:
         name = self._known(integrator)
         elements = self.limiters[name]
@@ -182,11 +193,14 @@ class Diagnosis(Result):
             yield self._blown_up(self.runaway)
         yield self._answer()
         yield from self._differs()
-        if self.own.outcome == "diverges" and self.own.state < 0 and self.own.time > self.horizon:
+        if self._late:
             yield (
                 f"Just above it the run diverges only after {seconds(self.own.time)}: which steps "
                 f"hold for longer is not known; horizon={2 * math.ceil(self.own.time)} tells."
             )
+            if self.fails and self._grows:
+                growing = f"The motion itself grows: {self._growing()}"
+                yield f"{growing}. stepcore check tells what drives it."
         if self.longest_period is not None and self.motion.control_dt is not None:
             yield self._period(self.longest_period, self.motion.control_dt)
         if self.fails:
@@ -199,7 +213,8 @@ class Diagnosis(Result):
             where = (
                 f", where {acting} {'acts' if len(state.rows) == 1 else 'act'}" if acting else ""
             )
-            yield f"The limiting state is {state.label}{where}."
+            after = ", after the motion" * (state.time > self.horizon * (1 + 1e-9))
+            yield f"The limiting state is {state.label}{after}{where}."
 
     def _answer(self) -> str:
         limit, step = self.own, f"A step of {seconds(self.wanted)}"
@@ -275,13 +290,16 @@ class Diagnosis(Result):
         run, held = limit.dt, limit.held
         if not limit.ran or run == held or run <= 0 or math.isnan(held):
             return
+        elements = self._limiters(None)
+        if self.motion.control is not None and "control" in {of.kind for of in elements}:
+            # The linearised step closes no loop of a user's function.
+            return
         if limit.longest <= held if math.isinf(run) else 1 / STEP < held / run < STEP:
             return
         name, rows = limit.integrator, self.states[-1].rows
         bears = "bears any step" if math.isinf(held) else f"bears {seconds(held)}"
         if held <= 0:
             bears = "bears no step"
-        elements = self._limiters(None)
         if run < held:
             why = "the motion passes through other states than its end"
             if self.saturated:
@@ -295,7 +313,7 @@ class Diagnosis(Result):
                 why = "rows open and close in the motion"
         else:
             why = "what grows there stays small"
-            if self.physical * self.covered.reached > 1:
+            if self._grows:
                 why = "the motion itself grows there, and grows faster in longer steps"
             if rows:
                 why = f"there {Elements(rows).summary} {_verb(rows, 'act')}, and growth ends where "
@@ -335,8 +353,10 @@ class Diagnosis(Result):
         failed = [advice.text for advice in self.advice if not advice.met]
         wanted, limit = seconds(self.wanted), self.own.dt
         if met:
+            over = f" over {seconds(self.horizon)}" * self._late
             yield (
-                f"Any one of these changes makes {wanted} stable with a margin of {times(MARGIN)}:"
+                f"Any one of these changes makes {wanted} stable{over} with a margin of "
+                f"{times(MARGIN)}:"
             )
             yield from (f"- {text}" for text in met)
             yield (
@@ -349,7 +369,7 @@ class Diagnosis(Result):
             yield f"Which changes make {wanted} stable is not known: none was run."
         if failed:
             yield f"Tried without success: {', '.join(failed)}."
-        if 0 < limit < math.inf and self.runaway is None:
+        if 0 < limit < math.inf and self.runaway is None and not self._late:
             safe = round_number(min(limit, self.wanted) / MARGIN, up=False)
             yield f"Unchanged, the scene needs a step of {seconds(safe)} for the same margin."
 
@@ -369,7 +389,7 @@ class Diagnosis(Result):
             yield f"runs hold at {seconds(HOLDS * limit.dt)}, and fail just above the limit"
         if not self.confirmed and self.runaway is None:
             yield "no two short steps agree on the motion itself"
-        if self.physical * self.covered.reached > 1:
+        if self._grows and not (self._late and self.fails):
             yield self._growing()
         soft = [row for row in self.rows if math.isfinite(row.softened)]
         if soft:
@@ -464,17 +484,25 @@ class Diagnosis(Result):
         name = limit.integrator
         return {
             "integrator": name + (" *" if name == self.settings.integrator else ""),
-            DT: limit.dt,
+            # What time cut off is not known, and bears nothing.
+            DT: limit.dt if limit.dt < math.inf or not math.isnan(limit.held) else None,
             HELD: limit.held,
             "by": self.stiffest(name) if math.isfinite(limit.dt) else "",
             "fails": limit.outcome,
         }
 
     def _extremes(self) -> str:
-        every = [x for limit in self.limits.values() for x in (limit.dt, limit.held)]
+        every = [
+            x
+            for limit in self.limits.values()
+            for x in (limit.dt, limit.held)
+            if not math.isnan(limit.held)
+        ]
         meanings = []
         if any(limit <= 0 for limit in every):
-            meanings.append(f"0: no step holds, down to {seconds(self.own.shortest)}.")
+            meanings.append(
+                f"0: no step that was tried holds, down to {seconds(self.own.shortest)}."
+            )
         if any(math.isinf(limit) for limit in every):
             longest = max(limit.longest for limit in self.limits.values())
             meanings.append(f"inf: no step that was tried fails, up to {seconds(longest)}.")

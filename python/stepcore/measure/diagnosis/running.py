@@ -492,7 +492,8 @@ class Judge:
 
     def outcome(self, change: Change, dt: float, loop: Loop | None = None) -> Outcome:
         """Return what the motion does under a change at a step; each is run once."""
-        key = change, dt, loop
+        # Steps that differ by rounding are one: a chaotic motion may hold at one of them alone.
+        key = change, float(f"{dt:.12g}"), loop
         if key not in self._known:
             pair = self.motions.pair(change, dt, loop=loop)
             found = self._longer(self.judged(pair), pair)

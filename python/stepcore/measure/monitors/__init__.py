@@ -15,6 +15,7 @@ from stepcore.experiment.schedule import Schedule
 from stepcore.measure.monitors.contacts import contact_findings, noise_findings
 from stepcore.measure.monitors.creep import creep_findings
 from stepcore.measure.monitors.finding import Finding, Next, ordered, verified
+from stepcore.measure.monitors.grips import grip_findings
 from stepcore.measure.monitors.joints import actuator_findings, fall_findings, joint_findings
 from stepcore.measure.monitors.recording import Recording, cut, recorded
 from stepcore.measure.monitors.scene import energy_findings, resting_findings
@@ -24,7 +25,7 @@ __all__ = ["Finding", "Next", "Recording", "monitored", "ordered", "shown", "ver
 
 # What a run is looked at for; equally severe findings are told in this order.
 FINDINGS = (
-    *(fall_findings, tunnelling_findings, creep_findings, contact_findings),
+    *(fall_findings, tunnelling_findings, grip_findings, creep_findings, contact_findings),
     *(joint_findings, noise_findings, actuator_findings, resting_findings),
 )
 

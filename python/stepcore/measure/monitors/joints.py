@@ -385,6 +385,7 @@ class Following(NamedTuple):
     that is a warning. hertz: the frequency that has most of the motion; 0 without one. share, lag:
     of its amplitude [1], and behind it [rad]. full: the share of the time at an end of its force.
     load: the largest that it has to hold [N·m or N]. need: that of the motion asked for.
+    damping: at the joint, its own and the joint's [N·m·s/rad or N·s/m].
     """
 
     actuator: Actuator
@@ -396,6 +397,7 @@ class Following(NamedTuple):
     full: float
     load: float
     need: float
+    damping: float
 
     @property
     def omega(self) -> float:
@@ -405,12 +407,12 @@ class Following(NamedTuple):
     @property
     def rings(self) -> bool:
         """Whether its damping takes less than a factor e of a swing in one second."""
-        return self.actuator.damping / 2 / self.actuator.inertia < 1
+        return self.damping / 2 / self.actuator.inertia < 1
 
     @property
     def passes(self) -> float:
         """The frequency at which its gain falls to 1/√2, at small amplitudes [Hz]."""
-        x = 1 - (self.actuator.damping / self.omega / self.actuator.inertia) ** 2 / 2
+        x = 1 - (self.damping / self.omega / self.actuator.inertia) ** 2 / 2
         return self.omega * math.sqrt(x + math.hypot(x, 1)) / (2 * math.pi)
 
     @property
@@ -435,7 +437,7 @@ def _reason(model: Model, at: Following) -> str:
         said = f"its kp {of.kp:.3g} is too small for its load of {say(at.load)}"
     elif 0 < at.passes < at.hertz:
         said = f"its bandwidth is {at.passes:.3g} Hz with kp {of.kp:.3g} and kv {of.kv:.3g}"
-    ratio = of.damping / 2 / math.sqrt(of.stiffness * of.inertia)
+    ratio = at.damping / 2 / at.omega / of.inertia
     rings = f"its kv {of.kv:.3g} damps nothing (damping ratio {ratio:.2g})" * at.rings
     return " and ".join(filter(None, (said, rings)))
 
@@ -450,6 +452,7 @@ def following(
         return
     some = np.unique(np.linspace(0, len(run) - 1, FEWEST).astype(int)).tolist()
     held = np.max([np.abs(loads(run.at(k))) for k in some], axis=0)
+    joints = Layout(model.scene).joints
     for of in _servos(model):
         asked = of.target(np.clip(run["ctrl"][:, of.index], *of.ctrlrange))
         moves, length = np.ptp(asked) > 0, of.gear * run["qpos"][:, of.qposadr]
@@ -466,7 +469,9 @@ def following(
         hertz, share, lag, size = _wave(run, of, asked, length) if moves else (0.0,) * 4
         need = of.inertia / of.gear**2 * (2 * np.pi * hertz) ** 2 * size + load
         width = float(np.std(asked)) if moves else FEW / SEEN * _notable(model, of)
-        yield Following(of, error, width, hertz, share, lag, full.get(of.index, 0), load, need)
+        damping = of.damping + float(np.ravel(joints[of.joint or 0].damping)[0])
+        forced = full.get(of.index, 0.0)
+        yield Following(of, error, width, hertz, share, lag, forced, load, need, damping)
 
 
 def _wave(
