@@ -6,6 +6,7 @@ No time is judged here: choices are made by counted work.
 import json
 import pickle
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from small import by
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.experiment.choose import Proof
 from stepcore.experiment.schedule import default_horizon
 from stepcore.report.units import compact, metres
 
@@ -258,6 +260,13 @@ def test_a_recommendation_keeps_to_the_error_and_says_what_less_would_cost(ball)
     assert proof.startswith("None of 8 untouched starts missed it (")
     assert proof.endswith("with 95 % confidence at most 32 % of starts do.")
     assert half.startswith("Half that error or less comes at ")
+
+
+def test_a_proof_of_starts_of_which_none_is_known_proves_nothing(ball):
+    trial = replace(ball.proof.trial, unsure=np.full(8, 1.0))
+    proof = Proof.of(trial, ball.proof.error)
+    assert (proof.missed, proof.unclear, proof.share) == (0, 8, 1.0)
+    assert proof.words.startswith("It is not proven: the converged motion from 8 untouched starts")
 
 
 def test_the_untouched_starts_are_those_of_no_choice(ball):

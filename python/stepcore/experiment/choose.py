@@ -164,6 +164,9 @@ class Proof:
     @property
     def words(self) -> str:
         """The proof as a sentence."""
+        starts = counted(self.starts, "untouched start")
+        if self.unclear == self.starts:
+            return f"It is not proven: the converged motion from {starts} is not known well enough."
         number = "None" if not self.missed else f"{self.missed}"
         share = math.ceil(100 * self.share)
         worst = "fails" if self.trial.failure else f"has {metres(self.trial.error)}"
@@ -174,7 +177,7 @@ class Proof:
                 "well enough there"
             )
         return (
-            f"{number} of {counted(self.starts, 'untouched start')} missed it{over}: with "
+            f"{number} of {starts} missed it{over}: with "
             f"{100 * CONFIDENCE:.0f} % confidence at most {share} % of starts do."
         )
 
