@@ -30,7 +30,7 @@ from stepcore.loading import find_scene, load
 from stepcore.report.units import counted, length_of, time_of
 
 # A line of a docstring that begins the description of arguments: "dts [s], values: the axes".
-ARGUMENT = re.compile(r"((?:\w+(?: \[\w+\])?(?:, )?)+): (.*)")
+ARGUMENT = re.compile(r"(\w+(?: \[\w+\])?(?:, \w+(?: \[\w+\])?)*): (.*)")
 
 
 def documented(function: Callable[..., Any]) -> tuple[str, dict[str, str]]:
