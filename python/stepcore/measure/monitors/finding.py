@@ -235,7 +235,7 @@ class _Trials:
             return None
         if untried:
             return dataclasses.replace(finding, cure=f"try {untried}{also}")
-        words = f"tried without success, and more of it: {'; '.join(failed)}" if failed else ""
+        words = f"run without success, as stronger ones were: {'; '.join(failed)}" if failed else ""
         return dataclasses.replace(finding, cure=finding.cure or words)
 
     def _words(self, remedy: Remedy, held: _Held) -> str:
