@@ -42,6 +42,41 @@ def test_the_depth_that_is_told_is_that_of_the_run():
     assert "sinks by about 60.1 mm" in text
 
 
+STEEP = 'friction="20"'
+GIVEN = {
+    "a pair": ("", "", '<contact><pair geom1="f" geom2="b" friction="20 20"/></contact>', True),
+    "the override": ("", "", "", True),
+    "priority": ('priority="1" friction="20"', "", "", True),
+    "less by priority": ('priority="1"', STEEP, "", False),
+    "one way": (STEEP + ' condim="1"', STEEP + ' condim="1"', "", False),
+    "excluded": (STEEP, STEEP, '<contact><exclude body1="world" body2="c"/></contact>', False),
+}
+
+
+@pytest.mark.parametrize("given", GIVEN)
+def test_pyramids_are_those_of_the_pairs_that_meet(given):
+    floor, box, contact, soft = GIVEN[given]
+    option = '<option o_friction="20 20"><flag override="enable"/></option>'
+    scene = sc.loads(
+        f"""<mujoco>{option if given == "the override" else ""}<worldbody>
+        <geom name="f" type="plane" size="9 9 1" {floor}/>
+        <body name="c" pos="0 0 .1"><freejoint/><geom name="b" type="box" size=".1 .1 .1" {box}/>
+        </body></worldbody>{contact}</mujoco>"""
+    )
+    _, said = warned(lambda: sc.Sim(scene))
+    assert bool(said) == soft
+
+
+def test_a_heap_is_told_of_its_floor():
+    body = (
+        '<body pos="0 0 {0}.1"><freejoint/><geom type="box" size=".1 .1 .1" friction="9"/></body>'
+    )
+    boxes = "".join(body.format(i) for i in range(80))
+    text = f'<mujoco><worldbody><geom type="plane" size="9 9 1"/>{boxes}</worldbody></mujoco>'
+    assert sc.loads(text).compile().is_heap
+    assert "friction 9" in warned(lambda: sc.Sim(sc.loads(text)))[1][0]
+
+
 # A plate on two slides, each damped, with connects between.
 LOOP = """<mujoco><worldbody>
 <body name="a"><joint name="left" type="slide" axis="0 0 1" damping="{0}"/>

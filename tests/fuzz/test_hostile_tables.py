@@ -33,6 +33,23 @@ def claims(path):
         archive.writestr("time.npy", header((2**37,)))
 
 
+def damaged(path):
+    """Compressed numbers of which some bits are others."""
+    np.savez_compressed(path, time=np.sin(np.arange(500.0)))
+    data = bytearray(path.read_bytes())
+    data[100:140] = bytes(40)
+    path.write_bytes(data)
+
+
+def packed(path):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("time.npy", header((1,)) + bytes(8))
+
+
+def shaped(time, drive):
+    return lambda path: np.savez(path, time=np.ones(time).cumsum(0), drive=np.ones(drive))
+
+
 def huge(path):
     with open(path, "wb") as file:
         file.truncate(2**30)
@@ -51,6 +68,11 @@ FILES = {
     "bomb.npz": bomb,
     "claims.npz": claims,
     "objects.npz": lambda path: np.savez(path, time=np.array([{}], dtype=object)),
+    "damaged.npz": damaged,
+    "packed.npz": packed,
+    "cube.npz": shaped(3, (3, 2, 2)),
+    "clocks.npz": shaped((3, 2), 3),
+    "wide.npz": shaped(3, (3, 2)),
     "short.npy": lambda path: path.write_bytes(b"\x93NUMPY"),
 }
 READERS = {

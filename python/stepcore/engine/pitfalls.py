@@ -5,8 +5,9 @@ Both are closed forms of the scene and its settings: no model is linearised or r
 
 from __future__ import annotations
 
+import contextlib
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,7 @@ from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
-    from stepcore.scene.elements import Geom
+    from stepcore.engine.tables import ContactPair
 
 # Two light slides in a closed loop hold where an integrator that damps after the rows takes up to 5
 # times what it leaves of a velocity, and diverge at 10 (`tests/engine/test_pitfalls.py`).
@@ -29,6 +30,8 @@ DAMPED = 5.0
 FARTHEST = 10.0
 # Contacts of a body at rest, which share its weight; of other shapes one a corner of a face.
 CONTACTS, FACE = {"sphere": 1, "ellipsoid": 1, "capsule": 2}, 4
+# So many pairs of a heap are looked at: those of the floor with every geom are the first.
+HEAP = 2000
 # What was said: a measurement makes many Sims of a model.
 _said: set[str] = set()
 
@@ -75,23 +78,27 @@ def soft_pyramids(model: Model) -> Iterator[str]:
     (1 − d) g/(k d²), d the impedance of deep contacts and k = 1/timeconst² or -solref).
     """
     settings, scene = model.settings, model.scene
-    steepest = max((geom.friction[0] for geom in scene.geoms), default=0.0)
+    given = (*scene.geoms, *scene.pairs, scene.contact_override)
+    steepest = max((one.friction[0] for one in given if one.friction), default=0.0)
     if settings.cone != "pyramidal" or settings.law != "solref" or steepest <= 1:
         return
     geoms, moving = Layout(scene).geoms, set(Coordinates(model).moving)
-    steep = _steepest(geoms)
     gravity, found = float(np.linalg.norm(scene.gravity)), []
-    for index, (geom, friction) in enumerate(zip(geoms, steep.tolist(), strict=True)):
-        size = model.geom_size[index]
-        if friction <= 1 or model.geom_body[index] not in moving:
+    for pair in _pairs(model, len(geoms)):
+        friction, (time, ratio) = pair.friction, pair.solref
+        if friction <= 1 or pair.condim == 1:
             continue
-        d, (time, ratio) = geom.solimp[1], geom.solref
-        stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
-        soft = friction**2 * (1 + friction**2) / 2 / CONTACTS.get(geom.type, FACE)
-        depth = soft * (1 - d) * gravity / (stiffness * d**2)
-        thin = size[size > 0].min(initial=np.inf)
-        if depth > thin:
-            found.append((depth / thin, depth, friction, index))
+        for index in pair.geoms:
+            size, geom = model.geom_size[index], geoms[index]
+            if model.geom_body[index] not in moving:
+                continue
+            d = geom.solimp[1]
+            stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
+            soft = friction**2 * (1 + friction**2) / 2 / CONTACTS.get(geom.type, FACE)
+            depth = soft * (1 - d) * gravity / (stiffness * d**2)
+            thin = size[size > 0].min(initial=np.inf)
+            if depth > thin:
+                found.append((depth / thin, depth, friction, index))
     if found:
         _, depth, friction, index = max(found)
         name = model.element_name("geom", index)
@@ -102,17 +109,11 @@ def soft_pyramids(model: Model) -> Iterator[str]:
         )
 
 
-def _steepest(geoms: Sequence[Geom]) -> np.ndarray:
-    """Return the largest friction that each geom meets, its own or that of another; 0 for none."""
-    own = np.array([geom.friction[0] for geom in geoms])
-    types, others = (
-        np.array([getattr(geom, name) for geom in geoms], dtype=np.int64)
-        for name in ("contype", "conaffinity")
-    )
-    meets = (types[:, None] & others) | (others[:, None] & types)
-    np.fill_diagonal(meets, 0)
-    both = np.maximum(own[:, None], own)
-    return np.where(meets != 0, both, 0.0).max(axis=1, initial=0.0)
+def _pairs(model: Model, geoms: int) -> Iterator[ContactPair]:
+    """Yield the pairs that can meet; of a heap, which lists none, those of its first geoms."""
+    for index in range(min(geoms**2, HEAP) if model.is_heap else model.npair):
+        with contextlib.suppress(ValueError):
+            yield model.contact_pair(index)
 
 
 def undone_rows(model: Model) -> Iterator[str]:

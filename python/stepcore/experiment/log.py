@@ -231,7 +231,9 @@ class Log:
         """Take the times out of the columns [s], from the first row on; None without times."""
         for title, values in self.columns.items():
             clock = [u for text, u in spellings(title) if CLOCK.fullmatch(text.split("/")[-1])]
-            if clock and values.ndim == 1:
+            if clock and values.ndim != 1:
+                raise ValueError(f"{self.source}, column {title}: must have one time a row")
+            if clock:
                 del self.columns[title]
                 self._check_text(title)
                 unit = self._content.units.get(title, clock[-1])
@@ -444,6 +446,8 @@ class Log:
             array = WORDS.get(match["word"].lower(), "") if match else ""
             name = match["name"] if match and array else text
             known = free[array] if array else [*free["ctrl"], *free["qpos"]]
+            if name in known and self.columns[title].ndim == 2:
+                raise ValueError(f"{self.source}, column {title}: must have one number a row")
             # Other quantities of a joint, such as its temperature, have a point or brackets.
             plain_name = array or not re.search(r"[.[]", text)
             near = plain_name and difflib.get_close_matches(name, known, 1, 0.7)

@@ -159,6 +159,8 @@ def _of_columns(name: str, given: Mapping[Any, Any]) -> Content:
         array = _numbers(name, str(title), values, content)
         if str(title) in NAMES:
             continue
+        if array.ndim > 2:
+            raise ValueError(f"{name}, column {title}: must have a number a row, or one an element")
         if names is not None and title in STATES and array.shape[1:] == (len(names),):
             content.columns |= {f"{joint}.{title}": array[:, k] for k, joint in enumerate(names)}
         else:
