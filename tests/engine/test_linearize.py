@@ -337,3 +337,20 @@ def test_a_spring_at_its_rest_length_has_its_stiffness(kind):
     assert sim.linearize().A[1, 0] == pytest.approx(-100 * 0.002, rel=1e-12)
     (acts,) = (a for name, a in sim.element_slopes().items() if "spring" in str(name))
     assert np.asarray(acts.stiffness).max() == pytest.approx(100, rel=1e-12)
+
+
+@pytest.mark.parametrize("act", [0.0, 0.3, 1.0])
+def test_a_muscle_that_is_as_active_as_it_is_asked_has_one_sides_slope(act):
+    """Its time constant is another when it relaxes; at 0 and 1 its control is at a bound."""
+    text = """<mujoco><worldbody><body><joint name="j" type="slide" axis="0 0 1"/>
+    <geom size=".1"/></body></worldbody><actuator><muscle name="m" joint="j" lengthrange="-1 1"/>
+    </actuator></mujoco>"""
+    sim = Sim(sc.loads(text))
+    sim.act[0] = sim.ctrl[0] = act
+    slope, sides = sim.linearize().B[-1, 0], []
+    for change in (1e-7, -1e-7):
+        other = sim.copy()
+        other.ctrl[0] += change
+        other.step()
+        sides.append((other.act[0] - act) / change)
+    assert min(abs(slope - side) for side in sides) < 1e-6

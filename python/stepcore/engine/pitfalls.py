@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def soft_pyramids(model: Model) -> Iterator[str]:
     (1 − d) g/(k d²), d the impedance of deep contacts and k = 1/timeconst² or -solref).
     """
     settings, scene = model.settings, model.scene
-    given = (*scene.geoms, *scene.pairs, scene.contact_override)
+    given: list[Any] = [*scene.geoms, *scene.pairs, scene.contact_override]
     steepest = max((one.friction[0] for one in given if one.friction), default=0.0)
     if settings.cone != "pyramidal" or settings.law != "solref" or steepest <= 1:
         return

@@ -103,7 +103,7 @@ pub(super) fn rate<R: Real, N: Value<R>>(act: R, ctrl: R, [rise, fall, width]: &
     let (rise, fall) = (rise.get() * slow, fall.get() / slow);
     let left = ctrl.clamp(zero, one) - act;
     let tau = if width.lane(0) < SMALLEST {
-        R::select(left.gt(zero), rise, fall)
+        R::select(left.ge(zero), rise, fall)
     } else {
         // A step of fifth order from 0 to 1.
         let x = (left / width.get() + R::of(0.5)).clamp(zero, one);
