@@ -82,23 +82,24 @@ def soft_pyramids(model: Model) -> Iterator[str]:
     steepest = max((one.friction[0] for one in given if one.friction), default=0.0)
     if settings.cone != "pyramidal" or settings.law != "solref" or steepest <= 1:
         return
-    geoms, moving = Layout(scene).geoms, set(Coordinates(model).moving)
+    geoms, sizes = Layout(scene).geoms, model.geom_size
+    moving = np.isin(model.geom_body, [*Coordinates(model).moving]).tolist()
     gravity, found = float(np.linalg.norm(scene.gravity)), []
-    for pair in _pairs(model, len(geoms)):
-        friction, (time, ratio) = pair.friction, pair.solref
-        if friction <= 1 or pair.condim == 1:
-            continue
-        for index in pair.geoms:
-            size, geom = model.geom_size[index], geoms[index]
-            if model.geom_body[index] not in moving:
-                continue
-            d = geom.solimp[1]
-            stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
-            soft = friction**2 * (1 + friction**2) / 2 / CONTACTS.get(geom.type, FACE)
-            depth = soft * (1 - d) * gravity / (stiffness * d**2)
-            thin = size[size > 0].min(initial=np.inf)
-            if depth > thin:
-                found.append((depth / thin, depth, friction, index))
+    pressed = {
+        (index, pair.friction, pair.solref)
+        for pair in _pairs(model, len(geoms))
+        if pair.friction > 1 and pair.condim > 1
+        for index in pair.geoms
+        if moving[index]
+    }
+    for index, friction, (time, ratio) in pressed:
+        size, geom, d = sizes[index], geoms[index], geoms[index].solimp[1]
+        stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
+        soft = friction**2 * (1 + friction**2) / 2 / CONTACTS.get(geom.type, FACE)
+        depth = soft * (1 - d) * gravity / (stiffness * d**2)
+        thin = size[size > 0].min(initial=np.inf)
+        if depth > thin:
+            found.append((depth / thin, depth, friction, index))
     if found:
         _, depth, friction, index = max(found)
         name = model.element_name("geom", index)

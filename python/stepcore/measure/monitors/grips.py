@@ -48,10 +48,10 @@ def slips(run: Recording) -> Iterator[Slip]:
 
     What is gripped slides for most of the time until it falls.
     """
-    model, gravity = run.model, np.asarray(run.model.scene.gravity, float)
-    size, driven = float(np.linalg.norm(gravity)), roots(model, actuators(model))
-    things = sorted(free_bodies(model) - driven) if driven and size and model.npair else []
-    if not (things and model.scene.features.gravity) or model.is_heap:
+    model, driven = run.model, roots(run.model, actuators(run.model))
+    gravity = float(np.linalg.norm(model.scene.gravity)) * model.scene.features.gravity
+    things = sorted(free_bodies(model) - driven) if driven and gravity and model.npair else []
+    if not things or model.is_heap:
         return
     seen, trees = run.contacts, run.roots[model.geom_body[model.pair_geoms]][run.contacts.pair]
     sticks = STICKS / math.sqrt(2 if model.settings.cone == "pyramidal" else 1)
@@ -74,7 +74,7 @@ def slips(run: Recording) -> Iterator[Slip]:
         at = grips & np.isin(seen.reading, slipping)
         force = seen.force[at] / (slipping[-1] - slipping[0] + 1)
         friction = np.array([friction_of(model, pair) for pair in seen.pair[at].tolist()])
-        weight = size * float(model.body_mass[run.roots == body].sum())
+        weight = gravity * float(model.body_mass[run.roots == body].sum())
         pairs = tuple(dict.fromkeys(seen.pair[at].tolist()))
         time = float(run.times[slipping[-1]])
         yield Slip(body, pairs, float(force.sum()), float(force @ friction), weight, time)
@@ -113,8 +113,8 @@ def grip_findings(run: Recording) -> Iterator[Finding]:
     def left(other: Recording) -> float:
         """Return how many still fall, however."""
         heights = {slip.body: _height(other, slip.body) for slip in found}
-        size = other.sizes.bodies
-        return float(sum(h.max() - h[-1] > size[body] for body, h in heights.items()))
+        sizes = other.sizes.bodies
+        return float(sum(h.max() - h[-1] > sizes[body] for body, h in heights.items()))
 
     remedy = Remedy(
         (tuple(ways),),

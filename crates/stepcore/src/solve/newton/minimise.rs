@@ -85,7 +85,7 @@ impl<R: Real> System<R> {
             // Among cones Newton may close in slowly: only what no longer falls is rounding.
             let stuck = fall.ge(last).and(fall.lt(R::of(STAGNANT) * R::of(R::epsilon()) * floor));
             let small = length.le(tiny(ROUNDING) * floor).and(recalled.not());
-            problem.dots(&self.step, &mut self.rate, &mut self.own);
+            problem.dots(&self.step, &mut self.rate, &mut self.local);
             self.line_up(problem.bundles);
             let mut down = live;
             if recalled.any() {

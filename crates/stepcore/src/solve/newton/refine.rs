@@ -108,7 +108,7 @@ impl<R: Real> System<R> {
 
     /// λ + e − s″ y·δ, within the sets.
     fn refine(&mut self, problem: Problem<R>) {
-        problem.dots(&self.step, &mut self.w, &mut self.own);
+        problem.dots(&self.step, &mut self.w, &mut self.local);
         for run in &problem.bundles.runs {
             match run.cone {
                 None => self.refine_intervals(problem, run),

@@ -36,12 +36,12 @@ pub(super) struct System<R: Real> {
     pub(super) floor: R,
     /// u has moved since the impulses were computed, in some lane.
     pub(super) moved: bool,
-    /// Scratch of products.
-    pub(super) own: Vec<R>,
+    /// Scratch of products: a vector at the dofs of one bundle.
+    pub(super) local: Vec<R>,
 }
 
 room!(System<R>: w, rate, impulse, curve, lines, guess, u, d, inv_d, gradient, step, hessian, columns,
-    fresh, decrement, floor, moved, own);
+    fresh, decrement, floor, moved, local);
 
 impl<R: Real> System<R> {
     pub fn new() -> Self {
@@ -63,7 +63,7 @@ impl<R: Real> System<R> {
             decrement: R::zero(),
             floor: R::zero(),
             moved: false,
-            own: Vec::new(),
+            local: Vec::new(),
         }
     }
 
@@ -93,7 +93,7 @@ impl<R: Real> System<R> {
         if down.none() {
             return Some(begun);
         }
-        slacks(problem, &self.guess, &mut self.rate, &mut self.own);
+        slacks(problem, &self.guess, &mut self.rate, &mut self.local);
         for (rate, w) in self.rate.iter_mut().zip(&self.w) {
             *rate -= *w;
         }
@@ -141,7 +141,7 @@ impl<R: Real> System<R> {
 
     /// w = y·u − t by row.
     pub(super) fn find_slacks(&mut self, problem: Problem<R>) {
-        slacks(problem, &self.u, &mut self.w, &mut self.own);
+        slacks(problem, &self.u, &mut self.w, &mut self.local);
     }
 
     /// Every row's impulse at its w; in lanes of `bend` also the curvature. Returns the lanes where
