@@ -55,7 +55,7 @@ class Gradients(NamedTuple):
     ctrl: by the controls, shape (n, steps, nu).
     parameters: by each parameter, by its label, shape (n,).
     growth: how much the gradient grew on its way back at most, shape (n,).
-    one_sided: (world, step, element) where a row is exactly at its switch.
+    one_sided: (world, step, element) where a state is exactly at a corner of the element's law.
     error: with `error_bar`, how far it is from that in steps half as long, as a share of it, shape
         (n,), infinite where these fail; else None.
     """
@@ -348,7 +348,7 @@ class Adjoints(NamedTuple):
     ctrl: by the controls, (n, steps, nu). values: by the parameters, (n, parameters).
     ctrl_terms: the sum of the sizes of what those by the controls are sums of, (n,).
     sizes: of a row, (n, steps).
-    sided: (world, step, element) where a row is exactly at its switch.
+    sided: as `Gradients.one_sided`.
     """
 
     rows: Floats

@@ -141,7 +141,7 @@ class Sim(World):
         solver's initial impulses are constant in the map. Where a law switches (a contact that just
         touches, a limit just reached, a clamped control) the derivatives are one-sided: they
         describe the branch that the step takes at this state. `degenerate` of the result names the
-        elements whose rows are exactly at such a switch.
+        elements that are exactly at one.
 
         By a parameter, all that follows of it when the model is compiled is differentiated with the
         model at four values nearby, which are compiled once.

@@ -294,6 +294,26 @@ fn beyond<R: Real>(model: &Model<R::Value>, qpos: &[R]) -> bool {
     beyond.any()
 }
 
+/// Calls `each` with the touches of pairs, a heap's not, that are at most `more` from being listed.
+pub(crate) fn almost<R: Real>(
+    model: &Model<R::Value>,
+    poses: &[Pose<R>],
+    more: f64,
+    mut each: impl FnMut(&Pair<R::Value>, &Touch<R>),
+) {
+    for pair in model.pairs.iter().filter(|_| model.dynamic_pairs.is_none()) {
+        let listed = model.material(pair).listed::<R>() + R::of(more);
+        if near(model, poses, pair, Some(listed)).any() {
+            let hints = [Cell::new(Hint::default())];
+            meet(model, poses, pair, (|lane| listed.lane(lane), &hints), |_, touch| {
+                if touch.exists.and(touch.dist.le(listed)).any() {
+                    each(pair, touch);
+                }
+            });
+        }
+    }
+}
+
 /// The smallest distance of a pair's geoms [m].
 pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 {
     let mut least = f64::INFINITY;

@@ -88,6 +88,18 @@ impl<N: Constant> scene::Actuator<N> {
         self.within(act + rate * self.span::<R>(seconds))
     }
 
+    /// How an activation changes has a corner: at that of a muscle's rate, and where a step ends
+    /// exactly at a bound.
+    pub(crate) fn turns<R: Real>(&self, act: R, ctrl: R, circle: f64, seconds: f64) -> bool
+    where
+        N: Value<R>,
+    {
+        let after = act + self.rate(act, ctrl, circle) * self.span::<R>(seconds);
+        let bound = self.actrange.iter().flatten().any(|bound| bound.lane(0) == after.lane(0));
+        let muscle = matches!(self.dynamics, Dynamics::Muscle);
+        bound || muscle && muscle::turns(act.lane(0), ctrl.lane(0), &self.dynprm)
+    }
+
     fn within<R: Real>(&self, act: R) -> R
     where
         N: Value<R>,

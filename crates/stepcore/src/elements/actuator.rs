@@ -35,7 +35,7 @@ const ROUNDED: f64 = 16.0;
 impl<N: Constant> scene::Actuator<N> {
     /// A control within its bounds, where these are obeyed.
     #[inline(always)]
-    pub(super) fn held<R: Real<Value = N>>(&self, model: &Model<N>, ctrl: R) -> R
+    pub(crate) fn held<R: Real<Value = N>>(&self, model: &Model<N>, ctrl: R) -> R
     where
         N: Value<R>,
     {
@@ -222,7 +222,7 @@ fn on_tendon<N: Constant>(model: &Model<N>, tendon: usize) -> impl Iterator<Item
     (0..model.actuators.len()).filter(pulls)
 }
 
-fn tension_of<R: Real>(model: &Model<R::Value>, tendon: usize, tensions: &[R]) -> R {
+pub(crate) fn tension_of<R: Real>(model: &Model<R::Value>, tendon: usize, tensions: &[R]) -> R {
     on_tendon(model, tendon).fold(R::zero(), |sum, index| sum + tensions[index])
 }
 

@@ -39,7 +39,7 @@ impl<N: Constant> Model<N> {
 impl<N: Constant> Material<N> {
     /// Below which distance a contact has rows [m].
     #[inline(always)]
-    pub(super) fn reach<R: Real>(&self) -> R
+    pub(crate) fn reach<R: Real>(&self) -> R
     where
         N: Value<R>,
     {

@@ -6,6 +6,7 @@
 //! that a turn is a rotation vector in the body's own axes; dw are activations, dc past controls. The
 //! impulses that the solver starts from are held.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -315,7 +316,10 @@ impl Linearizer {
         self.done = ways.end;
         if self.done == self.end() {
             let (nth, sided) = (self.nth, self.sim.solver.take_degenerate());
-            self.degenerate.extend(sided.into_iter().map(|element| (nth, element)));
+            self.restore();
+            let own = self.sim.corners();
+            let all = BTreeSet::from_iter(sided.into_iter().chain(own));
+            self.degenerate.extend(all.into_iter().map(|element| (nth, element)));
             (self.nth, self.done) = (nth + 1, 0);
         }
         Ok(())

@@ -8,6 +8,7 @@
 mod actuators;
 mod bodies;
 mod body_forces;
+mod corners;
 mod count;
 mod element_slopes;
 mod energy;

@@ -1,0 +1,120 @@
+//! Where laws have a corner: states at which derivatives are those of one side.
+//!
+//! Corners of rows are the solve's to find (`solve/derivative.rs`). These are of what no solve sees: a
+//! control, an activation or a force at its bound, a muscle that is as active as it is asked, a tendon at
+//! an end of its slack, and a limit or a contact at the distance from which it has a row.
+
+use crate::detect::almost;
+use crate::elements::{actuator, tendon_spring, Element, Kind};
+use crate::integrator::Stages;
+use crate::model::transmission::Limited;
+use crate::real::{Constant, Dual, Real};
+use crate::sim::{At, Sim};
+
+/// Contacts that are farther from having a row are not looked at [m].
+const SOON: f64 = 1e-9;
+/// Two numbers are equal but for so many roundings.
+const ROUNDED: f64 = 16.0;
+
+type Number = <Dual as Real>::Value;
+
+fn at_bound(x: Dual, bounds: Option<&[Number; 2]>) -> bool {
+    bounds.into_iter().flatten().any(|bound| meet(x.value, bound.lane(0)))
+}
+
+fn meet(a: f64, b: f64) -> bool {
+    (a - b).abs() <= ROUNDED * f64::EPSILON * a.abs().max(b.abs())
+}
+
+impl Sim<Dual> {
+    /// The elements at a corner of their law at the present state.
+    pub(super) fn corners(&mut self) -> Vec<Element> {
+        // Other integrators have placed further positions since.
+        if self.plan.scheme.stages != Stages::Start {
+            self.refresh();
+        }
+        let mut all = self.actuators_at_bounds();
+        all.extend(self.sums_at_bounds());
+        all.extend(self.slack_ends());
+        if !self.settings.law.on_guess() {
+            all.extend(self.limits_reached());
+            all.extend(self.contacts_reached());
+        }
+        all
+    }
+
+    fn actuators_at_bounds(&self) -> Vec<Element> {
+        let (now, model) = (self.moment(At::State), &self.model);
+        let mut forces = vec![Dual::of(0.0); model.actuators.len()];
+        let pulls = now.frames.pulls;
+        actuator::tensions(model, now.qpos, now.qvel, now.act, now.inputs, pulls, &mut forces);
+        let cornered = |index: &usize| {
+            let (drive, own) = (&model.drives[*index], &model.actuators[*index]);
+            let ctrl = now.act.ctrl(model, *index, now.inputs);
+            let turns = model.activations[*index].range().next().is_some_and(|k| {
+                let circle = model.circles[*index];
+                own.turns(now.act.act[k], own.held(model, ctrl), circle, now.act.seconds)
+            });
+            at_bound(ctrl, drive.ctrlrange.as_ref())
+                || at_bound(forces[*index], drive.bounds.as_ref())
+                || turns
+        };
+        let acting = model.acting.actuator.iter().map(|acts| acts.index);
+        acting.filter(cornered).map(|index| Element::whole(Kind::Actuator, index)).collect()
+    }
+
+    /// Joints and tendons that bound the sum of their actuators.
+    fn sums_at_bounds(&self) -> Vec<Element> {
+        let (now, model) = (self.moment(At::State), &self.model);
+        let mut sums = vec![Dual::of(0.0); model.nv];
+        actuator::ask_of_joints(&now, &mut sums);
+        let joints = model.clamps.iter().filter_map(|(joint, range)| {
+            let sum = sums[model.joints[*joint].dof];
+            at_bound(sum, Some(range)).then(|| Element::whole(Kind::Joint, *joint))
+        });
+        let tendons = model.tendons.iter().enumerate().filter_map(|(index, tendon)| {
+            let sum = actuator::tension_of(model, index, now.frames.tension);
+            at_bound(sum, tendon.actuatorfrcrange.as_ref())
+                .then(|| Element::whole(Kind::Tendon, index))
+        });
+        joints.chain(tendons).collect()
+    }
+
+    fn slack_ends(&self) -> Vec<Element> {
+        let (now, springs) = (self.moment(At::State), &self.model.acting.tendon_spring);
+        let ends = springs.iter().filter(|acts| tendon_spring::at_end_of_slack(&now, &acts.at));
+        ends.map(|acts| Element::whole(Kind::TendonSpring, acts.index)).collect()
+    }
+
+    fn limits_reached(&self) -> Vec<Element> {
+        let reached = |bound: &Limited<Number>, side: usize| {
+            let pulls = self.placed.frames().pulls;
+            let length = bound.along.length(&self.model, &self.state.qpos, pulls).value;
+            let sign = if side == 0 { 1.0 } else { -1.0 };
+            meet(length - sign * bound.margin.lane(0), bound.range[side].lane(0))
+        };
+        let sides = |bound: &Limited<Number>| {
+            let sides = bound.sides.clone().filter(|side| reached(bound, *side));
+            sides.map(|side| Element::part(bound.kind, bound.index, side)).collect::<Vec<_>>()
+        };
+        self.model.limited.iter().flat_map(sides).collect()
+    }
+
+    /// Pairs of a heap are not looked at.
+    fn contacts_reached(&self) -> Vec<Element> {
+        let (model, mut all) = (&self.model, vec![]);
+        if !(model.features.contact && model.features.constraint) {
+            return all;
+        }
+        almost(model, &self.placed.geom, SOON, |pair, touch| {
+            let reach: Dual = model.material(pair).reach();
+            let size = touch.pos.iter().fold(reach.value.abs(), |most, x| most.max(x.value.abs()));
+            let far = (touch.dist.value - reach.value).abs();
+            let element = Element::whole(Kind::Contact, pair.index);
+            if far <= ROUNDED * f64::EPSILON * size && all.last() != Some(&element) {
+                all.push(element);
+            }
+        });
+        all
+    }
+}
