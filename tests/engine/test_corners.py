@@ -20,7 +20,11 @@ CORNERS = {
     "slack rope's start": ({"tendon": 'stiffness="50" springlength="4 5"'}, (0, 0), "rope"),
     "tendon limit": ({"tendon": 'limited="true" range="1 4"'}, (0, 0), "rope"),
     "joint limit": ({"joint": 'limited="true" range="-1 2"'}, (2, 0.1), "rail"),
-    "joint limit's margin": ({"joint": 'limited="true" range="-1 2" margin=".5"'}, (-0.5, 0), "rail"),
+    "joint limit's margin": (
+        {"joint": 'limited="true" range="-1 2" margin=".5"'},
+        (-0.5, 0),
+        "rail",
+    ),
     "touch": ({}, (4.875, 0), "contact"),
     "control": ({"actuator": MOTOR.format('ctrlrange="-2 1"')}, (0, 0, 1.0), "motor"),
     "force": ({"actuator": MOTOR.format('gainprm="2" forcerange="-1 1"')}, (0, 0, 0.5), "motor"),
@@ -83,7 +87,7 @@ def _after(sim, state):
 
 
 def _sides(sim, state, h=1e-7):
-    """Return the derivatives of a step from both sides, and those of `linearize`, (3, n, columns)."""
+    """Return the derivatives of a step from both sides, (2, n, columns), and `linearize`'s."""
     step, n = sim.linearize(), 2 + sim.model.na
     columns = (0, 1, *((3,) if sim.model.na else ()), *((2,) if sim.model.nu else ()))
     state, own = np.resize([*state, 0.0, 0.0], 4) * 1.0, np.hstack([step.A, step.B])

@@ -108,6 +108,23 @@ def test_damping_that_undoes_the_rows_is_told(integrator, mass, ratio):
         assert np.isfinite(sim.qpos).all() and abs(sim.qpos[0] - sim.qpos[2]) < 2e-4
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
+@pytest.mark.parametrize("integrator", ["euler", "implicitfast"])
+@pytest.mark.parametrize(("ratio", "told"), [(1, False), (30, True)])
+def test_a_damper_between_the_legs_of_a_loop_is_told(integrator, ratio, told):
+    """`euler` damps tendons before the rows, `implicitfast` after them."""
+    mass, dt = 0.001, 0.002
+    damping = ratio * mass / dt / 2
+    rope = f'<fixed name="rope" damping="{damping}"><joint joint="left" coef="1"/>'
+    tendon = f'<tendon>{rope}<joint joint="right" coef="-1"/></fixed></tendon></mujoco>'
+    scene = sc.loads(LOOP.format(0, mass, 0).replace("</mujoco>", tendon))
+    how = {"law": "rigid", "solver": "pgs", "sweeps": "auto", "integrator": integrator}
+    _, said = warned(lambda: sc.Sim(scene, dt=dt, **how))
+    assert bool(said) == (told and integrator == "implicitfast")
+    if said:
+        assert "damping of tendon `rope`" in said[0]
+
+
 def test_solref_is_not_warned_of():
     _, said = warned(lambda: sc.Sim(sc.loads(LOOP.format(50, 0.001, 150)), integrator="euler"))
     assert not said

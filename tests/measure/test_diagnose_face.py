@@ -147,6 +147,37 @@ def test_a_stiff_scene_warns_once_with_the_name():
     assert "\n" not in str(caught[0].message)
 
 
+ROPE = """<mujoco><option timestep="{dt}" integrator="implicitfast" gravity="0 0 0"/>
+<worldbody><body><joint name="a" type="slide"/><geom size=".1" mass="1"/></body>
+<body pos="1 0 0"><joint name="b" type="slide"/><geom size=".1" mass="3"/></body></worldbody>
+<tendon><fixed name="rope" {rope}><joint joint="a" coef="1"/><joint joint="b" coef="-1"/></fixed>
+</tendon><actuator>{servo}</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("rope", "servo", "name"),
+    [
+        ('stiffness="1e5"', "", "tendon spring `rope`"),
+        ("", '<position name="winch" tendon="rope" kp="1e5"/>', "servo `winch`"),
+        ('stiffness="1e5" springlength="-.1 .1"', "", ""),
+    ],
+)
+def test_a_stiff_tendon_warns_from_its_limit_on(rope, servo, name):
+    """Of two masses it is 2/ω, ω² = k (1/m + 1/M); a rope that is slack says nothing."""
+    limit = 2 / (1e5 * (1 + 1 / 3)) ** 0.5
+    for share in (0.98, 1.02):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            scene = sc.loads(ROPE.format(dt=share * limit, rope=rope, servo=servo))
+        assert [name in str(told.message) for told in caught] == [True] * bool(name and share > 1)
+        sim = sc.Sim(scene)
+        sim.qpos[0] = 1e-6
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", sc.EnergyWarning)
+            sim.step(600)
+        assert (abs(sim.qpos[0]) > 1e-3) == bool(name and share > 1)
+
+
 def test_a_file_warns_as_a_text_does(tmp_path):
     path = tmp_path / "knee.xml"
     path.write_text(KNEE.format(dt=0.005, integrator="Euler"))

@@ -30,6 +30,7 @@ class Actuator:
     kp, kv: the stiffness and the damping of its feedback. A servo that pushes away from its target
         has a negative kp.
     joint: the hinge or slide that it drives; None for tendons, bodies and joints of more dofs.
+    tendon: that it pulls at; None for all others.
     dof, qposadr: where the joint's velocity and position stand; -1 without a joint.
     gear: the ratio of its length to the joint's coordinate.
     forcerange, ctrlrange: (low, high), ±inf without a range; the ctrlrange as it is applied.
@@ -47,6 +48,7 @@ class Actuator:
     kp: float
     kv: float
     joint: int | None
+    tendon: int | None
     dof: int
     qposadr: int
     gear: float
@@ -69,12 +71,12 @@ class Actuator:
 
     @property
     def stiffness(self) -> float:
-        """The stiffness of its feedback at the joint [N·m/rad or N/m]."""
+        """The stiffness of its feedback at the joint or tendon [N·m/rad or N/m]."""
         return self.kp * self.gear**2
 
     @property
     def damping(self) -> float:
-        """The damping of its feedback at the joint [N·m·s/rad or N·s/m]."""
+        """The damping of its feedback at the joint or tendon [N·m·s/rad or N·s/m]."""
         return self.kv * self.gear**2
 
     @property
@@ -140,6 +142,7 @@ def loads(sim: Sim) -> Floats:
 
 def _actuator(model: Model, layout: Layout, k: int) -> Actuator:
     law, (offset, length, velocity) = model.scene.actuators[k].law, model.actuator_bias[k].tolist()
+    tendon = model.scene.actuators[k].tendon
     joint, gear = int(model.actuator_joint[k]), float(model.actuator_gear[k, 0])
     single = joint >= 0 and model.jnt_type[joint] in ("hinge", "slide") and gear != 0
     dof = int(model.jnt_dofadr[joint]) if single else -1
@@ -153,6 +156,7 @@ def _actuator(model: Model, layout: Layout, k: int) -> Actuator:
         kp=0.0 - length,
         kv=0.0 - velocity,
         joint=joint if single else None,
+        tendon=None if tendon is None else layout.place(tendon),
         dof=dof,
         qposadr=int(model.jnt_qposadr[joint]) if single else -1,
         gear=gear,

@@ -39,8 +39,8 @@ class Linearization:
     A: shape (n, n), where n is the number of entries of x. B: shape (n, nu). dt: the time step [s].
     P: shape (n, number of parameters), by changes p of the parameters.
     labels: names of the dofs. controls: names of the actuators. parameters: their paths.
-    degenerate: names of the elements at which A and B are one-sided, because the state is exactly at
-    a corner of the element's law (a row at its switch, a bound reached); usually empty.
+    degenerate: names of the elements at which A and B are one-sided, because the state is exactly
+    at a corner of the element's law (a row at its switch, a bound reached); usually empty.
     degenerate_ids: (kind, index, part) of each such element.
 
     >>> from stepcore import Scene, Sim

@@ -15,7 +15,7 @@ import numpy as np
 from stepcore import escapes
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.linear_maps import INTEGRATORS, implicit_kinds
-from stepcore.engine.stiffness import joint_gains
+from stepcore.engine.stiffness import gains
 from stepcore.report.units import metres
 from stepcore.scene.layout import Layout
 
@@ -118,7 +118,7 @@ def _pairs(model: Model, geoms: int) -> Iterator[ContactPair]:
 
 
 def undone_rows(model: Model) -> Iterator[str]:
-    """Yield the joint whose damping, applied after the rows, undoes most of them in a closed loop.
+    """Yield the joint or tendon whose damping undoes most of the rows of a closed loop.
 
     Under a law on velocities rows set velocities, and these integrators damp them afterwards: by
     1/(1 + dt·c/m) each, which keeps a row only where all its dofs are damped alike.
@@ -129,14 +129,14 @@ def undone_rows(model: Model) -> Iterator[str]:
     if settings.law not in ("lesson", "relaxed", "rigid") or not late or not model.scene.equalities:
         return
     hidden = implicit_kinds(settings.integrator, model.scene.features.eulerdamp)
-    rates = np.zeros(len(model.scene.joints))
-    for kind, _, joint, _, damping in joint_gains(model):
-        if kind in hidden:
-            rates[joint] += model.dof_invweight0[model.jnt_dofadr[joint]] * damping
-    worst = int(rates.argmax()) if len(rates) else 0
-    if len(rates) and settings.dt * rates[worst] > DAMPED:
+    rates = dict[tuple[str, int], float]()
+    for own in gains(model):
+        if own.element[0] in hidden:
+            rates[own.along] = rates.get(own.along, 0.0) + own.mobility * own.damping
+    worst = max(rates, key=rates.__getitem__, default=("joint", 0))
+    if settings.dt * rates.get(worst, 0.0) > DAMPED:
         times = f"{settings.dt * rates[worst]:.3g}"
-        name = model.element_name("joint", worst)
+        name = model.element_name(*worst)
         yield (
             f"law {settings.law!r} with integrator {settings.integrator!r}: the damping of {name} "
             f"acts after the rows are solved, and takes {times} times what it leaves of a "

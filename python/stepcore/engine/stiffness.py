@@ -1,6 +1,6 @@
 """Estimate from closed forms whether a scene's own step is too long for what acts on a joint.
 
-A joint with everything that acts on it alone, the other joints free, is an oscillator: its
+A joint or a tendon with everything that acts along it alone, all else free, is an oscillator: its
 stiffness k and damping c over the inertia that it moves, of which the engine has the inverse. Its
 largest stable dt has a closed form for each integrator. Nothing is linearised or run, so this is
 cheap enough for `load`; `stepcore.diagnose` runs the motion.
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
+    from stepcore.scene.elements.body import Joint
+    from stepcore.scene.elements.tendon import Tendon
     from stepcore.scene.scene import Scene
 
 # Shorter steps are not told [s].
@@ -49,19 +51,47 @@ class StiffnessWarning(UserWarning):
     """
 
 
-def joint_gains(model: Model) -> Iterator[tuple[str, int, int, float, float]]:
-    """Yield kind and index of each element on a joint, its joint, and its stiffness and damping.
+class Gain(NamedTuple):
+    """What an element does along a joint or a tendon.
 
-    Polynomial springs and dampers count with their first coefficient, a servo with its feedback.
+    element: its kind and index. along: ("joint" or "tendon", its index). mobility: the inverse of
+    the inertia that moves along it, all else free. stiffness, damping: with the first coefficient
+    of polynomials, a servo with its feedback.
     """
-    features = model.scene.features
-    for j, joint in enumerate(Layout(model.scene).joints):
-        record = joint.record()
-        yield "spring", j, j, features.spring * float(record["stiffness"][0]), 0.0
-        yield "damper", j, j, 0.0, features.damper * float(record["damping"][0])
-    for own in actuators(model) if features.actuation else ():
-        if own.joint is not None:
-            yield "actuator", own.index, own.joint, own.stiffness, own.damping
+
+    element: tuple[str, int]
+    along: tuple[str, int]
+    mobility: float
+    stiffness: float
+    damping: float
+
+
+def gains(model: Model) -> Iterator[Gain]:
+    """Yield the springs and dampers of joints and tendons, and the actuators along these.
+
+    A spring of a tendon counts where it is not slack at qpos0.
+    """
+    scene, features = model.scene, model.scene.features
+    low, high = model.tendon_lengthspring.T
+    taut = (model.tendon_length0 <= low) | (high <= model.tendon_length0)
+    mobility = {("joint", j): model.dof_invweight0[d] for j, d in enumerate(model.jnt_dofadr)}
+    mobility |= {("tendon", t): weight for t, weight in enumerate(model.tendon_invweight0)}
+    springs: list[tuple[str, int, Joint | Tendon, str, bool]] = [
+        *(("joint", j, joint, "", True) for j, joint in enumerate(Layout(scene).joints)),
+        *(("tendon", t, own, "tendon ", bool(taut[t])) for t, own in enumerate(scene.tendons)),
+    ]
+    for what, index, own, prefix, pulls in springs:
+        if own.sprung or own.damped:
+            record, at = own.record(), (what, index)
+            k, c = (float(record[law][0]) for law in ("stiffness", "damping"))
+            k, c = features.spring * pulls * k, features.damper * c
+            yield Gain((f"{prefix}spring", index), at, mobility[at], k, 0.0)
+            yield Gain((f"{prefix}damper", index), at, mobility[at], 0.0, c)
+    for drive in actuators(model) if features.actuation else ():
+        for what, end in (("joint", drive.joint), ("tendon", drive.tendon)):
+            if end is not None:
+                at, push = (what, end), (drive.stiffness, drive.damping)
+                yield Gain(("actuator", drive.index), at, mobility[at], *push)
 
 
 def oscillator_dt(square: float, implicit: float, explicit: float, integrator: str) -> float:
@@ -89,30 +119,32 @@ def oscillator_dt(square: float, implicit: float, explicit: float, integrator: s
 
 
 def stiffest(model: Model) -> tuple[float, Element | None]:
-    """Return the least dt that a joint with what acts on it allows [s], and who is stiffest."""
+    """Return the least dt [s] that joints and tendons by themselves allow, and who is stiffest."""
     integrator = model.settings.integrator
     hidden = implicit_kinds(integrator, model.scene.features.eulerdamp)
-    # By joint: ω², damping rates that are treated implicitly and explicitly, and whose they are.
-    found: dict[int, list[tuple[float, float, float, tuple[str, int]]]] = {}
-    for kind, index, joint, stiffness, damping in joint_gains(model):
-        weight = float(model.dof_invweight0[model.jnt_dofadr[joint]])
-        rates = (weight * damping, 0.0) if kind in hidden else (0.0, weight * damping)
+    # By what it is along: ω², damping rates that are treated implicitly and explicitly, and whose
+    # they are.
+    found: dict[tuple[str, int], list[tuple[float, float, float, tuple[str, int]]]] = {}
+    for own in gains(model):
+        rate = own.mobility * own.damping
+        rates = (rate, 0.0) if own.element[0] in hidden else (0.0, rate)
         # A servo that pushes away from its target grows physically, at any dt.
-        part = (max(stiffness, 0.0) * weight, *rates, (kind, index))
-        found.setdefault(joint, []).append(part)
+        part = (max(own.stiffness, 0.0) * own.mobility, *rates, own.element)
+        found.setdefault(own.along, []).append(part)
     least, who = math.inf, None
-    for own in found.values():
-        square, implicit, explicit = np.sum([part[:3] for part in own], axis=0).tolist()
+    for parts in found.values():
+        square, implicit, explicit = np.sum([part[:3] for part in parts], axis=0).tolist()
         limit = oscillator_dt(square, implicit, explicit, integrator)
         if 0 < limit < least:
-            alone = [oscillator_dt(part[0], implicit, part[2], integrator) for part in own]
-            least, who = limit, Element.of(model, *own[int(np.argmin(alone))][3])
+            alone = [oscillator_dt(part[0], implicit, part[2], integrator) for part in parts]
+            least, who = limit, Element.of(model, *parts[int(np.argmin(alone))][3])
     return least, who
 
 
 def estimate(scene: Scene) -> str:
     """Return the text of the warning, "" if there is none."""
     acts = any(joint.sprung or joint.damped for joint in scene.joints)
+    acts = acts or any(tendon.sprung or tendon.damped for tendon in scene.tendons)
     acts = acts or any(actuator.type != "motor" for actuator in scene.actuators)
     large = max(len(scene.joints), len(scene.geoms)) > LARGE
     if scene.settings.accuracy is not None or large or not acts:
