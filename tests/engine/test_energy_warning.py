@@ -66,6 +66,48 @@ def test_contacts_after_the_stages_of_a_step_feed_what_rocks(integrator):
     assert len(said) == 1
 
 
+STONE = """<mujoco><worldbody><geom name="floor" type="plane" size="9 9 1" friction="3"/>
+<body pos="0 0 .05"><freejoint/><geom type="ellipsoid" size=".3 .08 .05" mass="0" friction="3"/>
+<inertial pos="0 0 -.01" mass="1" fullinertia="0.004 .02 .022 .003 0 0"/></body></worldbody>
+</mujoco>"""
+PAIR = """<mujoco><worldbody><geom name="ball" size=".5" friction="3" pos="0 0 -.5"/>
+<body pos="0 0 .1"><freejoint/><geom type="ellipsoid" size=".3 .2 .1" mass="1" friction="3"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(("text", "spin"), [(STONE, (0.3, 0.3, -3)), (PAIR, (0, 1, 0))])
+@pytest.mark.parametrize("integrator", ["rk4", "midpoint", "semi-implicit"])
+def test_a_gain_of_less_than_a_doubling_is_told_after_stages(text, spin, integrator):
+    """A rattleback and a body that rocks on a ball keep their energy under semi-implicit."""
+    sim = sc.Sim(sc.loads(text), **RIGID, integrator=integrator)
+    sim.qvel[3:] = spin
+    start, staged = sim.energy, integrator != "semi-implicit"
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        sim.step(5000)
+    gain = (sim.energy.total - start.total) / start.kinetic
+    assert (gain > 0.3) == staged and gain < 1
+    assert [told.category for told in said] == [sc.EnergyWarning] * staged
+
+
+@pytest.mark.parametrize("go", [1, 4])
+@pytest.mark.parametrize("worlds", [None, 1, 16])
+def test_controls_that_feed_a_motion_without_end_are_told(go, worlds):
+    """x'' = -3000 x by a control that is written between steps: all its work counts as put in."""
+    text = (
+        '<mujoco><worldbody><body><joint name="x" type="slide"/><geom size=".1" mass="1"/></body>'
+    )
+    text += '</worldbody><actuator><motor name="m" joint="x"/></actuator></mujoco>'
+    how = {"dt": 0.05, "integrator": "semi-implicit"}
+    sim = sc.Batch(sc.loads(text), worlds, **how) if worlds else sc.Sim(sc.loads(text), **how)
+    sim.qpos[:] = 0.1
+    with pytest.warns(sc.EnergyWarning, match="velocity of joint `x` is .*motor `m`") as said:
+        for _ in range(200 // go):
+            sim.ctrl[:] = -3000 * sim.qpos
+            sim.step(go)
+    assert len(said) == 1 and np.isfinite(sim.qpos).all()
+
+
 @pytest.mark.parametrize("shape", [("sphere", ".1"), ("capsule", ".1 .1"), ("cylinder", ".2 .05")])
 @pytest.mark.parametrize("integrator", ["semi-implicit", "rk4", "midpoint"])
 def test_what_rolls_exactly_is_not_warned_of(shape, integrator):

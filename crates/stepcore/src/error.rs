@@ -46,8 +46,10 @@ pub enum Fault {
     Rough { error: f64, length: f64, asked: f64, body: Named },
     /// A body is further from where it began [m] than the bound of a motion.
     Far { body: Named, far: f64, bound: f64 },
-    /// More energy of motion and springs than a passive scene can have [J].
-    Energy { has: f64, allowed: f64 },
+    /// A velocity that no motion has: see `Sim::beyond`.
+    Beyond { velocity: f64, joint: Named },
+    /// Energy that a passive scene cannot have gained, and what motion and springs hold [J].
+    Energy { gained: f64, moving: f64 },
 }
 
 impl Error {
@@ -150,11 +152,16 @@ impl fmt::Display for Fault {
                 short(*far),
                 short(*bound)
             ),
-            Self::Energy { has, allowed } => write!(
+            Self::Beyond { velocity, joint } => write!(
                 f,
-                "the energy of motion and springs is {} J, but a passive scene can have at most {} J",
-                short(*has),
-                short(*allowed)
+                "the velocity of {joint} is {}, as no motion has it, whatever drives it",
+                short(*velocity)
+            ),
+            Self::Energy { gained, moving } => write!(
+                f,
+                "the energy is {} J more than a passive scene can have ({} J in motion and springs)",
+                short(*gained),
+                short(*moving)
             ),
         }
     }

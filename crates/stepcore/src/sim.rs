@@ -24,6 +24,9 @@ use crate::sleep::Sleeper;
 use crate::solve::{Noslip, Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
 
+/// From this size of its velocities on MuJoCo resets a world (`mjMAXVAL`): no motion is so fast.
+const BEYOND: f64 = 1e10;
+
 /// How the last solve went.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Effort {
@@ -318,14 +321,13 @@ impl<R: Real> Sim<R> {
     /// The error for the lanes in `failed`, whose step cannot be committed: of the first one.
     pub(crate) fn diverged(&self, failed: R::Mask, fault: impl FnOnce(usize) -> Fault) -> Error {
         let lane = (0..R::LANES).find(|lane| failed.lane(*lane)).unwrap_or(0);
-        Error::Diverged(Box::new(Divergence {
-            step: self.state.steps,
-            time: self.time(),
-            world: lane,
-            batch: false,
-            fault: fault(lane),
-            post: None,
-        }))
+        Error::Diverged(Box::new(self.divergence(lane, fault(lane))))
+    }
+
+    /// That at the present state of a lane, nothing explained yet.
+    pub(crate) fn divergence(&self, lane: usize, fault: Fault) -> Divergence {
+        let (step, time) = (self.state.steps, self.time());
+        Divergence { step, time, world: lane, batch: false, fault, post: None }
     }
 
     /// The first dof whose `quantity`, in `numbers`, is not finite in a lane.
@@ -335,6 +337,14 @@ impl<R: Real> Sim<R> {
         };
         let joint = Element::whole(Kind::Joint, self.model.dofs[dof].joint);
         Fault::NotFinite { quantity, joint: self.model.named(joint) }
+    }
+
+    /// The first velocity in a lane that is beyond all bounds, if there is one.
+    pub(crate) fn beyond(&self, lane: usize) -> Option<Fault> {
+        let velocities = self.state.qvel.iter().map(|velocity| velocity.lane(lane));
+        let (dof, velocity) = velocities.enumerate().find(|(_, v)| v.abs() > BEYOND)?;
+        let joint = Element::whole(Kind::Joint, self.model.dofs[dof].joint);
+        Some(Fault::Beyond { velocity, joint: self.model.named(joint) })
     }
 
     /// The first activation after the step that is not finite in a lane.

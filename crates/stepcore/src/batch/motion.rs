@@ -3,7 +3,7 @@
 use super::lane_layout::LaneLayout;
 use crate::arrays::Array;
 use crate::elements::{Element, Kind};
-use crate::error::{Divergence, Error, Fault, Result};
+use crate::error::{Error, Fault, Result};
 use crate::model::Model;
 use crate::real::{Constant, Real};
 use crate::spatial::V3;
@@ -322,14 +322,8 @@ impl Part<'_> {
             let furthest = ways.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
             if let Some((body, far)) = furthest.filter(|(_, far)| *far > self.bound) {
                 let body = sim.model_of(lane).named(Element::whole(Kind::Body, body));
-                return Err(Error::Diverged(Box::new(Divergence {
-                    step: sim.state.steps,
-                    time: sim.time(),
-                    world: lane,
-                    batch: false,
-                    fault: Fault::Far { body, far, bound: self.bound },
-                    post: None,
-                })));
+                let fault = Fault::Far { body, far, bound: self.bound };
+                return Err(Error::Diverged(Box::new(sim.divergence(lane, fault))));
             }
         }
         Ok(())

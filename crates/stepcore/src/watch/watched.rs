@@ -267,7 +267,7 @@ fn suspect<R: Real>(
     sim: &Sim<R>,
     past: &Past<R>,
     lane: usize,
-    gained: f64,
+    gained: Option<f64>,
 ) -> Result<()> {
     if !others.is_world(lane) {
         return Ok(());

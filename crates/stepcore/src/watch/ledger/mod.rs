@@ -54,11 +54,12 @@ impl Care {
 
     /// How many times the energy that circulates may be gained. Rows that are solved after the stages
     /// of a step can feed a body that rocks little by little, for as long as it does: no healthy run
-    /// doubles its energy so either.
+    /// gains a quarter so.
     fn allowed(self, settings: &Settings) -> f64 {
         match self {
-            Self::Least if !settings.rows_after_stages() => 10.0,
-            _ => 1.0,
+            Self::Full => 1.0,
+            Self::Least if settings.rows_after_stages() => 0.25,
+            Self::Least => 10.0,
         }
     }
 
@@ -233,13 +234,14 @@ impl<R: Real> Ledger<R> {
     }
 
     /// Advances `sim` by `n` steps, from milestone to milestone. `suspect` is asked about each
-    /// lane that gained more energy [J] than it can have: it allows the gain, or fails.
+    /// lane that gained more energy [J] than it can have, or is beyond all bounds: it allows that, or
+    /// fails.
     pub fn step<O: Observer<R>>(
         &mut self,
         sim: &mut Sim<R>,
         n: u64,
         observer: &mut O,
-        mut suspect: impl FnMut(&mut Self, &Sim<R>, &O, usize, f64) -> Result<()>,
+        mut suspect: impl FnMut(&mut Self, &Sim<R>, &O, usize, Option<f64>) -> Result<()>,
     ) -> Result<()> {
         self.open(sim);
         self.work.begin(sim);
@@ -266,7 +268,7 @@ impl<R: Real> Ledger<R> {
     pub fn end(
         &mut self,
         sim: &mut Sim<R>,
-        suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
+        suspect: impl FnMut(&mut Self, &Sim<R>, usize, Option<f64>) -> Result<()>,
     ) -> Result<()> {
         self.open(sim);
         let newest = self.newest_first().next().map(|newest| newest.state.steps);
@@ -319,7 +321,7 @@ impl<R: Real> Ledger<R> {
     fn balance(
         &mut self,
         sim: &mut Sim<R>,
-        mut suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
+        mut suspect: impl FnMut(&mut Self, &Sim<R>, usize, Option<f64>) -> Result<()>,
     ) -> Result<(u64, bool)> {
         // Of the last balance: the lanes after one that failed.
         self.ask(sim, &mut suspect)?;
@@ -362,7 +364,7 @@ impl<R: Real> Ledger<R> {
     fn judge(
         &mut self,
         sim: &Sim<R>,
-        suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
+        suspect: impl FnMut(&mut Self, &Sim<R>, usize, Option<f64>) -> Result<()>,
     ) -> Result<()> {
         self.balanced = true;
         let before = self.newest_first().next().map_or(self.opened, |newest| newest.state.steps);
@@ -375,18 +377,20 @@ impl<R: Real> Ledger<R> {
         self.ask(sim, suspect)
     }
 
-    /// Asks about the verdicts that nobody has been asked about. Whoever goes on after an error opens
+    /// Asks about the lanes that nobody has been asked about and that gained more than they can have,
+    /// or are beyond all bounds. Whoever goes on after an error opens
     /// a new account, unless other lanes `go_on` with this one.
     fn ask(
         &mut self,
         sim: &Sim<R>,
-        mut suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
+        mut suspect: impl FnMut(&mut Self, &Sim<R>, usize, Option<f64>) -> Result<()>,
     ) -> Result<()> {
         while self.asked < R::LANES {
             let lane = self.asked;
             self.asked += 1;
             let Verdict { gained, limit } = self.verdicts[lane];
-            if gained > limit && self.said.is_none() {
+            let gained = (gained > limit).then_some(gained);
+            if self.said.is_none() && (gained.is_some() || sim.beyond(lane).is_some()) {
                 let outcome = suspect(self, sim, lane, gained);
                 if outcome.is_err() {
                     self.forget();
@@ -404,7 +408,7 @@ impl<R: Real> Ledger<R> {
         &mut self,
         sim: &Sim<R>,
         n: u64,
-        suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
+        suspect: impl FnMut(&mut Self, &Sim<R>, usize, Option<f64>) -> Result<()>,
     ) -> Result<()> {
         let [long, short] = self.care.calls();
         if n < long && (n < short || self.balanced) {

@@ -46,7 +46,7 @@ pub(super) struct Run<'a, R: Real> {
 }
 
 /// More energy than there can be: an error, unless a closer look shows where it is from, and
-/// the ledger allows it from now on.
+/// the ledger allows it from now on. None gained: velocities are beyond all bounds.
 #[cold]
 pub(super) fn look_into<R: Real>(
     ledger: &mut Ledger<R>,
@@ -54,8 +54,13 @@ pub(super) fn look_into<R: Real>(
     past: &Past<R>,
     worlds: usize,
     lane: usize,
-    gained: f64,
+    gained: Option<f64>,
 ) -> Result<()> {
+    let Some(gained) = gained else {
+        let Some(fault) = sim.beyond(lane) else { return Ok(()) };
+        let run = Run { sim, past, ledger: Some(ledger), worlds };
+        return Err(Error::Diverged(Box::new(run.explain(sim.divergence(lane, fault)))));
+    };
     let Some(account) = ledger.account(lane) else { return Ok(()) };
     let scale = account.scale;
     let present = Segment::at_present(sim, lane);
@@ -82,17 +87,9 @@ pub(super) fn look_into<R: Real>(
             return Ok(());
         }
     }
-    let fault = Fault::Energy { has: ledger.moving(lane), allowed: scale };
-    let divergence = Divergence {
-        step: sim.state.steps,
-        time: sim.time(),
-        world: lane,
-        batch: false,
-        fault,
-        post: None,
-    };
+    let fault = Fault::Energy { gained, moving: ledger.moving(lane) };
     let run = Run { sim, past, ledger: Some(ledger), worlds };
-    let mut divergence = run.explain(divergence);
+    let mut divergence = run.explain(sim.divergence(lane, fault));
     if let (Some(post), Some(unsolved)) = (&mut divergence.post, unsolved) {
         let auto = stretches.first().filter(|_| sim.settings.sweeps != Sweeps::Auto);
         let auto = auto.is_some_and(|stretch| stretch.auto_gains_less(sim, lane, gained, &budget));

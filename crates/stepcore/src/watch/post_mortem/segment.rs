@@ -190,7 +190,7 @@ impl<R: Real> Segment<R> {
             let effort = sim.effort;
             // Nobody looks into what a trial does.
             let outcome = ledger.step(&mut sim, 1, &mut (), |_, _, _, of, gained| {
-                most = if of == lane { most.max(gained) } else { most };
+                most = if of == lane { most.max(gained.unwrap_or(0.0)) } else { most };
                 Ok(())
             });
             if outcome.is_err() {
