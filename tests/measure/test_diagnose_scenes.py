@@ -146,3 +146,17 @@ def test_the_limit_is_where_the_motion_goes_wrong(make, name):
     real = first_wrong(made.compile(), integrator, d.limit() / 3, 3 * d.limit())
     assert d.limit() == pytest.approx(real, rel=0.2)
     assert d.stiffest().startswith(name)
+
+
+SLACK = """<mujoco><option timestep="0.006" gravity="0 0 0"/><worldbody>
+<body><joint type="slide" axis="1 0 0"/><geom size=".05" mass="1"/><site name="o"/></body>
+<body pos="1 0 0"><joint type="slide" axis="{}"/><geom size=".05" mass="1"/><site name="s"/></body>
+</worldbody><tendon><spatial name="rope" stiffness="1000" springlength="0 .9"><site site="o"/>
+<site site="s"/></spatial></tendon><keyframe><key qpos=".3 .1" qvel="1 -.5"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize("axis", ["1 0 0", "0 1 0"])
+def test_a_rope_that_is_slack_at_first_is_what_limits(axis):
+    """Pulled taut in the motion, or by a longer step alone."""
+    d = sc.diagnose(sc.loads(SLACK.format(axis)))
+    assert d.stiffest("euler") == "tendon spring `rope`"

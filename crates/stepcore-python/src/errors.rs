@@ -28,7 +28,8 @@ pyo3::create_exception!(
     "The motion stopped being finite, or (with the setting ledger) has more energy than it can have.\n\
      The last finite state is kept. The text is the post-mortem, one paragraph.\n\n\
      step: steps done before it; time: of that state [s]; world: its index in a Batch (0 in a Sim);\n\
-     gained: True for energy that cannot have been gained, False for what is not finite;\n\
+     gained: True for energy that cannot have been gained, False for what is not finite, or faster\n\
+     than anything moves;\n\
      element: the name of the element that injected the most energy; element_id: the same element\n\
      as (kind, index, part), or None; shares: each element's share of the energy injected over the\n\
      last steps, by name; share_ids: the (kind, index, part) of each; growth: rate at which the\n\
@@ -40,7 +41,8 @@ pyo3::create_exception!(
     stepcore,
     EnergyWarning,
     PyUserWarning,
-    "Without the setting ledger: a world has far more energy than its scene can have gained.\n\n\
+    "Without the setting ledger: a world has far more energy than its scene can have gained, or is\n\
+     faster than anything moves.\n\n\
      The text says by which step, which element it came from and which dt would have been stable.\n\
      The run goes on. It is said once a Sim or Batch, whose energies are not looked at after that."
 );

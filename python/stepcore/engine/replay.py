@@ -303,7 +303,7 @@ def _fails(failure: Replay, sim: _core.Sim, own: dict[str, Floats]) -> bool:
     happened = failure.happened
     if digest(own["qpos"], own["qvel"]) != happened["state"]:
         return False
-    if happened["gained"]:
+    if happened["gained"] or np.abs(own["qvel"]).max(initial=0.0) > _core.BEYOND:
         return True
     try:
         sim.step(1)

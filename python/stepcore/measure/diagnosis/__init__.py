@@ -28,6 +28,7 @@ from stepcore.measure.diagnosis.linear import (
     every_element,
     shares,
     visited,
+    with_slack,
 )
 from stepcore.measure.diagnosis.naming import (
     Figures,
@@ -271,7 +272,9 @@ class Case:
         nu = self.motions.model.nu if self.controlled else 0
         if self.judge.runaway is not None or dt <= 0:
             return tuple(Element.of(self.motions.model, "control", k) for k in range(nu))
-        every = list(every_element(self.model, self.states))
+        # A rope that the converged motion leaves slack may be what a longer step pulls taut.
+        ropes = [Element.of(self.model, "tendon spring", k) for k in with_slack(self.model)]
+        every = list(dict.fromkeys((*every_element(self.model, self.states), *ropes)))
         every.sort(key=lambda e: order.index(e) if e in order else len(order))
         found = run_limiters(self.judge, every, name, dt, nu)
         spins = [e for e in every if e.kind == "spin"]

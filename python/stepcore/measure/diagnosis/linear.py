@@ -67,12 +67,14 @@ def acting_elements(sim: Sim) -> tuple[Element, ...]:
 def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
     """Return states of the converged motion: the start, its end, and one for each set of rows.
 
-    Each set has its last state. A large model has fewer states: its linearised step takes long.
+    A tendon with slack that is taut counts as a row. Each set has its last state. A large model
+    has fewer states: its linearised step takes long.
     """
     ran = fine.ran
     if ran is None:
         raise ValueError(f"the scene cannot be diagnosed: {fine.failure}")
     model, seen, rows = motions.of(Change()), list[int](), list[list[tuple[str, int]]]()
+    sets, slack = dict[frozenset[tuple[str, int]], int](), with_slack(model)
     sim = unwatched(Sim(model))
     for k in np.flatnonzero(np.isfinite(ran["qvel"][0]).all(axis=-1)).tolist():
         for name in ("qpos", "qvel", "ctrl", "act"):
@@ -84,12 +86,16 @@ def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
             continue
         seen.append(k)
         rows.append(acting(sim))
+        taut = {
+            ("taut", k) for k, (low, high) in slack.items() if not low < sim.tendon(k).length < high
+        }
+        sets[frozenset(rows[-1]) | taut] = len(rows) - 1
     if not seen:
         raise ValueError("the scene cannot be linearised: its accelerations are not finite")
     most = max(2, min(STATES, DOFS // max(1, model.nv)))
-    sets = {frozenset(ids): n for n, ids in enumerate(rows)}
     spaced = np.linspace(0, len(seen) - 1, most).round().astype(int).tolist()
-    order = [0, len(seen) - 1, *sorted(sets.values(), key=lambda n: -len(rows[n])), *spaced]
+    largest = [sets[ids] for ids in sorted(sets, key=len, reverse=True)]
+    order = [0, len(seen) - 1, *largest, *spaced]
 
     def state(n: int) -> State:
         k = seen[n]
@@ -99,6 +105,12 @@ def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
         return dataclasses.replace(at, rows=tuple(Element.of(model, *one) for one in rows[n]))
 
     return [state(n) for n in sorted(list(dict.fromkeys(order))[:most])]
+
+
+def with_slack(model: Model) -> dict[int, tuple[float, float]]:
+    """Return the lengths between which tendons with a spring are slack, by tendon."""
+    bands = enumerate(zip(model.scene.tendons, model.tendon_lengthspring.tolist(), strict=True))
+    return {k: (low, high) for k, (own, (low, high)) in bands if own.sprung and low < high}
 
 
 def step_matrix(model: Model, state: State, integrator: str, dt: float) -> Floats | None:
