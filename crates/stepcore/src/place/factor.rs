@@ -8,8 +8,12 @@ use super::Placed;
 use std::ops::Range;
 
 use crate::model::{Model, Span, Tree};
+use crate::real::array::from_fn;
 use crate::real::Real;
-use crate::spatial::subtract_scaled;
+use crate::spatial::{subtract_all, subtract_scaled};
+
+/// So many rows are factored together.
+const CHAIN: usize = 4;
 
 /// The factors of one symmetric matrix with the pattern of the mass matrix, or with that which the
 /// metric of `discrete` has (`model/coupling.rs`).
@@ -23,25 +27,20 @@ pub struct Metric<R: Real> {
     /// What of each row stands left of the diagonal, without rows in which all of that is zero
     /// throughout.
     left: Vec<Span>,
+    /// By dof: how many dofs of one chain end with it, up to `CHAIN`.
+    chained: Vec<usize>,
     /// No row has anything there.
     diagonal: bool,
     dofs: Vec<usize>,
     above: Vec<usize>,
 }
 
-room!(Metric<R>: l, inv_d, rows, left, diagonal, dofs, above);
+room!(Metric<R>: l, inv_d, rows, left, chained, diagonal, dofs, above);
 
 impl<R: Real> Metric<R> {
     pub fn new(model: &Model<R::Value>) -> Self {
-        Self {
-            l: vec![R::one(); model.row_dofs.len()],
-            inv_d: vec![R::one(); model.nv],
-            rows: model.dofs.iter().map(|dof| dof.row).collect(),
-            left: model.dofs.iter().map(|dof| left(dof.row)).collect(),
-            diagonal: model.dofs.iter().all(|dof| dof.row.len == 1),
-            dofs: model.row_dofs.clone(),
-            above: model.row_dofs.iter().map(|k| model.dofs[*k].row.start).collect(),
-        }
+        let rows = model.dofs.iter().map(|dof| dof.row).collect();
+        Self::with_pattern(rows, model.row_dofs.clone())
     }
 
     /// With the pattern of the metric of `discrete`: each dof's row is its closed chain.
@@ -54,13 +53,22 @@ impl<R: Real> Metric<R> {
             start += row.len;
             row
         };
-        let rows: Vec<Span> = (0..model.nv).map(row).collect();
+        Self::with_pattern((0..model.nv).map(row).collect(), dofs)
+    }
+
+    fn with_pattern(rows: Vec<Span>, dofs: Vec<usize>) -> Self {
+        let mut chained = vec![1; rows.len()];
+        for k in 1..rows.len() {
+            let next = left(rows[k]).of(&dofs) == rows[k - 1].of(&dofs);
+            chained[k] = if next { CHAIN.min(chained[k - 1] + 1) } else { 1 };
+        }
         Self {
             l: vec![R::one(); dofs.len()],
-            inv_d: vec![R::one(); model.nv],
+            inv_d: vec![R::one(); rows.len()],
             above: dofs.iter().map(|k| rows[*k].start).collect(),
             left: rows.iter().map(|row| left(*row)).collect(),
             diagonal: rows.iter().all(|row| row.len == 1),
+            chained,
             rows,
             dofs,
         }
@@ -141,22 +149,47 @@ impl<R: Real> Metric<R> {
         }
     }
 
-    /// Factors the rows `dofs` of a matrix that was copied into `l`.
+    /// Factors the rows `dofs` of a matrix that was copied into `l`: dofs of one chain together, so that
+    /// a row above them is read and written once for all of them.
     pub fn factor(&mut self, dofs: Range<usize>) {
-        let Self { l, inv_d, rows, above, .. } = self;
-        for k in dofs.rev() {
-            let Span { start, len } = rows[k];
-            let (before, own) = l.split_at_mut(start);
-            let own = &mut own[..len];
-            let inv = R::one() / own[0];
-            inv_d[k] = inv;
-            let above = &above[start..start + len];
-            for at in 1..len {
-                let a = own[at] * inv;
-                subtract_scaled(&mut before[above[at]..][..len - at], a, &own[at..]);
-                own[at] = a;
+        let mut end = dofs.end;
+        while end > dofs.start {
+            end -= match self.chained[end - 1] {
+                1 => self.factor_chain::<1>(end),
+                2 => self.factor_chain::<2>(end),
+                3 => self.factor_chain::<3>(end),
+                _ => self.factor_chain::<CHAIN>(end),
+            };
+        }
+    }
+
+    /// The last N rows before `end`, each a chain's next one.
+    #[inline(always)]
+    fn factor_chain<const N: usize>(&mut self, end: usize) -> usize {
+        let first = self.rows[end - N];
+        let start = |n: usize| n * first.len + n * (n - 1) / 2;
+        let (above, rows) = self.l.split_at_mut(first.start);
+        let inv_d = &mut self.inv_d[end - N..end];
+        for n in (0..N).rev() {
+            let (before, own) = rows.split_at_mut(start(n));
+            let own = &mut own[..first.len + n];
+            inv_d[n] = R::one() / own[0];
+            for at in 1..=n {
+                let by = own[at] * inv_d[n];
+                subtract_scaled(&mut before[start(n - at)..], by, &own[at..]);
+                own[at] = by;
             }
         }
+        for (at, to) in self.above[first.range()].iter().enumerate().skip(1) {
+            // The last first: the sums are those of one row after the other.
+            let places: [usize; N] = from_fn(|k| start(N - 1 - k) + N - 1 - k + at);
+            let by: [R; N] = from_fn(|k| rows[places[k]] * inv_d[N - 1 - k]);
+            let len = first.len - at;
+            let own: [(R, &[R]); N] = from_fn(|k| (by[k], &rows[places[k]..][..len]));
+            subtract_all(&mut above[*to..][..len], own);
+            places.into_iter().zip(by).for_each(|(place, by)| rows[place] = by);
+        }
+        N
     }
 
     /// u ← L v.

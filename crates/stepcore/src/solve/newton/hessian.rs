@@ -6,9 +6,8 @@
 use super::bundles::Problem;
 use super::pattern::{Listed, Pattern};
 use crate::real::{Mask, Real};
+use crate::spatial::{subtract_all, WIDE};
 
-/// Columns that are summed side by side.
-const WIDE: usize = 4;
 /// So many times what moves a row, its penalty is huge: A s″. MuJoCo's impedances keep below 1e4, but
 /// where next to nothing moves a body that rows press on there is no end.
 const HUGE: f64 = 1e6;
@@ -169,7 +168,7 @@ impl<R: Real> Hessian<R> {
                 if let Some((four, others)) = rest.split_first_chunk::<4>() {
                     let four = four.map(source);
                     if four.iter().all(|(_, l)| l.len() == own.len()) {
-                        take_away(own, four);
+                        subtract_all(own, four);
                         rest = others;
                         continue;
                     }
@@ -177,7 +176,7 @@ impl<R: Real> Hessian<R> {
                 let (by, l) = source(*first);
                 rest = others;
                 if l.len() == own.len() {
-                    take_away(own, [(by, l)]);
+                    subtract_all(own, [(by, l)]);
                     continue;
                 }
                 let mut places = pattern.cols[pattern.row(i)].iter().zip(&mut *own);
@@ -336,30 +335,6 @@ impl<R: Real> Added<R> {
                     entries[place(line, from + i)] = sums[line][i];
                 }
             }
-        }
-    }
-}
-
-/// own −= Σ by · l of N rows, one after the other.
-#[inline(always)]
-fn take_away<R: Real, const N: usize>(own: &mut [R], rows: [(R, &[R]); N]) {
-    let len = own.len();
-    let rows = rows.map(|(by, l)| (by, &l[..len]));
-    let whole = len - len % WIDE;
-    for at in (0..whole).step_by(WIDE) {
-        let part = &mut own[at..at + WIDE];
-        let mut x: [R; WIDE] = crate::real::array::from_fn(|k| part[k]);
-        for (by, l) in rows {
-            let l = &l[at..at + WIDE];
-            for k in 0..WIDE {
-                x[k] -= by * l[k];
-            }
-        }
-        part.copy_from_slice(&x);
-    }
-    for at in whole..len {
-        for (by, l) in rows {
-            own[at] -= by * l[at];
         }
     }
 }
