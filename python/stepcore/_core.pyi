@@ -11,7 +11,6 @@ from stepcore.engine.replay import Replay
 from stepcore.signatures import SettingsFields
 
 __all__ = [
-    "BEYOND",
     "VECTORS",
     "Batch",
     "EnergyWarning",
@@ -30,7 +29,6 @@ __all__ = [
 ]
 
 # The vector instructions that this module was compiled for.
-BEYOND: float
 VECTORS: Literal["avx2", "sse2", "neon", "none"]
 
 _Floats = NDArray[np.float64]

@@ -90,8 +90,7 @@ def _sides(sim, state, h=1e-7):
     """Return the derivatives of a step from both sides, (2, n, columns), and `linearize`'s."""
     step, n = sim.linearize(), 2 + sim.model.na
     columns = (0, 1, *((3,) if sim.model.na else ()), *((2,) if sim.model.nu else ()))
-    state, own = np.resize([*state, 0.0, 0.0], 4) * 1.0, np.hstack([step.A, step.B])
-    state[len(state) :] = 0
+    state, own = np.array((*state, 0.0, 0.0)[:4], float), np.hstack([step.A, step.B])
     middle = _after(sim, state)
     sides = np.zeros((2, n, len(columns)))
     for k, column in enumerate(columns):

@@ -1,5 +1,6 @@
 """Without a ledger too, energy that no force can have given is told: once, and never wrongly."""
 
+import dataclasses
 import warnings
 
 import numpy as np
@@ -90,22 +91,43 @@ def test_a_gain_of_less_than_a_doubling_is_told_after_stages(text, spin, integra
     assert [told.category for told in said] == [sc.EnergyWarning] * staged
 
 
+DRIVEN = """<mujoco><worldbody><body><joint name="x" type="slide"/><geom size=".1" mass="1"/>
+</body></worldbody><actuator><motor name="m" joint="x" gear="1e3"/></actuator></mujoco>"""
+COARSE = {"dt": 0.05, "integrator": "semi-implicit"}
+
+
 @pytest.mark.parametrize("go", [1, 4])
 @pytest.mark.parametrize("worlds", [None, 1, 16])
 def test_controls_that_feed_a_motion_without_end_are_told(go, worlds):
     """x'' = -3000 x by a control that is written between steps: all its work counts as put in."""
-    text = (
-        '<mujoco><worldbody><body><joint name="x" type="slide"/><geom size=".1" mass="1"/></body>'
-    )
-    text += '</worldbody><actuator><motor name="m" joint="x"/></actuator></mujoco>'
-    how = {"dt": 0.05, "integrator": "semi-implicit"}
-    sim = sc.Batch(sc.loads(text), worlds, **how) if worlds else sc.Sim(sc.loads(text), **how)
+    scene = sc.loads(DRIVEN)
+    sim = sc.Batch(scene, worlds, **COARSE) if worlds else sc.Sim(scene, **COARSE)
     sim.qpos[:] = 0.1
     with pytest.warns(sc.EnergyWarning, match="velocity of joint `x` is .*motor `m`") as said:
         for _ in range(200 // go):
-            sim.ctrl[:] = -3000 * sim.qpos
+            sim.ctrl[:] = -3 * sim.qpos
             sim.step(go)
     assert len(said) == 1 and np.isfinite(sim.qpos).all()
+
+
+def test_a_replay_of_what_is_too_fast_ends_in_that_state():
+    """And one of what is not finite in a further step, however fast the last state was."""
+    sim = sc.Sim(sc.loads(DRIVEN), **COARSE, ledger=True)
+    sim.qpos[:] = 0.1
+    with pytest.raises(sc.SimulationError, match="faster than anything moves") as caught:
+        for _ in range(200):
+            sim.ctrl[:] = -3 * sim.qpos
+            sim.step()
+    failure = caught.value.replay.run()
+    assert failure.same and not caught.value.gained and "faster" in failure.to_html()
+    sim = sc.Sim(sc.loads(DRIVEN), **COARSE)
+    sim.qvel[:], sim.ctrl[:] = 1e12, 1e307
+    with pytest.raises(sc.SimulationError, match="not finite") as caught:
+        sim.step()
+    failure = caught.value.replay
+    assert failure.run().same
+    calm = [(failure.steps, [0.0], [0.0], [0.0] * 12, [], [], [])]
+    assert not dataclasses.replace(failure, inputs=calm).run().same
 
 
 @pytest.mark.parametrize("shape", [("sphere", ".1"), ("capsule", ".1 .1"), ("cylinder", ".2 .05")])

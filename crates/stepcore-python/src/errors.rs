@@ -162,6 +162,9 @@ fn attach(error: &Bound<'_, PyBaseException>, divergence: &Divergence) -> PyResu
     error.setattr("time", divergence.time)?;
     error.setattr("world", divergence.world)?;
     error.setattr("gained", matches!(divergence.fault, Fault::Energy { .. }))?;
+    // The state itself is what cannot be, and not the step after it.
+    let finite = matches!(divergence.fault, Fault::Energy { .. } | Fault::Beyond { .. });
+    error.setattr("_finite", finite)?;
     if let Fault::Far { body, .. } = &divergence.fault {
         error.setattr("shares", PyDict::new(error.py()))?;
         error.setattr("share_ids", Vec::<u32>::new())?;

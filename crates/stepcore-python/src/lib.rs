@@ -52,9 +52,6 @@ mod _core {
     } else {
         "none"
     };
-    /// Velocities from here on are told, whatever drives them.
-    #[pymodule_export]
-    const BEYOND: f64 = stepcore::sim::BEYOND;
     #[pymodule_export]
     use super::batch::Batch;
     #[pymodule_export]

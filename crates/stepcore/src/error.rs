@@ -154,7 +154,7 @@ impl fmt::Display for Fault {
             ),
             Self::Beyond { velocity, joint } => write!(
                 f,
-                "the velocity of {joint} is {}, as no motion has it, whatever drives it",
+                "the velocity of {joint} is {}, faster than anything moves",
                 short(*velocity)
             ),
             Self::Energy { gained, moving } => write!(

@@ -25,7 +25,7 @@ use crate::solve::{Noslip, Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
 
 /// From this size of its velocities on MuJoCo resets a world (`mjMAXVAL`): no motion is so fast.
-pub const BEYOND: f64 = 1e10;
+const BEYOND: f64 = 1e10;
 
 /// How the last solve went.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -37,8 +37,10 @@ class Replay:
     inputs: (step, ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat) at each
         change of an input; steps count from `state`.
     steps: the number of steps to the last finite state. The next step gives a non-finite value; or,
-        with a ledger, the last finite state has more energy than is physically possible.
-    happened: the attributes and the text of the error, and a digest of the last finite state.
+        with a ledger, the last finite state has more energy than is physically possible, or is
+        faster than anything moves.
+    happened: the attributes and the text of the error, a digest of the last finite state, and
+        "finite": whether that state is what cannot be, and not the step after it.
 
     >>> import stepcore as sc
     >>> sim = sc.Sim(sc.lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)
@@ -303,7 +305,7 @@ def _fails(failure: Replay, sim: _core.Sim, own: dict[str, Floats]) -> bool:
     happened = failure.happened
     if digest(own["qpos"], own["qvel"]) != happened["state"]:
         return False
-    if happened["gained"] or np.abs(own["qvel"]).max(initial=0.0) > _core.BEYOND:
+    if happened["finite"]:
         return True
     try:
         sim.step(1)
@@ -318,8 +320,8 @@ def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> 
     qpos, qvel: the last finite state of the world that failed.
     """
     happened = {name: getattr(error, name) for name in ATTRIBUTES}
-    happened |= {"text": str(error), "state": digest(qpos, qvel)}
     private = error.__dict__
+    happened |= {"finite": private.pop("_finite"), "text": str(error), "state": digest(qpos, qvel)}
     error.replay = Replay(
         name=model.scene.name,
         settings=model.settings,
@@ -450,7 +452,7 @@ BODY = {
     "state": _bytes,
     "inputs": [(whole, *[_numbers] * len(INPUTS))],
     "steps": checks.whole(0, MOST_STEPS),
-    "happened": {**ATTRIBUTES, "text": checks.text, "state": checks.text},
+    "happened": {**ATTRIBUTES, "finite": checks.flag, "text": checks.text, "state": checks.text},
 }
 
 

@@ -66,27 +66,30 @@ class Gain(NamedTuple):
     damping: float
 
 
+def slack_lengths(model: Model) -> dict[int, tuple[float, float]]:
+    """Return the lengths between which tendons with a spring are slack, by tendon."""
+    bands = enumerate(zip(model.scene.tendons, model.tendon_lengthspring.tolist(), strict=True))
+    return {k: (low, high) for k, (own, (low, high)) in bands if own.sprung and low < high}
+
+
 def gains(model: Model) -> Iterator[Gain]:
     """Yield the springs and dampers of joints and tendons, and the actuators along these.
 
     A spring of a tendon counts where it is not slack at qpos0.
     """
-    scene, features = model.scene, model.scene.features
-    low, high = model.tendon_lengthspring.T
-    taut = (model.tendon_length0 <= low) | (high <= model.tendon_length0)
+    scene, features, length = model.scene, model.scene.features, model.tendon_length0
     mobility = {("joint", j): model.dof_invweight0[d] for j, d in enumerate(model.jnt_dofadr)}
     mobility |= {("tendon", t): weight for t, weight in enumerate(model.tendon_invweight0)}
-    springs: list[tuple[str, int, Joint | Tendon, str, bool]] = [
-        *(("joint", j, joint, "", True) for j, joint in enumerate(Layout(scene).joints)),
-        *(("tendon", t, own, "tendon ", bool(taut[t])) for t, own in enumerate(scene.tendons)),
-    ]
-    for what, index, own, prefix, pulls in springs:
+    slack = {("tendon", t) for t, (lo, hi) in slack_lengths(model).items() if lo < length[t] < hi}
+    owners: list[Joint | Tendon] = [*Layout(scene).joints, *scene.tendons]
+    for along, own in zip(mobility, owners, strict=True):
         if own.sprung or own.damped:
-            record, at = own.record(), (what, index)
+            (what, index), record = along, own.record()
             k, c = (float(record[law][0]) for law in ("stiffness", "damping"))
-            k, c = features.spring * pulls * k, features.damper * c
-            yield Gain((f"{prefix}spring", index), at, mobility[at], k, 0.0)
-            yield Gain((f"{prefix}damper", index), at, mobility[at], 0.0, c)
+            k, c = features.spring * (along not in slack) * k, features.damper * c
+            prefix = "tendon " if what == "tendon" else ""
+            yield Gain((f"{prefix}spring", index), along, mobility[along], k, 0.0)
+            yield Gain((f"{prefix}damper", index), along, mobility[along], 0.0, c)
     for drive in actuators(model) if features.actuation else ():
         for what, end in (("joint", drive.joint), ("tendon", drive.tendon)):
             if end is not None:

@@ -294,14 +294,14 @@ fn beyond<R: Real>(model: &Model<R::Value>, qpos: &[R]) -> bool {
     beyond.any()
 }
 
-/// Calls `each` with the touches of pairs, a heap's not, that are at most `more` from being listed.
+/// Calls `each` with the touches of all pairs of the model that are at most `more` from being listed.
 pub(crate) fn almost<R: Real>(
     model: &Model<R::Value>,
     poses: &[Pose<R>],
     more: f64,
     mut each: impl FnMut(&Pair<R::Value>, &Touch<R>),
 ) {
-    for pair in model.pairs.iter().filter(|_| model.dynamic_pairs.is_none()) {
+    for pair in &model.pairs {
         let listed = model.material(pair).listed::<R>() + R::of(more);
         if near(model, poses, pair, Some(listed)).any() {
             let hints = [Cell::new(Hint::default())];

@@ -14,7 +14,7 @@ use super::{controller, muscle};
 use crate::clock::Clock;
 use crate::model::transmission::Pulls;
 use crate::model::{Model, Span};
-use crate::real::{elementary, Constant, Real, Value};
+use crate::real::{elementary, same, Constant, Real, Value};
 use crate::scene::{self, Dynamics};
 use crate::state::{Inputs, State};
 
@@ -95,7 +95,7 @@ impl<N: Constant> scene::Actuator<N> {
         N: Value<R>,
     {
         let after = act + self.rate(act, ctrl, circle) * self.span::<R>(seconds);
-        let bound = self.actrange.iter().flatten().any(|bound| bound.lane(0) == after.lane(0));
+        let bound = self.actrange.iter().flatten().any(|bound| same(bound.lane(0), after.lane(0)));
         let muscle = matches!(self.dynamics, Dynamics::Muscle);
         bound || muscle && muscle::turns(act.lane(0), ctrl.lane(0), &self.dynprm)
     }

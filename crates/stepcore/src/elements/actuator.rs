@@ -21,7 +21,7 @@ use crate::model::transmission::Pulls;
 use crate::model::Model;
 use crate::plan::acting::{Acts, ActuatorAt, Drive, Why};
 use crate::real::array::map;
-use crate::real::{value, Constant, Mask, Real, Value};
+use crate::real::{value, Constant, Mask, Real, Value, ROUNDED};
 use crate::scene::{self, Target};
 use crate::state::Inputs;
 
@@ -29,8 +29,6 @@ pub(super) struct Actuator;
 
 /// A part of a bound, MuJoCo's: tensions that a tendon's bound has scaled add up to it but for rounding.
 const AT_BOUND: f64 = 1e-10;
-/// So many roundings, where a number has so few digits that this is more.
-const ROUNDED: f64 = 16.0;
 
 impl<N: Constant> scene::Actuator<N> {
     /// A control within its bounds, where these are obeyed.

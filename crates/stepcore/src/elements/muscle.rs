@@ -11,7 +11,7 @@
 //! FL is 1 at L = 1 and 0 at lmin and lmax, of four parabolas; FV is 0 at V = −1, 1 at 0 and fvmax from
 //! fvmax − 1 on; FP is 0 up to L = 1, then a parabola, then its tangent.
 
-use crate::real::{Constant, Mask, Real, Value};
+use crate::real::{same, Constant, Mask, Real, Value};
 use crate::scene::Muscle;
 
 /// MuJoCo's `mjMINVAL`: what divides is no smaller.
@@ -99,7 +99,7 @@ impl Muscle {
 /// ẇ has a corner: the muscle turns from rising to relaxing, or its control is at a bound.
 pub(super) fn turns<N: Constant>(act: f64, ctrl: f64, dynprm: &[N; 3]) -> bool {
     let abrupt = dynprm[2].lane(0) < SMALLEST;
-    ctrl == 0.0 || ctrl == 1.0 || (abrupt && ctrl.clamp(0.0, 1.0) == act)
+    ctrl == 0.0 || same(ctrl, 1.0) || (abrupt && same(ctrl.clamp(0.0, 1.0), act))
 }
 
 /// ẇ: a filter that is slower where the muscle is active, and has another time constant when it relaxes.

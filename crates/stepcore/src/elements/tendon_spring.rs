@@ -25,14 +25,6 @@ fn stretch<R: Real>(now: &Moment<R>, index: usize) -> R {
     stretch.with_slopes_of(lo.ge(hi), || below)
 }
 
-/// The length is exactly where the spring begins to pull, or to push.
-pub(crate) fn at_end_of_slack<R: Real>(now: &Moment<R>, at: &TendonAt<R::Value>) -> R::Mask {
-    let length = now.frames.pulls.length[at.tendon];
-    let [lo, hi]: [R; 2] = value::get(&now.model.tendons[at.tendon].springlength);
-    let [below, above] = [length - lo, length - hi].map(|x| x.ge(R::zero()).and(x.le(R::zero())));
-    lo.lt(hi).and(below.or(above))
-}
-
 fn along<R: Real>(now: &Moment<R>, index: usize, mut each: impl FnMut(usize, R)) {
     Transmission::Tendon(index, None).arms(now.model, now.qpos, now.frames.pulls, &mut each);
 }

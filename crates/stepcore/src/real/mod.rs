@@ -86,6 +86,14 @@ pub use dual::{Dual, Sampled, AROUND, WAYS};
 pub use lanes::{ByWorld, LaneMask, Lanes, LanesF32, WIDEST, WIDTH};
 pub use stage::Stage;
 
+/// So many roundings may lie between numbers that ought to be equal.
+pub const ROUNDED: f64 = 16.0;
+
+/// Two numbers are equal but for rounding.
+pub(crate) fn same(a: f64, b: f64) -> bool {
+    (a - b).abs() <= ROUNDED * f64::EPSILON * a.abs().max(b.abs())
+}
+
 /// One truth value a lane.
 pub trait Mask: Copy + Debug + Send + Sync + 'static {
     const LANES: usize;

@@ -5,25 +5,19 @@
 //! an end of its slack, and a limit or a contact at the distance from which it has a row.
 
 use crate::detect::almost;
-use crate::elements::{actuator, tendon_spring, Element, Kind};
+use crate::elements::{actuator, Element, Kind};
 use crate::integrator::Stages;
 use crate::model::transmission::Limited;
-use crate::real::{Constant, Dual, Real};
+use crate::real::{same, Constant, Dual, Real, ROUNDED};
 use crate::sim::{At, Sim};
 
 /// Contacts that are farther from having a row are not looked at [m].
 const SOON: f64 = 1e-9;
-/// Two numbers are equal but for so many roundings.
-const ROUNDED: f64 = 16.0;
 
 type Number = <Dual as Real>::Value;
 
 fn at_bound(x: Dual, bounds: Option<&[Number; 2]>) -> bool {
-    bounds.into_iter().flatten().any(|bound| meet(x.value, bound.lane(0)))
-}
-
-fn meet(a: f64, b: f64) -> bool {
-    (a - b).abs() <= ROUNDED * f64::EPSILON * a.abs().max(b.abs())
+    bounds.into_iter().flatten().any(|bound| same(x.value, bound.lane(0)))
 }
 
 impl Sim<Dual> {
@@ -66,6 +60,9 @@ impl Sim<Dual> {
     /// Joints and tendons that bound the sum of their actuators.
     fn sums_at_bounds(&self) -> Vec<Element> {
         let (now, model) = (self.moment(At::State), &self.model);
+        if now.frames.shares.is_empty() {
+            return vec![];
+        }
         let mut sums = vec![Dual::of(0.0); model.nv];
         actuator::ask_of_joints(&now, &mut sums);
         let joints = model.clamps.iter().filter_map(|(joint, range)| {
@@ -81,9 +78,13 @@ impl Sim<Dual> {
     }
 
     fn slack_ends(&self) -> Vec<Element> {
-        let (now, springs) = (self.moment(At::State), &self.model.acting.tendon_spring);
-        let ends = springs.iter().filter(|acts| tendon_spring::at_end_of_slack(&now, &acts.at));
-        ends.map(|acts| Element::whole(Kind::TendonSpring, acts.index)).collect()
+        let lengths = self.placed.frames().pulls.length;
+        let at_end = |index: &usize| {
+            let ends = &self.model.tendons[*index].springlength;
+            ends[0].lane(0) < ends[1].lane(0) && at_bound(lengths[*index], Some(ends))
+        };
+        let springs = self.model.acting.tendon_spring.iter().map(|acts| acts.at.tendon);
+        springs.filter(at_end).map(|index| Element::whole(Kind::TendonSpring, index)).collect()
     }
 
     fn limits_reached(&self) -> Vec<Element> {
@@ -91,7 +92,7 @@ impl Sim<Dual> {
             let pulls = self.placed.frames().pulls;
             let length = bound.along.length(&self.model, &self.state.qpos, pulls).value;
             let sign = if side == 0 { 1.0 } else { -1.0 };
-            meet(length - sign * bound.margin.lane(0), bound.range[side].lane(0))
+            same(length - sign * bound.margin.lane(0), bound.range[side].lane(0))
         };
         let sides = |bound: &Limited<Number>| {
             let sides = bound.sides.clone().filter(|side| reached(bound, *side));

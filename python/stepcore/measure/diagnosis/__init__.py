@@ -13,6 +13,7 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.linear_maps import INTEGRATORS
+from stepcore.engine.stiffness import slack_lengths
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
@@ -28,7 +29,6 @@ from stepcore.measure.diagnosis.linear import (
     every_element,
     shares,
     visited,
-    with_slack,
 )
 from stepcore.measure.diagnosis.naming import (
     Figures,
@@ -273,7 +273,7 @@ class Case:
         if self.judge.runaway is not None or dt <= 0:
             return tuple(Element.of(self.motions.model, "control", k) for k in range(nu))
         # A rope that the converged motion leaves slack may be what a longer step pulls taut.
-        ropes = [Element.of(self.model, "tendon spring", k) for k in with_slack(self.model)]
+        ropes = [Element.of(self.model, "tendon spring", k) for k in slack_lengths(self.model)]
         every = list(dict.fromkeys((*every_element(self.model, self.states), *ropes)))
         every.sort(key=lambda e: order.index(e) if e in order else len(order))
         found = run_limiters(self.judge, every, name, dt, nu)

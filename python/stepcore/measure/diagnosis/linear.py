@@ -24,6 +24,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.element import EQUALITIES, FRICTION_LOSSES, ROWS, Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.stiffness import slack_lengths
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Motions, Pair, State
@@ -74,7 +75,7 @@ def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
     if ran is None:
         raise ValueError(f"the scene cannot be diagnosed: {fine.failure}")
     model, seen, rows = motions.of(Change()), list[int](), list[list[tuple[str, int]]]()
-    sets, slack = dict[frozenset[tuple[str, int]], int](), with_slack(model)
+    sets, slack = dict[frozenset[tuple[str, int]], int](), slack_lengths(model)
     sim = unwatched(Sim(model))
     for k in np.flatnonzero(np.isfinite(ran["qvel"][0]).all(axis=-1)).tolist():
         for name in ("qpos", "qvel", "ctrl", "act"):
@@ -105,12 +106,6 @@ def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
         return dataclasses.replace(at, rows=tuple(Element.of(model, *one) for one in rows[n]))
 
     return [state(n) for n in sorted(list(dict.fromkeys(order))[:most])]
-
-
-def with_slack(model: Model) -> dict[int, tuple[float, float]]:
-    """Return the lengths between which tendons with a spring are slack, by tendon."""
-    bands = enumerate(zip(model.scene.tendons, model.tendon_lengthspring.tolist(), strict=True))
-    return {k: (low, high) for k, (own, (low, high)) in bands if own.sprung and low < high}
 
 
 def step_matrix(model: Model, state: State, integrator: str, dt: float) -> Floats | None:

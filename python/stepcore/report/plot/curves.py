@@ -192,7 +192,8 @@ def postmortem(result: PostMortem) -> Any:
 
 def _heading(result: PostMortem) -> str:
     happened = result.replay.happened
-    what = "more energy than is possible" if happened["gained"] else "not finite after this step"
+    what = "faster than anything moves" if happened["finite"] else "not finite after this step"
+    what = "more energy than is possible" if happened["gained"] else what
     of = f"{result.replay.name}: " if result.replay.name else ""
     return f"{of}step {happened['step']}, {happened['time']:.6g} s: {what}"
 

@@ -152,8 +152,9 @@ impl<R: Real> Bundles<R> {
     /// Adds a block's rows to the last bundle and its last run, or begins new ones. `lists`: of dofs,
     /// where rows may be filled up with zeros.
     fn join(&mut self, dofs: Span, y: usize, run: Run, lists: Option<&[usize]>) {
-        // On the same dofs, and next to the rows before.
-        let straight = |last: &Bundle| last.dofs == dofs && last.y + last.rows.len * dofs.len == y;
+        // Its y go on where those of the bundle end.
+        let next =
+            |last: &Bundle| last.dofs.len == dofs.len && last.y + last.rows.len * dofs.len == y;
         // All on one chain, and the zeros are no more than the rows.
         let chained = |last: &Bundle| {
             lists.is_some_and(|lists| {
@@ -163,8 +164,8 @@ impl<R: Real> Bundles<R> {
             })
         };
         match self.list.last_mut() {
-            Some(last) if straight(last) || chained(last) => {
-                last.filled |= !straight(last);
+            Some(last) if (last.dofs == dofs && next(last)) || chained(last) => {
+                last.filled |= !next(last);
                 if dofs.len > last.dofs.len {
                     last.dofs = dofs;
                 }

@@ -378,8 +378,8 @@ impl<R: Real> Ledger<R> {
     }
 
     /// Asks about the lanes that nobody has been asked about and that gained more than they can have,
-    /// or are beyond all bounds. Whoever goes on after an error opens
-    /// a new account, unless other lanes `go_on` with this one.
+    /// or are beyond all bounds. Whoever goes on after an error opens a new account, unless other
+    /// lanes `go_on` with this one.
     fn ask(
         &mut self,
         sim: &Sim<R>,
