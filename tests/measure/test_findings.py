@@ -15,8 +15,8 @@ from stepcore.experiment.schedule import home, scheduled
 from stepcore.measure.monitors import monitored, shown, verified
 from stepcore.measure.monitors.contacts import overlaps, resting
 from stepcore.measure.monitors.creep import creeps
-from stepcore.measure.monitors.joints import stronger
 from stepcore.measure.monitors.recording import followed
+from stepcore.measure.monitors.servos import stronger
 from stepcore.measure.monitors.soft_rows import impedance, yielding
 
 G = 9.81

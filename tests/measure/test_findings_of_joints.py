@@ -8,7 +8,8 @@ import pytest
 from test_findings import GRIPPER, SOLIMP, G, pair, the, watched
 
 import stepcore as sc
-from stepcore.measure.monitors.joints import at_rest, excesses, gapes, overpowered, share_used
+from stepcore.measure.monitors.joints import excesses, gapes, overpowered, share_used
+from stepcore.measure.monitors.servos import at_rest
 from stepcore.measure.monitors.soft_rows import yielding
 
 # Connections.

@@ -38,14 +38,13 @@ from stepcore.measure.monitors.finding import (
 )
 from stepcore.measure.monitors.joints import (
     coordinate,
-    gained,
     length_of,
     limit_remedy,
-    strength,
     unit_of,
     width_of,
 )
 from stepcore.measure.monitors.recording import Recording, followed, free_bodies
+from stepcore.measure.monitors.servos import gained, strength
 from stepcore.measure.monitors.soft_rows import yielding
 from stepcore.report.units import (
     FORCES,

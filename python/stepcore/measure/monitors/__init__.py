@@ -16,9 +16,10 @@ from stepcore.measure.monitors.contacts import contact_findings, noise_findings
 from stepcore.measure.monitors.creep import creep_findings
 from stepcore.measure.monitors.finding import Finding, Next, ordered, verified
 from stepcore.measure.monitors.grips import grip_findings
-from stepcore.measure.monitors.joints import actuator_findings, fall_findings, joint_findings
+from stepcore.measure.monitors.joints import joint_findings
 from stepcore.measure.monitors.recording import Recording, cut, recorded
 from stepcore.measure.monitors.scene import energy_findings, resting_findings
+from stepcore.measure.monitors.servos import actuator_findings, fall_findings
 from stepcore.measure.monitors.tunnelling import tunnelling_findings
 
 __all__ = ["Finding", "Next", "Recording", "monitored", "ordered", "shown", "verified"]

@@ -19,7 +19,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import least
-from stepcore.measure.monitors.joints import gained
+from stepcore.measure.monitors.servos import gained
 from stepcore.measure.tune.goal import (
     FEWEST,
     PASSES,
