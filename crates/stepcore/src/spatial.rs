@@ -5,7 +5,7 @@
 //! Rigid Body Dynamics Algorithms (2008), chapter 2. The origin is a point of the
 //! tree, so that numbers stay small far away from the world's origin.
 
-use crate::real::array::from_fn;
+use crate::real::array::{from_fn, map};
 use crate::real::{value, Real, Value};
 use nalgebra::{Matrix3, Vector3};
 
@@ -38,9 +38,10 @@ pub(crate) const WIDE: usize = 4;
 #[inline(always)]
 pub(crate) fn subtract_all<R: Real, const N: usize>(own: &mut [R], rows: [(R, &[R]); N]) {
     let len = own.len();
-    let rows = rows.map(|(by, l)| (by, &l[..len]));
+    let rows = map(rows, |(by, l)| (by, &l[..len]));
     let whole = len - len % WIDE;
-    for at in (0..whole).step_by(WIDE) {
+    let mut at = 0;
+    while at < whole {
         let part = &mut own[at..at + WIDE];
         let mut x: [R; WIDE] = from_fn(|k| part[k]);
         for (by, l) in rows {
@@ -50,6 +51,7 @@ pub(crate) fn subtract_all<R: Real, const N: usize>(own: &mut [R], rows: [(R, &[
             }
         }
         part.copy_from_slice(&x);
+        at += WIDE;
     }
     for at in whole..len {
         for (by, l) in rows {

@@ -16,6 +16,7 @@ use crate::elements::friction::MOST_WAYS;
 use crate::elements::{Element, Role};
 use crate::model::{Model, Span};
 use crate::pool::Pool;
+use crate::real::array::map;
 use crate::real::{Mask, Real};
 use crate::spatial::V3;
 use std::ops::Range;
@@ -431,8 +432,8 @@ impl<R: Real> Rows<R> {
             // Four at a time, each dof's sum in the order of the rows.
             while let [a, b, c, d, rest @ ..] = own {
                 let dofs = a.dofs.of(dof_lists);
-                let y = [a, b, c, d].map(|row| &self.y[row.y..row.y + dofs.len()]);
-                let change = [a, b, c, d].map(|row| row.impulse);
+                let y = map([a, b, c, d], |row| &self.y[row.y..row.y + dofs.len()]);
+                let change = map([a, b, c, d], |row| row.impulse);
                 own = rest;
                 let free = if block.mask.all() { Free::ascending(dofs) } else { None };
                 if let Some(free) = free {

@@ -5,9 +5,9 @@
 use super::pattern::Pattern;
 use super::penalty::Cone;
 use crate::model::Span;
-use crate::real::array::from_fn;
 use crate::real::{Mask, Real};
 use crate::solve::rows::{Rows, Set};
+use crate::spatial::WIDE;
 
 /// Rows on the same dofs, or on the first of them. Rows and their curvature are counted within the
 /// island.
@@ -16,10 +16,12 @@ pub(super) struct Bundle {
     /// Into `dof_lists`.
     pub dofs: Span,
     pub rows: Span,
-    /// The first entry of its rows, which stand one after another in `Rows::y`, or in
+    /// The first entry of its rows, which stand `stride` apart in `Rows::y`, or in
     /// `Bundles::filled`.
     pub y: usize,
-    /// Some rows are on the first of the dofs alone: their y are filled up with zeros.
+    pub stride: usize,
+    /// Its y are filled up with zeros: some rows are on the first of the dofs alone, or a row has a
+    /// whole number of registers.
     pub filled: bool,
     pub runs: Span,
     /// Its part of `System::curve`.
@@ -114,17 +116,21 @@ impl<R: Real> Bundles<R> {
 
     /// Writes the rows of bundles that need zeros.
     fn fill(&mut self, blocks: &[usize], rows: &Rows<R>) {
+        let registers = R::ALONE && !rows.heap;
         let mut every = blocks.iter().flat_map(|b| &rows.rows[rows.blocks[*b].rows.range()]);
         for bundle in &mut self.list {
             let own = every.by_ref().take(bundle.rows.len);
-            if !bundle.filled {
+            bundle.stride = bundle.dofs.len;
+            if registers {
+                (bundle.stride, bundle.filled) = (bundle.dofs.len.next_multiple_of(WIDE), true);
+            } else if !bundle.filled {
                 own.for_each(drop);
                 continue;
             }
             bundle.y = self.filled.len();
             for (at, row) in own.enumerate() {
                 self.filled.extend_from_slice(&rows.y[row.y..row.y + row.dofs.len]);
-                self.filled.resize(bundle.y + (at + 1) * bundle.dofs.len, R::zero());
+                self.filled.resize(bundle.y + (at + 1) * bundle.stride, R::zero());
             }
         }
     }
@@ -185,6 +191,7 @@ impl<R: Real> Bundles<R> {
                 dofs,
                 rows: run.rows,
                 y,
+                stride: dofs.len,
                 filled: false,
                 runs: Span { start: self.runs.len(), len: 1 },
                 curve: run.curve,
@@ -215,11 +222,11 @@ pub(super) struct Problem<'a, R: Real> {
 }
 
 impl<'a, R: Real> Problem<'a, R> {
-    /// The y of a bundle's rows, one after another.
+    /// The y of a bundle's rows, `stride` apart.
     #[inline(always)]
     pub fn y(&self, bundle: &Bundle) -> &'a [R] {
         let y = if bundle.filled { &self.bundles.filled } else { &self.rows.y };
-        &y[bundle.y..bundle.y + bundle.rows.len * bundle.dofs.len]
+        &y[bundle.y..bundle.y + bundle.rows.len * bundle.stride]
     }
 
     /// out = y·x by row; x by dof. `own`: scratch, the x of a bundle.
@@ -234,17 +241,16 @@ impl<'a, R: Real> Problem<'a, R> {
             }
             own.clear();
             own.extend(self.pattern.list(b).iter().map(|k| x[*k]));
-            for (out, y) in out.iter_mut().zip(y.chunks_exact(own.len().max(1))) {
-                *out = product(y, own);
-            }
+            own.resize(bundle.stride, R::zero());
+            products(y, own, out);
         }
     }
 
-    /// out += sign · Σ y x; x by row, out by dof.
-    pub fn gather(&self, x: &[R], sign: R, out: &mut [R]) {
+    /// out += sign · Σ y x; x by row, out by dof. `own`: scratch.
+    pub fn gather(&self, x: &[R], sign: R, out: &mut [R], own: &mut Vec<R>) {
         for (b, bundle) in self.bundles.list.iter().enumerate() {
-            let own = bundle.rows.range();
-            let (y, x, mask) = (self.y(bundle), &x[own.clone()], &self.bundles.mask[own]);
+            let rows = bundle.rows.range();
+            let (y, x, mask) = (self.y(bundle), &x[rows.clone()], &self.bundles.mask[rows]);
             if R::ALONE {
                 if let Some(free) = self.pattern.free(b) {
                     // A heap is one world.
@@ -254,10 +260,14 @@ impl<'a, R: Real> Problem<'a, R> {
             }
             let list = self.pattern.list(b);
             if bundle.whole {
-                sums((list, y), (sign, x), out);
+                own.clear();
+                own.extend(list.iter().map(|k| out[*k]));
+                own.resize(bundle.stride, R::zero());
+                add_rows(y, (sign, x), own);
+                list.iter().zip(&*own).for_each(|(k, sum)| out[*k] = *sum);
                 continue;
             }
-            for ((x, mask), y) in x.iter().zip(mask).zip(y.chunks_exact(list.len().max(1))) {
+            for ((x, mask), y) in x.iter().zip(mask).zip(y.chunks_exact(bundle.stride.max(1))) {
                 for (k, y) in list.iter().zip(y) {
                     out[*k] = R::select(*mask, out[*k] + *y * (sign * *x), out[*k]);
                 }
@@ -266,48 +276,112 @@ impl<'a, R: Real> Problem<'a, R> {
     }
 }
 
-/// Dofs that are multiplied side by side.
-const WIDE: usize = 4;
-
-/// y·x: four sums, of every fourth dof, and then these.
-#[inline(always)]
-fn product<R: Real>(y: &[R], x: &[R]) -> R {
-    let mut sums = [R::zero(); WIDE];
-    let (y, x) = (y.chunks_exact(WIDE), x.chunks_exact(WIDE));
-    let rest = y.remainder().iter().zip(x.remainder());
-    for (y, x) in y.zip(x) {
-        for k in 0..WIDE {
-            sums[k] += y[k] * x[k];
+/// `$of` of so many registers a row as `$stride` has, a number known to the compiler; `$other` of
+/// more, and where a row has no whole number of them.
+macro_rules! by_registers {
+    ($stride:expr, $of:ident $arguments:tt, $other:expr) => {
+        match $stride {
+            4 => $of::<R, 1> $arguments,
+            8 => $of::<R, 2> $arguments,
+            12 => $of::<R, 3> $arguments,
+            16 => $of::<R, 4> $arguments,
+            20 => $of::<R, 5> $arguments,
+            24 => $of::<R, 6> $arguments,
+            _ => $other,
         }
-    }
-    for (sum, (y, x)) in sums.iter_mut().zip(rest) {
-        *sum += *y * *x;
-    }
-    let [a, b, c, d] = sums;
-    (a + b) + (c + d)
+    };
 }
 
-/// out += sign · Σ y x over some rows, each dof's sum in their order, four dofs side by side.
+/// out = y·x by row: four sums, of every fourth dof, and then these.
 #[inline(always)]
-fn sums<R: Real>((list, y): (&[usize], &[R]), (sign, x): (R, &[R]), out: &mut [R]) {
-    let whole = list.len() - list.len() % WIDE;
-    let rows = || x.iter().zip(y.chunks_exact(list.len()));
-    for at in (0..whole).step_by(WIDE) {
-        let dofs = &list[at..at + WIDE];
-        let mut sums: [R; WIDE] = from_fn(|k| out[dofs[k]]);
-        for (x, y) in rows() {
-            let (x, y) = (sign * *x, &y[at..at + WIDE]);
+fn products<R: Real>(y: &[R], x: &[R], out: &mut [R]) {
+    if R::ALONE {
+        return by_registers!(x.len(), products_of(y, x, out), any_products(y, x, out));
+    }
+    any_products(y, x, out);
+}
+
+#[inline(always)]
+fn products_of<R: Real, const N: usize>(y: &[R], x: &[R], out: &mut [R]) {
+    let mut own = [[R::zero(); WIDE]; N];
+    own.as_flattened_mut().copy_from_slice(x);
+    for (out, y) in out.iter_mut().zip(y.chunks_exact(N * WIDE)) {
+        let mut sums = [R::zero(); WIDE];
+        for (y, x) in y.chunks_exact(WIDE).zip(&own) {
+            for k in 0..WIDE {
+                sums[k] += y[k] * x[k];
+            }
+        }
+        let [a, b, c, d] = sums;
+        *out = (a + b) + (c + d);
+    }
+}
+
+fn any_products<R: Real>(y: &[R], x: &[R], out: &mut [R]) {
+    let (wide, rest) = x.split_at(x.len() - x.len() % WIDE);
+    for (out, y) in out.iter_mut().zip(y.chunks_exact(x.len().max(1))) {
+        let (y, last) = y.split_at(wide.len());
+        let mut sums = [R::zero(); WIDE];
+        for (y, x) in y.chunks_exact(WIDE).zip(wide.chunks_exact(WIDE)) {
+            for k in 0..WIDE {
+                sums[k] += y[k] * x[k];
+            }
+        }
+        for k in 0..rest.len() {
+            sums[k] += last[k] * rest[k];
+        }
+        let [a, b, c, d] = sums;
+        *out = (a + b) + (c + d);
+    }
+}
+
+/// own += sign · Σ y x over some rows, each dof's sum in their order, four dofs side by side.
+#[inline(always)]
+fn add_rows<R: Real>(y: &[R], (sign, x): (R, &[R]), own: &mut [R]) {
+    if R::ALONE {
+        return by_registers!(
+            own.len(),
+            add_rows_of(y, (sign, x), own),
+            add_any(y, (sign, x), own)
+        );
+    }
+    add_any(y, (sign, x), own);
+}
+
+#[inline(always)]
+fn add_rows_of<R: Real, const N: usize>(y: &[R], (sign, x): (R, &[R]), own: &mut [R]) {
+    let mut sums = [[R::zero(); WIDE]; N];
+    sums.as_flattened_mut().copy_from_slice(own);
+    for (x, y) in x.iter().zip(y.chunks_exact(N * WIDE)) {
+        let x = sign * *x;
+        for (sums, y) in sums.iter_mut().zip(y.chunks_exact(WIDE)) {
             for k in 0..WIDE {
                 sums[k] += y[k] * x;
             }
         }
-        for k in 0..WIDE {
-            out[dofs[k]] = sums[k];
-        }
     }
-    for at in whole..list.len() {
-        let sum = &mut out[list[at]];
-        for (x, y) in rows() {
+    own.copy_from_slice(sums.as_flattened());
+}
+
+fn add_any<R: Real>(y: &[R], (sign, x): (R, &[R]), own: &mut [R]) {
+    let stride = own.len();
+    let mut parts = own.chunks_exact_mut(WIDE);
+    for (part, first) in (&mut parts).zip((0..).step_by(WIDE)) {
+        let (mut sums, mut at) = ([R::zero(); WIDE], first);
+        sums.copy_from_slice(part);
+        for x in x {
+            let (x, y) = (sign * *x, &y[at..at + WIDE]);
+            for k in 0..WIDE {
+                sums[k] += y[k] * x;
+            }
+            at += stride;
+        }
+        part.copy_from_slice(&sums);
+    }
+    let rest = parts.into_remainder();
+    let first = stride - rest.len();
+    for (at, sum) in (first..).zip(rest) {
+        for (x, y) in x.iter().zip(y.chunks_exact(stride)) {
             *sum += y[at] * (sign * *x);
         }
     }
@@ -349,7 +423,7 @@ mod tests {
         let x = [0.3, -0.2, 0.7, 0.1, -0.9];
         let (mut along, mut sums) = ([0.0; 11], [0.5; 5]);
         problem.dots(&x, &mut along, &mut Vec::new());
-        problem.gather(&along, -2.0, &mut sums);
+        problem.gather(&along, -2.0, &mut sums, &mut Vec::new());
         let mut want = [0.5; 5];
         for (row, along) in rows.rows.iter().zip(along) {
             let y = &rows.y[row.y..row.y + 5];

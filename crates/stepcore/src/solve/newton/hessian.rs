@@ -3,9 +3,11 @@
 //! Made once for each solve; as the iteration goes on, what changed zones is added or taken away. That
 //! leaves the rounding of what was taken away: where it was huge, the sum is made afresh.
 
-use super::bundles::Problem;
+use super::bundles::{Bundle, Problem, Run};
 use super::pattern::{Listed, Pattern};
+use crate::real::array::{from_fn, map};
 use crate::real::{Mask, Real};
+use crate::solve::rows::{CONE, NARROW};
 use crate::spatial::{subtract_all, WIDE};
 
 /// So many times what moves a row, its penalty is huge: A s″. MuJoCo's impedances keep below 1e4, but
@@ -17,27 +19,26 @@ pub(super) struct Hessian<R: Real> {
     /// D + Σ y s″ yᵀ, and the s″ that are in it.
     entries: Vec<R>,
     curve: Vec<R>,
-    /// L, with D of LDLᵀ in the place of its diagonal; 1/D.
+    /// L below its diagonal of ones; D of LᵀDL and 1/D by dof.
     factors: Vec<R>,
+    pivots: Vec<R>,
     inverse: Vec<R>,
     /// Rows to factor again.
     stale: Vec<bool>,
     added: Added<R>,
 }
 
-/// What is added to a bundle's part of the matrix: Σ left · bentᵀ, symmetric as a whole.
+/// What is added to a bundle's part of the matrix: Σ y · bentᵀ, symmetric as a whole.
 struct Added<R: Real> {
     /// By row: where its y begin in the bundle's, and in which lanes it counts.
     rows: Vec<(usize, R::Mask)>,
-    /// By row: s″ y, and zeros up to `stride` numbers.
+    /// By row: s″ y, in `stride` numbers, of which those beyond the dofs mean nothing.
     bent: Vec<R>,
     stride: usize,
-    /// All count in every lane.
-    whole: bool,
 }
 
-room!(Hessian<R>: entries, curve, factors, inverse, stale, added);
-room!(Added<R>: rows, bent, stride, whole);
+room!(Hessian<R>: entries, curve, factors, pivots, inverse, stale, added);
+room!(Added<R>: rows, bent, stride);
 
 impl<R: Real> Hessian<R> {
     pub fn new() -> Self {
@@ -45,22 +46,26 @@ impl<R: Real> Hessian<R> {
             entries: Vec::new(),
             curve: Vec::new(),
             factors: Vec::new(),
+            pivots: Vec::new(),
             inverse: Vec::new(),
             stale: Vec::new(),
-            added: Added::new(),
+            added: Added { rows: Vec::new(), bent: Vec::new(), stride: 0 },
         }
     }
 
     /// D alone.
     pub fn start(&mut self, pattern: &Pattern, d: &[R], curves: usize) {
-        self.entries.clear();
-        self.entries.resize(pattern.cols.len(), R::zero());
-        for (d, end) in d.iter().zip(&pattern.start[1..]) {
-            self.entries[end - 1] = *d;
+        let fill = |list: &mut Vec<R>, len: usize| {
+            list.clear();
+            list.resize(len, R::zero());
+        };
+        fill(&mut self.entries, pattern.size);
+        fill(&mut self.curve, curves);
+        for (i, d) in d.iter().enumerate() {
+            self.entries[pattern.start[i] + pattern.depth[i]] = *d;
         }
-        self.curve.clear();
-        self.curve.resize(curves, R::zero());
-        self.factors.resize(self.entries.len(), R::zero());
+        self.factors.resize(pattern.size, R::zero());
+        self.pivots.resize(d.len(), R::zero());
         self.inverse.resize(d.len(), R::zero());
         self.stale.clear();
         self.stale.resize(d.len(), true);
@@ -71,13 +76,14 @@ impl<R: Real> Hessian<R> {
     pub fn make(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) {
         self.forget_huge(problem, d, curve);
         for (b, bundle) in problem.bundles.list.iter().enumerate() {
-            self.added.start(bundle.rows.len, bundle.dofs.len);
             let y = problem.y(bundle);
+            self.added.start(bundle);
             for run in problem.bundles.runs_of(bundle) {
-                let (old, new) = (run.curve.of(&self.curve), run.curve.of(curve));
-                let first = (run.rows.start - bundle.rows.start) * bundle.dofs.len;
+                let curves = (run.curve.of(&self.curve), run.curve.of(curve));
+                let first = (run.rows.start - bundle.rows.start) * bundle.stride;
+                let own = (&y[first..], bundle.stride);
                 let mask = &problem.bundles.mask[run.rows.range()];
-                self.added.take(bundle.dofs.len, (first, y), (old, new), mask);
+                self.added.take(run, (first, own), curves, mask);
             }
             if !self.added.rows.is_empty() {
                 self.add(problem.pattern, b, y);
@@ -90,55 +96,46 @@ impl<R: Real> Hessian<R> {
     /// Begins with D again in lanes where a huge part changes.
     fn forget_huge(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) {
         let mut huge = R::Mask::of(false);
+        let mut look = |old: R, new: R, a: R| {
+            let other = (new - old).abs().gt(R::zero());
+            huge = huge.or(other.and((old * a).gt(R::of(HUGE))));
+        };
         for run in &problem.bundles.runs {
             let (old, new) = (run.curve.of(&self.curve), run.curve.of(curve));
-            let rows = run.rows.len;
-            // Of a cone the diagonal tells.
-            let every = if run.cone.is_some() { rows + 1 } else { 1 };
             let a = &problem.bundles.a[run.rows.range()];
-            for ((old, new), a) in old.iter().zip(new).step_by(every).zip(a) {
-                let other = (*new - *old).abs().gt(R::zero());
-                huge = huge.or(other.and((*old * *a).gt(R::of(HUGE))));
+            // Of a cone the diagonal tells.
+            let every = if run.cone.is_some() { a.len() + 1 } else { 1 };
+            for (i, a) in a.iter().enumerate() {
+                look(old[i * every], new[i * every], *a);
             }
         }
         if huge.none() {
             return;
         }
         self.stale.fill(true);
-        let ends = problem.pattern.start.iter().skip(1);
-        let mut diagonal = ends.zip(d).peekable();
-        for (at, x) in self.entries.iter_mut().enumerate() {
-            let d = diagonal.next_if(|(end, _)| **end == at + 1);
-            *x = R::select(huge, d.map_or(R::zero(), |(_, d)| *d), *x);
+        for x in self.entries.iter_mut().chain(&mut self.curve) {
+            *x = R::select(huge, R::zero(), *x);
         }
-        for curve in &mut self.curve {
-            *curve = R::select(huge, R::zero(), *curve);
+        for (i, d) in d.iter().enumerate() {
+            let x = &mut self.entries[problem.pattern.start[i] + problem.pattern.depth[i]];
+            *x = R::select(huge, *d, *x);
         }
     }
 
     /// Adds what was taken of a bundle.
     fn add(&mut self, pattern: &Pattern, bundle: usize, y: &[R]) {
         let Self { entries, added, stale, .. } = self;
-        let Listed { list, places, .. } = pattern.bundles[bundle];
-        let list = list.of(&pattern.lists);
-        list.iter().for_each(|i| stale[*i] = true);
+        let listed = pattern.bundles[bundle];
+        let lines = listed.list.of(&pattern.lists);
+        lines.iter().for_each(|i| stale[*i] = true);
         // Lanes fill the registers by themselves.
         let high = if R::ALONE { WIDE } else { 1 };
-        for at in (0..list.len()).step_by(high) {
-            let lines = &list[at..list.len().min(at + high)];
-            match places {
-                // The place of a pair: the lists before it are as long as their number.
-                Some(first) => {
-                    let of = |line: usize| first + line * (line + 1) / 2;
-                    added.add(entries, at, lines.len(), y, |line, col| {
-                        pattern.places[of(at + line) + col]
-                    });
-                }
-                None => {
-                    added.add(entries, at, lines.len(), y, |line, col| {
-                        pattern.start[lines[line]] + col
-                    });
-                }
+        for at in (0..lines.len()).step_by(high) {
+            match high.min(lines.len() - at) {
+                1 => added.add_lines::<1>(entries, at, y, (pattern, listed)),
+                2 => added.add_lines::<2>(entries, at, y, (pattern, listed)),
+                3 => added.add_lines::<3>(entries, at, y, (pattern, listed)),
+                _ => added.add_lines::<WIDE>(entries, at, y, (pattern, listed)),
             }
         }
     }
@@ -146,67 +143,56 @@ impl<R: Real> Hessian<R> {
     /// H = LᵀDL: rows that changed, and those above that they reach.
     #[inline(never)]
     fn factor(&mut self, pattern: &Pattern) {
-        let Self { entries, factors, inverse, stale, .. } = self;
+        let Self { entries, factors, pivots, inverse, stale, .. } = self;
         for i in (0..pattern.dofs.len()).rev() {
             if !std::mem::replace(&mut stale[i], false) {
                 continue;
             }
-            pattern.cols[pattern.row(i)].iter().for_each(|j| stale[*j] = *j < i);
-            let (before, below) = factors.split_at_mut(pattern.start[i + 1]);
-            let own = &mut before[pattern.start[i]..];
-            own.copy_from_slice(&entries[pattern.row(i)]);
-            let row = pattern.start[i + 1];
-            // L and D of a row below, and its L up to the column i.
-            let source = |(k, at): (usize, usize)| {
-                let own = pattern.row(k);
-                let by = below[at - row] * below[own.end - 1 - row];
-                (by, &below[own.start - row..=at - row])
+            let (start, depth) = (pattern.start[i], pattern.depth[i]);
+            // With the room behind the row there are no numbers left over.
+            let len = if R::ALONE { (depth + 1).next_multiple_of(WIDE) } else { depth + 1 };
+            let (before, below) = factors.split_at_mut(start + len);
+            let own = &mut before[start..];
+            own.copy_from_slice(&entries[start..start + len]);
+            // L and D of a row below, and the beginning of its L.
+            let source = |k: usize| {
+                let l = &below[pattern.start[k] - start - len..];
+                (l[depth] * pivots[k], &l[..len])
             };
-            let mut rest = &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]];
-            while let [first, others @ ..] = rest {
-                // Side by side, where each row's begin as this one's.
-                if let Some((four, others)) = rest.split_first_chunk::<4>() {
-                    let four = four.map(source);
-                    if four.iter().all(|(_, l)| l.len() == own.len()) {
-                        subtract_all(own, four);
-                        rest = others;
-                        continue;
-                    }
-                }
-                let (by, l) = source(*first);
+            let rows = &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]];
+            let mut rest = rows;
+            while let Some((four, others)) = rest.split_first_chunk::<4>() {
+                subtract_all(own, map(*four, source));
                 rest = others;
-                if l.len() == own.len() {
-                    subtract_all(own, [(by, l)]);
-                    continue;
-                }
-                let mut places = pattern.cols[pattern.row(i)].iter().zip(&mut *own);
-                for (j, l) in pattern.cols[pattern.row(first.0)].iter().zip(l) {
-                    if let Some((_, x)) = places.find(|(col, _)| *col == j) {
-                        *x -= by * *l;
-                    }
-                }
             }
-            if let Some((d, own)) = own.split_last_mut() {
-                inverse[i] = R::one() / *d;
-                own.iter_mut().for_each(|x| *x *= inverse[i]);
+            match rest {
+                [a, b, c] => subtract_all(own, map([*a, *b, *c], source)),
+                [a, b] => subtract_all(own, map([*a, *b], source)),
+                [a] => subtract_all(own, [source(*a)]),
+                _ => {}
+            }
+            pivots[i] = own[depth];
+            inverse[i] = R::one() / own[depth];
+            own[..depth].iter_mut().for_each(|x| *x *= inverse[i]);
+            if let Some(parent) = depth.checked_sub(1) {
+                stale[pattern.path[start + parent]] = true;
             }
         }
     }
 
     /// x ← H⁻¹ x.
     pub fn solve(&self, pattern: &Pattern, x: &mut [R]) {
+        let row = |k: usize| pattern.start[k]..pattern.start[k] + pattern.depth[k];
         for k in (0..x.len()).rev() {
-            let own = pattern.start[k]..pattern.start[k + 1] - 1;
             let factor = x[k];
-            for (j, l) in pattern.cols[own.clone()].iter().zip(&self.factors[own]) {
+            for (j, l) in pattern.path[row(k)].iter().zip(&self.factors[row(k)]) {
                 x[*j] -= *l * factor;
             }
             x[k] = factor * self.inverse[k];
         }
         for k in 0..x.len() {
-            let own = pattern.start[k]..pattern.start[k + 1] - 1;
             let mut rest = x[k];
-            for (j, l) in pattern.cols[own.clone()].iter().zip(&self.factors[own]) {
+            for (j, l) in pattern.path[row(k)].iter().zip(&self.factors[row(k)]) {
                 rest -= *l * x[*j];
             }
             x[k] = rest;
@@ -215,109 +201,86 @@ impl<R: Real> Hessian<R> {
 }
 
 impl<R: Real> Added<R> {
-    fn new() -> Self {
-        Self { rows: Vec::new(), bent: Vec::new(), stride: 0, whole: true }
-    }
-
-    /// Nothing yet, of a bundle of so many rows and dofs.
-    fn start(&mut self, rows: usize, dofs: usize) {
-        self.stride = dofs.next_multiple_of(WIDE);
-        self.whole = true;
+    /// Nothing yet, of a bundle.
+    fn start(&mut self, bundle: &Bundle) {
+        self.stride = bundle.dofs.len.next_multiple_of(WIDE);
         self.rows.clear();
-        self.rows.reserve(rows);
-        self.bent.clear();
-        self.bent.reserve(rows * self.stride);
+        let most = bundle.rows.len * self.stride;
+        if self.bent.len() < most {
+            self.bent.resize(most, R::zero());
+        }
     }
 
-    /// Takes a run's rows of `len` dofs, whose y begin at `first`, where their curvature is new.
+    /// Takes the rows of a run whose curvature is new; their y begin at `first` in the bundle's.
+    #[inline(always)]
     fn take(
         &mut self,
-        len: usize,
-        (first, y): (usize, &[R]),
+        run: &Run,
+        (first, own): (usize, (&[R], usize)),
         (old, new): (&[R], &[R]),
         mask: &[R::Mask],
     ) {
-        let rows = mask.len();
         let changed = |(old, new): (&R, &R)| (*new - *old).abs().gt(R::zero());
-        if new.len() == rows {
+        if run.cone.is_none() {
             for (i, (old, new)) in old.iter().zip(new).enumerate() {
-                let some = changed((old, new));
-                if some.any() {
-                    let start = first + i * len;
+                if changed((old, new)).any() {
+                    let (y, stride) = (&own.0[i * own.1..], own.1);
+                    let bent = &mut self.bent[self.rows.len() * self.stride..][..self.stride];
                     let bend = *new - *old;
-                    self.bent.extend(y[start..start + len].iter().map(|y| bend * *y));
-                    self.push(start, mask[i]);
+                    for (bent, y) in bent.iter_mut().zip(&y[..stride]) {
+                        *bent = bend * *y;
+                    }
+                    self.rows.push((first + i * stride, mask[i]));
                 }
             }
             return;
         }
         let some = old.iter().zip(new).map(changed);
-        let some = some.fold(R::Mask::of(false), |some, new| some.or(new));
-        if some.none() {
+        if some.fold(R::Mask::of(false), |some, new| some.or(new)).none() {
             return;
         }
-        for (i, (old, new)) in old.chunks_exact(rows).zip(new.chunks_exact(rows)).enumerate() {
-            let start = self.bent.len();
-            self.bent.resize(start + len, R::zero());
-            for ((old, new), y) in old.iter().zip(new).zip(y[first..].chunks_exact(len.max(1))) {
-                let bend = *new - *old;
-                for (bent, y) in self.bent[start..].iter_mut().zip(y) {
-                    *bent += bend * *y;
-                }
-            }
-            self.push(first + i * len, mask[i]);
+        let bent = &mut self.bent[self.rows.len() * self.stride..];
+        match mask.len() {
+            NARROW => bend_cone::<R, NARROW>((old, new), own, (bent, self.stride)),
+            4 => bend_cone::<R, 4>((old, new), own, (bent, self.stride)),
+            CONE => bend_cone::<R, CONE>((old, new), own, (bent, self.stride)),
+            _ => bend_some((old, new), own, (bent, self.stride)),
+        }
+        for (i, mask) in mask.iter().enumerate() {
+            self.rows.push((first + i * own.1, *mask));
         }
     }
 
-    fn push(&mut self, start: usize, mask: R::Mask) {
-        self.whole &= mask.all();
-        self.rows.push((start, mask));
-        self.bent.resize(self.rows.len() * self.stride, R::zero());
-    }
-
-    /// Adds `count` lines of Σ left · bentᵀ from line `at` on, up to the diagonal, to the entries at
-    /// `place`, one row after the other: so a sum is the same however rows are bundled.
-    #[inline(always)]
-    fn add(
-        &self,
-        entries: &mut [R],
-        at: usize,
-        count: usize,
-        y: &[R],
-        place: impl Fn(usize, usize) -> usize,
-    ) {
-        match (count, self.whole) {
-            (WIDE, true) => self.add_lines::<true, WIDE>(entries, at, y, place),
-            (WIDE, false) => self.add_lines::<false, WIDE>(entries, at, y, place),
-            _ => {
-                for line in 0..count {
-                    let place = |_, col| place(line, col);
-                    if self.whole {
-                        self.add_lines::<true, 1>(entries, at + line, y, place);
-                    } else {
-                        self.add_lines::<false, 1>(entries, at + line, y, place);
-                    }
-                }
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn add_lines<const WHOLE: bool, const N: usize>(
+    /// Adds N lines of Σ y · bentᵀ from line `at` on, up to the diagonal, one row after the
+    /// other: so a sum is the same however rows are bundled.
+    #[inline(never)]
+    fn add_lines<const N: usize>(
         &self,
         entries: &mut [R],
         at: usize,
         y: &[R],
-        place: impl Fn(usize, usize) -> usize,
+        (pattern, Listed { list, places }): (&Pattern, Listed),
     ) {
+        let lines = &list.of(&pattern.lists)[at..];
+        // Where a line begins, in the matrix or among the places.
+        let begin: [usize; N] = from_fn(|line| match places {
+            // Lines before it are as long as their number.
+            Some(first) => first + (at + line) * (at + line + 1) / 2,
+            None => pattern.start[lines[line]],
+        });
         let last = at / WIDE * WIDE;
         for from in (0..=last).step_by(WIDE) {
             // The diagonal's block has entries above it, which are not kept.
             let width = |line: usize| if from < last { WIDE } else { at + line + 1 - last };
+            let place = |line: usize, i: usize| pattern.places[begin[line] + from + i];
             let mut sums = [[R::zero(); WIDE]; N];
             for line in 0..N {
-                for i in 0..width(line) {
-                    sums[line][i] = entries[place(line, from + i)];
+                if places.is_none() {
+                    sums[line].copy_from_slice(&entries[begin[line] + from..][..WIDE]);
+                } else {
+                    for i in 0..width(line) {
+                        sums[line][i] = entries[place(line, i)];
+                    }
                 }
             }
             for ((row, mask), bent) in self.rows.iter().zip(self.bent.chunks_exact(self.stride)) {
@@ -326,14 +289,68 @@ impl<R: Real> Added<R> {
                     for i in 0..WIDE {
                         let new = sums[line][i] + left[line] * bent[i];
                         sums[line][i] =
-                            if WHOLE { new } else { R::select(*mask, new, sums[line][i]) };
+                            if R::ALONE { new } else { R::select(*mask, new, sums[line][i]) };
                     }
                 }
             }
             for line in 0..N {
-                for i in 0..width(line) {
-                    entries[place(line, from + i)] = sums[line][i];
+                if places.is_none() {
+                    entries[begin[line] + from..][..WIDE].copy_from_slice(&sums[line]);
+                } else {
+                    for i in 0..width(line) {
+                        entries[place(line, i)] = sums[line][i];
+                    }
                 }
+            }
+        }
+    }
+}
+
+/// bent = (new − old) y of a cone of N rows, whose numbers stand `stride` apart.
+#[inline(never)]
+fn bend_cone<R: Real, const N: usize>(
+    (old, new): (&[R], &[R]),
+    (y, stride): (&[R], usize),
+    (bent, apart): (&mut [R], usize),
+) {
+    let (old, new) = (&old[..N * N], &new[..N * N]);
+    let bend: [[R; N]; N] = from_fn(|i| from_fn(|j| new[i * N + j] - old[i * N + j]));
+    let whole = stride - stride % WIDE;
+    for at in (0..whole).step_by(WIDE) {
+        let mut sums = [[R::zero(); WIDE]; N];
+        for j in 0..N {
+            let y = &y[j * stride + at..][..WIDE];
+            for i in 0..N {
+                for k in 0..WIDE {
+                    sums[i][k] += bend[i][j] * y[k];
+                }
+            }
+        }
+        for i in 0..N {
+            bent[i * apart + at..][..WIDE].copy_from_slice(&sums[i]);
+        }
+    }
+    for at in whole..stride {
+        for i in 0..N {
+            let sum = (0..N).fold(R::zero(), |sum, j| sum + bend[i][j] * y[j * stride + at]);
+            bent[i * apart + at] = sum;
+        }
+    }
+}
+
+/// The same of any number of rows.
+fn bend_some<R: Real>(
+    (old, new): (&[R], &[R]),
+    (y, stride): (&[R], usize),
+    (bent, apart): (&mut [R], usize),
+) {
+    let rows = old.len().isqrt();
+    for (i, bent) in bent.chunks_mut(apart).take(rows).enumerate() {
+        bent.fill(R::zero());
+        for j in 0..rows {
+            let bend = new[i * rows + j] - old[i * rows + j];
+            for (bent, y) in bent.iter_mut().zip(&y[j * stride..][..stride]) {
+                *bent += bend * *y;
             }
         }
     }
@@ -380,7 +397,7 @@ mod tests {
             let mut b: Vec<f64> = x.iter().map(|x| 0.5 * x).collect();
             let mut along = vec![0.0; count];
             problem.dots(&x, &mut along, &mut Vec::new());
-            problem.gather(&along, 3.0, &mut b);
+            problem.gather(&along, 3.0, &mut b, &mut Vec::new());
             let mut hessian = Hessian::new();
             hessian.start(&pattern, &vec![0.5; n], count);
             // Zones come and go.

@@ -130,7 +130,7 @@ impl<R: Real> System<R> {
             *g = *d * away;
             moved += *g * away;
         }
-        problem.gather(&self.impulse, -R::one(), &mut self.gradient);
+        problem.gather(&self.impulse, -R::one(), &mut self.gradient, &mut self.local);
         let mut size = R::zero();
         for (g, inv) in self.gradient.iter().zip(&self.inv_d) {
             size += *g * *g * *inv;

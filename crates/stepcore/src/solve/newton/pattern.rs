@@ -1,16 +1,18 @@
 //! Which dofs an island's rows couple.
 //!
-//! Two dofs are coupled when some row touches both. Eliminating from the last dof
-//! to the first, as along the trees, fills nothing where rows touch one chain only.
+//! Two dofs are coupled when some row touches both. Eliminating from the last dof to the first, as
+//! along the trees, makes a tree of them: the parent of a dof is the last of those before it with
+//! which it is coupled when its turn comes (Liu 1990). A row of the matrix holds the numbers along
+//! its dof's path from the root, so that the row of a dof on the path stands over the beginning of
+//! it, and where rows touch one chain only nothing is filled.
 //! The pattern depends on which rows exist and is kept while that stays the same;
 //! an entry that a lane does not need is a zero that changes none of its bits.
 
 use super::nodes::Nodes;
-use super::order::ones;
 use crate::model::Span;
 use crate::solve::dofs::distinct;
 use crate::solve::free::Free;
-use std::ops::Range;
+use crate::spatial::WIDE;
 
 /// Which dofs an island's rows couple. Indices are local: places in `dofs`.
 #[derive(Default)]
@@ -23,12 +25,16 @@ pub(super) struct Pattern {
     pub lists: Vec<usize>,
     /// Of bundles that need it: where in the matrix each pair of the list stands, row by row.
     pub places: Vec<usize>,
-    /// Row i holds the entries `start[i]..start[i + 1]`, in the columns `cols` ≤ i, ascending.
+    /// By dof: where its row begins, and how many dofs are before it on its path.
     pub start: Vec<usize>,
-    pub cols: Vec<usize>,
-    /// By column: (row, entry) of what stands below, last row first.
+    pub depth: Vec<usize>,
+    /// Numbers of the matrix; a row has room for a multiple of `WIDE`.
+    pub size: usize,
+    /// By entry: its dof.
+    pub path: Vec<usize>,
+    /// By dof: those on whose paths it is, the last first.
     pub below_start: Vec<usize>,
-    pub below: Vec<(usize, usize)>,
+    pub below: Vec<usize>,
     /// Of a heap, in the place of all but `key` and `dofs`.
     pub nodes: Nodes,
     pub heap: bool,
@@ -42,12 +48,11 @@ pub(super) struct Pattern {
 pub(super) struct Listed {
     /// In `Pattern::lists`.
     pub list: Span,
-    /// The first of its `places`; none where every row of the matrix begins with the list up to it,
-    /// as along a chain.
+    /// The first of its `places`; none where the list is the path of its last dof.
     pub places: Option<usize>,
 }
 
-room!(Pattern: key, dofs, bundles, lists, places, start, cols, below_start, below, bits, local, nodes, heap);
+room!(Pattern: key, dofs, bundles, lists, places, start, depth, size, path, below_start, below, bits, local, nodes, heap);
 
 impl Pattern {
     /// Makes the pattern of bundles on these dofs, unless it is the one at hand.
@@ -90,89 +95,89 @@ impl Pattern {
         }
     }
 
-    /// Symbolic elimination: row k's columns reach every row that they name.
+    /// Paths: what a row couples reaches its parent.
     fn fill(&mut self) {
+        const NONE: usize = usize::MAX;
         let n = self.dofs.len();
         let words = n.div_ceil(64);
         self.bits.clear();
-        self.bits.resize((n + 1) * words, 0);
-        let (rows, so_far) = self.bits.split_at_mut(n * words);
+        self.bits.resize(n * words, 0);
         for Listed { list, .. } in &self.bundles {
-            so_far.fill(0);
-            for i in list.of(&self.lists) {
-                so_far[i / 64] |= 1 << (i % 64);
-                for (row, so_far) in rows[i * words..].iter_mut().zip(&*so_far) {
-                    *row |= so_far;
-                }
+            // Each dof of a list with the one before it: with the others it is by way of that.
+            for pair in list.of(&self.lists).windows(2) {
+                self.bits[pair[1] * words + pair[0] / 64] |= 1 << (pair[0] % 64);
             }
         }
+        let parents = &mut self.local;
+        parents.clear();
+        parents.resize(n, NONE);
         for k in (0..n).rev() {
             let (above, row) = self.bits.split_at_mut(k * words);
-            let row = &row[..words];
-            for i in ones(row).take_while(|i| *i < k) {
-                let target = &mut above[i * words..(i + 1) * words];
-                for (t, r) in target.iter_mut().zip(row) {
-                    *t |= r;
-                }
-                // Only columns up to i.
-                target[i / 64] &= u64::MAX >> (63 - i % 64);
-                target[i / 64 + 1..].fill(0);
+            let row = &mut row[..words];
+            let Some(word) = row.iter().rposition(|word| *word != 0) else { continue };
+            let parent = 64 * word + 63 - row[word].leading_zeros() as usize;
+            parents[k] = parent;
+            row[parent / 64] &= !(1 << (parent % 64));
+            for (to, from) in above[parent * words..].iter_mut().zip(row) {
+                *to |= *from;
             }
         }
         self.start.clear();
-        self.cols.clear();
-        for i in 0..n {
-            self.start.push(self.cols.len());
-            self.cols.extend(ones(&self.bits[i * words..(i + 1) * words]));
+        self.depth.clear();
+        self.path.clear();
+        for (k, parent) in parents.iter().enumerate() {
+            let start = self.path.len();
+            self.start.push(start);
+            if *parent == NONE {
+                self.depth.push(0);
+            } else {
+                let (above, depth) = (self.start[*parent], self.depth[*parent] + 1);
+                self.path.extend_from_within(above..above + depth);
+                self.depth.push(depth);
+            }
+            self.path.push(k);
+            self.path.resize(start + (self.depth[k] + 1).next_multiple_of(WIDE), k);
         }
-        self.start.push(self.cols.len());
+        self.size = self.path.len();
     }
 
-    /// Column lists.
+    /// Whose paths go through each dof.
     fn list_below(&mut self) {
+        let Self { start, depth, path, below_start, below, local: next, .. } = self;
         let n = self.dofs.len();
-        self.below_start.clear();
-        self.below_start.resize(n + 1, 0);
-        for i in 0..n {
-            for j in &self.cols[self.start[i]..self.start[i + 1] - 1] {
-                self.below_start[j + 1] += 1;
-            }
+        below_start.clear();
+        below_start.resize(n + 1, 0);
+        let before = |k: usize| start[k]..start[k] + depth[k];
+        for k in 0..n {
+            path[before(k)].iter().for_each(|j| below_start[j + 1] += 1);
         }
         for j in 0..n {
-            self.below_start[j + 1] += self.below_start[j];
+            below_start[j + 1] += below_start[j];
         }
-        self.below.clear();
-        self.below.resize(self.cols.len() - n, (0, 0));
-        let next = &mut self.local;
+        below.clear();
+        below.resize(below_start[n], 0);
         next.clear();
-        next.extend_from_slice(&self.below_start[..n]);
+        next.extend_from_slice(&below_start[..n]);
         for k in (0..n).rev() {
-            for at in self.start[k]..self.start[k + 1] - 1 {
-                let slot = &mut next[self.cols[at]];
-                self.below[*slot] = (k, at);
-                *slot += 1;
+            for j in &path[before(k)] {
+                below[next[*j]] = k;
+                next[*j] += 1;
             }
         }
     }
 
     /// The place of every pair of every list, where it does not follow from the list alone.
     fn place(&mut self) {
-        let Self { bundles, lists, places, start, cols, local, .. } = self;
+        let Self { bundles, lists, places, start, depth, .. } = self;
         places.clear();
-        local.clear();
-        local.resize(self.dofs.len(), 0);
         for Listed { list, places: first, .. } in bundles {
             let list = list.of(lists);
-            let size = |i: usize| start[i + 1] - start[i];
-            if list.iter().enumerate().all(|(at, i)| size(*i) == at + 1) {
+            if list.iter().enumerate().all(|(at, i)| depth[*i] == at) {
                 continue;
             }
             *first = Some(places.len());
             for (at, i) in list.iter().enumerate() {
-                for place in start[*i]..start[i + 1] {
-                    local[cols[place]] = place;
-                }
-                places.extend(list[..=at].iter().map(|j| local[*j]));
+                places.extend(list[..=at].iter().map(|j| start[*i] + depth[*j]));
             }
         }
     }
@@ -202,10 +207,5 @@ impl Pattern {
         } else {
             None
         }
-    }
-
-    /// Where a row of the matrix stands.
-    pub fn row(&self, i: usize) -> Range<usize> {
-        self.start[i]..self.start[i + 1]
     }
 }

@@ -55,7 +55,7 @@ impl<R: Real> System<R> {
                 break;
             }
             self.step.fill(R::zero());
-            problem.gather(&self.rate, R::one(), &mut self.step);
+            problem.gather(&self.rate, R::one(), &mut self.step, &mut self.local);
             self.add_unbalanced(problem, cancelled);
             // Σ y e is what is left of the gradient: with δ it tells the decrement.
             self.gradient.copy_from_slice(&self.step);
@@ -165,7 +165,7 @@ impl<R: Real> System<R> {
             return;
         }
         self.gradient.fill(R::zero());
-        problem.gather(&self.impulse, R::one(), &mut self.gradient);
+        problem.gather(&self.impulse, R::one(), &mut self.gradient, &mut self.local);
         for (at, step) in self.step.iter_mut().enumerate() {
             let missing = self.gradient[at] - self.d[at] * (self.u[at] - self.guess[at]);
             *step = R::select(cancelled, *step + missing, *step);
@@ -183,7 +183,7 @@ impl<R: Real> System<R> {
     /// u = û + D⁻¹ Σ yλ; not in lanes whose impulses cancel.
     fn follow(&mut self, problem: Problem<R>, cancelled: R::Mask) {
         self.gradient.fill(R::zero());
-        problem.gather(&self.impulse, R::one(), &mut self.gradient);
+        problem.gather(&self.impulse, R::one(), &mut self.gradient, &mut self.local);
         for (((u, guess), f), inv) in
             self.u.iter_mut().zip(&self.guess).zip(&self.gradient).zip(&self.inv_d)
         {
