@@ -80,15 +80,15 @@ fn polygon(
     let corners = hull.faces.get(hull.face(&-up)).map_or(&[][..], |face| &face.corners);
     let mut below = Below { seen: [0; WORDS], list: [lowest; ROOM], count: 1 };
     let all = below.spread(hull, low);
-    let (found, every) = (&mut below.list[..below.count], 0..hull.vertices.len());
+    let (found, every) = (below.ascending(hull.vertices.len()), 0..hull.vertices.len());
     let count = if all { found.len() } else { every.clone().filter(|v| low(*v)).count() };
     let stride = 1 + (count + corners.len()) / ROOM;
-    found.sort_unstable();
     // Of even ones the first, whatever rounding says.
     let first = |vertex: &usize| height(*vertex) <= even;
     let first = if all { found.iter().copied().find(first) } else { every.clone().find(first) };
     let lowest = first.unwrap_or(lowest);
-    let mut list = List { vertices: [lowest; ROOM], count: 1 };
+    let mut list = List { vertices: [lowest; ROOM], count: 0, has: [0; WORDS] };
+    list.push(lowest);
     let others = |vertex: &usize| *vertex != lowest;
     if all {
         found.iter().copied().step_by(stride).filter(others).for_each(|vertex| list.push(vertex));
@@ -151,17 +151,36 @@ impl Below {
         }
         true
     }
+
+    /// Those that were seen of so many vertices.
+    fn ascending(&mut self, vertices: usize) -> &[usize] {
+        let mut places = self.list.iter_mut();
+        for (word, bits) in self.seen.iter().take(vertices.div_ceil(64)).enumerate() {
+            let mut rest = *bits;
+            while let (true, Some(place)) = (rest != 0, places.next()) {
+                *place = 64 * word + rest.trailing_zeros() as usize;
+                rest &= rest - 1;
+            }
+        }
+        &self.list[..self.count]
+    }
 }
 
 /// Vertices to choose from, each once.
 struct List {
     vertices: [usize; ROOM],
     count: usize,
+    /// A bit for each vertex, as far as there are bits.
+    has: [u64; WORDS],
 }
 
 impl List {
     fn put(&mut self, vertex: usize) {
-        if !self.vertices[..self.count].contains(&vertex) {
+        let known = match self.has.get(vertex / 64) {
+            Some(word) => word & (1 << (vertex % 64)) != 0,
+            None => self.vertices[..self.count].contains(&vertex),
+        };
+        if !known {
             self.push(vertex);
         }
     }
@@ -171,6 +190,9 @@ impl List {
         if self.count < ROOM {
             self.vertices[self.count] = vertex;
             self.count += 1;
+            if let Some(word) = self.has.get_mut(vertex / 64) {
+                *word |= 1 << (vertex % 64);
+            }
         }
     }
 }
