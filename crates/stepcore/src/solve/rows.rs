@@ -6,7 +6,7 @@
 //! data and nothing else: they cannot know what a row came from.
 
 use super::direct::Direct;
-use super::dofs::{any_heap, island_dofs};
+use super::dofs::any_heap;
 use super::dot::dot;
 use super::free::Free;
 use super::live::Live;
@@ -232,8 +232,6 @@ pub struct Rows<R: Real> {
     pub(crate) heap: bool,
     /// By tree: see `Model::islands`.
     pub(super) islands: Vec<usize>,
-    /// By island; none in a heap, where they say nothing of the islands of a step.
-    pub(crate) island_dofs: Vec<usize>,
     /// By island: the trace of the mass matrix, where a tolerance is a share of it.
     pub(crate) inertia: Vec<R>,
     /// By slot: see `Model::ranks`.
@@ -246,7 +244,7 @@ pub struct Rows<R: Real> {
 }
 
 room!(Rows<R>: rows, blocks, pushes, y, u, main, anchors, unrecovered, scratch, ways, guess, direct,
-    saved_solve, heap, islands, island_dofs, inertia, ranks, live, parts,
+    saved_solve, heap, islands, inertia, ranks, live, parts,
     pool);
 
 /// The guess, along a row.
@@ -278,7 +276,6 @@ impl<R: Real> Rows<R> {
             ranks: model.ranks(&islands),
             heap,
             live: model.dynamic_pairs.is_some().then(Live::default),
-            island_dofs: if heap { Vec::new() } else { island_dofs(model, &islands) },
             islands,
             inertia: Vec::new(),
             parts: Vec::new(),
@@ -305,7 +302,6 @@ impl<R: Real> Rows<R> {
             heap: false,
             u,
             islands: Vec::new(),
-            island_dofs: Vec::new(),
             inertia: Vec::new(),
             ranks: Vec::new(),
             live: None,

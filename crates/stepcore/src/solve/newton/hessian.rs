@@ -261,45 +261,64 @@ impl<R: Real> Added<R> {
         y: &[R],
         (pattern, Listed { list, places }): (&Pattern, Listed),
     ) {
+        if let Some(first) = places {
+            return self.add_places::<N>(entries, at, y, &pattern.places[first..]);
+        }
         let lines = &list.of(&pattern.lists)[at..];
-        // Where a line begins, in the matrix or among the places.
-        let begin: [usize; N] = from_fn(|line| match places {
-            // Lines before it are as long as their number.
-            Some(first) => first + (at + line) * (at + line + 1) / 2,
-            None => pattern.start[lines[line]],
-        });
-        let last = at / WIDE * WIDE;
-        for from in (0..=last).step_by(WIDE) {
-            // The diagonal's block has entries above it, which are not kept.
-            let width = |line: usize| if from < last { WIDE } else { at + line + 1 - last };
-            let place = |line: usize, i: usize| pattern.places[begin[line] + from + i];
+        let begin: [usize; N] = from_fn(|line| pattern.start[lines[line]]);
+        // The block of the diagonal ends with the room behind its rows.
+        for from in (0..=at).step_by(WIDE) {
+            let place = |line: usize| begin[line] + from..begin[line] + from + WIDE;
             let mut sums = [[R::zero(); WIDE]; N];
             for line in 0..N {
-                if places.is_none() {
-                    sums[line].copy_from_slice(&entries[begin[line] + from..][..WIDE]);
-                } else {
-                    for i in 0..width(line) {
-                        sums[line][i] = entries[place(line, i)];
-                    }
-                }
+                sums[line].copy_from_slice(&entries[place(line)]);
             }
-            for ((row, mask), bent) in self.rows.iter().zip(self.bent.chunks_exact(self.stride)) {
-                let (left, bent) = (&y[row + at..][..N], &bent[from..][..WIDE]);
-                for line in 0..N {
-                    for i in 0..WIDE {
-                        let new = sums[line][i] + left[line] * bent[i];
-                        sums[line][i] =
-                            if R::ALONE { new } else { R::select(*mask, new, sums[line][i]) };
-                    }
-                }
-            }
+            self.add_block(&mut sums, y, at, from);
             for line in 0..N {
-                if places.is_none() {
-                    entries[begin[line] + from..][..WIDE].copy_from_slice(&sums[line]);
-                } else {
-                    for i in 0..width(line) {
-                        entries[place(line, i)] = sums[line][i];
-                    }
+                entries[place(line)].copy_from_slice(&sums[line]);
+            }
+        }
+    }
+
+    /// The same of lines whose entries have places of their own.
+    fn add_places<const N: usize>(&self, entries: &mut [R], at: usize, y: &[R], places: &[usize]) {
+        for from in (0..=at).step_by(WIDE) {
+            // Lines before one are as long as their number.
+            let own = |line: usize| {
+                let line = at + line;
+                let begin = line * (line + 1) / 2;
+                &places[begin + from..begin + (line + 1).min(from + WIDE)]
+            };
+            let mut sums = [[R::zero(); WIDE]; N];
+            for line in 0..N {
+                own(line)
+                    .iter()
+                    .zip(&mut sums[line])
+                    .for_each(|(place, sum)| *sum = entries[*place]);
+            }
+            self.add_block(&mut sums, y, at, from);
+            for line in 0..N {
+                own(line).iter().zip(&sums[line]).for_each(|(place, sum)| entries[*place] = *sum);
+            }
+        }
+    }
+
+    /// Adds the part of N lines from `at` on, in columns from `from` on.
+    #[inline(always)]
+    fn add_block<const N: usize>(
+        &self,
+        sums: &mut [[R; WIDE]; N],
+        y: &[R],
+        at: usize,
+        from: usize,
+    ) {
+        for ((row, mask), bent) in self.rows.iter().zip(self.bent.chunks_exact(self.stride)) {
+            let (left, bent) = (&y[row + at..][..N], &bent[from..][..WIDE]);
+            for line in 0..N {
+                for i in 0..WIDE {
+                    let new = sums[line][i] + left[line] * bent[i];
+                    sums[line][i] =
+                        if R::ALONE { new } else { R::select(*mask, new, sums[line][i]) };
                 }
             }
         }
