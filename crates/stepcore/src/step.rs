@@ -191,12 +191,20 @@ impl<R: Real> Sim<R> {
         R::enter(Stage::Impulses);
         if self.rows.any() {
             self.warm_start(false);
+            if self.plan.resumes {
+                let last = self.next.last_impulses(&self.state);
+                self.rows.start_along(last, &self.placed.u, self.clock.dt);
+            }
             self.solve()?;
         } else {
             self.effort.rest();
         }
         if self.plan.keeps {
             self.rows.store_warm(&mut self.next.warm, false);
+        }
+        if self.plan.resumes {
+            let (before, rate) = (&self.placed.u, self.clock.rate);
+            self.rows.store_accelerations(&mut self.next.warm, before, rate);
         }
         self.placed.metric.from_factored(&self.rows.u, &mut self.velocity);
         let (_, qvel) = at.of(&self.state, &self.next);

@@ -1,4 +1,5 @@
-//! What a step hands to the next beside positions and velocities: impulses to start from, and who sleeps.
+//! What a step hands to the next beside positions and velocities: impulses and accelerations to start
+//! from, and who sleeps.
 
 use crate::real::Real;
 
@@ -9,6 +10,10 @@ pub const SLIP: usize = 10;
 pub const SLIPS: usize = 6;
 /// What is kept of a source from step to step.
 pub const WARM_ROWS: usize = SLIP + SLIPS;
+
+/// From this slot on stand accelerations, from which Newton's method starts (MuJoCo's
+/// `qacc_warmstart`), in the factored coordinates of the step that had them; `WARM_ROWS` dofs each.
+pub const ACCELERATIONS: u64 = 1 << 48;
 
 /// The impulses of one contact, limit or other source, kept for the next step's start.
 #[derive(Clone, Copy, Debug, PartialEq)]

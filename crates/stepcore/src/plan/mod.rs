@@ -15,7 +15,7 @@ mod terms;
 
 use crate::integrator::{Inside, Scheme, Stages};
 use crate::model::Model;
-use crate::settings::{Law, Settings};
+use crate::settings::{Law, Settings, Solver};
 
 pub(crate) use after_stages::{Commit, LateTrees};
 pub use left_out::Unmet;
@@ -69,6 +69,8 @@ pub struct Plan {
     /// Impulses start from the last step's; and something of them is handed to the next.
     pub(crate) warm_start: bool,
     pub(crate) keeps: bool,
+    /// Newton's method starts from the acceleration of the last solve.
+    pub(crate) resumes: bool,
     /// Sweeps over friction alone after each solve, and where one is the last: see `Rows::inertia`.
     pub(crate) noslip: u32,
     pub(crate) noslip_cost: f64,
@@ -78,7 +80,7 @@ pub struct Plan {
     pub(crate) commit: Vec<Commit>,
 }
 
-room!(Plan: scheme, inside, solves_once, sleeps, warm_start, keeps, noslip, noslip_cost, weighs, late, commit);
+room!(Plan: scheme, inside, solves_once, sleeps, warm_start, keeps, resumes, noslip, noslip_cost, weighs, late, commit);
 
 impl Plan {
     pub fn of(model: &Model, settings: &Settings) -> Self {
@@ -86,6 +88,8 @@ impl Plan {
         let late = LateTrees::of(model, scheme);
         let equalities = model.equalities.is_empty();
         let noslip_cost = settings.cost_floor(settings.noslip_tolerance);
+        // Elsewhere the last solve of a step is of rows after its stages.
+        let in_stages = scheme.stages == Stages::Start || settings.inside() == Inside::All;
         Self {
             scheme,
             inside: match settings.inside() {
@@ -96,6 +100,7 @@ impl Plan {
             sleeps: settings.sleep,
             warm_start: settings.warm_start,
             keeps: settings.warm_start || settings.stiction,
+            resumes: settings.warm_start && settings.solver == Solver::Newton && in_stages,
             noslip: match settings.law {
                 Law::SolRef => settings.noslip_iterations,
                 _ => 0,

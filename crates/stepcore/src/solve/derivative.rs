@@ -63,6 +63,7 @@ struct Given {
     blocks: Vec<Block<f64>>,
     y: Vec<f64>,
     u: Vec<f64>,
+    start: Vec<f64>,
     heap: bool,
 }
 
@@ -78,7 +79,7 @@ struct Solution {
 
 room!(Differentiated: plain, given, solutions, next, carried, force, rhs, degenerate);
 
-room!(Given: inv_d, guess, rows, blocks, y, u, heap);
+room!(Given: inv_d, guess, rows, blocks, y, u, start, heap);
 
 impl Room for (Vec<Direction>, Factors) {
     fn room(&self) -> usize {
@@ -249,6 +250,7 @@ impl Given {
             blocks: Vec::new(),
             y: Vec::new(),
             u: Vec::new(),
+            start: Vec::new(),
             heap: false,
         }
     }
@@ -265,6 +267,7 @@ impl Given {
         refill(&mut self.blocks, rows.blocks.iter().map(|block| block.at_lane(0)));
         refill(&mut self.y, rows.y.iter().map(value));
         refill(&mut self.u, rows.u.iter().map(value));
+        refill(&mut self.start, rows.start.iter().map(value));
         self.heap = rows.heap;
     }
 
@@ -277,7 +280,7 @@ impl Given {
         let (Self { inv_d, guess, .. }, given) = (self, self.clone());
         let mut rows = Rows::bare(0);
         (rows.rows, rows.blocks, rows.y, rows.u) = (given.rows, given.blocks, given.y, given.u);
-        rows.heap = given.heap;
+        (rows.start, rows.heap) = (given.start, given.heap);
         let free = Unconstrained { dof_lists, inv_d, guess };
         // What is differentiated is Newton's solution, not where a step was content.
         let exact = Settings { cost_tolerance: 0.0, ..settings.clone() };

@@ -17,9 +17,10 @@ use crate::real::{Count, Mask, Real};
 use crate::spatial::subtract_scaled;
 use gather::Gathered;
 
-/// An island of so many rows has few (measured on eleven models of gymnasium's and dm_control's
-/// wheels: with 8 walker and ant take up to a tenth longer, with half the dofs dm_control's dog).
-const MOST: u64 = 16;
+/// An island of so many rows has few, and one of up to `SHARE` a dof of its own. With half of `MOST` ant and
+/// walker take up to a tenth longer; without `SHARE` humanoid_CMU in lanes a fifth, alone as long.
+const MOST: usize = 16;
+const SHARE: f64 = 0.5;
 /// A pivot this small beside its diagonal would cost too many digits: rows that are nearly
 /// copies with a tiny regulariser go to the primal method, which sees each by itself.
 const PIVOT: f64 = 1e-5;
@@ -102,13 +103,17 @@ impl<R: Real> Few<R> {
     /// Lanes in which all rows of these blocks are intervals, and few. A lane's own rows
     /// decide, whatever its neighbours have.
     pub fn fits(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
+        let island = blocks.first().map(|block| rows.blocks[*block].island);
+        let dofs = island.and_then(|island| rows.island_dofs.get(island));
+        let share = SHARE * dofs.copied().unwrap_or(0) as f64;
+        let most = MOST.max(share as usize) as u64;
         let mut fits = R::Mask::of(true);
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
             if block.set != Set::Interval {
                 fits = fits.and(block.mask.not());
             }
         }
-        fits.and(row_count(rows, blocks).at_most(MOST))
+        fits.and(row_count(rows, blocks).at_most(most))
     }
 
     /// Solves an island in the lanes `mine`; `rows.u` and the impulses as for the other

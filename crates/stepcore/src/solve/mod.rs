@@ -43,7 +43,7 @@ use crate::elements::Role;
 use crate::model::Span;
 use crate::real::{Mask, Real};
 use crate::spatial::{Force, Motion, V3};
-use crate::warm::{Warm, SLIP, WARM_ROWS};
+use crate::warm::{Warm, ACCELERATIONS, SLIP, WARM_ROWS};
 
 /// A·m below this many squared roundings may be rounding; beside the squares of its terms, it is
 /// below this many.
@@ -179,6 +179,32 @@ impl<R: Real> Rows<R> {
             }
         }
         self.apply_impulses(dof_lists, inv_d);
+    }
+
+    /// Where the velocities `before` (factored) come to under the accelerations kept in `warm`.
+    pub(crate) fn start_along(&mut self, warm: &[Warm<R>], before: &[R], dt: R) {
+        self.start.clear();
+        self.start.extend_from_slice(before);
+        let kept = warm.partition_point(|warm| warm.slot < ACCELERATIONS);
+        for Warm { slot, impulse, .. } in &warm[kept..] {
+            let first = WARM_ROWS * (slot - ACCELERATIONS) as usize;
+            for (u, rate) in self.start.iter_mut().skip(first).zip(impulse) {
+                *u += dt * *rate;
+            }
+        }
+    }
+
+    /// Keeps the accelerations since the velocities `before` (factored) after the impulses.
+    pub(crate) fn store_accelerations(&self, warm: &mut Vec<Warm<R>>, before: &[R], rate: R) {
+        let parts = self.u.chunks(WARM_ROWS).zip(before.chunks(WARM_ROWS));
+        for (slot, (u, before)) in (ACCELERATIONS..).zip(parts) {
+            let mut impulse = [R::zero(); WARM_ROWS];
+            for ((to, u), before) in impulse.iter_mut().zip(u).zip(before) {
+                let rate = (*u - *before) * rate;
+                *to = R::select(rate.is_finite(), rate, R::zero());
+            }
+            warm.push(Warm { slot, feature: R::zero(), impulse });
+        }
     }
 
     /// The impulse that the main solve gave a row.

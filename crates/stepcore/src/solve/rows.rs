@@ -6,7 +6,7 @@
 //! data and nothing else: they cannot know what a row came from.
 
 use super::direct::Direct;
-use super::dofs::any_heap;
+use super::dofs::{any_heap, island_dofs};
 use super::dot::dot;
 use super::free::Free;
 use super::live::Live;
@@ -215,6 +215,8 @@ pub struct Rows<R: Real> {
     pub y: Vec<R>,
     /// u = L v, by dof: the guess at first, then with every impulse so far.
     pub u: Vec<R>,
+    /// The u that Newton's method tries first; empty: that with the impulses that the rows hold.
+    pub(crate) start: Vec<R>,
     /// What the main solve gave each row, where noslip has changed friction since; else empty.
     pub(crate) main: Vec<R>,
     /// Of contacts whose friction holds, by block.
@@ -232,6 +234,8 @@ pub struct Rows<R: Real> {
     pub(crate) heap: bool,
     /// By tree: see `Model::islands`.
     pub(super) islands: Vec<usize>,
+    /// By island; none in a heap, where they say nothing of the islands of a step.
+    pub(crate) island_dofs: Vec<usize>,
     /// By island: the trace of the mass matrix, where a tolerance is a share of it.
     pub(crate) inertia: Vec<R>,
     /// By slot: see `Model::ranks`.
@@ -243,8 +247,8 @@ pub struct Rows<R: Real> {
     pub(crate) pool: Option<Arc<Pool>>,
 }
 
-room!(Rows<R>: rows, blocks, pushes, y, u, main, anchors, unrecovered, scratch, ways, guess, direct,
-    saved_solve, heap, islands, inertia, ranks, live, parts,
+room!(Rows<R>: rows, blocks, pushes, y, u, start, main, anchors, unrecovered, scratch, ways, guess, direct,
+    saved_solve, heap, islands, island_dofs, inertia, ranks, live, parts,
     pool);
 
 /// The guess, along a row.
@@ -267,6 +271,7 @@ impl<R: Real> Rows<R> {
             anchors: Vec::new(),
             y: Vec::new(),
             u: vec![R::zero(); model.nv],
+            start: Vec::new(),
             unrecovered: R::zero(),
             scratch: vec![R::zero(); WIDE * model.nv],
             ways: Vec::new(),
@@ -276,6 +281,7 @@ impl<R: Real> Rows<R> {
             ranks: model.ranks(&islands),
             heap,
             live: model.dynamic_pairs.is_some().then(Live::default),
+            island_dofs: if heap { Vec::new() } else { island_dofs(model, &islands) },
             islands,
             inertia: Vec::new(),
             parts: Vec::new(),
@@ -301,7 +307,9 @@ impl<R: Real> Rows<R> {
             saved_solve: SavedSolve::new(nv),
             heap: false,
             u,
+            start: Vec::new(),
             islands: Vec::new(),
+            island_dofs: Vec::new(),
             inertia: Vec::new(),
             ranks: Vec::new(),
             live: None,
@@ -317,6 +325,7 @@ impl<R: Real> Rows<R> {
         self.main.clear();
         self.anchors.clear();
         self.y.clear();
+        self.start.clear();
         self.unrecovered = R::zero();
     }
 

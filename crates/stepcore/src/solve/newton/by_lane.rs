@@ -100,6 +100,7 @@ impl<R: Real> ByLane<R> {
         own.clear();
         own.heap = rows.heap;
         fill(&mut own.u, &rows.u);
+        fill(&mut own.start, &rows.start);
         fill(&mut own.y, &rows.y);
         fill(&mut own.inertia, &rows.inertia);
         self.blocks.clear();

@@ -22,6 +22,8 @@ pub(super) struct System<R: Real> {
     /// By dof.
     pub(super) guess: Vec<R>,
     pub(super) u: Vec<R>,
+    /// Lanes with a row on the dof.
+    touched: Vec<R::Mask>,
     pub(super) d: Vec<R>,
     pub(super) inv_d: Vec<R>,
     pub(super) gradient: Vec<R>,
@@ -40,7 +42,7 @@ pub(super) struct System<R: Real> {
     pub(super) local: Vec<R>,
 }
 
-room!(System<R>: w, rate, impulse, curve, lines, guess, u, d, inv_d, gradient, step, hessian, columns,
+room!(System<R>: w, rate, impulse, curve, lines, guess, u, touched, d, inv_d, gradient, step, hessian, columns,
     fresh, decrement, floor, moved, local);
 
 impl<R: Real> System<R> {
@@ -53,6 +55,7 @@ impl<R: Real> System<R> {
             lines: Vec::new(),
             guess: Vec::new(),
             u: Vec::new(),
+            touched: Vec::new(),
             d: Vec::new(),
             inv_d: Vec::new(),
             gradient: Vec::new(),
@@ -67,7 +70,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Takes an island in, whose velocities are u, and starts at these or at û: at the end to which the
+    /// Takes an island in, and starts at the velocities u or at û: at the end to which the
     /// cost falls half-way between them. It is not the minimum along the line, in which unconnected
     /// parts of an island would change each other's bits. Where it is u, laws and slope are at hand:
     /// what `slope` gives.
@@ -78,6 +81,9 @@ impl<R: Real> System<R> {
         live: R::Mask,
     ) -> Option<(R, R)> {
         self.make_room(problem, (inv_d, guess, u));
+        if !R::ALONE {
+            self.leave_untouched(problem);
+        }
         self.find_slacks(problem);
         if self.u == self.guess {
             return None;
@@ -107,6 +113,28 @@ impl<R: Real> System<R> {
         }
         self.advance(R::one(), onward);
         None
+    }
+
+    /// Starts at û where a lane has no row on a dof: alone it would not have the dof in its system.
+    fn leave_untouched(&mut self, problem: Problem<R>) {
+        let Problem { pattern, rows, blocks, .. } = problem;
+        self.touched.clear();
+        self.touched.resize(self.u.len(), R::Mask::of(false));
+        let of_block = |b: &usize| {
+            let block = &rows.blocks[*b];
+            rows.rows[block.rows.range()].iter().map(|row| (row.dofs.len, block.mask))
+        };
+        let mut every = blocks.iter().flat_map(of_block);
+        for (b, bundle) in problem.bundles.list.iter().enumerate() {
+            for (len, mask) in every.by_ref().take(bundle.rows.len) {
+                for k in &pattern.list(b)[..len] {
+                    self.touched[*k] = self.touched[*k].or(mask);
+                }
+            }
+        }
+        for ((u, guess), touched) in self.u.iter_mut().zip(&self.guess).zip(&self.touched) {
+            *u = R::select(*touched, *u, *guess);
+        }
     }
 
     /// Lists for an island.

@@ -96,7 +96,8 @@ impl<R: Real> Worker<R> {
         bundles.take(present, rows, free.dof_lists);
         pattern.fit(free.dof_lists, rows.heap, bundles.dofs(), class);
         let problem = Problem { pattern, bundles, rows, blocks: present };
-        let begun = system.start(problem, (free.inv_d, free.guess, &rows.u), live);
+        let first = if rows.start.is_empty() { &rows.u } else { &rows.start };
+        let begun = system.start(problem, (free.inv_d, free.guess, first), live);
         let scale = Scale {
             lightest: lightest(present, rows),
             least_gain: R::of(limits.cost) * inertia,
