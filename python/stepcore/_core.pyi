@@ -195,7 +195,7 @@ class Settings:
 
     @property
     def warm_start(self) -> bool:
-        """Whether a solve starts from the impulses of the last step."""
+        """Whether a solve starts from the impulses and the acceleration of the last step."""
 
     @property
     def precision(self) -> str:

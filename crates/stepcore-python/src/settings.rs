@@ -219,7 +219,7 @@ settings! {
     /// [m²/s⁴], >= 0; 0 for none, as in scenes that are not MJCF files. Newton's impulses then agree
     /// with the velocities to that tolerance, else to rounding.
     cost_tolerance: f64,
-    /// Whether a solve starts from the impulses of the last step.
+    /// Whether a solve starts from the impulses and the acceleration of the last step.
     warm_start: bool,
     /// Precision of the computation: "f64" or "f32".
     precision: Precision,

@@ -66,7 +66,7 @@ pub struct Plan {
     /// A step makes one solve, at the state from which it starts, and all that is in it is awake.
     pub(crate) solves_once: bool,
     pub(crate) sleeps: bool,
-    /// Impulses start from the last step's; and something of them is handed to the next.
+    /// A solve starts from the last step's impulses; and something of them is handed to the next.
     pub(crate) warm_start: bool,
     pub(crate) keeps: bool,
     /// Newton's method starts from the acceleration of the last solve.

@@ -181,27 +181,37 @@ impl<R: Real> Rows<R> {
         self.apply_impulses(dof_lists, inv_d);
     }
 
-    /// Where the velocities `before` (factored) come to under the accelerations kept in `warm`.
+    /// Newton starts where the velocities `before` (factored) come to under the accelerations kept in
+    /// `warm`; where there are none, or all are zero, at `u`.
     pub(crate) fn start_along(&mut self, warm: &[Warm<R>], before: &[R], dt: R) {
         self.start.clear();
-        self.start.extend_from_slice(before);
+        self.start.extend_from_slice(&self.u);
         let kept = warm.partition_point(|warm| warm.slot < ACCELERATIONS);
         for Warm { slot, impulse, .. } in &warm[kept..] {
             let first = WARM_ROWS * (slot - ACCELERATIONS) as usize;
-            for (u, rate) in self.start.iter_mut().skip(first).zip(impulse) {
-                *u += dt * *rate;
+            let acts = |some: R::Mask, rate: &R| some.or(rate.abs().gt(R::zero()));
+            let acts = impulse.iter().fold(R::Mask::of(false), acts);
+            let dofs = self.start.iter_mut().zip(before).skip(first);
+            for ((u, before), rate) in dofs.zip(impulse) {
+                *u = R::select(acts, *before + dt * *rate, *u);
             }
         }
     }
 
-    /// Keeps the accelerations since the velocities `before` (factored) after the impulses.
+    /// Keeps the accelerations since the velocities `before` (factored) after the impulses, in lanes
+    /// with rows.
     pub(crate) fn store_accelerations(&self, warm: &mut Vec<Warm<R>>, before: &[R], rate: R) {
+        let none = R::Mask::of(false);
+        let solved = self.blocks.iter().fold(none, |some, block| some.or(block.mask));
+        if solved.none() {
+            return;
+        }
         let parts = self.u.chunks(WARM_ROWS).zip(before.chunks(WARM_ROWS));
         for (slot, (u, before)) in (ACCELERATIONS..).zip(parts) {
             let mut impulse = [R::zero(); WARM_ROWS];
             for ((to, u), before) in impulse.iter_mut().zip(u).zip(before) {
                 let rate = (*u - *before) * rate;
-                *to = R::select(rate.is_finite(), rate, R::zero());
+                *to = R::select(solved.and(rate.is_finite()), rate, R::zero());
             }
             warm.push(Warm { slot, feature: R::zero(), impulse });
         }

@@ -4,8 +4,9 @@
 //! (`newton/penalty.rs`), possible because every row has a regulariser c > 0. The
 //! gradient is D(u − û) − Σ yλ; the Hessian D + Σ y s″ yᵀ is factored sparsely; the
 //! line search is exact. Where no row changes its zone in a full step the problem
-//! was quadratic along it, and the step was the last. The first step goes by the zones of the
-//! step before (`newton/recall.rs`).
+//! was quadratic along it, and the step was the last. It starts from the last acceleration, where
+//! that costs less than none, and the first step goes by the zones of the step before
+//! (`newton/recall.rs`).
 
 mod bent;
 mod bundles;
