@@ -182,16 +182,19 @@ impl<R: Real> Rows<R> {
     }
 
     /// Newton starts where the velocities `before` (factored) come to under the accelerations kept in
-    /// `warm`; where there are none, or all are zero, at `u`.
+    /// `warm`; where there are none, or all are zero, at `u`. One row by itself needs no start.
     pub(crate) fn start_along(&mut self, warm: &[Warm<R>], before: &[R], dt: R) {
         self.start.clear();
+        if matches!(self.blocks[..], [Block { set: Set::Interval, .. }]) && self.rows.len() == 1 {
+            return;
+        }
         self.start.extend_from_slice(&self.u);
         let kept = warm.partition_point(|warm| warm.slot < ACCELERATIONS);
         for Warm { slot, impulse, .. } in &warm[kept..] {
             let first = WARM_ROWS * (slot - ACCELERATIONS) as usize;
-            let acts = |some: R::Mask, rate: &R| some.or(rate.abs().gt(R::zero()));
-            let acts = impulse.iter().fold(R::Mask::of(false), acts);
             let dofs = self.start.iter_mut().zip(before).skip(first);
+            let acts = |some: R::Mask, rate: &R| some.or(rate.abs().gt(R::zero()));
+            let acts = impulse.iter().take(dofs.len()).fold(R::Mask::of(false), acts);
             for ((u, before), rate) in dofs.zip(impulse) {
                 *u = R::select(acts, *before + dt * *rate, *u);
             }
