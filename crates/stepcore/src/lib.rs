@@ -52,6 +52,7 @@ mod room;
 pub mod arrays;
 pub mod assets;
 pub mod batch;
+mod bits;
 mod clock;
 pub mod commit;
 pub mod detect;

@@ -10,6 +10,7 @@ use super::hull::Hull;
 use super::spread::spread;
 use super::touch::{Touch, Touches};
 use super::Shape;
+use crate::bits::ones;
 use crate::real::{Constant, Mask, Real};
 use crate::spatial::V3;
 
@@ -154,14 +155,8 @@ impl Below {
 
     /// Those that were seen of so many vertices.
     fn ascending(&mut self, vertices: usize) -> &[usize] {
-        let mut places = self.list.iter_mut();
-        for (word, bits) in self.seen.iter().take(vertices.div_ceil(64)).enumerate() {
-            let mut rest = *bits;
-            while let (true, Some(place)) = (rest != 0, places.next()) {
-                *place = 64 * word + rest.trailing_zeros() as usize;
-                rest &= rest - 1;
-            }
-        }
+        let words = vertices.div_ceil(64).min(WORDS);
+        self.list.iter_mut().zip(ones(&self.seen[..words])).for_each(|(place, seen)| *place = seen);
         &self.list[..self.count]
     }
 }

@@ -6,6 +6,8 @@
 //! hundred nodes: bodies, not dofs. Ties go to the lower node, so that the order follows from the
 //! graph alone.
 
+use crate::bits::ones;
+
 /// A graph's order of elimination, and what each node still touches when its turn comes.
 #[derive(Default)]
 pub(super) struct Order {
@@ -98,18 +100,6 @@ impl Order {
             self.rows[self.start[k]..self.start[k + 1]].sort_unstable();
         }
     }
-}
-
-/// Indices of the bits that are set, ascending.
-pub(super) fn ones(words: &[u64]) -> impl Iterator<Item = usize> + '_ {
-    words.iter().enumerate().flat_map(|(at, word)| {
-        let mut rest = *word;
-        std::iter::from_fn(move || {
-            let bit = rest.trailing_zeros() as usize;
-            rest &= rest.wrapping_sub(1);
-            (bit < 64).then_some(at * 64 + bit)
-        })
-    })
 }
 
 #[cfg(test)]
