@@ -39,14 +39,13 @@ impl<R: Real> Rows<R> {
             placed.xpos[body] + rotate(&placed.xmat[body], &splat(&ends.pos[k]))
         };
         let (p1, p2) = (point(0), point(1));
-        for k in 0..3 {
-            let mut axis = V3::zeros();
-            axis[k] = R::one();
-            self.clear_scratch(equality.dofs.of(now.dof_lists));
-            self.add_jacobian(now, one, &p1, &axis);
-            self.add_jacobian(now, two, &p2, &-axis);
-            self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
-            self.drop_rounding(now, ends.bodies, &p1, equality.mass.get(), Motion::most_at);
+        let first = self.rows.len();
+        let along = [V3::x(), V3::y(), V3::z()];
+        self.push_relative(now, ([two, one], equality.dofs), Some(&[p2, p1]), &along);
+        for row in first..self.rows.len() {
+            self.rows[row].lo = R::of(f64::NEG_INFINITY);
+            let (ends, mass) = ((ends.bodies, &p1), equality.mass.get());
+            self.drop_rounding_of(row, now, ends, mass, Motion::most_at);
         }
         let curving = self.acceleration(now, one, &p1) - self.acceleration(now, two, &p2);
         Apart { way: p1 - p2, curving }

@@ -53,52 +53,28 @@ impl Constraint for Contacts {
 }
 
 impl<R: Real> Rows<R> {
-    /// Rows of how the geoms slide along some directions, each drawn out by its scale.
-    fn sliding_rows(
+    /// Rows of how the geoms slide along some directions, or turn about them, each drawn out by its
+    /// scale.
+    fn moving_rows(
         &mut self,
         now: &Situation<R>,
-        contact: &Contact<R>,
-        pair: &Pair<R>,
+        (contact, pair): (&Contact<R>, &Pair<R>),
         along: &[V3<R>],
         scales: &[R],
+        turn: bool,
     ) {
         let (bodies, points, first) = (bodies(now.model, pair), contact.points(), self.rows.len());
-        match *along {
-            [a] => self.push_relative(now, bodies, pair.dofs, &points, (&[a], 1)),
-            [a, b] => self.push_relative(now, bodies, pair.dofs, &points, (&[a, b], 2)),
-            // Four numbers fill a register; lanes have registers of their own.
-            [a, b, c] if R::ALONE => {
-                let four = [a, b, c, V3::zeros()];
-                self.push_relative(now, bodies, pair.dofs, &points, (&four, 3));
-            }
-            [a, b, c] => self.push_relative(now, bodies, pair.dofs, &points, (&[a, b, c], 3)),
-            _ => {}
-        }
+        self.push_relative(now, (bodies, pair.dofs), (!turn).then_some(&points), along);
         for (row, scale) in (first..).zip(scales) {
             self.drop_rounding_of(row, now, (bodies, &contact.pos), pair.mass, |motion, arm| {
-                motion.most_at(arm) * (*scale * *scale)
+                let most = if turn { motion.ang.dot(&motion.ang) } else { motion.most_at(arm) };
+                most * (*scale * *scale)
             });
         }
     }
 
-    fn turning_row(
-        &mut self,
-        now: &Situation<R>,
-        contact: &Contact<R>,
-        pair: &Pair<R>,
-        about: &V3<R>,
-        scale: R,
-    ) {
-        let bodies = bodies(now.model, pair);
-        self.turning_jacobian(now, bodies, pair.dofs, about);
-        self.push_scratch(now, pair.dofs);
-        self.drop_rounding(now, bodies, &contact.pos, pair.mass, |motion, _| {
-            motion.ang.dot(&motion.ang) * (scale * scale)
-        });
-    }
-
     pub(super) fn normal_row(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair<R>) {
-        self.sliding_rows(now, contact, pair, &[contact.normal], &[R::one()]);
+        self.moving_rows(now, (contact, pair), &[contact.normal], &[R::one()], false);
     }
 
     /// Rows of the ways of friction, in their measure.
@@ -129,14 +105,13 @@ impl<R: Real> Rows<R> {
         }
         let axis = axes_of(contact, now);
         let (mut along, mut scales) = ([contact.normal; 3], [R::one(); 3]);
-        let mut count = usize::from(normal);
-        for way in ways.list().iter().filter(|way| !way.turns) {
-            (along[count], scales[count]) = (axis(way), way.scale);
-            count += 1;
-        }
-        self.sliding_rows(now, contact, pair, &along[..count], &scales[..count]);
-        for way in ways.list().iter().filter(|way| way.turns) {
-            self.turning_row(now, contact, pair, &axis(way), way.scale);
+        for turn in [false, true] {
+            let mut count = usize::from(normal && !turn);
+            for way in ways.list().iter().filter(|way| way.turns == turn) {
+                (along[count], scales[count]) = (axis(way), way.scale);
+                count += 1;
+            }
+            self.moving_rows(now, (contact, pair), &along[..count], &scales[..count], turn);
         }
     }
 

@@ -58,22 +58,24 @@ impl<R: Real> Rows<R> {
         let ([v1, v2], [a1, a2]) = ([one, two].map(spin(now)), [one, two].map(spinning_up(now)));
         let (relative, gains) = (v1 - v2, a1 - a2 + v1.cross(&v2));
         let at = placed.xpos[one];
-        for (k, along) in axes(&turn, &matrix, scale).into_iter().enumerate() {
-            // Body 1 relative to body 2.
-            self.turning_jacobian(now, [two, one], equality.dofs, &along);
-            self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
-            self.drop_rounding(
+        let (along, first) = (axes(&turn, &matrix, scale), self.rows.len());
+        // Body 1 relative to body 2.
+        self.push_relative(now, ([two, one], equality.dofs), None, &along);
+        for (k, along) in along.into_iter().enumerate() {
+            self.rows[first + k].lo = R::of(f64::NEG_INFINITY);
+            self.drop_rounding_of(
+                first + k,
                 now,
-                ends.bodies,
-                &at,
+                (ends.bodies, &at),
                 equality.mass.get(),
                 |motion: &Motion<R>, _| motion.ang.dot(&motion.ang) * R::of(0.25 * scale * scale),
             );
             let mut gap = R::of(scale) * turn.v[k];
-            if let Some(row) = self.rows.last().filter(|row| row.a.le(R::zero()).any()) {
+            let unmoved = self.rows[first + k].a.le(R::zero());
+            if unmoved.any() {
                 // What nothing turns has the load gap/R, and R is least: not of a rounding.
                 let rounding = turn.v[k].abs().le(R::of(ROUNDINGS * R::epsilon()));
-                gap = R::select(row.a.le(R::zero()).and(rounding), R::zero(), gap);
+                gap = R::select(unmoved.and(rounding), R::zero(), gap);
             }
             let bent = R::of(0.25) * relative.dot(&relative) * gap;
             held[k] =

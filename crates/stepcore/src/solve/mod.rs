@@ -40,9 +40,8 @@ pub use situation::{Part, Situation};
 pub(crate) use solver::{Solve, Solvers, Unconstrained};
 
 use crate::elements::Role;
-use crate::model::Span;
 use crate::real::{Mask, Real};
-use crate::spatial::{Force, Motion, V3};
+use crate::spatial::{Motion, V3};
 use crate::warm::{Warm, ACCELERATIONS, SLIP, WARM_ROWS};
 
 /// A·m below this many squared roundings may be rounding; beside the squares of its terms, it is
@@ -57,65 +56,11 @@ fn suspect<R: Real>(a: R, mass: R) -> R::Mask {
 }
 
 impl<R: Real> Rows<R> {
-    /// Sets `scratch` to the Jacobian of the angular velocity of body 2 relative to body 1, about
-    /// `axis`, on the union `dofs` of their chains.
-    pub(crate) fn turning_jacobian(
-        &mut self,
-        now: &Situation<R>,
-        bodies: [usize; 2],
-        dofs: Span,
-        axis: &V3<R>,
-    ) {
-        self.clear_scratch(dofs.of(now.dof_lists));
-        for (body, axis) in bodies.into_iter().zip([-axis, *axis]) {
-            let body = &now.model.bodies[body];
-            if body.tree == crate::model::NONE {
-                continue;
-            }
-            for &k in body.chain.of(&now.model.dof_lists) {
-                self.scratch[k] += now.placed.motion[k].ang.dot(&axis);
-            }
-        }
-    }
-
     /// The Jacobian of the next row is zero on these dofs.
     #[inline(always)]
     pub(crate) fn clear_scratch(&mut self, dofs: &[usize]) {
         for &k in dofs {
             self.scratch[k] = R::zero();
-        }
-    }
-
-    /// Adds the Jacobian of one body point's velocity along `direction`.
-    pub(crate) fn add_jacobian(
-        &mut self,
-        now: &Situation<R>,
-        body: usize,
-        at: &V3<R>,
-        direction: &V3<R>,
-    ) {
-        let body = &now.model.bodies[body];
-        if body.tree == crate::model::NONE {
-            return;
-        }
-        let arm = at - now.placed.origin[body.tree];
-        let wrench = Force { ang: arm.cross(direction), lin: *direction };
-        for &k in body.chain.of(&now.model.dof_lists) {
-            self.scratch[k] += now.placed.motion[k].dot(&wrench);
-        }
-    }
-
-    /// The same of the row pushed last.
-    pub(crate) fn drop_rounding(
-        &mut self,
-        now: &Situation<R>,
-        bodies: [usize; 2],
-        at: &V3<R>,
-        mass: R,
-        size: impl Fn(&Motion<R>, &V3<R>) -> R,
-    ) {
-        if let Some(last) = self.rows.len().checked_sub(1) {
-            self.drop_rounding_of(last, now, (bodies, at), mass, size);
         }
     }
 

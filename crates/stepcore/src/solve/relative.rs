@@ -37,6 +37,17 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
         Some(Self { chain, ang: numbers(&torques), lin: numbers(&along) })
     }
 
+    /// The same where rows count how the body turns about some axes.
+    fn turning(now: &Situation<'a, R>, body: usize, about: [V3<R>; N]) -> Option<Self> {
+        let body = &now.model.bodies[body];
+        if body.tree == NONE {
+            return None;
+        }
+        let ang = crate::real::array::from_fn(|k| about.map(|axis| axis[k]));
+        let chain = body.chain.of(&now.model.dof_lists);
+        Some(Self { chain, ang, lin: [[R::zero(); N]; 3] })
+    }
+
     /// J of one dof in each direction.
     #[inline(always)]
     fn of_dof(&self, now: &Situation<R>, k: usize) -> [R; N] {
@@ -84,26 +95,46 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
 
 impl<R: Real> Rows<R> {
     /// Pushes the rows of the relative velocity of two body points, each at its `at` (body 2 minus
-    /// body 1), along the first `count` of N directions, on the union `dofs` of their chains.
-    pub(crate) fn push_relative<const N: usize>(
+    /// body 1), along up to three directions; where there is no `at`, of the angular velocity about
+    /// them. `dofs`: the union of the bodies' chains.
+    pub(crate) fn push_relative(
         &mut self,
         now: &Situation<R>,
-        bodies: [usize; 2],
-        dofs: Span,
-        at: &[V3<R>; 2],
-        (along, count): (&[V3<R>; N], usize),
+        (bodies, dofs): ([usize; 2], Span),
+        at: Option<&[V3<R>; 2]>,
+        along: &[V3<R>],
     ) {
-        let sides = [
-            Side::of(now, bodies[0], &at[0], along.map(|d| -d)),
-            Side::of(now, bodies[1], &at[1], *along),
-        ];
+        let own = (bodies, dofs);
+        match *along {
+            [a] => self.push_some(now, own, at, ([a], 1)),
+            [a, b] => self.push_some(now, own, at, ([a, b], 2)),
+            // Four numbers fill a register; lanes have registers of their own.
+            [a, b, c] if R::ALONE => self.push_some(now, own, at, ([a, b, c, V3::zeros()], 3)),
+            [a, b, c] => self.push_some(now, own, at, ([a, b, c], 3)),
+            _ => {}
+        }
+    }
+
+    /// The same along the first `count` of N directions.
+    fn push_some<const N: usize>(
+        &mut self,
+        now: &Situation<R>,
+        (bodies, dofs): ([usize; 2], Span),
+        at: Option<&[V3<R>; 2]>,
+        (along, count): ([V3<R>; N], usize),
+    ) {
+        let side = |which: usize, along| match at {
+            Some(at) => Side::of(now, bodies[which], &at[which], along),
+            None => Side::turning(now, bodies[which], along),
+        };
+        let sides = &[side(0, along.map(|d| -d)), side(1, along)];
         let start = self.y.len();
         self.y.resize(start + count * dofs.len, R::zero());
         let list = dofs.of(now.dof_lists);
-        let sums = if all_free(now.model, list, &sides) {
-            self.lift_free(now, list, &sides, (start, count))
+        let sums = if all_free(now.model, list, sides) {
+            self.lift_free(now, list, sides, (start, count))
         } else {
-            self.lift_any(now, list, &sides, (start, count))
+            self.lift_any(now, list, sides, (start, count))
         };
         for i in 0..count {
             self.push_row(dofs, start + i * dofs.len, sums.a[i], sums.velocity[i]);
