@@ -86,6 +86,8 @@ def test_an_error_of_the_compiler_says_where_it_names_what():
 def test_an_error_of_a_run_carries_the_element_that_it_names():
     scene = sc.loads(SCENE)
     scene.joints[0].stiffness = 1e9
+    # Rows at speeds without meaning give and take as much as the spring that drives them there.
+    scene.equalities.clear()
     sim = sc.Sim(scene.compile(), integrator="explicit", dt=0.01)
     sim.qpos[0] = -0.5
     with pytest.raises(sc.SimulationError) as caught:

@@ -103,6 +103,8 @@ impl<R: Real> Row<R> {
 pub(crate) const CONE: usize = 6;
 /// A cone of no more rows (normal and tangents) is solved by formulas of its own.
 pub(crate) const NARROW: usize = 3;
+/// With torsion.
+pub(crate) const SPINNING: usize = 4;
 
 /// The law that ties a block's impulses to its residual velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -338,15 +340,21 @@ impl<R: Real> Rows<R> {
 
     /// Takes J from `scratch` (set on `dofs`), lifts it to y, and measures it.
     pub(crate) fn push_scratch(&mut self, now: &Situation<R>, dofs: Span) -> &mut Row<R> {
-        let list = dofs.of(now.dof_lists);
-        now.placed.metric.lift(list, &mut self.scratch);
+        let (list, metric) = (dofs.of(now.dof_lists), &now.placed.metric);
         let start = self.y.len();
+        if metric.is_path(list) {
+            self.y.extend(list.iter().rev().map(|k| self.scratch[*k]));
+            metric.lift_path(list, &mut self.y[start..]);
+            self.y[start..].reverse();
+        } else {
+            metric.lift(list, &mut self.scratch);
+            self.y.extend(list.iter().map(|k| self.scratch[*k]));
+        }
+        let own = &self.y[start..];
         let (mut a, mut velocity) = (R::zero(), R::zero());
-        for &k in list {
-            let y = self.scratch[k];
-            a += y * y * now.placed.metric.inv_d[k];
-            velocity += y * now.placed.u[k];
-            self.y.push(y);
+        for (y, k) in own.iter().zip(list) {
+            a += *y * *y * metric.inv_d[*k];
+            velocity += *y * now.placed.u[*k];
         }
         self.push_row(dofs, start, a, velocity)
     }

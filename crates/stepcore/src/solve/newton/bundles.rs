@@ -5,9 +5,32 @@
 use super::pattern::Pattern;
 use super::penalty::Cone;
 use crate::model::Span;
+use crate::real::array::from_fn;
 use crate::real::{Mask, Real};
-use crate::solve::rows::{Rows, Set};
+use crate::solve::rows::{Block, Row, Rows, Set};
 use crate::spatial::WIDE;
+
+/// So many times what moves a row, its penalty is huge: A s″. MuJoCo's impedances keep below 1e4, but
+/// where next to nothing moves a body that rows press on there is no end.
+pub(super) const HUGE: f64 = 1e6;
+
+/// `$of` of so many registers a row as `$stride` has, a number known to the compiler; `$other` of
+/// more, and where a row has no whole number of them.
+macro_rules! by_registers {
+    ($stride:expr, $of:ident $arguments:tt, $other:expr) => {
+        match $stride {
+            4 => $of::<R, 1> $arguments,
+            8 => $of::<R, 2> $arguments,
+            12 => $of::<R, 3> $arguments,
+            16 => $of::<R, 4> $arguments,
+            20 => $of::<R, 5> $arguments,
+            24 => $of::<R, 6> $arguments,
+            28 => $of::<R, 7> $arguments,
+            32 => $of::<R, 8> $arguments,
+            _ => $other,
+        }
+    };
+}
 
 /// Rows on the same dofs, or on the first of them. Rows and their curvature are counted within the
 /// island.
@@ -51,19 +74,17 @@ pub(super) struct Bundles<R: Real> {
     pub inv_c: Vec<R>,
     pub lo: Vec<R>,
     pub hi: Vec<R>,
-    pub inv_s: Vec<R>,
-    pub a: Vec<R>,
-    /// By row: A/m, by which the square of an impulse is that of a speed.
-    pub per_mass: Vec<R>,
     /// By row: lanes that have it.
     pub mask: Vec<R::Mask>,
+    /// Lanes in which a row's curvature may be huge: see `Hessian::forget_huge`.
+    pub huge: R::Mask,
     /// Entries of `System::curve`.
     pub curves: usize,
     /// The y of bundles that need zeros.
     pub filled: Vec<R>,
 }
 
-room!(Bundles<R>: list, runs, cones, t, inv_c, lo, hi, inv_s, a, per_mass, mask, curves, filled);
+room!(Bundles<R>: list, runs, cones, t, inv_c, lo, hi, mask, huge, curves, filled);
 
 impl<R: Real> Bundles<R> {
     pub fn new() -> Self {
@@ -75,10 +96,8 @@ impl<R: Real> Bundles<R> {
             inv_c: Vec::new(),
             lo: Vec::new(),
             hi: Vec::new(),
-            inv_s: Vec::new(),
-            a: Vec::new(),
-            per_mass: Vec::new(),
             mask: Vec::new(),
+            huge: R::Mask::of(false),
             curves: 0,
             filled: Vec::new(),
         }
@@ -86,72 +105,84 @@ impl<R: Real> Bundles<R> {
 
     /// Takes in the rows of these blocks.
     pub fn take(&mut self, blocks: &[usize], rows: &Rows<R>, dof_lists: &[usize]) {
-        self.clear();
+        self.clear(blocks.iter().map(|b| rows.blocks[*b].rows.len).sum());
+        let mut at = 0;
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
             let own = &rows.rows[block.rows.range()];
             let Some(first) = own.first() else { continue };
-            let (at, whole) = (self.t.len(), block.mask.all());
-            let per_mass = R::one() / block.mass;
-            self.t.extend(own.iter().map(|row| row.t));
-            self.inv_c.extend(own.iter().map(|row| row.c.recip_or_zero()));
-            self.lo.extend(own.iter().map(|row| row.lo));
-            self.hi.extend(own.iter().map(|row| row.hi));
-            self.inv_s.extend(own.iter().map(|row| row.inv_s));
-            self.a.extend(own.iter().map(|row| row.a));
-            self.per_mass.extend(own.iter().map(|row| row.a * per_mass));
-            self.mask.extend(own.iter().map(|_| block.mask));
+            self.take_rows(at, own, block.mask);
             let cone = (block.set != Set::Interval).then(|| {
                 self.cones.push(Cone::new(own, block.mu));
                 self.cones.len() - 1
             });
             let curve = Span { start: self.curves, len: block.curves() };
             self.curves += curve.len;
-            let run = Run { rows: Span { start: at, len: own.len() }, curve, cone, whole };
+            let span = Span { start: at, len: own.len() };
+            let run = Run { rows: span, curve, cone, whole: block.mask.all() };
             // The nodes of a heap are those of its rows.
             let lists = (!rows.heap).then_some(dof_lists);
             self.join(first.dofs, first.y, run, lists);
+            at += own.len();
         }
         self.fill(blocks, rows);
+    }
+
+    /// The numbers of some rows, from place `at` on.
+    #[inline(always)]
+    fn take_rows(&mut self, at: usize, own: &[Row<R>], mask: R::Mask) {
+        let places = at..at + own.len();
+        let t = self.t[places.clone()].iter_mut().zip(&mut self.inv_c[places.clone()]);
+        let bounds = self.lo[places.clone()].iter_mut().zip(&mut self.hi[places.clone()]);
+        for ((row, (t, inv_c)), (lo, hi)) in own.iter().zip(t).zip(bounds) {
+            *t = row.t;
+            *inv_c = row.c.recip_or_zero();
+            *lo = row.lo;
+            *hi = row.hi;
+            self.huge = self.huge.or((*inv_c * row.a).gt(R::of(HUGE)));
+        }
+        self.mask[places].fill(mask);
     }
 
     /// Writes the rows of bundles that need zeros.
     fn fill(&mut self, blocks: &[usize], rows: &Rows<R>) {
         let registers = R::ALONE && !rows.heap;
         let mut every = blocks.iter().flat_map(|b| &rows.rows[rows.blocks[*b].rows.range()]);
+        let mut end = 0;
         for bundle in &mut self.list {
-            let own = every.by_ref().take(bundle.rows.len);
             bundle.stride = bundle.dofs.len;
             if registers {
                 (bundle.stride, bundle.filled) = (bundle.dofs.len.next_multiple_of(WIDE), true);
-            } else if !bundle.filled {
+            }
+            if bundle.filled {
+                bundle.y = end;
+                end += bundle.rows.len * bundle.stride;
+            }
+        }
+        self.filled.resize(end, R::zero());
+        for bundle in &self.list {
+            let own = every.by_ref().take(bundle.rows.len);
+            if !bundle.filled {
                 own.for_each(drop);
                 continue;
             }
-            bundle.y = self.filled.len();
-            for (at, row) in own.enumerate() {
-                self.filled.extend_from_slice(&rows.y[row.y..row.y + row.dofs.len]);
-                self.filled.resize(bundle.y + (at + 1) * bundle.stride, R::zero());
+            let places = bundle.y..bundle.y + bundle.rows.len * bundle.stride;
+            let filled = self.filled[places].chunks_exact_mut(bundle.stride.max(1));
+            for (row, filled) in own.zip(filled) {
+                fill_up(&rows.y[row.y..row.y + row.dofs.len], filled);
             }
         }
     }
 
-    fn clear(&mut self) {
+    /// Nothing, and room for so many rows.
+    fn clear(&mut self, rows: usize) {
         self.list.clear();
         self.runs.clear();
         self.cones.clear();
-        for numbers in [
-            &mut self.t,
-            &mut self.inv_c,
-            &mut self.lo,
-            &mut self.hi,
-            &mut self.inv_s,
-            &mut self.a,
-            &mut self.per_mass,
-        ] {
-            numbers.clear();
+        for numbers in [&mut self.t, &mut self.inv_c, &mut self.lo, &mut self.hi] {
+            numbers.resize(rows, R::zero());
         }
-        self.mask.clear();
-        self.filled.clear();
+        self.mask.resize(rows, R::Mask::of(false));
+        self.huge = R::Mask::of(false);
         self.curves = 0;
     }
 
@@ -163,11 +194,14 @@ impl<R: Real> Bundles<R> {
             |last: &Bundle| last.dofs.len == dofs.len && last.y + last.rows.len * dofs.len == y;
         // All on one chain, and the zeros are no more than the rows.
         let chained = |last: &Bundle| {
-            lists.is_some_and(|lists| {
-                let (own, other) = (dofs.of(lists), last.dofs.of(lists));
-                let shared = own.len().min(other.len());
-                2 * shared >= own.len().max(other.len()) && own[..shared] == other[..shared]
-            })
+            // Rows that only some lanes have would keep those of all from going without masks.
+            let alike = R::ALONE || last.whole == run.whole;
+            alike
+                && lists.is_some_and(|lists| {
+                    let (own, other) = (dofs.of(lists), last.dofs.of(lists));
+                    let shared = own.len().min(other.len());
+                    2 * shared >= own.len().max(other.len()) && own[..shared] == other[..shared]
+                })
         };
         match self.list.last_mut() {
             Some(last) if (last.dofs == dofs && next(last)) || chained(last) => {
@@ -211,6 +245,20 @@ impl<R: Real> Bundles<R> {
     }
 }
 
+/// A row's y, and zeros behind it.
+#[inline(always)]
+fn fill_up<R: Real>(y: &[R], out: &mut [R]) {
+    let mut at = 0;
+    while at + WIDE <= y.len() {
+        out[at..at + WIDE].copy_from_slice(&y[at..at + WIDE]);
+        at += WIDE;
+    }
+    for (at, out) in (at..).zip(&mut out[at..]) {
+        *out = if at < y.len() { y[at] } else { R::zero() };
+        std::hint::black_box(());
+    }
+}
+
 /// An island that is being solved.
 #[derive(Clone, Copy)]
 pub(super) struct Problem<'a, R: Real> {
@@ -229,7 +277,17 @@ impl<'a, R: Real> Problem<'a, R> {
         &y[bundle.y..bundle.y + bundle.rows.len * bundle.stride]
     }
 
+    /// The rows of the island, one after another, with the lanes that have them.
+    pub fn every(&self) -> impl Iterator<Item = (&'a Row<R>, &'a Block<R>)> {
+        let rows = self.rows;
+        self.blocks
+            .iter()
+            .map(|b| &rows.blocks[*b])
+            .flat_map(|block| rows.rows[block.rows.range()].iter().map(move |row| (row, block)))
+    }
+
     /// out = y·x by row; x by dof. `own`: scratch, the x of a bundle.
+    #[inline(never)]
     pub fn dots(&self, x: &[R], out: &mut [R], own: &mut Vec<R>) {
         for (b, bundle) in self.bundles.list.iter().enumerate() {
             let (y, out) = (self.y(bundle), &mut out[bundle.rows.range()]);
@@ -238,35 +296,44 @@ impl<'a, R: Real> Problem<'a, R> {
                     free.dot_each(y, x, out);
                     continue;
                 }
+                let list = self.pattern.padded(b);
+                by_registers!(bundle.stride, products_of((y, list), x, out), {
+                    own.clear();
+                    own.extend(list.iter().map(|k| x[*k]));
+                    products(y, own, out);
+                });
+                continue;
             }
             own.clear();
             own.extend(self.pattern.list(b).iter().map(|k| x[*k]));
-            own.resize(bundle.stride, R::zero());
             products(y, own, out);
         }
     }
 
     /// out += sign · Σ y x; x by row, out by dof. `own`: scratch.
+    #[inline(never)]
     pub fn gather(&self, x: &[R], sign: R, out: &mut [R], own: &mut Vec<R>) {
         for (b, bundle) in self.bundles.list.iter().enumerate() {
             let rows = bundle.rows.range();
-            let (y, x, mask) = (self.y(bundle), &x[rows.clone()], &self.bundles.mask[rows]);
+            let (y, x) = (self.y(bundle), &x[rows.clone()]);
+            let list = self.pattern.list(b);
             if R::ALONE {
                 if let Some(free) = self.pattern.free(b) {
                     // A heap is one world.
                     free.add_each(y, x, sign, out);
                     continue;
                 }
-            }
-            let list = self.pattern.list(b);
-            if bundle.whole {
-                own.clear();
-                own.extend(list.iter().map(|k| out[*k]));
-                own.resize(bundle.stride, R::zero());
-                add_rows(y, (sign, x), own);
-                list.iter().zip(&*own).for_each(|(k, sum)| out[*k] = *sum);
+                let list = (self.pattern.padded(b), list.len());
+                by_registers!(bundle.stride, add_rows_of((y, list), (sign, x), out), {
+                    add_listed(y, list, (sign, x), out, own)
+                });
                 continue;
             }
+            if bundle.whole {
+                add_listed(y, (list, list.len()), (sign, x), out, own);
+                continue;
+            }
+            let mask = &self.bundles.mask[rows];
             for ((x, mask), y) in x.iter().zip(mask).zip(y.chunks_exact(bundle.stride.max(1))) {
                 for (k, y) in list.iter().zip(y) {
                     out[*k] = R::select(*mask, out[*k] + *y * (sign * *x), out[*k]);
@@ -276,35 +343,10 @@ impl<'a, R: Real> Problem<'a, R> {
     }
 }
 
-/// `$of` of so many registers a row as `$stride` has, a number known to the compiler; `$other` of
-/// more, and where a row has no whole number of them.
-macro_rules! by_registers {
-    ($stride:expr, $of:ident $arguments:tt, $other:expr) => {
-        match $stride {
-            4 => $of::<R, 1> $arguments,
-            8 => $of::<R, 2> $arguments,
-            12 => $of::<R, 3> $arguments,
-            16 => $of::<R, 4> $arguments,
-            20 => $of::<R, 5> $arguments,
-            24 => $of::<R, 6> $arguments,
-            _ => $other,
-        }
-    };
-}
-
-/// out = y·x by row: four sums, of every fourth dof, and then these.
+/// out = y·x by row of bundles of N registers: four sums, of every fourth dof, and then these.
 #[inline(always)]
-fn products<R: Real>(y: &[R], x: &[R], out: &mut [R]) {
-    if R::ALONE {
-        return by_registers!(x.len(), products_of(y, x, out), any_products(y, x, out));
-    }
-    any_products(y, x, out);
-}
-
-#[inline(always)]
-fn products_of<R: Real, const N: usize>(y: &[R], x: &[R], out: &mut [R]) {
-    let mut own = [[R::zero(); WIDE]; N];
-    own.as_flattened_mut().copy_from_slice(x);
+fn products_of<R: Real, const N: usize>((y, list): (&[R], &[usize]), x: &[R], out: &mut [R]) {
+    let own = listed::<R, N>(list, x);
     for (out, y) in out.iter_mut().zip(y.chunks_exact(N * WIDE)) {
         let mut sums = [R::zero(); WIDE];
         for (y, x) in y.chunks_exact(WIDE).zip(&own) {
@@ -317,7 +359,15 @@ fn products_of<R: Real, const N: usize>(y: &[R], x: &[R], out: &mut [R]) {
     }
 }
 
-fn any_products<R: Real>(y: &[R], x: &[R], out: &mut [R]) {
+/// x at the dofs of a list, N registers.
+#[inline(always)]
+fn listed<R: Real, const N: usize>(list: &[usize], x: &[R]) -> [[R; WIDE]; N] {
+    let list = &list[..N * WIDE];
+    from_fn(|i| from_fn(|k| x[list[i * WIDE + k]]))
+}
+
+/// The same of any number of dofs; `x` in the order of the list.
+fn products<R: Real>(y: &[R], x: &[R], out: &mut [R]) {
     let (wide, rest) = x.split_at(x.len() - x.len() % WIDE);
     for (out, y) in out.iter_mut().zip(y.chunks_exact(x.len().max(1))) {
         let (y, last) = y.split_at(wide.len());
@@ -335,23 +385,15 @@ fn any_products<R: Real>(y: &[R], x: &[R], out: &mut [R]) {
     }
 }
 
-/// own += sign · Σ y x over some rows, each dof's sum in their order, four dofs side by side.
+/// out += sign · Σ y x over the rows of a bundle of N registers, each dof's sum in their order. `len` of
+/// the list are dofs of the bundle.
 #[inline(always)]
-fn add_rows<R: Real>(y: &[R], (sign, x): (R, &[R]), own: &mut [R]) {
-    if R::ALONE {
-        return by_registers!(
-            own.len(),
-            add_rows_of(y, (sign, x), own),
-            add_any(y, (sign, x), own)
-        );
-    }
-    add_any(y, (sign, x), own);
-}
-
-#[inline(always)]
-fn add_rows_of<R: Real, const N: usize>(y: &[R], (sign, x): (R, &[R]), own: &mut [R]) {
-    let mut sums = [[R::zero(); WIDE]; N];
-    sums.as_flattened_mut().copy_from_slice(own);
+fn add_rows_of<R: Real, const N: usize>(
+    (y, (list, len)): (&[R], (&[usize], usize)),
+    (sign, x): (R, &[R]),
+    out: &mut [R],
+) {
+    let mut sums = listed::<R, N>(list, out);
     for (x, y) in x.iter().zip(y.chunks_exact(N * WIDE)) {
         let x = sign * *x;
         for (sums, y) in sums.iter_mut().zip(y.chunks_exact(WIDE)) {
@@ -360,31 +402,26 @@ fn add_rows_of<R: Real, const N: usize>(y: &[R], (sign, x): (R, &[R]), own: &mut
             }
         }
     }
-    own.copy_from_slice(sums.as_flattened());
+    for (k, sum) in list[..len].iter().zip(sums.as_flattened()) {
+        out[*k] = *sum;
+    }
 }
 
-fn add_any<R: Real>(y: &[R], (sign, x): (R, &[R]), own: &mut [R]) {
-    let stride = own.len();
-    let mut parts = own.chunks_exact_mut(WIDE);
-    for (part, first) in (&mut parts).zip((0..).step_by(WIDE)) {
-        let (mut sums, mut at) = ([R::zero(); WIDE], first);
-        sums.copy_from_slice(part);
-        for x in x {
-            let (x, y) = (sign * *x, &y[at..at + WIDE]);
-            for k in 0..WIDE {
-                sums[k] += y[k] * x;
-            }
-            at += stride;
-        }
-        part.copy_from_slice(&sums);
+/// The same of any number of dofs.
+fn add_listed<R: Real>(
+    y: &[R],
+    (list, len): (&[usize], usize),
+    (sign, x): (R, &[R]),
+    out: &mut [R],
+    own: &mut Vec<R>,
+) {
+    own.clear();
+    own.extend(list.iter().map(|k| out[*k]));
+    for (x, y) in x.iter().zip(y.chunks_exact(own.len().max(1))) {
+        let x = sign * *x;
+        own.iter_mut().zip(y).for_each(|(sum, y)| *sum += *y * x);
     }
-    let rest = parts.into_remainder();
-    let first = stride - rest.len();
-    for (at, sum) in (first..).zip(rest) {
-        for (x, y) in x.iter().zip(y.chunks_exact(stride)) {
-            *sum += y[at] * (sign * *x);
-        }
-    }
+    list[..len].iter().zip(&*own).for_each(|(k, sum)| out[*k] = *sum);
 }
 
 #[cfg(test)]

@@ -3,25 +3,20 @@
 //! Made once for each solve; as the iteration goes on, what changed zones is added or taken away. That
 //! leaves the rounding of what was taken away: where it was huge, the sum is made afresh.
 
-use super::bundles::{Bundle, Problem, Run};
+use super::bundles::{Bundle, Problem, Run, HUGE};
 use super::pattern::{Listed, Pattern};
 use crate::real::array::{from_fn, map};
 use crate::real::{Mask, Real};
-use crate::solve::rows::{CONE, NARROW};
+use crate::solve::rows::{CONE, NARROW, SPINNING};
 use crate::spatial::{subtract_all, WIDE};
-
-/// So many times what moves a row, its penalty is huge: A s″. MuJoCo's impedances keep below 1e4, but
-/// where next to nothing moves a body that rows press on there is no end.
-const HUGE: f64 = 1e6;
 
 /// Numbers on a pattern: the matrix, and its factors.
 pub(super) struct Hessian<R: Real> {
     /// D + Σ y s″ yᵀ, and the s″ that are in it.
     entries: Vec<R>,
     curve: Vec<R>,
-    /// L below its diagonal of ones; D of LᵀDL and 1/D by dof.
+    /// DL of LᵀDL, and 1/D by dof.
     factors: Vec<R>,
-    pivots: Vec<R>,
     inverse: Vec<R>,
     /// Rows to factor again.
     stale: Vec<bool>,
@@ -37,7 +32,7 @@ struct Added<R: Real> {
     stride: usize,
 }
 
-room!(Hessian<R>: entries, curve, factors, pivots, inverse, stale, added);
+room!(Hessian<R>: entries, curve, factors, inverse, stale, added);
 room!(Added<R>: rows, bent, stride);
 
 impl<R: Real> Hessian<R> {
@@ -46,7 +41,6 @@ impl<R: Real> Hessian<R> {
             entries: Vec::new(),
             curve: Vec::new(),
             factors: Vec::new(),
-            pivots: Vec::new(),
             inverse: Vec::new(),
             stale: Vec::new(),
             added: Added { rows: Vec::new(), bent: Vec::new(), stride: 0 },
@@ -65,52 +59,62 @@ impl<R: Real> Hessian<R> {
             self.entries[pattern.start[i] + pattern.depth[i]] = *d;
         }
         self.factors.resize(pattern.size, R::zero());
-        self.pivots.resize(d.len(), R::zero());
         self.inverse.resize(d.len(), R::zero());
         self.stale.clear();
         self.stale.resize(d.len(), true);
     }
 
-    /// Factors D + Σ y s″ yᵀ: what has changed since the last time is added.
+    /// Factors D + Σ y s″ yᵀ: what has changed since the last time is added. `bent`: the runs of which
+    /// something may have; of none afterwards.
     #[inline(never)]
-    pub fn make(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) {
-        self.forget_huge(problem, d, curve);
+    pub fn make(&mut self, problem: Problem<R>, d: &[R], (curve, bent): (&[R], &mut [bool])) {
+        if self.forget_huge(problem, d, curve) {
+            bent.fill(true);
+        }
         for (b, bundle) in problem.bundles.list.iter().enumerate() {
+            let bent = &mut bent[bundle.runs.range()];
+            if !bent.contains(&true) {
+                continue;
+            }
             let y = problem.y(bundle);
             self.added.start(bundle);
-            for run in problem.bundles.runs_of(bundle) {
+            for (run, bent) in problem.bundles.runs_of(bundle).iter().zip(bent) {
+                if !std::mem::replace(bent, false) {
+                    continue;
+                }
                 let curves = (run.curve.of(&self.curve), run.curve.of(curve));
                 let first = (run.rows.start - bundle.rows.start) * bundle.stride;
                 let own = (&y[first..], bundle.stride);
                 let mask = &problem.bundles.mask[run.rows.range()];
                 self.added.take(run, (first, own), curves, mask);
+                self.curve[run.curve.range()].copy_from_slice(run.curve.of(curve));
             }
             if !self.added.rows.is_empty() {
                 self.add(problem.pattern, b, y);
             }
         }
-        self.curve.copy_from_slice(curve);
         self.factor(problem.pattern);
     }
 
-    /// Begins with D again in lanes where a huge part changes.
-    fn forget_huge(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) {
+    /// Begins with D again in lanes where a huge part changes; whether there are such.
+    fn forget_huge(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) -> bool {
+        if problem.bundles.huge.none() {
+            return false;
+        }
         let mut huge = R::Mask::of(false);
-        let mut look = |old: R, new: R, a: R| {
-            let other = (new - old).abs().gt(R::zero());
-            huge = huge.or(other.and((old * a).gt(R::of(HUGE))));
-        };
+        let mut every = problem.every();
         for run in &problem.bundles.runs {
             let (old, new) = (run.curve.of(&self.curve), run.curve.of(curve));
-            let a = &problem.bundles.a[run.rows.range()];
             // Of a cone the diagonal tells.
-            let every = if run.cone.is_some() { a.len() + 1 } else { 1 };
-            for (i, a) in a.iter().enumerate() {
-                look(old[i * every], new[i * every], *a);
+            let apart = if run.cone.is_some() { run.rows.len + 1 } else { 1 };
+            for (i, (row, _)) in every.by_ref().take(run.rows.len).enumerate() {
+                let (old, new) = (old[i * apart], new[i * apart]);
+                let other = (new - old).abs().gt(R::zero());
+                huge = huge.or(other.and((old * row.a).gt(R::of(HUGE))));
             }
         }
         if huge.none() {
-            return;
+            return false;
         }
         self.stale.fill(true);
         for x in self.entries.iter_mut().chain(&mut self.curve) {
@@ -120,6 +124,7 @@ impl<R: Real> Hessian<R> {
             let x = &mut self.entries[problem.pattern.start[i] + problem.pattern.depth[i]];
             *x = R::select(huge, *d, *x);
         }
+        true
     }
 
     /// Adds what was taken of a bundle.
@@ -143,7 +148,7 @@ impl<R: Real> Hessian<R> {
     /// H = LᵀDL: rows that changed, and those above that they reach.
     #[inline(never)]
     fn factor(&mut self, pattern: &Pattern) {
-        let Self { entries, factors, pivots, inverse, stale, .. } = self;
+        let Self { entries, factors, inverse, stale, .. } = self;
         for i in (0..pattern.dofs.len()).rev() {
             if !std::mem::replace(&mut stale[i], false) {
                 continue;
@@ -154,13 +159,12 @@ impl<R: Real> Hessian<R> {
             let (before, below) = factors.split_at_mut(start + len);
             let own = &mut before[start..];
             own.copy_from_slice(&entries[start..start + len]);
-            // L and D of a row below, and the beginning of its L.
+            // What of a row below comes off, and the beginning of its DL.
             let source = |k: usize| {
-                let l = &below[pattern.start[k] - start - len..];
-                (l[depth] * pivots[k], &l[..len])
+                let row = &below[pattern.start[k] - start - len..];
+                (row[depth] * inverse[k], &row[..len])
             };
-            let rows = &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]];
-            let mut rest = rows;
+            let mut rest = &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]];
             while let Some((four, others)) = rest.split_first_chunk::<4>() {
                 subtract_all(own, map(*four, source));
                 rest = others;
@@ -171,9 +175,7 @@ impl<R: Real> Hessian<R> {
                 [a] => subtract_all(own, [source(*a)]),
                 _ => {}
             }
-            pivots[i] = own[depth];
             inverse[i] = R::one() / own[depth];
-            own[..depth].iter_mut().for_each(|x| *x *= inverse[i]);
             if let Some(parent) = depth.checked_sub(1) {
                 stale[pattern.path[start + parent]] = true;
             }
@@ -182,20 +184,20 @@ impl<R: Real> Hessian<R> {
 
     /// x ← H⁻¹ x.
     pub fn solve(&self, pattern: &Pattern, x: &mut [R]) {
-        let row = |k: usize| pattern.start[k]..pattern.start[k] + pattern.depth[k];
+        let row = |k: usize| {
+            let own = pattern.start[k]..pattern.start[k] + pattern.depth[k];
+            pattern.path[own.clone()].iter().zip(&self.factors[own])
+        };
         for k in (0..x.len()).rev() {
-            let factor = x[k];
-            for (j, l) in pattern.path[row(k)].iter().zip(&self.factors[row(k)]) {
-                x[*j] -= *l * factor;
+            let factor = x[k] * self.inverse[k];
+            for (j, dl) in row(k) {
+                x[*j] -= *dl * factor;
             }
-            x[k] = factor * self.inverse[k];
+            x[k] = factor;
         }
         for k in 0..x.len() {
-            let mut rest = x[k];
-            for (j, l) in pattern.path[row(k)].iter().zip(&self.factors[row(k)]) {
-                rest -= *l * x[*j];
-            }
-            x[k] = rest;
+            let sum = row(k).fold(R::zero(), |sum, (j, dl)| sum + *dl * x[*j]);
+            x[k] -= self.inverse[k] * sum;
         }
     }
 }
@@ -227,9 +229,8 @@ impl<R: Real> Added<R> {
                     let (y, stride) = (&own.0[i * own.1..], own.1);
                     let bent = &mut self.bent[self.rows.len() * self.stride..][..self.stride];
                     let bend = *new - *old;
-                    for (bent, y) in bent.iter_mut().zip(&y[..stride]) {
-                        *bent = bend * *y;
-                    }
+                    let parts = bent.chunks_exact_mut(WIDE).zip(y[..stride].chunks(WIDE));
+                    parts.for_each(|(bent, y)| scale(bend, y, bent));
                     self.rows.push((first + i * stride, mask[i]));
                 }
             }
@@ -242,7 +243,7 @@ impl<R: Real> Added<R> {
         let bent = &mut self.bent[self.rows.len() * self.stride..];
         match mask.len() {
             NARROW => bend_cone::<R, NARROW>((old, new), own, (bent, self.stride)),
-            4 => bend_cone::<R, 4>((old, new), own, (bent, self.stride)),
+            SPINNING => bend_cone::<R, SPINNING>((old, new), own, (bent, self.stride)),
             CONE => bend_cone::<R, CONE>((old, new), own, (bent, self.stride)),
             _ => bend_some((old, new), own, (bent, self.stride)),
         }
@@ -325,6 +326,16 @@ impl<R: Real> Added<R> {
     }
 }
 
+/// out = by · y of up to `WIDE` numbers.
+#[inline(always)]
+fn scale<R: Real>(by: R, y: &[R], out: &mut [R]) {
+    if let [a, b, c, d] = *y {
+        let whole: [R; WIDE] = [by * a, by * b, by * c, by * d];
+        return out[..WIDE].copy_from_slice(&whole);
+    }
+    out.iter_mut().zip(y).for_each(|(out, y)| *out = by * *y);
+}
+
 /// bent = (new − old) y of a cone of N rows, whose numbers stand `stride` apart.
 #[inline(never)]
 fn bend_cone<R: Real, const N: usize>(
@@ -333,7 +344,12 @@ fn bend_cone<R: Real, const N: usize>(
     (bent, apart): (&mut [R], usize),
 ) {
     let (old, new) = (&old[..N * N], &new[..N * N]);
-    let bend: [[R; N]; N] = from_fn(|i| from_fn(|j| new[i * N + j] - old[i * N + j]));
+    let mut bend = [[R::zero(); N]; N];
+    for i in 0..N {
+        for j in 0..N {
+            bend[i][j] = new[i * N + j] - old[i * N + j];
+        }
+    }
     let whole = stride - stride % WIDE;
     for at in (0..whole).step_by(WIDE) {
         let mut sums = [[R::zero(); WIDE]; N];
@@ -401,6 +417,8 @@ mod tests {
                 let own: Vec<usize> = (0..nv).filter(|_| random.next() > 0.0).collect();
                 row.dofs = Span { start: lists.len(), len: own.len() };
                 row.y = rows.y.len();
+                // As stiff as the largest curvature below.
+                row.c = 1e-14;
                 rows.y.extend(own.iter().map(|_| random.next()));
                 lists.extend(own);
             }
@@ -421,7 +439,8 @@ mod tests {
             hessian.start(&pattern, &vec![0.5; n], count);
             // Zones come and go.
             for bend in [3.0, 0.0, 1e14, 3.0] {
-                hessian.make(problem, &vec![0.5; n], &vec![bend; count]);
+                let mut bent = vec![true; bundles.runs.len()];
+                hessian.make(problem, &vec![0.5; n], (&vec![bend; count], &mut bent));
             }
             hessian.solve(&pattern, &mut b);
             for (a, b) in x.iter().zip(&b) {

@@ -66,7 +66,7 @@ impl<R: Real> System<R> {
             // What is no number any more, as where a run explodes, no iteration makes one.
             live = live.and(size.lt(R::of(f64::INFINITY)));
             // |g| in D⁻¹ bounds the residual's energy, and the step that is left.
-            let floor = moved + self.scale(problem.bundles);
+            let floor = moved + self.scale;
             let part = |x: R| (x * floor.recip_or_zero()).max(zero).sqrt();
             self.decrement = R::select(live, part(size), self.decrement);
             live = live.and(size.le(bound.max(tiny(1.0) * moved)).not());
@@ -145,7 +145,7 @@ impl<R: Real> System<R> {
             let curved = Curved { bundles, y: &rows.y, curve: &self.curve };
             self.columns.factor(&pattern.nodes, &self.d, curved);
         } else {
-            self.hessian.make(problem, &self.d, &self.curve);
+            self.hessian.make(problem, &self.d, (&self.curve, &mut self.bent));
         }
         for (p, g) in self.step.iter_mut().zip(&self.gradient) {
             *p = R::zero() - *g;

@@ -22,6 +22,7 @@ pub(super) struct Pattern {
     /// Dofs that some row touches, ascending.
     pub dofs: Vec<usize>,
     pub bundles: Vec<Listed>,
+    /// Of each bundle its dofs, and the last again until there is a whole number of registers.
     pub lists: Vec<usize>,
     /// Of bundles that need it: where in the matrix each pair of the list stands, row by row.
     pub places: Vec<usize>,
@@ -91,6 +92,8 @@ impl Pattern {
         for span in &self.key {
             let list = Span { start: self.lists.len(), len: span.len };
             self.lists.extend(span.of(dof_lists).iter().map(|k| self.local[*k]));
+            let last = self.lists.last().copied().unwrap_or(0);
+            self.lists.resize(list.start + span.len.next_multiple_of(WIDE), last);
             self.bundles.push(Listed { list, places: None });
         }
     }
@@ -197,6 +200,16 @@ impl Pattern {
             return self.nodes.local(bundle);
         }
         self.bundles[bundle].list.of(&self.lists)
+    }
+
+    /// The same, the last of them again until the list is a whole number of registers; of a heap as they
+    /// are.
+    pub fn padded(&self, bundle: usize) -> &[usize] {
+        if self.heap {
+            return self.nodes.local(bundle);
+        }
+        let Span { start, len } = self.bundles[bundle].list;
+        &self.lists[start..start + len.next_multiple_of(WIDE)]
     }
 
     /// Of a heap: the bundle's dofs, where they are those of free bodies.

@@ -49,12 +49,24 @@ impl<R: Real> Cone<R> {
         let q = project_round(m, a);
         let inside = length.le(m * a[0]);
         let outside = (m * length).le(-a[0]).and(inside.not());
+        let mut scale = [self.k; N];
+        scale[0] = one;
+        let impulse = crate::real::array::from_fn(|i| q[i] * scale[i] * self.inv_c);
+        let mut b = [[zero; N]; N];
+        if outside.all() {
+            return (impulse, b);
+        }
+        if inside.all() {
+            for i in 0..N {
+                b[i][i] = scale[i] * scale[i] * self.inv_c;
+            }
+            return (impulse, b);
+        }
         // Between: q_n = (a_n + m|a_t|)/(1 + m²), q_t = m q_n e.
         let inv = length.recip_or_zero();
         let e: [R; N] = a.map(|a| a * inv);
         let first = one / (one + m * m);
         let turn = m * q[0] * inv;
-        let mut b = [[zero; N]; N];
         b[0][0] = first;
         for i in 1..N {
             b[0][i] = first * m * e[i];
@@ -65,11 +77,7 @@ impl<R: Real> Cone<R> {
                 b[i][j] = own + across;
             }
         }
-        let mut scale = [self.k; N];
-        scale[0] = one;
-        let mut impulse = [zero; N];
         for i in 0..N {
-            impulse[i] = q[i] * scale[i] * self.inv_c;
             for j in 0..N {
                 let unit = if i == j { one } else { zero };
                 let curve = R::select(inside, unit, R::select(outside, zero, b[i][j]));

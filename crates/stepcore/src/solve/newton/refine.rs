@@ -38,7 +38,7 @@ impl<R: Real> System<R> {
     /// The same refined, and the u that they make.
     pub fn settle(&mut self, problem: Problem<R>, limits: Limits) {
         self.follow_laws(problem.bundles);
-        let cancelled = self.cancelled(problem.bundles);
+        let cancelled = self.cancelled(problem);
         self.follow(problem, cancelled);
         let enough = R::of(SPARE * limits.tolerance);
         for _ in 0..REFINEMENTS {
@@ -97,11 +97,10 @@ impl<R: Real> System<R> {
             }
         }
         let (mut most, mut energy) = (R::zero(), R::zero());
-        for (at, e) in self.rate.iter().enumerate() {
-            let speed = *e * *e * bundles.per_mass[at];
-            let mask = bundles.mask[at];
-            most = R::select(mask, most.max(speed), most);
-            energy = R::select(mask, energy + *e * *e * bundles.a[at], energy);
+        for (e, (row, block)) in self.rate.iter().zip(problem.every()) {
+            let speed = *e * *e * (row.a * (R::one() / block.mass));
+            most = R::select(block.mask, most.max(speed), most);
+            energy = R::select(block.mask, energy + *e * *e * row.a, energy);
         }
         (most, energy)
     }
@@ -146,13 +145,13 @@ impl<R: Real> System<R> {
     }
 
     /// Lanes whose impulses cancel: Σ λ²A against the energy of the motion that the rows see.
-    fn cancelled(&self, bundles: &Bundles<R>) -> R::Mask {
+    fn cancelled(&self, problem: Problem<R>) -> R::Mask {
         let mut apart = R::zero();
-        for (at, impulse) in self.impulse.iter().enumerate() {
-            let energy = apart + *impulse * *impulse * bundles.a[at];
-            apart = R::select(bundles.mask[at], energy, apart);
+        for (impulse, (row, block)) in self.impulse.iter().zip(problem.every()) {
+            let energy = apart + *impulse * *impulse * row.a;
+            apart = R::select(block.mask, energy, apart);
         }
-        let mut motion = self.scale(bundles);
+        let mut motion = self.scale;
         for ((u, guess), d) in self.u.iter().zip(&self.guess).zip(&self.d) {
             motion += *d * (*u - *guess) * (*u - *guess);
         }

@@ -5,7 +5,7 @@ use super::columns::Columns;
 use super::hessian::Hessian;
 use super::penalty::{interval, Line};
 use crate::real::{Mask, Real};
-use crate::solve::rows::{CONE, NARROW};
+use crate::solve::rows::{CONE, NARROW, SPINNING};
 
 /// What the method holds of an island. "By row" counts its rows one after another; "by dof" is
 /// local, as in `Pattern::dofs`.
@@ -17,6 +17,8 @@ pub(super) struct System<R: Real> {
     pub(super) impulse: Vec<R>,
     /// Curvature s″, run by run: see `Run::curve`.
     pub(super) curve: Vec<R>,
+    /// By run: its curvature may have changed since the matrix was made.
+    pub(super) bent: Vec<bool>,
     /// By cone: the step.
     pub(super) lines: Vec<Line<R>>,
     /// By dof.
@@ -36,14 +38,16 @@ pub(super) struct System<R: Real> {
     /// Newton's decrement relative to `floor`, the energy of the motion that the rows see.
     pub(super) decrement: R,
     pub(super) floor: R,
+    /// Of that, the part that the rows' velocities are at the start.
+    pub(super) scale: R,
     /// u has moved since the impulses were computed, in some lane.
     pub(super) moved: bool,
     /// Scratch of products: a vector at the dofs of one bundle.
     pub(super) local: Vec<R>,
 }
 
-room!(System<R>: w, rate, impulse, curve, lines, guess, u, touched, d, inv_d, gradient, step, hessian, columns,
-    fresh, decrement, floor, moved, local);
+room!(System<R>: w, rate, impulse, curve, bent, lines, guess, u, touched, d, inv_d, gradient, step, hessian, columns,
+    fresh, decrement, floor, scale, moved, local);
 
 impl<R: Real> System<R> {
     pub fn new() -> Self {
@@ -52,6 +56,7 @@ impl<R: Real> System<R> {
             rate: Vec::new(),
             impulse: Vec::new(),
             curve: Vec::new(),
+            bent: Vec::new(),
             lines: Vec::new(),
             guess: Vec::new(),
             u: Vec::new(),
@@ -65,6 +70,7 @@ impl<R: Real> System<R> {
             fresh: R::Mask::of(false),
             decrement: R::zero(),
             floor: R::zero(),
+            scale: R::zero(),
             moved: false,
             local: Vec::new(),
         }
@@ -85,6 +91,7 @@ impl<R: Real> System<R> {
             self.leave_untouched(problem);
         }
         self.find_slacks(problem);
+        self.weigh(problem);
         if self.u == self.guess {
             return None;
         }
@@ -157,6 +164,8 @@ impl<R: Real> System<R> {
             fill(list, problem.bundles.t.len());
         }
         fill(&mut self.curve, problem.bundles.curves);
+        self.bent.clear();
+        self.bent.resize(problem.bundles.runs.len(), false);
         for list in [&mut self.gradient, &mut self.step] {
             fill(list, dofs.len());
         }
@@ -176,12 +185,14 @@ impl<R: Real> System<R> {
     /// some curvature changed.
     pub(super) fn laws(&mut self, bundles: &Bundles<R>, bend: R::Mask) -> R::Mask {
         let mut changed = R::Mask::of(false);
-        for run in &bundles.runs {
-            let new = match run.cone {
-                None => self.intervals(bundles, run, bend),
-                Some(_) if run.rows.len <= NARROW => self.bend_cone::<NARROW>(bundles, run, bend),
-                Some(_) => self.bend_cone::<CONE>(bundles, run, bend),
+        for (at, run) in bundles.runs.iter().enumerate() {
+            let new = match (run.cone, run.rows.len) {
+                (None, _) => self.intervals(bundles, run, bend),
+                (Some(cone), ..=NARROW) => self.bend_cone::<NARROW>(bundles, run, cone, bend),
+                (Some(cone), ..=SPINNING) => self.bend_cone::<SPINNING>(bundles, run, cone, bend),
+                (Some(cone), _) => self.bend_cone::<CONE>(bundles, run, cone, bend),
             };
+            self.bent[at] |= new.any();
             changed = changed.or(new);
         }
         changed
@@ -189,13 +200,13 @@ impl<R: Real> System<R> {
 
     #[inline(always)]
     fn intervals(&mut self, bundles: &Bundles<R>, run: &Run, bend: R::Mask) -> R::Mask {
+        let (own, len) = (run.rows.range(), run.rows.len);
+        let (lo, hi) = (&bundles.lo[own.clone()][..len], &bundles.hi[own.clone()][..len]);
+        let (inv_c, mask) = (&bundles.inv_c[own.clone()][..len], &bundles.mask[own.clone()][..len]);
+        let (w, impulses) = (&self.w[own.clone()][..len], &mut self.impulse[own][..len]);
+        let curves = &mut self.curve[run.curve.range()][..len];
         let mut changed = R::Mask::of(false);
-        let own = run.rows.range();
-        let (lo, hi) = (&bundles.lo[own.clone()], &bundles.hi[own.clone()]);
-        let (inv_c, mask) = (&bundles.inv_c[own.clone()], &bundles.mask[own.clone()]);
-        let (w, impulses) = (&self.w[own.clone()], &mut self.impulse[own]);
-        let curves = &mut self.curve[run.curve.range()];
-        for i in 0..run.rows.len {
+        for i in 0..len {
             let (impulse, curve) = interval([lo[i], hi[i]], inv_c[i], w[i]);
             let old = curves[i];
             // At a bound the impulse is constant: another one is the other bound.
@@ -203,7 +214,7 @@ impl<R: Real> System<R> {
             let slides = curve.gt(R::zero()).or(jump.abs().le(R::zero()));
             let same = curve.le(old).and(curve.ge(old)).and(slides);
             impulses[i] = impulse;
-            let bend = if run.whole { bend } else { bend.and(mask[i]) };
+            let bend = if R::ALONE || run.whole { bend } else { bend.and(mask[i]) };
             changed = changed.or(bend.and(same.not()));
             curves[i] = R::select(bend, curve, old);
         }
@@ -215,33 +226,32 @@ impl<R: Real> System<R> {
         &mut self,
         bundles: &Bundles<R>,
         run: &Run,
+        cone: usize,
         bend: R::Mask,
     ) -> R::Mask {
-        let Some(cone) = run.cone else { return R::Mask::of(false) };
         let (own, len) = (run.rows.range(), run.rows.len);
-        let bend = bend.and(bundles.mask[run.rows.start]);
-        let mut changed = R::Mask::of(false);
         let (impulse, curve) = bundles.cones[cone].law::<N>(padded(&self.w[own.clone()]));
         self.impulse[own].copy_from_slice(&impulse[..len]);
-        for (row, new) in self.curve[run.curve.range()].chunks_exact_mut(len).zip(&curve) {
-            for (old, new) in row.iter_mut().zip(new) {
-                changed = changed.or(bend.and(new.le(*old).and(new.ge(*old)).not()));
-                *old = R::select(bend, *new, *old);
-            }
+        let bend = bend.and(bundles.mask[run.rows.start]);
+        if bend.none() {
+            return bend;
         }
-        changed
+        let curves = &mut self.curve[run.curve.range()];
+        if len == N {
+            return replace(&mut curves[..N * N], curve.as_flattened(), bend);
+        }
+        let rows = curves.chunks_exact_mut(len).zip(&curve);
+        rows.fold(R::Mask::of(false), |changed, (old, new)| changed.or(replace(old, new, bend)))
     }
 
     /// The energy that the velocities of the rows stand for: what rounding is measured by.
-    pub(super) fn scale(&self, bundles: &Bundles<R>) -> R {
-        let mut scale = R::zero();
-        for (i, w) in self.w.iter().enumerate() {
-            let t = bundles.t[i];
-            let velocity = *w + t;
-            let energy = scale + (velocity * velocity + t * t) * bundles.inv_s[i];
-            scale = R::select(bundles.mask[i], energy, scale);
+    fn weigh(&mut self, problem: Problem<R>) {
+        self.scale = R::zero();
+        for (w, (row, block)) in self.w.iter().zip(problem.every()) {
+            let velocity = *w + row.t;
+            let energy = self.scale + (velocity * velocity + row.t * row.t) * row.inv_s;
+            self.scale = R::select(block.mask, energy, self.scale);
         }
-        scale
     }
 }
 
@@ -251,6 +261,19 @@ fn slacks<R: Real>(problem: Problem<R>, u: &[R], out: &mut [R], own: &mut Vec<R>
     for (w, t) in out.iter_mut().zip(&problem.bundles.t) {
         *w -= *t;
     }
+}
+
+/// old ← new in the lanes of `mask`; lanes of it in which that is something else.
+#[inline(always)]
+fn replace<R: Real>(old: &mut [R], new: &[R], mask: R::Mask) -> R::Mask {
+    let mut changed = R::Mask::of(false);
+    for (old, new) in old.iter().zip(new) {
+        changed = changed.or(new.le(*old).and(new.ge(*old)).not());
+    }
+    for (old, new) in old.iter_mut().zip(new) {
+        *old = R::select(mask, *new, *old);
+    }
+    changed.and(mask)
 }
 
 /// A cone's numbers, 0 for the rows that it does not have.

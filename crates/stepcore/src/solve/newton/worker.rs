@@ -18,14 +18,15 @@ use std::sync::Mutex;
 pub(super) struct Worker<R: Real> {
     /// Blocks of the island at hand that exist in some lane.
     pub present: Vec<usize>,
-    /// Scratch of patterns, by dof.
+    /// Scratch: of patterns, by dof; of the order of blocks.
     class: Vec<usize>,
+    order: Vec<(u64, usize)>,
     bundles: Bundles<R>,
     pub system: System<R>,
     solved: Solved<R>,
 }
 
-room!(Worker<R>: present, class, bundles, system, solved);
+room!(Worker<R>: present, class, order, bundles, system, solved);
 
 /// Results of islands, one after another, that wait for the rows to be free.
 struct Solved<R: Real> {
@@ -51,6 +52,7 @@ impl<R: Real> Worker<R> {
         Self {
             present: Vec::new(),
             class: Vec::new(),
+            order: Vec::new(),
             bundles: Bundles::new(),
             system: System::new(),
             solved: Solved {
@@ -79,6 +81,22 @@ impl<R: Real> Worker<R> {
         }
     }
 
+    /// Blocks on one chain of dofs one after another: by their last dof, then by how many they have.
+    /// What the rows of a world touch decides, so that a lane's are in the order of the world alone.
+    fn order(&mut self, rows: &Rows<R>, dof_lists: &[usize]) {
+        let key = |b: &usize| {
+            let dofs = rows.rows[rows.blocks[*b].rows.start].dofs;
+            let last = dofs.of(dof_lists).last().copied().unwrap_or(0);
+            ((last as u64) << 48 | (dofs.len as u64) << 32 | dofs.start as u64, *b)
+        };
+        self.order.clear();
+        self.order.extend(self.present.iter().map(key));
+        if !self.order.is_sorted() {
+            self.order.sort_unstable();
+            self.present.iter_mut().zip(&self.order).for_each(|(b, (_, next))| *b = *next);
+        }
+    }
+
     /// Solves `island`, whose blocks were taken; lanes that it left unfinished. Impulses agree with the
     /// velocities to rounding, unless the cost decides when to end.
     pub fn solve(
@@ -90,6 +108,9 @@ impl<R: Real> Worker<R> {
         report: &mut Report<R>,
     ) -> R::Mask {
         let Task { free, limits, .. } = task;
+        if !rows.heap {
+            self.order(rows, free.dof_lists);
+        }
         let inertia = rows.inertia.get(island).copied().unwrap_or_else(R::zero);
         let Self { present, class, bundles, system, .. } = self;
         class.resize(rows.u.len(), NOWHERE);
