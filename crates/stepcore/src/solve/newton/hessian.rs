@@ -64,22 +64,22 @@ impl<R: Real> Hessian<R> {
         self.stale.resize(d.len(), true);
     }
 
-    /// Factors D + Σ y s″ yᵀ: what has changed since the last time is added. `bent`: the runs of which
+    /// Factors D + Σ y s″ yᵀ: what has changed since the last time is added. `changed`: the runs of which
     /// something may have; of none afterwards.
     #[inline(never)]
-    pub fn make(&mut self, problem: Problem<R>, d: &[R], (curve, bent): (&[R], &mut [bool])) {
+    pub fn make(&mut self, problem: Problem<R>, d: &[R], (curve, changed): (&[R], &mut [bool])) {
         if self.forget_huge(problem, d, curve) {
-            bent.fill(true);
+            changed.fill(true);
         }
         for (b, bundle) in problem.bundles.list.iter().enumerate() {
-            let bent = &mut bent[bundle.runs.range()];
-            if !bent.contains(&true) {
+            let changed = &mut changed[bundle.runs.range()];
+            if !changed.contains(&true) {
                 continue;
             }
             let y = problem.y(bundle);
             self.added.start(bundle);
-            for (run, bent) in problem.bundles.runs_of(bundle).iter().zip(bent) {
-                if !std::mem::replace(bent, false) {
+            for (run, changed) in problem.bundles.runs_of(bundle).iter().zip(changed) {
+                if !std::mem::replace(changed, false) {
                     continue;
                 }
                 let curves = (run.curve.of(&self.curve), run.curve.of(curve));
@@ -439,8 +439,8 @@ mod tests {
             hessian.start(&pattern, &vec![0.5; n], count);
             // Zones come and go.
             for bend in [3.0, 0.0, 1e14, 3.0] {
-                let mut bent = vec![true; bundles.runs.len()];
-                hessian.make(problem, &vec![0.5; n], (&vec![bend; count], &mut bent));
+                let mut changed = vec![true; bundles.runs.len()];
+                hessian.make(problem, &vec![0.5; n], (&vec![bend; count], &mut changed));
             }
             hessian.solve(&pattern, &mut b);
             for (a, b) in x.iter().zip(&b) {

@@ -145,7 +145,7 @@ impl<R: Real> System<R> {
             let curved = Curved { bundles, y: &rows.y, curve: &self.curve };
             self.columns.factor(&pattern.nodes, &self.d, curved);
         } else {
-            self.hessian.make(problem, &self.d, (&self.curve, &mut self.bent));
+            self.hessian.make(problem, &self.d, (&self.curve, &mut self.changed));
         }
         for (p, g) in self.step.iter_mut().zip(&self.gradient) {
             *p = R::zero() - *g;

@@ -43,7 +43,7 @@ impl<R: Real> System<R> {
             }
         }
         if recalled.any() {
-            self.bent.fill(true);
+            self.changed.fill(true);
             self.slope(problem);
         }
         recalled

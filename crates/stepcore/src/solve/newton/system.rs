@@ -18,7 +18,7 @@ pub(super) struct System<R: Real> {
     /// Curvature s″, run by run: see `Run::curve`.
     pub(super) curve: Vec<R>,
     /// By run: its curvature may have changed since the matrix was made.
-    pub(super) bent: Vec<bool>,
+    pub(super) changed: Vec<bool>,
     /// By cone: the step.
     pub(super) lines: Vec<Line<R>>,
     /// By dof.
@@ -46,7 +46,7 @@ pub(super) struct System<R: Real> {
     pub(super) local: Vec<R>,
 }
 
-room!(System<R>: w, rate, impulse, curve, bent, lines, guess, u, touched, d, inv_d, gradient, step, hessian, columns,
+room!(System<R>: w, rate, impulse, curve, changed, lines, guess, u, touched, d, inv_d, gradient, step, hessian, columns,
     fresh, decrement, floor, scale, moved, local);
 
 impl<R: Real> System<R> {
@@ -56,7 +56,7 @@ impl<R: Real> System<R> {
             rate: Vec::new(),
             impulse: Vec::new(),
             curve: Vec::new(),
-            bent: Vec::new(),
+            changed: Vec::new(),
             lines: Vec::new(),
             guess: Vec::new(),
             u: Vec::new(),
@@ -164,8 +164,8 @@ impl<R: Real> System<R> {
             fill(list, problem.bundles.t.len());
         }
         fill(&mut self.curve, problem.bundles.curves);
-        self.bent.clear();
-        self.bent.resize(problem.bundles.runs.len(), false);
+        self.changed.clear();
+        self.changed.resize(problem.bundles.runs.len(), false);
         for list in [&mut self.gradient, &mut self.step] {
             fill(list, dofs.len());
         }
@@ -192,7 +192,7 @@ impl<R: Real> System<R> {
                 (Some(cone), ..=SPINNING) => self.bend_cone::<SPINNING>(bundles, run, cone, bend),
                 (Some(cone), _) => self.bend_cone::<CONE>(bundles, run, cone, bend),
             };
-            self.bent[at] |= new.any();
+            self.changed[at] |= new.any();
             changed = changed.or(new);
         }
         changed
