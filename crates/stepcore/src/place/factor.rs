@@ -242,19 +242,6 @@ impl<R: Real> Metric<R> {
         }
     }
 
-    /// These dofs, ascending and ancestor-closed, are the last one's path from the root.
-    pub fn is_path(&self, dofs: &[usize]) -> bool {
-        dofs.last().is_some_and(|k| self.rows[*k].len == dofs.len())
-    }
-
-    /// The same along a path, x from its end to the root.
-    pub fn lift_path(&self, path: &[usize], x: &mut [R]) {
-        for (at, k) in path.iter().rev().enumerate() {
-            let (own, above) = x.split_at_mut(at + 1);
-            subtract_scaled(above, own[at], self.left_of(*k));
-        }
-    }
-
     /// x ← Lᵀ x.
     pub fn lower(&self, x: &mut [R]) {
         for k in 0..x.len() {

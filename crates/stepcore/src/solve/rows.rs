@@ -340,21 +340,15 @@ impl<R: Real> Rows<R> {
 
     /// Takes J from `scratch` (set on `dofs`), lifts it to y, and measures it.
     pub(crate) fn push_scratch(&mut self, now: &Situation<R>, dofs: Span) -> &mut Row<R> {
-        let (list, metric) = (dofs.of(now.dof_lists), &now.placed.metric);
+        let list = dofs.of(now.dof_lists);
+        now.placed.metric.lift(list, &mut self.scratch);
         let start = self.y.len();
-        if metric.is_path(list) {
-            self.y.extend(list.iter().rev().map(|k| self.scratch[*k]));
-            metric.lift_path(list, &mut self.y[start..]);
-            self.y[start..].reverse();
-        } else {
-            metric.lift(list, &mut self.scratch);
-            self.y.extend(list.iter().map(|k| self.scratch[*k]));
-        }
-        let own = &self.y[start..];
         let (mut a, mut velocity) = (R::zero(), R::zero());
-        for (y, k) in own.iter().zip(list) {
-            a += *y * *y * metric.inv_d[*k];
-            velocity += *y * now.placed.u[*k];
+        for &k in list {
+            let y = self.scratch[k];
+            a += y * y * now.placed.metric.inv_d[k];
+            velocity += y * now.placed.u[k];
+            self.y.push(y);
         }
         self.push_row(dofs, start, a, velocity)
     }

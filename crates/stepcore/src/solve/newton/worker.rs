@@ -20,7 +20,7 @@ pub(super) struct Worker<R: Real> {
     pub present: Vec<usize>,
     /// Scratch: of patterns, by dof; of the order of blocks.
     class: Vec<usize>,
-    order: Vec<(u64, usize)>,
+    order: Vec<[usize; 4]>,
     bundles: Bundles<R>,
     pub system: System<R>,
     solved: Solved<R>,
@@ -87,13 +87,13 @@ impl<R: Real> Worker<R> {
         let key = |b: &usize| {
             let dofs = rows.rows[rows.blocks[*b].rows.start].dofs;
             let last = dofs.of(dof_lists).last().copied().unwrap_or(0);
-            ((last as u64) << 48 | (dofs.len as u64) << 32 | dofs.start as u64, *b)
+            [last, dofs.len, dofs.start, *b]
         };
         self.order.clear();
         self.order.extend(self.present.iter().map(key));
         if !self.order.is_sorted() {
             self.order.sort_unstable();
-            self.present.iter_mut().zip(&self.order).for_each(|(b, (_, next))| *b = *next);
+            self.present.iter_mut().zip(&self.order).for_each(|(b, [.., next])| *b = *next);
         }
     }
 
