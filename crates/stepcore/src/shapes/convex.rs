@@ -1,17 +1,18 @@
 //! Any convex shape against any other: the pairs that have no closed form.
 
 use super::by_lane::{empty, OneWorld};
+use super::hint::Hint;
 use super::manifold::ContactPatch;
 use super::separation::{normal, Pairing, Separation};
 use super::solid::{plain, Core, Solid};
 use super::touch::{Touch, Touches};
-use super::{Hint, Shape};
+use super::Shape;
 use crate::real::{Constant, Mask, Real};
 use crate::scene::GeomType;
 use core::cell::Cell;
 
 /// A pair of shapes by their types.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub struct Convex<'a> {
     pub one: GeomType,
     pub two: GeomType,

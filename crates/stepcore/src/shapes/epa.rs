@@ -4,6 +4,8 @@
 //! pushed out to the set's furthest point along the face's normal. The set reaches at least as far
 //! as each face and, along that normal, exactly as far as the furthest point.
 
+use super::gjk::Vertex;
+use super::hint::Shell;
 use super::separation::across_both;
 use crate::spatial::V3;
 
@@ -31,7 +33,7 @@ struct Face {
 /// The polytope as grown so far. Its lists are used again for the next one.
 #[derive(Default)]
 pub struct Polytope {
-    points: Vec<V3<f64>>,
+    points: Vec<Vertex>,
     faces: Vec<Face>,
     /// So many points, and twice as many faces, have room.
     most: usize,
@@ -40,6 +42,10 @@ pub struct Polytope {
     pub stuck: bool,
     /// A push found no room.
     pub full: bool,
+    /// It has more points than it began with.
+    pub grown: bool,
+    /// A push found faces that do not fit around what it sees.
+    pub torn: bool,
     /// The direction of the shortest way out that was seen.
     pub best: V3<f64>,
     least: f64,
@@ -61,8 +67,6 @@ struct Growth {
 /// A face, and the set's reach along its normal.
 pub struct Way {
     pub normal: V3<f64>,
-    /// Of the face: no way out that passes through it is shorter.
-    pub height: f64,
     /// Of the set along this normal: a way out.
     pub reach: f64,
 }
@@ -71,17 +75,13 @@ impl Polytope {
     /// Begins with a tetrahedron of points of the set; false where the set is flat.
     pub fn start(
         &mut self,
-        support: &impl Fn(&V3<f64>) -> V3<f64>,
-        simplex: &[V3<f64>],
+        support: &impl Fn(&V3<f64>) -> Vertex,
+        simplex: &[Vertex],
         most: usize,
     ) -> bool {
         let Some(corners) = tetrahedron(support, simplex) else { return false };
-        let [a, b, c, d] = corners;
-        self.points.clear();
-        self.points.extend(corners);
-        self.size = corners.iter().map(|p| p.dot(p).sqrt()).fold(0.0, f64::max);
-        (self.most, self.stuck, self.full) = (most, false, false);
-        (self.best, self.least) = (V3::x(), f64::INFINITY);
+        self.begin(corners.into_iter(), most);
+        let [a, b, c, d] = corners.map(|corner| corner.at);
         // Counter-clockwise, d above the triangle a b c seen from d; across edges the other faces.
         let up = (b - a).cross(&(c - a)).dot(&(d - a)) > 0.0;
         let lists = if up {
@@ -99,16 +99,64 @@ impl Polytope {
                 ([0, 2, 3], [0, 2, 1]),
             ]
         };
-        self.faces.clear();
-        for (corners, across) in lists {
-            let face = Face { across, ..self.face(corners) };
-            self.faces.push(face);
-        }
+        lists.into_iter().for_each(|(corners, across)| self.add(corners, across));
         true
     }
 
+    /// Begins with a shell whose corners are where `at` says now; false where the origin is no longer
+    /// inside of each of its faces.
+    pub fn start_from(
+        &mut self,
+        shell: &Shell,
+        at: &impl Fn([u32; 2]) -> V3<f64>,
+        most: usize,
+    ) -> bool {
+        let corner = |&pieces: &[u32; 2]| Vertex { at: at(pieces), pieces };
+        self.begin(shell.corners.iter().map(corner), most);
+        shell.faces.iter().for_each(|[corners, across]| self.add(*corners, *across));
+        self.faces.iter().all(|face| face.height > 0.0)
+    }
+
+    fn begin(&mut self, points: impl Iterator<Item = Vertex>, most: usize) {
+        self.points.clear();
+        self.points.extend(points);
+        self.faces.clear();
+        self.size = self.points.iter().map(|p| p.at.dot(&p.at)).fold(0.0, f64::max).sqrt();
+        (self.most, self.stuck, self.full, self.grown, self.torn) =
+            (most, false, false, false, false);
+        (self.best, self.least) = (V3::x(), f64::INFINITY);
+    }
+
+    fn add(&mut self, corners: [u16; 3], across: [u16; 3]) {
+        let face = Face { across, ..self.face(corners) };
+        self.faces.push(face);
+    }
+
+    /// Writes down its surface, of corners that faces have; nothing if these are more than `most`.
+    pub fn keep(&mut self, shell: &mut Shell, most: usize) {
+        let places = &mut self.growth.places;
+        places.clear();
+        places.resize(self.points.len(), NONE);
+        shell.clear();
+        // Of a closed surface of triangles.
+        if self.faces.len() / 2 + 2 > most {
+            return;
+        }
+        for face in &self.faces {
+            let corners = face.corners.map(|corner| {
+                let place = &mut places[usize::from(corner)];
+                if *place == NONE {
+                    *place = shell.corners.len() as u16;
+                    shell.corners.push(self.points[usize::from(corner)].pieces);
+                }
+                *place
+            });
+            shell.faces.push([corners, face.across]);
+        }
+    }
+
     fn face(&self, corners: [u16; 3]) -> Face {
-        let [a, b, c] = corners.map(|i| self.points[usize::from(i)]);
+        let [a, b, c] = corners.map(|i| self.points[usize::from(i)].at);
         let (ab, ac, bc) = (b - a, c - a, c - b);
         let cross = ab.cross(&ac);
         let length = cross.dot(&cross).sqrt();
@@ -123,33 +171,23 @@ impl Polytope {
         Face { corners, across: [0; 3], normal, height, done: sliver }
     }
 
-    /// The lowest face that `skip` does not leave out; None: all are done.
-    pub fn lowest(&self, skip: impl Fn(&V3<f64>, f64) -> bool) -> Option<usize> {
-        let mut best: Option<usize> = None;
+    /// The lowest face below a height, and its own; None: all are done.
+    pub fn lowest(&self, below: f64) -> Option<(usize, f64)> {
+        let mut best: Option<(usize, f64)> = None;
         for (i, face) in self.faces.iter().enumerate() {
-            let lower = best.is_none_or(|b| face.height < self.faces[b].height);
-            if !face.done && lower && !skip(&face.normal, face.height) {
-                best = Some(i);
+            if !face.done && face.height < best.map_or(below, |best| best.1) {
+                best = Some((i, face.height));
             }
         }
         best
     }
 
-    /// How far the set reaches beyond a face; the polytope grows there, if there is room.
-    pub fn push(&mut self, face: usize, support: &impl Fn(&V3<f64>) -> V3<f64>) -> Way {
-        self.push_beyond(face, 0.0, support)
-    }
-
-    /// The same; it grows only where the set reaches further beyond the face than `close`.
-    pub fn push_beyond(
-        &mut self,
-        face: usize,
-        close: f64,
-        support: &impl Fn(&V3<f64>) -> V3<f64>,
-    ) -> Way {
+    /// How far the set reaches beyond a face. Where that is further than `close` the polytope grows there,
+    /// if there is room.
+    pub fn push(&mut self, face: usize, close: f64, support: &impl Fn(&V3<f64>) -> Vertex) -> Way {
         let Face { normal, height, .. } = self.faces[face];
         let w = support(&normal);
-        let reach = normal.dot(&w);
+        let reach = normal.dot(&w.at);
         if reach < self.least {
             (self.least, self.best) = (reach, normal);
         }
@@ -158,13 +196,14 @@ impl Polytope {
         if !grown {
             self.faces[face].done = true;
         }
-        Way { normal, height, reach }
+        Way { normal, reach }
     }
 
     /// Takes away what the new point sees and joins the rim to it.
-    fn grow(&mut self, seed: usize, w: V3<f64>) -> bool {
-        self.see(seed, &w);
+    fn grow(&mut self, seed: usize, w: Vertex) -> bool {
+        self.see(seed, &w.at);
         if !self.find_rim() {
+            self.torn = true;
             return false;
         }
         let edges = self.growth.rim.len();
@@ -173,11 +212,13 @@ impl Polytope {
             return false;
         }
         if !self.close_rim() {
+            self.torn = true;
             return false;
         }
         let point = self.points.len() as u16;
         self.points.push(w);
-        self.size = self.size.max(w.dot(&w).sqrt());
+        self.grown = true;
+        self.size = self.size.max(w.at.dot(&w.at).sqrt());
         let first = self.faces.len() as u16;
         for (i, at) in (first..).zip(0..edges) {
             let (outside, k) = self.growth.rim[at];
@@ -280,11 +321,8 @@ impl Polytope {
 }
 
 /// Four points of the set that span a volume; None where the set is flat.
-fn tetrahedron(
-    support: &impl Fn(&V3<f64>) -> V3<f64>,
-    simplex: &[V3<f64>],
-) -> Option<[V3<f64>; 4]> {
-    let mut seeds = [V3::zeros(); SEEDS];
+fn tetrahedron(support: &impl Fn(&V3<f64>) -> Vertex, simplex: &[Vertex]) -> Option<[Vertex; 4]> {
+    let mut seeds = [Vertex::default(); SEEDS];
     seeds[..simplex.len()].copy_from_slice(simplex);
     let mut count = simplex.len();
     let mut corners = spread(&seeds[..count]);
@@ -314,17 +352,18 @@ fn tetrahedron(
 
 /// The first of the points, the one furthest from it, and the one furthest from their line; with
 /// the square of their distance, and of twice the area of their triangle.
-fn base(points: &[V3<f64>]) -> Option<([V3<f64>; 3], f64, f64)> {
-    let a = *points.first()?;
+fn base(points: &[Vertex]) -> Option<([Vertex; 3], f64, f64)> {
+    let first = *points.first()?;
+    let a = first.at;
     let (length, b) = furthest(points, |p| (p - a).dot(&(p - a)));
-    let ab = b - a;
+    let ab = b.at - a;
     let (area, c) = furthest(points, |p| ab.cross(&(p - a)).dot(&ab.cross(&(p - a))));
-    Some(([a, b, c], length, area))
+    Some(([first, b, c], length, area))
 }
 
-fn furthest(points: &[V3<f64>], measure: impl Fn(&V3<f64>) -> f64) -> (f64, V3<f64>) {
+fn furthest(points: &[Vertex], measure: impl Fn(&V3<f64>) -> f64) -> (f64, Vertex) {
     points.iter().fold((0.0, points[0]), |best, p| {
-        let value = measure(p);
+        let value = measure(&p.at);
         if value > best.0 {
             (value, *p)
         } else {
@@ -334,18 +373,19 @@ fn furthest(points: &[V3<f64>], measure: impl Fn(&V3<f64>) -> f64) -> (f64, V3<f
 }
 
 /// Four of the points that span a volume.
-fn spread(points: &[V3<f64>]) -> Option<[V3<f64>; 4]> {
+fn spread(points: &[Vertex]) -> Option<[Vertex; 4]> {
     let ([a, b, c], length, area) = base(points)?;
-    let normal = (b - a).cross(&(c - a));
-    let (volume, d) = furthest(points, |p| normal.dot(&(p - a)).abs());
+    let normal = (b.at - a.at).cross(&(c.at - a.at));
+    let (volume, d) = furthest(points, |p| normal.dot(&(p - a.at)).abs());
     // Height over the base, and width over the length.
     let flat = area <= FLAT * length * length || volume <= FLAT * area.sqrt() * length.sqrt();
     (!flat).then_some([a, b, c, d])
 }
 
 /// Four directions across the plane or the line in which points lie.
-fn beside(points: &[V3<f64>]) -> Option<[V3<f64>; 4]> {
-    let ([a, b, c], length, area) = base(points)?;
+fn beside(points: &[Vertex]) -> Option<[V3<f64>; 4]> {
+    let (corners, length, area) = base(points)?;
+    let [a, b, c] = corners.map(|corner| corner.at);
     if length == 0.0 {
         return None;
     }

@@ -22,6 +22,8 @@ pub struct Face {
     /// Unit length, outward; normal · x ≤ offset [m] of every vertex x.
     pub normal: Vector3<f64>,
     pub offset: f64,
+    /// Its corners lie in its plane but for 1e-9 of the hull's reach.
+    pub level: bool,
     /// Counter-clockwise from outside: vertices, and the edge from each one to the next.
     pub corners: Vec<usize>,
     pub edges: Vec<usize>,
@@ -245,7 +247,7 @@ impl<'a> Regions<'a> {
         }
         let normal = normal.try_normalize(0.0)?;
         let whole = steps == next.len() && corners.len() >= 3;
-        whole.then_some(Face { normal, offset: 0.0, corners, edges: Vec::new() })
+        whole.then_some(Face { normal, offset: 0.0, level: true, corners, edges: Vec::new() })
     }
 }
 

@@ -7,12 +7,19 @@
 
 use crate::spatial::V3;
 
+/// A point of the set: the difference of two shapes', and which of their pieces these belong to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Vertex {
+    pub at: V3<f64>,
+    pub pieces: [u32; 2],
+}
+
 /// Where the walk ended.
 pub struct Nearest {
     /// The nearest point that was found; of a set beyond what was enough, a direction that shows it.
     pub point: V3<f64>,
     /// The points that it lies between; four of them hold the origin.
-    pub simplex: [V3<f64>; 4],
+    pub simplex: [Vertex; 4],
     pub count: usize,
     /// The origin is inside or so near that the direction means nothing.
     pub inside: bool,
@@ -29,25 +36,25 @@ const TOUCHING: f64 = 1e-20;
 /// `gap`: the relative error of the distance at which the walk may end. `enough`: a distance (not
 /// negative) beyond which it may end too.
 pub fn gjk(
-    support: impl Fn(&V3<f64>) -> V3<f64>,
+    support: impl Fn(&V3<f64>) -> Vertex,
     toward: V3<f64>,
     gap: f64,
     enough: f64,
 ) -> Nearest {
     let first = support(&-toward);
     let mut at = Nearest {
-        point: first,
-        simplex: [first, V3::zeros(), V3::zeros(), V3::zeros()],
+        point: first.at,
+        simplex: [first, Vertex::default(), Vertex::default(), Vertex::default()],
         count: 1,
         inside: false,
-        beyond: beyond(&first, &toward, enough),
+        beyond: beyond(&first.at, &toward, enough),
         asked: 1,
     };
     if at.beyond {
         at.point = toward;
         return at;
     }
-    let mut size = first.dot(&first);
+    let mut size = first.at.dot(&first.at);
     let mut length = size;
     while at.asked < MOST {
         if length <= TOUCHING * size {
@@ -56,13 +63,13 @@ pub fn gjk(
         }
         let w = support(&-at.point);
         at.asked += 1;
-        if beyond(&w, &at.point, enough) {
+        if beyond(&w.at, &at.point, enough) {
             at.beyond = true;
             return at;
         }
-        size = size.max(w.dot(&w));
-        let known = at.simplex[..at.count].contains(&w);
-        if known || length - at.point.dot(&w) <= gap * length {
+        size = size.max(w.at.dot(&w.at));
+        let known = at.simplex[..at.count].iter().any(|corner| corner.at == w.at);
+        if known || length - at.point.dot(&w.at) <= gap * length {
             return at;
         }
         let mut next = at.simplex;
@@ -89,28 +96,29 @@ pub fn beyond(w: &V3<f64>, along: &V3<f64>, enough: f64) -> bool {
     reach > 0.0 && reach * reach > enough * enough * along.dot(along)
 }
 
-type Reduced = (V3<f64>, [V3<f64>; 4], usize);
+type Reduced = (V3<f64>, [Vertex; 4], usize);
 
 /// The point of a simplex nearest to the origin, and the corners between which it lies.
-fn reduce(simplex: &[V3<f64>; 4], count: usize) -> Reduced {
+fn reduce(simplex: &[Vertex; 4], count: usize) -> Reduced {
     match count {
-        2 => segment(simplex[0], simplex[1]),
-        3 => triangle(simplex[0], simplex[1], simplex[2]),
+        2 => segment(&simplex[0], &simplex[1]),
+        3 => triangle(&simplex[0], &simplex[1], &simplex[2]),
         _ => tetrahedron(simplex),
     }
 }
 
-fn corner(a: V3<f64>) -> Reduced {
-    (a, [a, V3::zeros(), V3::zeros(), V3::zeros()], 1)
+fn corner(a: &Vertex) -> Reduced {
+    (a.at, [*a, Vertex::default(), Vertex::default(), Vertex::default()], 1)
 }
 
-fn segment(a: V3<f64>, b: V3<f64>) -> Reduced {
+fn segment(first: &Vertex, last: &Vertex) -> Reduced {
+    let (a, b) = (first.at, last.at);
     let along = b - a;
     let (before, after) = (-a.dot(&along), b.dot(&along));
     if before <= 0.0 {
-        corner(a)
+        corner(first)
     } else if after <= 0.0 {
-        corner(b)
+        corner(last)
     } else {
         // The foot, from the nearer end, and exactly across.
         let square = along.dot(&along);
@@ -119,30 +127,32 @@ fn segment(a: V3<f64>, b: V3<f64>) -> Reduced {
         } else {
             b - along * (after / square)
         };
-        (foot, [a, b, V3::zeros(), V3::zeros()], 2)
+        (foot, [*first, *last, Vertex::default(), Vertex::default()], 2)
     }
 }
 
 /// The nearest of the edges' points, unless the foot of the perpendicular is inside.
-fn triangle(a: V3<f64>, b: V3<f64>, c: V3<f64>) -> Reduced {
+fn triangle(first: &Vertex, second: &Vertex, third: &Vertex) -> Reduced {
+    let [a, b, c] = [first.at, second.at, third.at];
     let normal = (b - a).cross(&(c - a));
     let square = normal.dot(&normal);
     let inner = [(a, b), (b, c), (c, a)].map(|(p, q)| p.cross(&q).dot(&normal));
     if square > 0.0 && inner.iter().all(|x| *x > 0.0) {
         let height = a.dot(&normal) / square;
-        return (normal * height, [a, b, c, V3::zeros()], 3);
+        return (normal * height, [*first, *second, *third, Vertex::default()], 3);
     }
-    nearer(nearer(segment(a, b), segment(b, c)), segment(c, a))
+    nearer(nearer(segment(first, second), segment(second, third)), segment(third, first))
 }
 
-fn tetrahedron(s: &[V3<f64>; 4]) -> Reduced {
+fn tetrahedron(s: &[Vertex; 4]) -> Reduced {
     let mut best: Option<Reduced> = None;
     for [i, j, k, m] in [[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]] {
-        let normal = (s[j] - s[i]).cross(&(s[k] - s[i]));
-        let (inward, origin) = (normal.dot(&(s[m] - s[i])), -normal.dot(&s[i]));
+        let from = s[i].at;
+        let normal = (s[j].at - from).cross(&(s[k].at - from));
+        let (inward, origin) = (normal.dot(&(s[m].at - from)), -normal.dot(&from));
         // On the other side than the fourth corner, or a flat tetrahedron.
         if inward == 0.0 || (inward > 0.0) != (origin > 0.0) {
-            let this = triangle(s[i], s[j], s[k]);
+            let this = triangle(&s[i], &s[j], &s[k]);
             best = Some(best.map_or(this, |best| nearer(best, this)));
         }
     }

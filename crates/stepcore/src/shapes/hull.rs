@@ -15,11 +15,8 @@ const CLIMB: usize = 32;
 /// From this many faces on those that look along a direction are listed.
 const LISTED: usize = 32;
 
-/// Four faces' normals, by axis, and offsets.
-type Planes = [[f64; 4]; 4];
-
-/// So many fours of planes are read before what was found is looked at.
-const AT_ONCE: usize = 16;
+/// Over a hull's reach: corners that are so little below a face's plane lie in it.
+const LEVEL: f64 = 1e-9;
 
 /// A convex polytope.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,8 +29,6 @@ pub struct Hull {
     pub triangles: Vec<[usize; 3]>,
     /// Its surface in polygons: triangles that lie in one plane but for rounding are one face.
     pub faces: Vec<Face>,
-    /// The planes of the faces again, to be read one after another; the last four may repeat a face.
-    planes: Vec<Planes>,
     /// Where two faces meet.
     pub edges: Vec<Edge>,
     /// Ends of triangles' edges: vertex v's neighbours are `adjacent[starts[v]..starts[v + 1]]`.
@@ -122,7 +117,6 @@ impl Hull {
             source,
             triangles,
             faces,
-            planes: Vec::new(),
             edges,
             starts,
             adjacent,
@@ -133,51 +127,19 @@ impl Hull {
         for i in 0..hull.faces.len() {
             let normal = hull.faces[i].normal;
             let furthest = hull.support_from(hull.faces[i].corners[0], &normal);
-            hull.faces[i].offset = normal.dot(&hull.vertices[furthest]);
+            let offset = normal.dot(&hull.vertices[furthest]);
+            let lowest = |low: f64, corner: &usize| low.min(normal.dot(&hull.vertices[*corner]));
+            let low = hull.faces[i].corners.iter().fold(offset, lowest);
+            (hull.faces[i].offset, hull.faces[i].level) = (offset, offset - low <= LEVEL * reach);
         }
-        hull.list_planes();
         hull.find_nearby();
         hull
     }
 
-    fn list_planes(&mut self) {
-        let four = |faces: &[Face]| {
-            let face = |j: usize| &faces[j.min(faces.len() - 1)];
-            let along = |k: usize| [0, 1, 2, 3].map(|j| face(j).normal[k]);
-            [along(0), along(1), along(2), [0, 1, 2, 3].map(|j| face(j).offset)]
-        };
-        self.planes = self.faces.chunks(4).map(four).collect();
-    }
-
-    /// How deep a point lies under the planes of all faces but one; what is no more than `enough` may be
-    /// too much.
-    pub fn under_all_but(&self, face: usize, p: &Vector3<f64>, enough: f64) -> f64 {
-        let depths = |planes: &Planes| {
-            let [x, y, z, offset] = planes;
-            [0, 1, 2, 3].map(|j| offset[j] - (x[j] * p.x + y[j] * p.y + z[j] * p.z))
-        };
-        let less = |a: f64, b: f64| if a < b { a } else { b };
-        // The face's own four are read by themselves.
-        let own = (face / 4).min(self.planes.len());
-        let mut least = f64::INFINITY;
-        for (other, plane) in self.faces.iter().enumerate().skip(4 * own).take(4) {
-            if other != face {
-                least = less(plane.offset - plane.normal.dot(p), least);
-            }
-        }
-        let others = [&self.planes[..own], self.planes.get(own + 1..).unwrap_or_default()];
-        for planes in others.into_iter().flat_map(|planes| planes.chunks(AT_ONCE)) {
-            if least <= enough {
-                break;
-            }
-            let mut found = [least; 4];
-            for four in planes {
-                let depths = depths(four);
-                found = [0, 1, 2, 3].map(|j| less(depths[j], found[j]));
-            }
-            least = found.into_iter().fold(least, less);
-        }
-        least
+    /// How far a point lies outside of the face that it is furthest from; negative inside.
+    pub fn outside(&self, p: &Vector3<f64>) -> f64 {
+        let above = |face: &Face| face.normal.dot(p) - face.offset;
+        self.faces.iter().map(above).fold(f64::NEG_INFINITY, f64::max)
     }
 
     fn find_nearby(&mut self) {
@@ -261,7 +223,6 @@ impl Hull {
             face.offset += face.normal.dot(shift);
         }
         self.reach = furthest(&self.vertices);
-        self.list_planes();
         self.find_nearby();
         if self.faces.len() >= LISTED {
             let normals: Vec<Vector3<f64>> = self.faces.iter().map(|face| face.normal).collect();

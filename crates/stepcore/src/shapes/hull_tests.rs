@@ -218,27 +218,6 @@ fn the_support_is_the_furthest_vertex() {
 }
 
 #[test]
-fn a_point_is_as_deep_as_the_nearest_plane_but_one_says() {
-    let mut random = Random(29);
-    for n in [4, 20, 1000] {
-        let points: Vec<[f64; 3]> =
-            (0..n).map(|_| Vector3::from(random.point()).normalize().into()).collect();
-        let turn = *Rotation3::from_euler_angles(0.2, -0.3, 0.1).matrix();
-        let hull = Hull::of(&points).unwrap().moved(&turn, &Vector3::new(0.1, 0.0, -0.2));
-        for face in [0, 3, hull.faces.len() / 2, hull.faces.len() - 1, usize::MAX] {
-            let p = Vector3::from(random.point());
-            let others = hull.faces.iter().enumerate().filter(|(other, _)| *other != face);
-            let depths = others.map(|(_, plane)| plane.offset - plane.normal.dot(&p));
-            let least = depths.fold(f64::INFINITY, f64::min);
-            for enough in [f64::NEG_INFINITY, least - 0.01] {
-                assert_eq!(hull.under_all_but(face, &p, enough), least);
-            }
-            assert!(hull.under_all_but(face, &p, least + 0.01) <= least + 0.01);
-        }
-    }
-}
-
-#[test]
 fn at_most_so_many_vertices_and_all_of_them_points() {
     let mut random = Random(17);
     let points: Vec<[f64; 3]> =

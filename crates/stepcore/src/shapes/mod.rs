@@ -23,6 +23,7 @@ pub mod frame;
 mod gjk;
 mod grid;
 pub mod height_field;
+mod hint;
 pub mod hull;
 #[cfg(test)]
 mod hull_tests;
@@ -47,6 +48,7 @@ pub(crate) mod touch;
 #[cfg(test)]
 mod trial;
 
+pub use hint::Hint;
 pub(crate) use separation::searched;
 pub use shape_test::ShapeTest;
 pub use touch::{Touch, Touches};
@@ -83,17 +85,6 @@ impl<'a, R: Real> Shape<'a, R> {
     pub fn sizes(&self) -> V3<R> {
         V3::from(value::get(self.size))
     }
-}
-
-/// What a pair may try first, from the step before. Whatever stands here, contacts are the same to the
-/// bit.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Hint {
-    /// The direction along which the two were furthest apart or proven to be apart, in the world's axes
-    /// and of any length; 0: none.
-    pub axis: V3<f64>,
-    /// A face fixed it.
-    pub face: bool,
 }
 
 /// By lane; or empty.

@@ -1,8 +1,9 @@
 //! The shortest way out of each other of two shapes that overlap.
 
 use super::epa::Polytope;
-use super::separation::{Pairing, Separation, ROUNDING};
-use super::solid::{Core, Solid};
+use super::gjk::Vertex;
+use super::hint::{Kept, Shell};
+use super::separation::{Cause, Pairing, Separation};
 use crate::spatial::V3;
 use core::cell::RefCell;
 
@@ -12,81 +13,88 @@ const ROUNDS: usize = 90;
 const POINTS: usize = 72;
 const MANY: usize = 2000;
 const MANY_POINTS: usize = 600;
+/// The most corners of a shell that is kept: from step to step it gathers more, while a search from anew
+/// ends with 10 to 20.
+const SHELL: usize = 24;
 /// Over the size of the pair: how near a search must have come for a first answer.
 const FIRST: f64 = 0.05;
+/// Over the height of a face: how near one must have come that has no better answer behind it. Of 9,600
+/// pairs of bent shapes at random 8 have one with 1e-3, less deep by 3e-4 of their depth at most; with
+/// 1e-4 none has.
+const NEXT: f64 = 1e-5;
 
 thread_local! {
     static POLYTOPE: RefCell<Polytope> = RefCell::default();
 }
 
 impl Pairing<'_> {
-    /// The shortest way out, from a simplex that may hold the origin.
-    pub(super) fn overlap(&self, simplex: &[V3<f64>]) -> Separation {
-        POLYTOPE.with_borrow_mut(|polytope| self.expand(polytope, simplex))
+    /// The shortest way out, from a simplex that may hold the origin; of polytopes `shell` gets the one
+    /// that proves it.
+    pub(super) fn overlap(&self, simplex: &[Vertex], shell: Kept) -> Separation {
+        POLYTOPE.with_borrow_mut(|polytope| {
+            let most = if self.smooth { POINTS } else { MANY_POINTS };
+            if !polytope.start(&|way| self.vertex(way), simplex, most) {
+                let length = self.between.dot(&self.between).sqrt();
+                let n = if length > 0.0 { self.between * (1.0 / length) } else { V3::x() };
+                return self.refine(&n);
+            }
+            let (best, proven) = self.expand(polytope);
+            if let (Some(shell), true, false) = (shell, proven && !polytope.torn, self.smooth) {
+                polytope.keep(shell.get_or_insert_default(), SHELL);
+            }
+            let found =
+                best.map_or_else(|| self.refine(&-polytope.best), |best| self.settled(best));
+            self.topped(found)
+        })
     }
 
-    fn expand(&self, polytope: &mut Polytope, simplex: &[V3<f64>]) -> Separation {
-        let support = |way: &V3<f64>| self.furthest(way);
-        let (rounds, most) = if self.smooth { (ROUNDS, POINTS) } else { (MANY, MANY_POINTS) };
-        if !polytope.start(&support, simplex, most) {
-            let length = self.between.dot(&self.between).sqrt();
-            let n = if length > 0.0 { self.between * (1.0 / length) } else { V3::x() };
-            return self.refine(&n);
+    /// The shortest way out of polytopes, from the shell of the step before; where that proves none it is
+    /// forgotten.
+    pub(super) fn overlap_again(&self, shell: &mut Shell) -> Option<Separation> {
+        if shell.is_empty() {
+            return None;
         }
-        let faceted = |solid: &Solid<f64>| matches!(solid.core, Core::Hull(_) | Core::Prism(_));
-        // Within this cosine a refined direction is the best one: facets of a mesh may be as near to
-        // one another as this.
-        let own = if faceted(&self.one) || faceted(&self.two) { 1.0 - 1e-9 } else { 1.0 - 1e-3 };
-        let (mut best, mut proven): (Option<Separation>, _) = (None, false);
-        for _ in 0..rounds {
-            let skip = |normal: &V3<f64>, height: f64| {
-                best.is_some_and(|best: Separation| {
-                    height >= -best.apart - 1e-12 * self.size || -normal.dot(&best.normal) > own
-                })
-            };
-            let Some(face) = polytope.lowest(skip) else {
-                proven = !polytope.full;
-                break;
-            };
-            let way = polytope.push(face, &support);
-            let gap = way.reach - way.height;
+        let at = |[one, two]: [u32; 2]| {
+            self.between + (self.two.corner(two as usize) - self.one.corner(one as usize))
+        };
+        POLYTOPE.with_borrow_mut(|polytope| {
+            let inside = polytope.start_from(shell, &at, POINTS);
+            let (best, proven) = if inside { self.expand(polytope) } else { (None, false) };
+            // A direction that neither faces nor edges fix is the search's own, to the last bit.
+            let fixed = |best: &Separation| best.apart < 0.0 && !matches!(best.cause, Cause::Free);
+            let found = best.filter(|best| fixed(best) && proven && !polytope.torn);
+            if found.is_none() {
+                shell.clear();
+            } else if polytope.grown {
+                polytope.keep(shell, SHELL);
+            }
+            found
+        })
+    }
+
+    /// The best of what refining finds as the polytope grows, and whether nothing better is left.
+    fn expand(&self, polytope: &mut Polytope) -> (Option<Separation>, bool) {
+        let support = |way: &V3<f64>| self.vertex(way);
+        let mut best: Option<Separation> = None;
+        for _ in 0..if self.smooth { ROUNDS } else { MANY } {
+            let depth = best.map_or(f64::INFINITY, |best| -best.apart);
+            let lowest = polytope.lowest(depth - 1e-12 * self.size);
+            let Some((face, height)) = lowest else { return (best, !polytope.full) };
             // With a first answer the rest of the search only has to rule out better ones.
             let close = match (self.smooth, best) {
                 (true, None) => FIRST * self.size,
-                (true, _) => 1e-3 * way.reach + 1e-6 * self.size,
+                (true, _) => NEXT * (height.max(0.0) + 1e-3 * self.size),
                 _ => 1e-12 * self.size,
             };
-            if gap <= close || polytope.stuck {
+            let way = polytope.push(face, best.map_or(0.0, |_| close), &support);
+            let ended = way.reach - height <= close || polytope.stuck;
+            if ended && way.reach < depth {
                 let found = self.refine_once(&-way.normal, self.near());
-                if best.is_none_or(|best| found.apart > best.apart) {
+                if found.apart > -depth {
                     best = Some(found);
                 }
             }
         }
-        if let (Some(first), true, true) = (best, self.smooth, proven) {
-            best = Some(self.beside(first, polytope, own));
-        }
-        let found = best.map_or_else(|| self.refine(&-polytope.best), |best| self.settled(best));
-        self.topped(found)
-    }
-
-    /// A better answer that hides behind faces which look along the best one's direction: of a large
-    /// shape's rim with a small shape around it they may be far below the surface.
-    fn beside(&self, mut best: Separation, polytope: &mut Polytope, own: f64) -> Separation {
-        let support = |way: &V3<f64>| self.furthest(way);
-        for _ in 0..ROUNDS {
-            let skip = |_: &V3<f64>, height: f64| height >= -best.apart - 1e-12 * self.size;
-            let Some(face) = polytope.lowest(skip) else { break };
-            let close = -1e-3 * best.apart + 1e-6 * self.size;
-            let way = polytope.push_beyond(face, close, &support);
-            let ended = way.reach - way.height <= close || polytope.stuck;
-            if ended && -way.normal.dot(&best.normal) <= own {
-                let found = self.refine_once(&-way.normal, self.near());
-                if found.apart > best.apart + ROUNDING * self.size {
-                    best = found;
-                }
-            }
-        }
-        best
+        (best, false)
     }
 }

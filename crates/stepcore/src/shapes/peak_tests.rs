@@ -4,6 +4,7 @@
 use super::by_lane::by_lane;
 use super::convex::{solid, Convex};
 use super::epa::Polytope;
+use super::gjk::Vertex;
 use super::hull::Hull;
 use super::separation::Pairing;
 use super::touch::Touches;
@@ -160,9 +161,11 @@ fn a_plate_askew_has_a_volume() {
     let (a, b) = (V3::new(0.4, 0.12, 0.08), V3::new(0.08, 0.3, 0.27));
     let up = a.cross(&b).normalize();
     for (thick, there) in [(1e-3, true), (1e-9, true), (0.0, false)] {
-        let points = [a + b, a - b, b - a, -a - b, up * thick, up * -thick];
+        let points = [a + b, a - b, b - a, -a - b, up * thick, up * -thick]
+            .map(|at| Vertex { at, pieces: [0; 2] });
+        let further = |way: &V3<f64>, a: &Vertex, b: &Vertex| b.at.dot(way) > a.at.dot(way);
         let support = |way: &V3<f64>| {
-            points.iter().fold(points[0], |far, p| if p.dot(way) > far.dot(way) { *p } else { far })
+            points.iter().fold(points[0], |far, p| if further(way, &far, p) { *p } else { far })
         };
         for seeds in [&points[..0], &points[..1], &points[..3], &points[..4]] {
             assert_eq!(Polytope::default().start(&support, seeds, 16), there, "{thick}");

@@ -9,10 +9,10 @@
 //! edge leave it two or one degrees of freedom, in which Newton's method ends at rounding. What
 //! s(n) says is exact whatever n came from, so the largest of these candidates is the answer.
 
-use super::gjk::{beyond, gjk};
+use super::gjk::{beyond, gjk, Vertex};
+use super::hint::{Hint, Kept};
 use super::solid::{plain, Solid};
 use super::touch::unit;
-use super::Hint;
 use crate::real::Real;
 use crate::spatial::V3;
 use core::cell::Cell;
@@ -85,8 +85,20 @@ impl<'a> Pairing<'a> {
 
     /// The point of two minus one furthest along a direction.
     pub(super) fn furthest(&self, way: &V3<f64>) -> V3<f64> {
+        self.vertex(way).at
+    }
+
+    /// The same, and of which pieces it is.
+    pub(super) fn vertex(&self, way: &V3<f64>) -> Vertex {
+        let [(near, one), (far, two)] = self.ends(way);
+        Vertex { at: self.between + (far - near), pieces: [one as u32, two as u32] }
+    }
+
+    /// One's point furthest against a direction, and two's furthest along it, each from its own centre,
+    /// and which piece it is.
+    pub(super) fn ends(&self, way: &V3<f64>) -> [(V3<f64>, usize); 2] {
         self.asked.set(self.asked.get() + 1);
-        self.between + (self.two.support(way).0 - self.one.support(&-way).0)
+        [self.one.support(&-way), self.two.support(way)]
     }
 
     /// Which pieces of the two are least apart along a unit direction.
@@ -114,35 +126,53 @@ impl<'a> Pairing<'a> {
     pub fn separation(&self, within: f64, hint: Option<&Cell<Hint>>) -> Option<Separation> {
         SEARCHED.set(SEARCHED.get() + 1);
         let enough = (within + self.one.radius + self.two.radius + SURE * self.size).max(0.0);
-        let Hint { axis, face } = hint.map(Cell::get).unwrap_or_default();
-        let known = axis != V3::zeros();
-        let mut own = None;
-        let found = if known && beyond(&self.furthest(&-axis), &axis, enough) {
-            Err(axis)
-        } else {
-            if face || !known {
-                let near = if known { axis } else { self.toward() };
-                own = self.on_face(&near, -1.0, None);
-            }
-            match own {
-                Some(found) if found.apart > enough => Err(found.normal),
-                Some(found) => Ok(found),
-                None => self.search(enough),
-            }
+        let Some(hint) = hint else {
+            return self.found(enough, &mut Hint::default(), false).ok();
         };
-        // Of a face the same numbers, however it was found.
-        let found =
-            found.map(|found| self.on_face(&found.normal, ALONG, own.as_ref()).unwrap_or(found));
-        if let Some(hint) = hint {
-            let (axis, face) = match &found {
-                Ok(Separation { normal, cause, .. }) => {
-                    (*normal, matches!(cause, Cause::FaceOne(_) | Cause::FaceTwo(_)))
-                }
-                Err(proof) => (*proof, face),
-            };
-            hint.set(Hint { axis, face });
+        let mut known = hint.take();
+        let found = self.found(enough, &mut known, true);
+        match &found {
+            Ok(Separation { normal, cause, .. }) => {
+                known.axis = *normal;
+                known.face = matches!(cause, Cause::FaceOne(_) | Cause::FaceTwo(_));
+            }
+            Err(proof) => known.axis = *proof,
         }
+        hint.set(known);
         found.ok()
+    }
+
+    /// Of cores that are `enough` apart the direction that proves it, as an error. What the step before
+    /// proved is tried first; a search may keep its own proof.
+    fn found(&self, enough: f64, known: &mut Hint, keep: bool) -> Result<Separation, V3<f64>> {
+        let again = known.shell.as_deref_mut().and_then(|shell| self.overlap_again(shell));
+        if let Some(found) = again {
+            return Ok(self.or_face(found));
+        }
+        let some = known.axis != V3::zeros();
+        if some && beyond(&self.furthest(&-known.axis), &known.axis, enough) {
+            return Err(known.axis);
+        }
+        if known.face || !some {
+            let near = if some { known.axis } else { self.toward() };
+            if let Some(own) = self.on_face(&near, -1.0, None) {
+                let along = || self.on_face(&own.normal, ALONG, Some(&own));
+                return if own.apart > enough {
+                    Err(own.normal)
+                } else {
+                    Ok(along().unwrap_or(own))
+                };
+            }
+        }
+        self.search(enough, keep.then_some(&mut known.shell)).map(|found| self.or_face(found))
+    }
+
+    /// Of a face the same numbers, however it was found.
+    fn or_face(&self, found: Separation) -> Separation {
+        if !self.smooth && matches!(found.cause, Cause::FaceOne(_) | Cause::FaceTwo(_)) {
+            return found;
+        }
+        self.on_face(&found.normal, ALONG, None).unwrap_or(found)
     }
 
     /// From one's centre to two's; if they are in one place somewhere.
@@ -155,9 +185,9 @@ impl<'a> Pairing<'a> {
     }
 
     /// Of cores that are `enough` apart the direction that proves it, as an error.
-    pub(super) fn search(&self, enough: f64) -> Result<Separation, V3<f64>> {
+    pub(super) fn search(&self, enough: f64, mut shell: Kept) -> Result<Separation, V3<f64>> {
         let toward = self.toward();
-        let support = |way: &V3<f64>| self.furthest(way);
+        let support = |way: &V3<f64>| self.vertex(way);
         let gaps: &[f64] = if self.smooth { &[1e-5, 1e-12] } else { &[1e-15] };
         for gap in gaps {
             let nearest = gjk(support, toward, *gap, enough);
@@ -165,7 +195,7 @@ impl<'a> Pairing<'a> {
                 return Err(nearest.point);
             }
             if nearest.inside {
-                return Ok(self.overlap(&nearest.simplex[..nearest.count]));
+                return Ok(self.overlap(&nearest.simplex[..nearest.count], shell.as_deref_mut()));
             }
             let length = nearest.point.dot(&nearest.point).sqrt();
             let found = self.topped(self.refine(&(nearest.point * (1.0 / length))));
@@ -173,10 +203,10 @@ impl<'a> Pairing<'a> {
                 return Ok(found);
             }
             if found.apart <= 0.0 {
-                return Ok(self.overlap(&nearest.simplex[..nearest.count]));
+                return Ok(self.overlap(&nearest.simplex[..nearest.count], shell.as_deref_mut()));
             }
         }
-        Ok(self.overlap(&[]))
+        Ok(self.overlap(&[], shell))
     }
 }
 

@@ -6,7 +6,7 @@
 //! the same length, so it changes distances and nothing else. Points are in world axes, from the
 //! shape's own centre.
 
-use super::hull::Hull;
+use super::hull::{Face, Hull};
 use crate::real::Real;
 use crate::spatial::{Pose, V3};
 
@@ -151,7 +151,7 @@ impl<'a, R: Real> Solid<'a, R> {
             Core::Box(size) => {
                 (0..3).map(|i| p[i].abs() - size[i]).fold(f64::NEG_INFINITY, f64::max)
             }
-            Core::Hull(hull) => -hull.under_all_but(usize::MAX, &p, f64::NEG_INFINITY),
+            Core::Hull(hull) => hull.outside(&p),
             Core::Prism(corners) => PRISM_FACES
                 .iter()
                 .map(|face| normal_of(corners, face).dot(&(p - corners[face[0]])))
@@ -159,25 +159,31 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// A point, from its centre, lies deeper than this under all that bounds the core but one face.
-    pub fn under_all_but(&self, face: usize, point: &V3<f64>, depth: f64) -> bool {
+    /// How far a point, from the centre, is from the sides of a face, seen along the face's normal;
+    /// negative beside it, and over one that is not level.
+    pub fn room(&self, face: usize, point: &V3<f64>) -> f64 {
         let p = plain(self.pose).to_local(point);
-        let up = |face: usize, axis: usize| if face % 2 == 1 { p[axis] } else { -p[axis] };
         match self.core {
-            Core::Cylinder(radius, half) => {
-                let beside = (p.x * p.x + p.y * p.y).sqrt() - radius;
-                beside < -depth && up(1 - face, 2) - half < -depth
-            }
+            Core::Cylinder(radius, _) => radius - (p.x * p.x + p.y * p.y).sqrt(),
             Core::Box(size) => {
-                let mut others = (0..6).filter(|other| *other != face);
-                others.all(|other| up(other, other / 2) - size[other / 2] < -depth)
+                let [i, k] = [1, 2].map(|further| (face / 2 + further) % 3);
+                (size[i] - p[i].abs()).min(size[k] - p[k].abs())
             }
-            Core::Hull(hull) => hull.under_all_but(face, &p, depth) > depth,
-            Core::Prism(corners) => (PRISM_FACES.iter().enumerate()).all(|(other, list)| {
-                let height = normal_of(corners, list).dot(&(p - corners[list[0]]));
-                other == face || height < -depth
-            }),
-            Core::Point | Core::Segment(_) | Core::Ellipsoid(_) => false,
+            Core::Hull(hull) => {
+                let Face { normal, corners, level, .. } = &hull.faces[face];
+                if !level {
+                    return f64::NEG_INFINITY;
+                }
+                within(&p, normal, corners.len(), |k| hull.vertices[corners[k]])
+            }
+            Core::Prism(all) => {
+                let corners = PRISM_FACES[face];
+                // They run either way around.
+                let [one, other] = [normal_of(all, corners), -normal_of(all, corners)]
+                    .map(|normal| within(&p, &normal, corners.len(), |k| all[corners[k]]));
+                one.max(other)
+            }
+            Core::Point | Core::Segment(_) | Core::Ellipsoid(_) => f64::NEG_INFINITY,
         }
     }
 
@@ -295,6 +301,19 @@ const LEAN: f64 = 0.3;
 /// corners; `normal_of` looks away from the other corners.
 pub const PRISM_FACES: [&[usize]; 5] =
     [&[0, 1, 2], &[3, 4, 5], &[0, 1, 4, 3], &[1, 2, 5, 4], &[2, 0, 3, 5]];
+
+/// How far a point is from the sides of a polygon whose corners run counter-clockwise about its normal.
+fn within(p: &V3<f64>, normal: &V3<f64>, count: usize, corner: impl Fn(usize) -> V3<f64>) -> f64 {
+    let mut least = f64::INFINITY;
+    let mut from = corner(count - 1);
+    for k in 0..count {
+        let to = corner(k);
+        let inward = normal.cross(&(to - from));
+        least = least.min(inward.dot(&(p - from)) / inward.dot(&inward).sqrt());
+        from = to;
+    }
+    least
+}
 
 fn normal_of(corners: &[V3<f64>; 6], face: &[usize]) -> V3<f64> {
     let [a, b, c] = [0, 1, 2].map(|k| corners[face[k]]);
