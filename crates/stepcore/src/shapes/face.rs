@@ -113,7 +113,7 @@ mod tests {
     use super::super::hull::Hull;
     use super::super::separation::Pairing;
     use super::super::solid::{Core, Solid};
-    use super::super::trial::Random;
+    use super::super::trial::{at, Random};
     use super::super::Shape;
     use crate::scene::GeomType;
     use crate::spatial::Pose;
@@ -168,6 +168,14 @@ mod tests {
         }
     }
 
+    /// Corners around an axis, and one at each end of it.
+    fn gem(n: usize, size: f64) -> Vec<[f64; 3]> {
+        let angle = |i: usize| core::f64::consts::PI * i as f64 / n as f64;
+        let around = |i: usize| [size * angle(i).cos(), size * angle(i).sin(), 0.0];
+        let ends = [[0.0, 0.0, size], [0.0, 0.0, -size]];
+        (0..2 * n).map(around).chain(ends).collect()
+    }
+
     /// Two hulls that move through each other have the contacts, bit for bit, of those who know nothing of
     /// the step before. How often they overlap, and how often the shell of the step before is enough.
     #[test]
@@ -185,6 +193,16 @@ mod tests {
             let mut poses = [random.pose(0.2), random.pose(0.2)];
             let (drift, spin) = (random.vector() * 4e-3, random.vector() * 0.02);
             let block = [0.1, 0.2, 0.3];
+            // Gems that are set one above the other: many directions are as good.
+            let level = case % 4 == 3;
+            let gems = [0.3, 0.2].map(|size| Hull::of(&gem(2 + case % 7, size)).unwrap());
+            let hulls = if level { &gems } else { &hulls };
+            let (drift, spin) = if level {
+                poses = [0.0, 0.45].map(|z| at(0.0, 0.0, z));
+                (-4e-3 * Vector3::z(), Vector3::zeros())
+            } else {
+                (drift, spin)
+            };
             let hint = core::cell::Cell::new(crate::shapes::Hint::default());
             for _ in 0..80 {
                 poses[1].pos += drift;
@@ -212,6 +230,6 @@ mod tests {
             }
         }
 
-        assert!(deep > 4000 && 3 * again > 2 * deep, "{again} of {deep}");
+        assert!(deep > 4000 && 2 * again > deep, "{again} of {deep}");
     }
 }

@@ -23,6 +23,21 @@ const FIRST: f64 = 0.05;
 /// 1e-4 none has.
 const NEXT: f64 = 1e-5;
 
+/// Over the size of the pair: a way out that is longer by less may be the shortest but for rounding.
+const CLEAR: f64 = 1e-9;
+/// Cosine of the angle between directions of one facet.
+const SAME: f64 = 1.0 - 1e-9;
+
+/// What a search came to.
+#[derive(Default)]
+struct Found {
+    best: Option<Separation>,
+    /// Nothing better is left.
+    proven: bool,
+    /// Another direction is as good.
+    tied: bool,
+}
+
 thread_local! {
     static POLYTOPE: RefCell<Polytope> = RefCell::default();
 }
@@ -38,7 +53,7 @@ impl Pairing<'_> {
                 let n = if length > 0.0 { self.between * (1.0 / length) } else { V3::x() };
                 return self.refine(&n);
             }
-            let (best, proven) = self.expand(polytope);
+            let Found { best, proven, .. } = self.expand(polytope, -1e-12);
             if let (Some(shell), true, false) = (shell, proven && !polytope.torn, self.smooth) {
                 polytope.keep(shell.get_or_insert_default(), SHELL);
             }
@@ -59,10 +74,11 @@ impl Pairing<'_> {
         };
         POLYTOPE.with_borrow_mut(|polytope| {
             let inside = polytope.start_from(shell, &at, POINTS);
-            let (best, proven) = if inside { self.expand(polytope) } else { (None, false) };
-            // A direction that neither faces nor edges fix is the search's own, to the last bit.
+            let Found { best, proven, tied } =
+                if inside { self.expand(polytope, CLEAR) } else { Found::default() };
+            // A direction that neither faces nor edges fix, or as good as another, is the search's own.
             let fixed = |best: &Separation| best.apart < 0.0 && !matches!(best.cause, Cause::Free);
-            let found = best.filter(|best| fixed(best) && proven && !polytope.torn);
+            let found = best.filter(|best| fixed(best) && proven && !tied && !polytope.torn);
             if found.is_none() {
                 shell.clear();
             } else if polytope.grown {
@@ -72,29 +88,36 @@ impl Pairing<'_> {
         })
     }
 
-    /// The best of what refining finds as the polytope grows, and whether nothing better is left.
-    fn expand(&self, polytope: &mut Polytope) -> (Option<Separation>, bool) {
+    /// The best of what refining finds as the polytope grows, until nothing is left that is better, or by
+    /// less than `clear` of the size worse.
+    fn expand(&self, polytope: &mut Polytope, clear: f64) -> Found {
         let support = |way: &V3<f64>| self.vertex(way);
-        let mut best: Option<Separation> = None;
+        let mut out = Found::default();
         for _ in 0..if self.smooth { ROUNDS } else { MANY } {
-            let depth = best.map_or(f64::INFINITY, |best| -best.apart);
-            let lowest = polytope.lowest(depth - 1e-12 * self.size);
-            let Some((face, height)) = lowest else { return (best, !polytope.full) };
+            let depth = out.best.map_or(f64::INFINITY, |best| -best.apart);
+            let Some((face, height)) = polytope.lowest(depth + clear * self.size) else {
+                out.proven = !polytope.full;
+                break;
+            };
             // With a first answer the rest of the search only has to rule out better ones.
-            let close = match (self.smooth, best) {
+            let close = match (self.smooth, out.best) {
                 (true, None) => FIRST * self.size,
                 (true, _) => NEXT * (height.max(0.0) + 1e-3 * self.size),
                 _ => 1e-12 * self.size,
             };
-            let way = polytope.push(face, best.map_or(0.0, |_| close), &support);
+            let way = polytope.push(face, out.best.map_or(0.0, |_| close), &support);
             let ended = way.reach - height <= close || polytope.stuck;
+            let other = |best: Separation| -way.normal.dot(&best.normal) < SAME;
+            out.tied |= ended
+                && (way.reach - depth).abs() <= clear * self.size
+                && out.best.is_some_and(other);
             if ended && way.reach < depth {
                 let found = self.refine_once(&-way.normal, self.near());
                 if found.apart > -depth {
-                    best = Some(found);
+                    out.best = Some(found);
                 }
             }
         }
-        (best, false)
+        out
     }
 }
