@@ -1,11 +1,11 @@
 //! What fixes the direction of a separation, and when that is certain without a search.
 //!
 //! Two minus one is a convex set. Across a direction n it has a supporting plane, at −s(n) from the
-//! origin, and in that plane what a face of one of the two spans. Of shapes apart
-//! that is nearest to the origin if it holds the origin's foot. Of shapes that overlap by d = −s it is
-//! the shortest way out if no supporting plane is nearer. One that is turned by an angle a lies at
-//! least d cos a + r sin a from the origin, where r is the foot's room, the radius of a disc around it
-//! that the set holds: no less than d up to a = 2 atan(r/d). One turned further lies beyond the set's
+//! origin, and in that plane what a face of one of the two spans. Of shapes apart that is nearest to
+//! the origin if it holds the origin's foot. Of shapes that overlap by d = −s it is the shortest way
+//! out if no supporting plane is nearer. One that is turned by an angle a lies at least
+//! d cos a + r sin a from the origin, where r is the foot's room, the radius of a disc around it that
+//! the set holds: no less than d up to a = 2 atan(r/d). One turned further lies beyond the set's
 //! furthest point along n.
 
 use super::separation::{Cause, Pairing, Separation, ROUNDING};
@@ -30,24 +30,22 @@ impl Pairing<'_> {
     /// as this.
     pub(super) fn facing(&self, rough: &V3<f64>, cosine: f64) -> [Option<Facing>; 2] {
         let along = |face: &(V3<f64>, f64, usize)| face.1 >= cosine;
+        let least = |normal: &V3<f64>| {
+            let [(near, _), (far, _)] = self.ends(&-normal);
+            (normal.dot(&(self.between + (far - near))), near, self.between + far)
+        };
         let of_one = self.one.face(rough).filter(along).map(|(normal, _, face)| {
             let cause = Cause::FaceOne(self.one.pose.to_local(&normal));
-            let [(near, _), (far, _)] = self.ends(&-normal);
-            let apart = normal.dot(&(self.between + (far - near)));
-            Facing {
-                separation: Separation { normal, apart, cause },
-                face,
-                over: self.between + far,
-            }
+            let (apart, _, over) = least(&normal);
+            Facing { separation: Separation { normal, apart, cause }, face, over }
         });
         let of_two = self.two.face(&-rough).filter(along).map(|(outward, _, face)| {
             let (normal, cause) = (-outward, Cause::FaceTwo(self.two.pose.to_local(&outward)));
-            let [(near, _), (far, _)] = self.ends(&outward);
-            let apart = normal.dot(&(self.between + (far - near)));
+            let (apart, over, _) = least(&normal);
             Facing {
                 separation: Separation { normal, apart, cause },
                 face,
-                over: near - self.between,
+                over: over - self.between,
             }
         });
         [of_one, of_two]

@@ -178,8 +178,9 @@ impl<'a, R: Real> Solid<'a, R> {
             }
             Core::Prism(all) => {
                 let corners = PRISM_FACES[face];
+                let normal = normal_of(all, corners);
                 // They run either way around.
-                let [one, other] = [normal_of(all, corners), -normal_of(all, corners)]
+                let [one, other] = [normal, -normal]
                     .map(|normal| within(&p, &normal, corners.len(), |k| all[corners[k]]));
                 one.max(other)
             }
