@@ -11,18 +11,3 @@ pub(super) fn dot<R: Real>(dofs: &[usize], y: &[R], u: &[R]) -> R {
     }
     sum
 }
-
-/// y·x of N rows on the same dofs, whose y stand one after another.
-#[inline(always)]
-pub(super) fn dots<R: Real, const N: usize>(list: &[usize], y: &[R], x: &[R]) -> [R; N] {
-    let len = list.len();
-    let y = &y[..N * len];
-    let mut sums = [R::zero(); N];
-    for (at, k) in list.iter().enumerate() {
-        let x = x[*k];
-        for i in 0..N {
-            sums[i] += y[i * len + at] * x;
-        }
-    }
-    sums
-}

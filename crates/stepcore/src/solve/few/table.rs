@@ -1,0 +1,373 @@
+//! The system of few rows, (A + C)λ − b = w, in arrays of N slots.
+//!
+//! One world's loops go over all N, which the compiler knows to be whole registers; lanes, whose
+//! numbers are registers by themselves, over the slots in use.
+
+use super::gather::{each_slot, Gathered};
+use super::{Island, GUESSES, PIVOT};
+use crate::real::array::{from_fn, map};
+use crate::real::{Count, Mask, Real, WIDEST};
+use crate::solve::limits::Report;
+use crate::solve::rows::Rows;
+use std::ops::Range;
+
+/// Slots whose products lanes take side by side.
+const BESIDE: usize = 4;
+
+pub(super) struct Table<R: Real, const N: usize> {
+    /// Slots in use, and the lanes with a row there.
+    n: usize,
+    masks: [R::Mask; N],
+    /// Of the row: between which impulses, and the inverse of its denominator.
+    lo: [R; N],
+    hi: [R; N],
+    inv_s: [R; N],
+    /// By place.
+    dofs: Vec<Dof<R, N>>,
+    /// A + C, and t − J û.
+    a: [[R; N]; N],
+    b: [R; N],
+    impulse: [R; N],
+    w: [R; N],
+    /// Free rows, and rows at their upper bound; the others are at their lower one.
+    free: [R::Mask; N],
+    high: [R::Mask; N],
+    /// The lines of free rows: of their system the upper half, then DLᵀ; what stands elsewhere means
+    /// nothing. 1/D, and the impulses of free rows.
+    m: [[R; N]; N],
+    inv: [R; N],
+    x: [R; N],
+    /// One row of Lᵀ.
+    l: [R; N],
+}
+
+/// A dof: y of all slots, D⁻¹, and u, which begins as û.
+#[derive(Clone, Copy)]
+struct Dof<R: Real, const N: usize> {
+    y: [R; N],
+    inv_d: R,
+    u: R,
+}
+
+room!(Table<R, N>: dofs; n, masks, lo, hi, inv_s, a, b, impulse, w, free, high, m, inv, x, l);
+
+/// Where a number adds anything to a sum, be it but a slope.
+fn adds<R: Real>(x: R) -> R::Mask {
+    let zero = x.le(R::zero()).and(x.ge(R::zero()));
+    zero.not().or(R::Mask::of(x.steepness() != 0.0))
+}
+
+/// own += by · x in the slots `at` and lanes `mask`; one world, whose mask holds, in all slots.
+#[inline(always)]
+fn add_scaled<R: Real, const N: usize>(
+    own: &mut [R; N],
+    by: R,
+    x: &[R; N],
+    (at, mask): (Range<usize>, R::Mask),
+) {
+    if R::ALONE {
+        for j in 0..N {
+            own[j] += by * x[j];
+        }
+    } else if mask.all() {
+        for j in at {
+            own[j] += by * x[j];
+        }
+    } else {
+        for j in at {
+            own[j] = R::select(mask, own[j] + by * x[j], own[j]);
+        }
+    }
+}
+
+impl<R: Real, const N: usize> Table<R, N> {
+    pub fn new() -> Self {
+        let (zero, none) = ([R::zero(); N], [R::Mask::of(false); N]);
+        Self {
+            n: 0,
+            masks: none,
+            lo: zero,
+            hi: zero,
+            inv_s: zero,
+            dofs: Vec::new(),
+            a: [zero; N],
+            b: zero,
+            impulse: zero,
+            w: zero,
+            free: none,
+            high: none,
+            m: [zero; N],
+            inv: zero,
+            x: zero,
+            l: zero,
+        }
+    }
+
+    /// Solves the rows that were gathered, in the lanes `mine`; returns the lanes that it left unsolved.
+    #[inline(never)]
+    pub fn solve(
+        &mut self,
+        (island, own): (Island<R>, &Gathered<R>),
+        rows: &mut Rows<R>,
+        mine: R::Mask,
+        report: &mut Report<R>,
+    ) -> R::Mask {
+        self.take(island, own, rows);
+        let (mut live, mut count) = (R::Mask::of(false), Count::ZERO);
+        for mask in &self.masks[..self.n] {
+            live = live.or(*mask);
+            count.add(*mask, 1);
+        }
+        let (mut done, mut unsolved) = (Count::ZERO, R::Mask::of(false));
+        self.slacks();
+        self.classify(live);
+        for _ in 0..GUESSES {
+            if live.none() {
+                break;
+            }
+            done.add(live, 1);
+            report.updates.add_each(live, &count);
+            let (moved, poor) = self.step(live);
+            unsolved = unsolved.or(poor);
+            live = live.and(poor.not());
+            self.slacks();
+            let changed = self.classify(live);
+            live = live.and(changed).and(moved);
+        }
+        report.sweeps.raise(&done);
+        let unsolved = unsolved.or(live);
+        self.give(own, rows, mine.and(unsolved.not()));
+        unsolved
+    }
+
+    /// A, b and the impulses to start from.
+    fn take(&mut self, island: Island<R>, own: &Gathered<R>, rows: &Rows<R>) {
+        let (zero, none) = ([R::zero(); N], R::Mask::of(false));
+        self.n = own.slots.len().min(N);
+        self.masks = from_fn(|i| own.slots.get(i).copied().unwrap_or(none));
+        (self.free, self.high) = ([none; N], [none; N]);
+        self.dofs.clear();
+        let dof = |k: &usize| Dof { y: zero, inv_d: island.inv_d[*k], u: island.guess[*k] };
+        self.dofs.extend(own.dofs.iter().map(dof));
+        if own.moved {
+            self.take_lanes(island, own, rows);
+        } else {
+            self.take_rows(own, rows);
+        }
+        for i in 0..self.n.min(N) {
+            let softened = self.a[i][i];
+            // One world's fill registers side by side, lanes by themselves.
+            if R::ALONE {
+                self.a[i] = self.products(own, i, 0);
+            } else {
+                for from in (0..i).step_by(BESIDE) {
+                    let some = self.products::<BESIDE>(own, i, from);
+                    self.a[i][from..from + BESIDE].copy_from_slice(&some);
+                }
+            }
+            self.a[i][i] = softened;
+            for j in 0..i {
+                self.a[j][i] = self.a[i][j];
+            }
+        }
+    }
+
+    /// A of slot i and M others from `from` on: each a sum in the order of the dofs.
+    #[inline(always)]
+    fn products<const M: usize>(&self, own: &Gathered<R>, i: usize, from: usize) -> [R; M] {
+        let mut sums = [R::zero(); M];
+        for p in own.places(i) {
+            let dof = &self.dofs[*p];
+            let (y, z) = (&dof.y[from..from + M], dof.inv_d * dof.y[i]);
+            for j in 0..M {
+                sums[j] += y[j] * z;
+            }
+        }
+        sums
+    }
+
+    /// What each row has, in a slot of its own.
+    fn take_rows(&mut self, own: &Gathered<R>, rows: &Rows<R>) {
+        for (i, r) in own.rows.iter().enumerate().take(N) {
+            let row = &rows.rows[*r];
+            (self.lo[i], self.hi[i], self.inv_s[i]) = (row.lo, row.hi, row.inv_s);
+            self.impulse[i] = R::select(self.masks[i], row.impulse, R::zero());
+            self.a[i][i] = row.a + row.c;
+            let mut along = R::zero();
+            for (p, y) in own.places(i).iter().zip(&rows.y[row.y..]) {
+                let dof = &mut self.dofs[*p];
+                dof.y[i] = *y;
+                along += *y * dof.u;
+            }
+            self.b[i] = row.t - along;
+        }
+    }
+
+    /// The same of lanes whose rows are moved.
+    fn take_lanes(&mut self, island: Island<R>, own: &Gathered<R>, rows: &Rows<R>) {
+        let zero = [R::zero(); N];
+        // Lanes without a row in a slot.
+        (self.lo, self.hi, self.inv_s, self.impulse, self.b) = (zero, zero, zero, zero, zero);
+        (0..N).for_each(|i| self.a[i][i] = R::zero());
+        each_slot(&own.masks, |i, lane, slot| {
+            let row = &rows.rows[own.rows[i]];
+            self.lo[slot].set_lane(lane, row.lo.lane(lane));
+            self.hi[slot].set_lane(lane, row.hi.lane(lane));
+            self.inv_s[slot].set_lane(lane, row.inv_s.lane(lane));
+            self.impulse[slot].set_lane(lane, row.impulse.lane(lane));
+            self.b[slot].set_lane(lane, row.t.lane(lane));
+            self.a[slot][slot].set_lane(lane, (row.a + row.c).lane(lane));
+            for (k, y) in row.dofs.of(island.dof_lists).iter().zip(&rows.y[row.y..]) {
+                self.dofs[own.place(*k)].y[slot].set_lane(lane, y.lane(lane));
+            }
+        });
+        let mut along = zero;
+        for dof in &self.dofs {
+            (0..self.n.min(N)).for_each(|i| along[i] += dof.y[i] * dof.u);
+        }
+        (0..self.n.min(N)).for_each(|i| self.b[i] = self.b[i] - along[i]);
+    }
+
+    /// w = (A + C)λ − b.
+    fn slacks(&mut self) {
+        let mut w = map(self.b, |b| -b);
+        for i in 0..self.n.min(N) {
+            let (x, mask) = (self.impulse[i], self.masks[i]);
+            // Of w only the order among other numbers counts, not the sign of a zero.
+            if adds(x).and(mask).any() {
+                add_scaled(&mut w, x, &self.a[i], (0..self.n, mask));
+            }
+        }
+        self.w = w;
+    }
+
+    /// Which rows are free, from λ − w/s; lanes in which that is new.
+    fn classify(&mut self, live: R::Mask) -> R::Mask {
+        let mut changed = R::Mask::of(false);
+        for i in 0..self.n.min(N) {
+            let mask = self.masks[i].and(live);
+            // A free row's w is rounding: its impulse alone says where it belongs.
+            let pull = R::select(self.free[i], R::zero(), self.w[i] * self.inv_s[i]);
+            let aim = self.impulse[i] - pull;
+            let free = aim.gt(self.lo[i]).and(aim.lt(self.hi[i])).and(self.masks[i]);
+            let high = aim.ge(self.hi[i]);
+            let differ = |a: R::Mask, b: R::Mask| a.and(b.not()).or(b.and(a.not()));
+            let new = differ(free, self.free[i]).or(free.not().and(differ(high, self.high[i])));
+            changed = changed.or(mask.and(new));
+            self.free[i] = mask.and(free).or(mask.not().and(self.free[i]));
+            self.high[i] = mask.and(high).or(mask.not().and(self.high[i]));
+        }
+        changed
+    }
+
+    /// Solves for the free rows, the others at their bounds; lanes in which λ moved
+    /// by more than rounding, and lanes in which the system was too poor to solve.
+    fn step(&mut self, live: R::Mask) -> (R::Mask, R::Mask) {
+        self.pose();
+        let poor = self.eliminate().and(live);
+        let zero = R::zero();
+        let (mut most, mut moved) = (zero, zero);
+        for i in 0..self.n.min(N) {
+            let bound = R::select(self.masks[i], self.bound(i), zero);
+            let x = R::select(self.free[i], self.x[i], bound);
+            let mask = live.and(self.masks[i]).and(poor.not());
+            // By what it does to the velocity along its row: of one that next to nothing moves an
+            // impulse may be 1e14 times that of the others.
+            let effect = self.a[i][i];
+            moved = R::select(mask, moved.max((x - self.impulse[i]).abs() * effect), moved);
+            most = R::select(mask, most.max(x.abs() * effect), most);
+            self.impulse[i] = R::select(mask, x, self.impulse[i]);
+        }
+        (moved.gt(R::of(8.0 * R::epsilon()) * most), poor)
+    }
+
+    /// The bound at which a row is that is not free.
+    #[inline(always)]
+    fn bound(&self, i: usize) -> R {
+        R::select(self.high[i], self.hi[i], self.lo[i])
+    }
+
+    /// The system of the free rows.
+    fn pose(&mut self) {
+        let mut rest = self.b;
+        for i in 0..self.n.min(N) {
+            let bound = self.bound(i);
+            let held = self.masks[i].and(self.free[i].not()).and(adds(bound));
+            if held.any() {
+                add_scaled(&mut rest, -bound, &self.a[i], (0..self.n, held));
+            }
+            if self.free[i].any() {
+                self.m[i] = self.a[i];
+            }
+        }
+        self.x = rest;
+    }
+
+    /// x ← M⁻¹ x on the free rows, M = LDLᵀ; lanes with a pivot that is too small.
+    fn eliminate(&mut self) -> R::Mask {
+        let (n, mut poor) = (self.n.min(N), R::Mask::of(false));
+        for k in 0..n {
+            let mine = self.free[k];
+            if mine.none() {
+                continue;
+            }
+            let (pivot, whole) = (self.m[k][k], self.a[k][k]);
+            poor = poor.or(mine.and(pivot.gt(R::of(PIVOT) * whole).not()));
+            self.inv[k] = R::one() / pivot;
+            for j in if R::ALONE { 0..N } else { k + 1..n } {
+                self.l[j] = self.m[k][j] * self.inv[k];
+            }
+            for i in k + 1..n {
+                let both = mine.and(self.free[i]);
+                if both.none() {
+                    continue;
+                }
+                // Of a row that is not free here nothing reads what it gets.
+                let by = -self.m[k][i];
+                add_scaled(&mut self.m[i], by, &self.l, (i..n, both));
+                let taken = self.x[i] - self.l[i] * self.x[k];
+                self.x[i] = R::select(both, taken, self.x[i]);
+            }
+        }
+        for k in (0..n).rev() {
+            let mut sum = self.x[k];
+            for i in k + 1..n {
+                sum = R::select(self.free[i], sum - self.m[k][i] * self.x[i], sum);
+            }
+            self.x[k] = sum * self.inv[k];
+        }
+        poor
+    }
+
+    /// Impulses within their bounds, and u = û + D⁻¹ Σ yλ.
+    fn give(&mut self, own: &Gathered<R>, rows: &mut Rows<R>, mine: R::Mask) {
+        for i in 0..self.n.min(N) {
+            let mask = self.masks[i].and(mine);
+            self.impulse[i] = self.impulse[i].clamp(self.lo[i], self.hi[i]);
+            for p in own.places(i) {
+                let dof = &mut self.dofs[*p];
+                let kick = dof.inv_d * dof.y[i] * self.impulse[i];
+                dof.u = R::select(mask, dof.u + kick, dof.u);
+            }
+        }
+        for (k, dof) in own.dofs.iter().zip(&self.dofs) {
+            rows.u[*k] = R::select(mine, dof.u, rows.u[*k]);
+        }
+        let mut next = [0; WIDEST];
+        for (i, (r, mask)) in own.rows.iter().zip(&own.masks).enumerate() {
+            let row = &mut rows.rows[*r];
+            if !own.moved {
+                row.impulse = R::select(mask.and(mine), self.impulse[i], row.impulse);
+                continue;
+            }
+            for (lane, slot) in next[..R::LANES].iter_mut().enumerate() {
+                if mask.lane(lane) {
+                    if mine.lane(lane) {
+                        row.impulse.set_lane(lane, self.impulse[*slot].lane(lane));
+                    }
+                    *slot += 1;
+                }
+            }
+        }
+    }
+}
