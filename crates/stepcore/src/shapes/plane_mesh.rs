@@ -77,33 +77,39 @@ fn polygon(
     let height = |vertex: usize| centre + up.dot(&hull.vertices[vertex]);
     let limit = (height(lowest) + LEVEL * size).max(0.0);
     let even = height(lowest) + EVEN * size;
-    let low = |vertex: usize| height(vertex) <= limit;
+    let low = |vertex: &usize| height(*vertex) <= limit;
     let corners = hull.faces.get(hull.face(&-up)).map_or(&[][..], |face| &face.corners);
-    let mut below = Below { seen: [0; WORDS], list: [lowest; ROOM], count: 1 };
-    let all = below.spread(hull, low);
-    let (found, every) = (below.ascending(hull.vertices.len()), 0..hull.vertices.len());
-    let count = if all { found.len() } else { every.clone().filter(|v| low(*v)).count() };
+    let mut list = List { vertices: [0; ROOM], count: 0 };
+    let (all, every) = (list.spread(hull, lowest, low), 0..hull.vertices.len());
+    let count = if all { list.count } else { every.clone().filter(low).count() };
     let stride = 1 + (count + corners.len()) / ROOM;
     // Of even ones the first, whatever rounding says.
     let first = |vertex: &usize| height(*vertex) <= even;
-    let first = if all { found.iter().copied().find(first) } else { every.clone().find(first) };
-    let lowest = first.unwrap_or(lowest);
-    let mut list = List { vertices: [lowest; ROOM], count: 0, has: [0; WORDS] };
-    list.push(lowest);
-    let others = |vertex: &usize| *vertex != lowest;
+    let first = if all { list.all().find(first) } else { every.clone().find(first) };
     if all {
-        found.iter().copied().step_by(stride).filter(others).for_each(|vertex| list.push(vertex));
+        list.keep_every(stride);
     } else {
-        let below = every.filter(|vertex| low(*vertex));
-        below.step_by(stride).filter(others).for_each(|vertex| list.push(vertex));
+        list.count = 0;
+        let mut next = 0;
+        for vertex in every.filter(low) {
+            if next == 0 {
+                list.push(vertex);
+            }
+            next = if next + 1 == stride { 0 } else { next + 1 };
+        }
     }
+    list.begin_with(first.unwrap_or(lowest));
     // What is not below acts only where nothing else does: it does not take the place of what is.
     let must = list.count.min(MOST);
     if must < MOST {
-        corners.iter().step_by(stride).for_each(|vertex| list.put(*vertex));
+        for corner in corners.iter().step_by(stride) {
+            if list.all().take(must).all(|own| own != *corner) {
+                list.push(*corner);
+            }
+        }
     }
     // All that act if they fit, else the lowest; then what is furthest from these.
-    let vertex = |place: usize| &hull.vertices[list.vertices[place]];
+    let vertex = |place: usize| &hull.vertices[list.vertices[place] as usize];
     let mut places = core::array::from_fn::<usize, MOST, _>(|place| place);
     let mut kept = list.count.min(MOST);
     if list.count > MOST {
@@ -111,84 +117,77 @@ fn polygon(
         let apart = |i: usize, j: usize| (vertex(i) - vertex(j)).norm_squared();
         kept = spread::<ROOM>(list.count, &mut places, kept, 0.0, apart);
     }
-    let mut chosen = places.map(|place| list.vertices[place]);
+    let mut chosen = places.map(|place| list.vertices[place] as usize);
     chosen[..kept].sort_unstable();
     (chosen, kept)
 }
 
-/// The vertices below a height, found one beside another: those of a convex surface are in one piece.
-struct Below {
-    /// A bit for each vertex.
-    seen: [u64; WORDS],
-    /// The lowest first.
-    list: [usize; ROOM],
-    count: usize,
-}
-
-impl Below {
-    /// Lists those around the first that are `low`; false: they are too many.
-    fn spread(&mut self, hull: &Hull, low: impl Fn(usize) -> bool) -> bool {
-        if hull.vertices.len() > 64 * WORDS {
-            return false;
-        }
-        let bit = |vertex: usize| (vertex / 64, 1 << (vertex % 64));
-        let (word, own) = bit(self.list[0]);
-        self.seen[word] |= own;
-        let mut next = 0;
-        while next < self.count {
-            for &vertex in hull.neighbours(self.list[next]) {
-                let (word, own) = bit(vertex);
-                if self.seen[word] & own != 0 || !low(vertex) {
-                    continue;
-                }
-                self.seen[word] |= own;
-                if self.count == ROOM {
-                    return false;
-                }
-                self.list[self.count] = vertex;
-                self.count += 1;
-            }
-            next += 1;
-        }
-        true
-    }
-
-    /// Those that were seen of so many vertices.
-    fn ascending(&mut self, vertices: usize) -> &[usize] {
-        let words = vertices.div_ceil(64).min(WORDS);
-        self.list.iter_mut().zip(ones(&self.seen[..words])).for_each(|(place, seen)| *place = seen);
-        &self.list[..self.count]
-    }
-}
-
 /// Vertices to choose from, each once.
 struct List {
-    vertices: [usize; ROOM],
+    vertices: [u32; ROOM],
     count: usize,
-    /// A bit for each vertex, as far as there are bits.
-    has: [u64; WORDS],
 }
 
 impl List {
-    fn put(&mut self, vertex: usize) {
-        let known = match self.has.get(vertex / 64) {
-            Some(word) => word & (1 << (vertex % 64)) != 0,
-            None => self.vertices[..self.count].contains(&vertex),
-        };
-        if !known {
-            self.push(vertex);
+    /// Those below a height around the first, ascending, found one beside another: those of a convex
+    /// surface are in one piece. False: they are too many.
+    fn spread(&mut self, hull: &Hull, first: usize, low: impl Fn(&usize) -> bool) -> bool {
+        let vertices = hull.vertices.len();
+        if vertices > 64 * WORDS {
+            return false;
+        }
+        // A bit for each vertex that was seen.
+        let mut seen = [0u64; WORDS];
+        let bit = |vertex: usize| (vertex / 64, 1 << (vertex % 64));
+        let (word, own) = bit(first);
+        seen[word] |= own;
+        self.push(first);
+        let mut next = 0;
+        while next < self.count {
+            for vertex in hull.neighbours(self.vertices[next] as usize) {
+                let (word, own) = bit(*vertex);
+                if seen[word] & own != 0 || !low(vertex) {
+                    continue;
+                }
+                seen[word] |= own;
+                if self.count == ROOM {
+                    return false;
+                }
+                self.push(*vertex);
+            }
+            next += 1;
+        }
+        let words = &seen[..vertices.div_ceil(64).min(WORDS)];
+        self.vertices.iter_mut().zip(ones(words)).for_each(|(place, seen)| *place = seen as u32);
+        true
+    }
+
+    fn all(&self) -> impl Iterator<Item = usize> + '_ {
+        self.vertices[..self.count].iter().map(|vertex| *vertex as usize)
+    }
+
+    fn push(&mut self, vertex: usize) {
+        if self.count < ROOM {
+            self.vertices[self.count] = vertex as u32;
+            self.count += 1;
         }
     }
 
-    /// Of one that it does not have.
-    fn push(&mut self, vertex: usize) {
-        if self.count < ROOM {
-            self.vertices[self.count] = vertex;
-            self.count += 1;
-            if let Some(word) = self.has.get_mut(vertex / 64) {
-                *word |= 1 << (vertex % 64);
-            }
+    /// Of all that there are the first, and every further one of so many.
+    fn keep_every(&mut self, stride: usize) {
+        if stride > 1 {
+            self.count = self.count.div_ceil(stride);
+            (0..self.count).for_each(|at| self.vertices[at] = self.vertices[at * stride]);
         }
+    }
+
+    /// A vertex comes first, wherever it was.
+    fn begin_with(&mut self, vertex: usize) {
+        let known = self.all().position(|own| own == vertex);
+        self.count = ROOM.min(self.count + usize::from(known.is_none()));
+        let at = known.unwrap_or(self.count - 1);
+        self.vertices[..=at].rotate_right(1);
+        self.vertices[0] = vertex as u32;
     }
 }
 

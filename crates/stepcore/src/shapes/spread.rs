@@ -11,13 +11,16 @@ pub fn spread<const ROOM: usize>(
     square: impl Fn(usize, usize) -> f64,
 ) -> usize {
     // From each place to the nearest of the chosen ones.
-    let mut nearest = [f64::INFINITY; ROOM];
+    let mut nearest = [0.0; ROOM];
+    nearest[..count].fill(f64::INFINITY);
     let mut known = 0;
     while kept < chosen.len() {
         let mut best = (least, None);
         for (at, nearest) in nearest[..count].iter_mut().enumerate() {
-            let new = chosen[known..kept].iter().map(|own| square(*own, at));
-            *nearest = new.fold(*nearest, f64::min);
+            for own in &chosen[known..kept] {
+                let new = square(*own, at);
+                *nearest = if new < *nearest { new } else { *nearest };
+            }
             if *nearest > best.0 {
                 best = (*nearest, Some(at));
             }
