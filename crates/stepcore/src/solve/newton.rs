@@ -8,6 +8,24 @@
 //! that costs less than none, and the first step goes by the zones of the step before
 //! (`newton/recall.rs`).
 
+/// `$of` of so many registers a row as `$stride` has, a number known to the compiler; `$other` of
+/// more, and where a row has no whole number of them.
+macro_rules! by_registers {
+    ($stride:expr, $of:ident $arguments:tt, $other:expr) => {
+        match $stride {
+            4 => $of::<R, 1> $arguments,
+            8 => $of::<R, 2> $arguments,
+            12 => $of::<R, 3> $arguments,
+            16 => $of::<R, 4> $arguments,
+            20 => $of::<R, 5> $arguments,
+            24 => $of::<R, 6> $arguments,
+            28 => $of::<R, 7> $arguments,
+            32 => $of::<R, 8> $arguments,
+            _ => $other,
+        }
+    };
+}
+
 mod bent;
 mod bundles;
 mod by_lane;

@@ -101,6 +101,8 @@ impl<R: Real> Row<R> {
 /// The most rows of a block that is a cone: the normal, two tangents, torsion and two ways of
 /// rolling. Blocks of intervals may have any number.
 pub(crate) const CONE: usize = 6;
+/// In a plane: normal and tangent.
+pub(crate) const PLANAR: usize = 2;
 /// A cone of no more rows (normal and tangents) is solved by formulas of its own.
 pub(crate) const NARROW: usize = 3;
 /// With torsion.

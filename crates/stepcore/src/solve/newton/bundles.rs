@@ -14,24 +14,6 @@ use crate::spatial::WIDE;
 /// where next to nothing moves a body that rows press on there is no end.
 pub(super) const HUGE: f64 = 1e6;
 
-/// `$of` of so many registers a row as `$stride` has, a number known to the compiler; `$other` of
-/// more, and where a row has no whole number of them.
-macro_rules! by_registers {
-    ($stride:expr, $of:ident $arguments:tt, $other:expr) => {
-        match $stride {
-            4 => $of::<R, 1> $arguments,
-            8 => $of::<R, 2> $arguments,
-            12 => $of::<R, 3> $arguments,
-            16 => $of::<R, 4> $arguments,
-            20 => $of::<R, 5> $arguments,
-            24 => $of::<R, 6> $arguments,
-            28 => $of::<R, 7> $arguments,
-            32 => $of::<R, 8> $arguments,
-            _ => $other,
-        }
-    };
-}
-
 /// Rows on the same dofs, or on the first of them. Rows and their curvature are counted within the
 /// island.
 #[derive(Clone, Copy, Debug)]

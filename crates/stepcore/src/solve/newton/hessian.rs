@@ -7,7 +7,7 @@ use super::bundles::{Bundle, Problem, Run, HUGE};
 use super::pattern::{Listed, Pattern};
 use crate::real::array::{from_fn, map};
 use crate::real::{Mask, Real};
-use crate::solve::rows::{CONE, NARROW, SPINNING};
+use crate::solve::rows::{CONE, NARROW, PLANAR, SPINNING};
 use crate::spatial::{subtract_all, WIDE};
 
 /// Numbers on a pattern: the matrix, and its factors.
@@ -157,24 +157,18 @@ impl<R: Real> Hessian<R> {
             // With the room behind the row there are no numbers left over.
             let len = if R::ALONE { (depth + 1).next_multiple_of(WIDE) } else { depth + 1 };
             let (before, below) = factors.split_at_mut(start + len);
-            let own = &mut before[start..];
-            own.copy_from_slice(&entries[start..start + len]);
+            let (own, entries) = (&mut before[start..], &entries[start..start + len]);
             // What of a row below comes off, and the beginning of its DL.
             let source = |k: usize| {
-                let row = &below[pattern.start[k] - start - len..];
-                (row[depth] * inverse[k], &row[..len])
+                let row = &below[pattern.start[k] - start - len..][..len];
+                (row[depth] * inverse[k], row)
             };
-            let mut rest = &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]];
-            while let Some((four, others)) = rest.split_first_chunk::<4>() {
-                subtract_all(own, map(*four, source));
-                rest = others;
-            }
-            match rest {
-                [a, b, c] => subtract_all(own, map([*a, *b, *c], source)),
-                [a, b] => subtract_all(own, map([*a, *b], source)),
-                [a] => subtract_all(own, [source(*a)]),
-                _ => {}
-            }
+            let rest = &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]];
+            let registers = if R::ALONE { len } else { 0 };
+            by_registers!(registers, less((entries, own), rest, source), {
+                own.copy_from_slice(entries);
+                less_any(own, rest, source);
+            });
             inverse[i] = R::one() / own[depth];
             if let Some(parent) = depth.checked_sub(1) {
                 stale[pattern.path[start + parent]] = true;
@@ -242,6 +236,7 @@ impl<R: Real> Added<R> {
         }
         let bent = &mut self.bent[self.rows.len() * self.stride..];
         match mask.len() {
+            PLANAR => bend_cone::<R, PLANAR>((old, new), own, (bent, self.stride)),
             NARROW => bend_cone::<R, NARROW>((old, new), own, (bent, self.stride)),
             SPINNING => bend_cone::<R, SPINNING>((old, new), own, (bent, self.stride)),
             CONE => bend_cone::<R, CONE>((old, new), own, (bent, self.stride)),
@@ -324,6 +319,39 @@ impl<R: Real> Added<R> {
             }
         }
     }
+}
+
+/// own = from − Σ by · row over the rows below, N registers of each.
+#[inline(always)]
+fn less<'a, R: Real, const N: usize>(
+    (from, own): (&[R], &mut [R]),
+    below: &[usize],
+    source: impl Fn(usize) -> (R, &'a [R]),
+) {
+    let mut sums: [[R; WIDE]; N] = from_fn(|i| from_fn(|k| from[i * WIDE + k]));
+    for (by, row) in below.iter().map(|k| source(*k)) {
+        let row = &row[..N * WIDE];
+        for i in 0..N {
+            for k in 0..WIDE {
+                sums[i][k] -= by * row[i * WIDE + k];
+            }
+        }
+    }
+    own[..N * WIDE].copy_from_slice(sums.as_flattened());
+}
+
+/// own −= Σ by · row of any rows.
+#[inline(always)]
+fn less_any<'a, R: Real>(
+    own: &mut [R],
+    mut below: &[usize],
+    source: impl Fn(usize) -> (R, &'a [R]) + Copy,
+) {
+    while let Some((four, others)) = below.split_first_chunk::<4>() {
+        subtract_all(own, map(*four, source));
+        below = others;
+    }
+    below.iter().for_each(|k| subtract_all(own, [source(*k)]));
 }
 
 /// out = by · y of up to `WIDE` numbers.

@@ -5,7 +5,7 @@ use super::columns::Columns;
 use super::hessian::Hessian;
 use super::penalty::{interval, Line};
 use crate::real::{Mask, Real};
-use crate::solve::rows::{CONE, NARROW, SPINNING};
+use crate::solve::rows::{CONE, NARROW, PLANAR, SPINNING};
 
 /// What the method holds of an island. "By row" counts its rows one after another; "by dof" is
 /// local, as in `Pattern::dofs`.
@@ -188,6 +188,7 @@ impl<R: Real> System<R> {
         for (at, run) in bundles.runs.iter().enumerate() {
             let new = match (run.cone, run.rows.len) {
                 (None, _) => self.intervals(bundles, run, bend),
+                (Some(cone), ..=PLANAR) => self.bend_cone::<PLANAR>(bundles, run, cone, bend),
                 (Some(cone), ..=NARROW) => self.bend_cone::<NARROW>(bundles, run, cone, bend),
                 (Some(cone), ..=SPINNING) => self.bend_cone::<SPINNING>(bundles, run, cone, bend),
                 (Some(cone), _) => self.bend_cone::<CONE>(bundles, run, cone, bend),
