@@ -155,15 +155,88 @@ impl<R: Real> Metric<R> {
         let mut end = dofs.end;
         while end > dofs.start {
             end -= match self.chained[end - 1] {
-                1 => self.factor_chain::<1>(end),
-                2 => self.factor_chain::<2>(end),
-                3 => self.factor_chain::<3>(end),
-                _ => self.factor_chain::<CHAIN>(end),
+                1 => self.factor_next::<1>(end),
+                2 => self.factor_next::<2>(end),
+                3 => self.factor_next::<3>(end),
+                _ => self.factor_next::<CHAIN>(end),
             };
         }
     }
 
-    /// The last N rows before `end`, each a chain's next one.
+    /// The last N rows before `end`, each a chain's next one. In one world, whose sums are short, by a
+    /// function that knows how many dofs they share.
+    #[inline(always)]
+    fn factor_next<const N: usize>(&mut self, end: usize) -> usize {
+        if !R::FILLS {
+            return self.factor_chain::<N>(end);
+        }
+        match self.rows[end - N].len - 1 {
+            0 => self.factor_short::<N, 0>(end),
+            1 => self.factor_short::<N, 1>(end),
+            2 => self.factor_short::<N, 2>(end),
+            3 => self.factor_short::<N, 3>(end),
+            4 => self.factor_short::<N, 4>(end),
+            5 => self.factor_short::<N, 5>(end),
+            6 => self.factor_short::<N, 6>(end),
+            7 => self.factor_short::<N, 7>(end),
+            8 => self.factor_short::<N, 8>(end),
+            _ => self.factor_chain::<N>(end),
+        }
+    }
+
+    /// The same of rows that share S dofs.
+    #[inline(never)]
+    fn factor_short<const N: usize, const S: usize>(&mut self, end: usize) -> usize {
+        let start = self.rows[end - N].start;
+        let (above, rows) = self.l.split_at_mut(start);
+        // Row n has n dofs of the chain before those that all share.
+        let first = |n: usize| n * (S + 1) + n * n.saturating_sub(1) / 2;
+        let rows = &mut rows[..first(N)];
+        let (mut own, mut shared) = ([[R::zero(); N]; N], [[R::zero(); S]; N]);
+        for n in 0..N {
+            own[n][..=n].copy_from_slice(&rows[first(n)..][..=n]);
+            shared[n].copy_from_slice(&rows[first(n) + n + 1..][..S]);
+        }
+        let mut inv = [R::zero(); N];
+        for n in (0..N).rev() {
+            inv[n] = R::one() / own[n][0];
+            for at in 1..=n {
+                let by = own[n][at] * inv[n];
+                for k in at..=n {
+                    let taken = by * own[n][k];
+                    own[n - at][k - at] -= taken;
+                }
+                for k in 0..S {
+                    let taken = by * shared[n][k];
+                    shared[n - at][k] -= taken;
+                }
+            }
+        }
+        let to = &self.above[start + 1..][..S];
+        for at in 0..S {
+            let to = &mut above[to[at]..][..S - at];
+            for n in (0..N).rev() {
+                let by = shared[n][at] * inv[n];
+                for k in at..S {
+                    to[k - at] -= by * shared[n][k];
+                }
+            }
+        }
+        for n in 0..N {
+            let row = &mut rows[first(n)..][..S + n + 1];
+            for at in 1..=n {
+                row[at] = own[n][at] * inv[n];
+            }
+            row[0] = own[n][0];
+            for k in 0..S {
+                row[n + 1 + k] = shared[n][k] * inv[n];
+            }
+        }
+        self.inv_d[end - N..end].copy_from_slice(&inv);
+        N
+    }
+
+    /// The same of any rows.
     #[inline(always)]
     fn factor_chain<const N: usize>(&mut self, end: usize) -> usize {
         let first = self.rows[end - N];

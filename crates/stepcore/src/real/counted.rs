@@ -71,6 +71,7 @@ impl Neg for Counted {
 
 impl Real for Counted {
     scalar!(f64, f64);
+    const FILLS: bool = false;
     #[inline(always)]
     fn of(value: f64) -> Self {
         Self(value)

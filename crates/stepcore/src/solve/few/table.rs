@@ -65,7 +65,7 @@ fn add_scaled<R: Real, const N: usize>(
     x: &[R; N],
     (at, mask): (Range<usize>, R::Mask),
 ) {
-    if R::ALONE {
+    if R::FILLS {
         for j in 0..N {
             own[j] += by * x[j];
         }
@@ -157,12 +157,16 @@ impl<R: Real, const N: usize> Table<R, N> {
         for i in 0..self.n.min(N) {
             let softened = self.a[i][i];
             // One world's fill registers side by side, lanes by themselves.
-            if R::ALONE {
+            if R::FILLS {
                 self.a[i] = self.products(own, i, 0);
             } else {
-                for from in (0..i).step_by(BESIDE) {
+                let whole = i - i % BESIDE;
+                for from in (0..whole).step_by(BESIDE) {
                     let some = self.products::<BESIDE>(own, i, from);
                     self.a[i][from..from + BESIDE].copy_from_slice(&some);
+                }
+                for j in whole..i {
+                    [self.a[i][j]] = self.products(own, i, j);
                 }
             }
             self.a[i][i] = softened;
@@ -314,7 +318,7 @@ impl<R: Real, const N: usize> Table<R, N> {
             let (pivot, whole) = (self.m[k][k], self.a[k][k]);
             poor = poor.or(mine.and(pivot.gt(R::of(PIVOT) * whole).not()));
             self.inv[k] = R::one() / pivot;
-            for j in if R::ALONE { 0..N } else { k + 1..n } {
+            for j in if R::FILLS { 0..N } else { k + 1..n } {
                 self.l[j] = self.m[k][j] * self.inv[k];
             }
             for i in k + 1..n {
