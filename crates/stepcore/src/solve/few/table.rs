@@ -229,7 +229,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         for dof in &self.dofs {
             (0..self.n.min(N)).for_each(|i| along[i] += dof.y[i] * dof.u);
         }
-        (0..self.n.min(N)).for_each(|i| self.b[i] = self.b[i] - along[i]);
+        (0..self.n.min(N)).for_each(|i| self.b[i] -= along[i]);
     }
 
     /// w = (A + C)λ − b.
