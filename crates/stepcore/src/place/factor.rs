@@ -178,8 +178,6 @@ impl<R: Real> Metric<R> {
             4 => self.factor_short::<N, 4>(end),
             5 => self.factor_short::<N, 5>(end),
             6 => self.factor_short::<N, 6>(end),
-            7 => self.factor_short::<N, 7>(end),
-            8 => self.factor_short::<N, 8>(end),
             _ => self.factor_chain::<N>(end),
         }
     }

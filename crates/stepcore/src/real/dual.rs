@@ -78,6 +78,7 @@ derived!(Dual);
 
 impl Real for Dual {
     scalar!(f64, Sampled);
+    const FILLS: bool = false;
     #[inline(always)]
     fn of(value: f64) -> Self {
         Self { value, slopes: [0.0; WAYS] }

@@ -143,8 +143,9 @@ pub trait Real:
     const LANES: usize;
     /// One. What follows `if R::ALONE` is not compiled for lanes: heaps, sleep, steps within an accuracy.
     const ALONE: bool = Self::LANES == 1;
-    /// Several of one world's numbers fill a register: sums may go over places that are filled up. Not
-    /// where operations are counted, of which these are none.
+    /// Several of one world's numbers fill a register, so that sums go over places that are filled up, by
+    /// functions that know how many: not where operations are counted, of which these are none, and not
+    /// for derivatives, whose functions would be large.
     const FILLS: bool = Self::ALONE;
 
     /// Unit roundoff of one lane, as an `f64`.

@@ -18,7 +18,7 @@ use crate::real::{Mask, Real};
 use gather::Gathered;
 use table::Table;
 
-/// An island of so many rows has few; of the half of them, a table half as wide is quicker.
+/// An island of so many rows has few; for the half of them, a table that is filled is half as wide.
 const MOST: usize = 16;
 const HALF: usize = MOST / 2;
 /// A pivot this small beside its diagonal would cost too many digits: rows that are nearly
@@ -78,9 +78,9 @@ impl<R: Real> Few<R> {
     ) -> R::Mask {
         let Self { gathered, half, whole } = self;
         gathered.take(island, rows, mine);
-        match gathered.slots.len() {
-            ..=HALF => half.solve((island, gathered), rows, mine, report),
-            _ => whole.solve((island, gathered), rows, mine, report),
+        if R::FILLS && gathered.slots.len() <= HALF {
+            return half.solve((island, gathered), rows, mine, report);
         }
+        whole.solve((island, gathered), rows, mine, report)
     }
 }

@@ -164,7 +164,7 @@ impl<R: Real> Hessian<R> {
                 (row[depth] * inverse[k], row)
             };
             let rest = &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]];
-            let registers = if R::ALONE { len } else { 0 };
+            let registers = if R::FILLS { len } else { 0 };
             by_registers!(registers, less((entries, own), rest, source), {
                 own.copy_from_slice(entries);
                 less_any(own, rest, source);
