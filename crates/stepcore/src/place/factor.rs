@@ -14,6 +14,8 @@ use crate::spatial::{subtract_all, subtract_scaled};
 
 /// So many rows are factored together.
 const CHAIN: usize = 4;
+/// Rows of at most so many entries are short.
+const SHORT: usize = 7;
 
 /// The factors of one symmetric matrix with the pattern of the mass matrix, or with that which the
 /// metric of `discrete` has (`model/coupling.rs`).
@@ -158,7 +160,9 @@ impl<R: Real> Metric<R> {
                 1 => self.factor_next::<1>(end),
                 2 => self.factor_next::<2>(end),
                 3 => self.factor_next::<3>(end),
-                _ => self.factor_next::<CHAIN>(end),
+                // The code of more together would be large.
+                _ if R::FILLS && self.rows[end - 3].len <= SHORT => self.factor_next::<3>(end),
+                _ => self.factor_chain::<CHAIN>(end),
             };
         }
     }
