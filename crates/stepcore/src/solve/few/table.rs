@@ -14,6 +14,7 @@ use std::ops::Range;
 /// Slots whose products lanes take side by side.
 const BESIDE: usize = 4;
 
+/// The rows of an island, and what their solution needs.
 pub(super) struct Table<R: Real, const N: usize> {
     /// Slots in use, and the lanes with a row there.
     n: usize,
