@@ -14,7 +14,7 @@ use crate::spatial::{subtract_all, subtract_scaled};
 
 /// So many rows are factored together.
 const CHAIN: usize = 4;
-/// Rows of at most so many entries are short.
+/// Rows of at most so many entries are short: see `factor_next`.
 const SHORT: usize = 7;
 
 /// The factors of one symmetric matrix with the pattern of the mass matrix, or with that which the

@@ -1,7 +1,6 @@
 //! Which dofs belong together: those of lists, of islands, of heaps.
 
-use crate::model::{Model, MANY_TREES};
-use crate::real::Constant;
+use crate::model::MANY_TREES;
 
 /// The dofs that some of these lists have, ascending; `place` has the place of each, and `usize::MAX`
 /// for every other of the `nv` dofs.
@@ -24,15 +23,6 @@ pub(super) fn distinct<'a>(
     for (at, k) in dofs.iter().enumerate() {
         place[*k] = at;
     }
-}
-
-/// Dofs of each island, given that of each tree.
-pub(super) fn island_dofs<N: Constant>(model: &Model<N>, islands: &[usize]) -> Vec<usize> {
-    let mut dofs = vec![0; islands.len()];
-    for (tree, island) in model.trees.iter().zip(islands) {
-        dofs[*island] += tree.dofs.len;
-    }
-    dofs
 }
 
 /// Whether some island of these, by tree, is a heap to Newton's method. It follows from the model

@@ -19,6 +19,7 @@ use gather::Gathered;
 use table::Table;
 
 /// An island of so many rows has few; for the half of them, a table that is filled is half as wide.
+/// Were all islands Newton's, half_cheetah, hopper and ant would take a quarter longer.
 const MOST: usize = 16;
 const HALF: usize = MOST / 2;
 /// A pivot this small beside its diagonal would cost too many digits: rows that are nearly

@@ -6,7 +6,7 @@
 //! data and nothing else: they cannot know what a row came from.
 
 use super::direct::Direct;
-use super::dofs::{any_heap, island_dofs};
+use super::dofs::any_heap;
 use super::dot::dot;
 use super::free::Free;
 use super::live::Live;
@@ -238,8 +238,6 @@ pub struct Rows<R: Real> {
     pub(crate) heap: bool,
     /// By tree: see `Model::islands`.
     pub(super) islands: Vec<usize>,
-    /// By island; none in a heap, where they say nothing of the islands of a step.
-    pub(crate) island_dofs: Vec<usize>,
     /// By island: the trace of the mass matrix, where a tolerance is a share of it.
     pub(crate) inertia: Vec<R>,
     /// By slot: see `Model::ranks`.
@@ -252,7 +250,7 @@ pub struct Rows<R: Real> {
 }
 
 room!(Rows<R>: rows, blocks, pushes, y, u, start, main, anchors, unrecovered, scratch, ways, guess, direct,
-    saved_solve, heap, islands, island_dofs, inertia, ranks, live, parts,
+    saved_solve, heap, islands, inertia, ranks, live, parts,
     pool);
 
 /// The guess, along a row.
@@ -285,7 +283,6 @@ impl<R: Real> Rows<R> {
             ranks: model.ranks(&islands),
             heap,
             live: model.dynamic_pairs.is_some().then(Live::default),
-            island_dofs: if heap { Vec::new() } else { island_dofs(model, &islands) },
             islands,
             inertia: Vec::new(),
             parts: Vec::new(),
@@ -313,7 +310,6 @@ impl<R: Real> Rows<R> {
             u,
             start: Vec::new(),
             islands: Vec::new(),
-            island_dofs: Vec::new(),
             inertia: Vec::new(),
             ranks: Vec::new(),
             live: None,

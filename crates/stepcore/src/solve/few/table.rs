@@ -9,10 +9,8 @@ use crate::real::array::{from_fn, map};
 use crate::real::{Count, Mask, Real, WIDEST};
 use crate::solve::limits::Report;
 use crate::solve::rows::Rows;
+use crate::spatial::WIDE;
 use std::ops::Range;
-
-/// Slots whose products lanes take side by side.
-const BESIDE: usize = 4;
 
 /// The rows of an island, and what their solution needs.
 pub(super) struct Table<R: Real, const N: usize> {
@@ -161,10 +159,10 @@ impl<R: Real, const N: usize> Table<R, N> {
             if R::FILLS {
                 self.a[i] = self.products(own, i, 0);
             } else {
-                let whole = i - i % BESIDE;
-                for from in (0..whole).step_by(BESIDE) {
-                    let some = self.products::<BESIDE>(own, i, from);
-                    self.a[i][from..from + BESIDE].copy_from_slice(&some);
+                let whole = i - i % WIDE;
+                for from in (0..whole).step_by(WIDE) {
+                    let some = self.products::<WIDE>(own, i, from);
+                    self.a[i][from..from + WIDE].copy_from_slice(&some);
                 }
                 for j in whole..i {
                     [self.a[i][j]] = self.products(own, i, j);
