@@ -294,7 +294,11 @@ impl<R: Real> Sim<R> {
         if self.plan.warm_start {
             let last = self.next.last_impulses(&self.state);
             let lists = self.detected.dof_lists(&self.model);
-            self.rows.warm_start(lists, &self.placed.metric.inv_d, last, inside);
+            self.rows.warm_start(last, inside);
+            // Newton's method takes zones from them, and its start from the last acceleration.
+            if !self.plan.resumes {
+                self.rows.apply_impulses(lists, &self.placed.metric.inv_d);
+            }
         }
     }
 

@@ -8,6 +8,7 @@ use crate::real::{Mask, Real, Value};
 use crate::settings::Law;
 use crate::solve::law::{least_softness, OnGuess, SolRef};
 use crate::solve::{Rows, Set, Situation};
+use crate::spatial::WIDE;
 use std::slice;
 
 pub(super) struct FrictionLoss;
@@ -20,10 +21,7 @@ impl Constraint for FrictionLoss {
     }
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
-        let now = makings.now;
-        for loss in now.model.rubbing.iter().filter(|loss| !now.all_rest(loss.along)) {
-            rows.friction_loss(now, loss);
-        }
+        rows.friction_losses(makings.now);
     }
 }
 
@@ -57,13 +55,41 @@ pub(crate) fn rubbing(model: &Model) -> Vec<Rubbing> {
 }
 
 impl<R: Real> Rows<R> {
-    fn friction_loss(&mut self, now: &Situation<R>, loss: &Rubbing<R::Value>) {
+    /// Those of dofs that follow each other on a path are lifted side by side.
+    fn friction_losses(&mut self, now: &Situation<R>) {
+        let metric = &now.placed.metric;
+        let next = |one: &Rubbing<R::Value>, two: &Rubbing<R::Value>| match (one.along, two.along) {
+            (Transmission::Dof(a), Transmission::Dof(b)) => a + 1 == b && metric.chained(b) > 1,
+            _ => false,
+        };
+        for own in now.model.rubbing.chunk_by(next).flat_map(|chain| chain.chunks(WIDE)) {
+            let last = &own[own.len() - 1];
+            let path = last.dofs.of(now.dof_lists);
+            let single = R::FILLS && matches!(last.along, Transmission::Dof(_));
+            let single = single && metric.is_path(path);
+            if single {
+                self.lift_last(now, path, own.len());
+            }
+            for (which, loss) in own.iter().enumerate().filter(|(_, own)| !now.all_rest(own.along))
+            {
+                let first = self.rows.len();
+                if single {
+                    self.push_last(now, loss.dofs, which);
+                } else {
+                    self.scratch_along(now, loss.along, loss.dofs, false);
+                    self.push_scratch(now, loss.dofs);
+                }
+                self.friction_loss(now, loss, first);
+            }
+        }
+    }
+
+    /// Fills the row `first` in, and closes it into a block.
+    fn friction_loss(&mut self, now: &Situation<R>, loss: &Rubbing<R::Value>, first: usize) {
         let (settings, dt) = (now.settings, now.settings.dt);
         // Half a step's for the mean velocity, and half for the last: see `commit/end_of_step_rows.rs`.
         let most = if now.halves() { 0.5 * dt } else { dt };
-        self.scratch_along(now, loss.along, loss.dofs, false);
-        let first = self.rows.len();
-        let row = self.push_scratch(now, loss.dofs);
+        let row = &mut self.rows[first];
         row.lo = loss.most.times(-most);
         row.hi = loss.most.times(most);
         if settings.law == Law::SolRef {

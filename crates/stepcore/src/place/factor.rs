@@ -317,6 +317,37 @@ impl<R: Real> Metric<R> {
         }
     }
 
+    /// The list is the path of its last dof from the root, whole.
+    #[inline(always)]
+    pub fn is_path(&self, list: &[usize]) -> bool {
+        list.last().is_some_and(|last| self.rows[*last].len == list.len())
+    }
+
+    /// x ← L⁻ᵀ x of N vectors side by side, N numbers a dof of a path: what is left of a dof in its
+    /// row stands in the path's order, the nearest first.
+    #[inline(always)]
+    pub fn lift_path<const N: usize>(&self, path: &[usize], x: &mut [R]) {
+        let mut rest = &mut x[..N * path.len()];
+        for k in path.iter().rev() {
+            let Some((above, own)) = rest.split_last_chunk_mut::<N>() else { return };
+            let (own, mut next) = (*own, &mut *above);
+            for l in self.left_of(*k) {
+                let Some((above, x)) = next.split_last_chunk_mut::<N>() else { break };
+                *x = from_fn(|i| x[i] - *l * own[i]);
+                next = above;
+                // Rows are short: as in `subtract_scaled`.
+                std::hint::black_box(());
+            }
+            rest = above;
+        }
+    }
+
+    /// So many dofs of one chain end with this one, at most `CHAIN`.
+    #[inline(always)]
+    pub fn chained(&self, k: usize) -> usize {
+        self.chained[k]
+    }
+
     /// x ← Lᵀ x.
     pub fn lower(&self, x: &mut [R]) {
         for k in 0..x.len() {

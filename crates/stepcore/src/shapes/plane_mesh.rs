@@ -16,7 +16,7 @@ use crate::spatial::V3;
 
 /// The most contacts.
 pub const MOST: usize = super::convex::PATCH;
-/// Vertices that are looked at, at most; of more, every second, every third …
+/// Vertices that are chosen from, at most: see `List::thin_out`.
 const ROOM: usize = 256;
 /// Words of 64 vertices each: of larger hulls every vertex is looked at.
 const WORDS: usize = 128;
@@ -80,29 +80,19 @@ fn polygon(
     let low = |vertex: &usize| height(*vertex) <= limit;
     let corners = hull.faces.get(hull.face(&-up)).map_or(&[][..], |face| &face.corners);
     let mut list = List { vertices: [0; ROOM], count: 0 };
-    let (all, every) = (list.spread(hull, lowest, low), 0..hull.vertices.len());
-    let count = if all { list.count } else { every.clone().filter(low).count() };
-    let stride = 1 + (count + corners.len()) / ROOM;
     // Of even ones the first, whatever rounding says.
-    let first = |vertex: &usize| height(*vertex) <= even;
-    let first = if all { list.all().find(first) } else { every.clone().find(first) };
-    if all {
-        list.keep_every(stride);
+    let (even, mut every) = (|vertex: &usize| height(*vertex) <= even, 0..hull.vertices.len());
+    let first = if list.spread(hull, lowest, low) {
+        list.all().find(even)
     } else {
-        list.count = 0;
-        let mut next = 0;
-        for vertex in every.filter(low) {
-            if next == 0 {
-                list.push(vertex);
-            }
-            next = if next + 1 == stride { 0 } else { next + 1 };
-        }
-    }
+        list.thin_out(every.clone().filter(low));
+        every.find(even)
+    };
     list.begin_with(first.unwrap_or(lowest));
     // What is not below acts only where nothing else does: it does not take the place of what is.
     let must = list.count.min(MOST);
     if must < MOST {
-        for corner in corners.iter().step_by(stride) {
+        for corner in corners.iter().step_by(1 + (must + corners.len()) / ROOM) {
             if list.all().take(must).all(|own| own != *corner) {
                 list.push(*corner);
             }
@@ -162,6 +152,22 @@ impl List {
         true
     }
 
+    /// Of many every second, fourth, eighth …, so that there is room for them.
+    fn thin_out(&mut self, vertices: impl Iterator<Item = usize>) {
+        self.count = 0;
+        let mut others = 0; // Of so many, a power of two less one, one stays.
+        for (at, vertex) in vertices.enumerate() {
+            if at & others == 0 && self.count == ROOM {
+                self.count /= 2;
+                (0..self.count).for_each(|at| self.vertices[at] = self.vertices[2 * at]);
+                others = 2 * others + 1;
+            }
+            if at & others == 0 {
+                self.push(vertex);
+            }
+        }
+    }
+
     fn all(&self) -> impl Iterator<Item = usize> + '_ {
         self.vertices[..self.count].iter().map(|vertex| *vertex as usize)
     }
@@ -170,14 +176,6 @@ impl List {
         if self.count < ROOM {
             self.vertices[self.count] = vertex as u32;
             self.count += 1;
-        }
-    }
-
-    /// Of all that there are the first, and every further one of so many.
-    fn keep_every(&mut self, stride: usize) {
-        if stride > 1 {
-            self.count = self.count.div_ceil(stride);
-            (0..self.count).for_each(|at| self.vertices[at] = self.vertices[at * stride]);
         }
     }
 

@@ -6,10 +6,6 @@ use super::rows::{Rows, Set};
 use super::solver::Unconstrained;
 use crate::real::{Count, Mask, Real};
 
-/// An impulse that changes by so many times what is left of it, and a velocity by so many times what is
-/// asked of it, lose digits.
-const LOSES_DIGITS: f64 = 1024.0;
-
 impl<R: Real> Rows<R> {
     /// Lanes in which the blocks are one interval row.
     pub(super) fn alone(&self, blocks: &[usize]) -> R::Mask {
@@ -20,69 +16,46 @@ impl<R: Real> Rows<R> {
         interval.and(row_count(self, blocks).at_most(1))
     }
 
-    /// Solves rows that are `alone`, each by its one update.
+    /// Solves rows that are `alone`, each by one update from no impulse and û: nothing of the last
+    /// one is taken away again, whose rounding would stay.
     pub(super) fn solve_alone(&mut self, free: Unconstrained<R>, blocks: &[usize], alone: R::Mask) {
         for b in blocks {
             let mask = self.blocks[*b].mask.and(alone);
-            if mask.none() {
-                continue;
+            if mask.any() {
+                self.begin_afresh(free, *b, mask);
+                self.update_alone(free, *b, mask);
             }
-            let (mut impulse, mut lost) = self.update_alone(free, *b);
-            lost = mask.and(lost);
-            if lost.any() {
-                self.begin_afresh(free, *b, lost);
-                (impulse, _) = self.update_alone(free, *b);
-            }
-            let row = &mut self.rows[self.blocks[*b].rows.start];
-            let change = impulse - row.impulse;
-            row.impulse = R::select(mask, impulse, row.impulse);
-            let dofs = row.dofs.of(free.dof_lists);
-            let y = &self.y[row.y..row.y + dofs.len()];
-            Self::kick(&mut self.u, free.inv_d, dofs, y, change, mask);
         }
     }
 
-    /// The impulse of the row of a block after an update, and where so much of the last one is taken
-    /// away that u keeps nothing but its rounding, as that of a motion which was broken off.
-    fn update_alone(
-        &self,
-        Unconstrained { dof_lists, .. }: Unconstrained<R>,
-        block: usize,
-    ) -> (R, R::Mask) {
-        let row = &self.rows[self.blocks[block].rows.start];
-        let impulse = row.updated(row.short(dof_lists, &self.y, &self.u));
-        let (old, zero) = (row.impulse, R::zero());
-        if old.lt(zero).or(zero.lt(old)).none() {
-            // There is nothing to take away, which the list of a step knows.
-            return (impulse, R::Mask::of(false));
-        }
-        let change = (impulse - row.impulse).abs();
-        let small = |x: R| (x * R::of(LOSES_DIGITS)).lt(change);
-        let asked = (row.velocity.abs() + row.t.abs()) * row.inv_s;
-        (impulse, small(impulse.abs()).and(small(asked)))
+    /// One update of the row of a block.
+    fn update_alone(&mut self, free: Unconstrained<R>, block: usize, mask: R::Mask) {
+        let row = &mut self.rows[self.blocks[block].rows.start];
+        let impulse = row.updated(row.short(free.dof_lists, &self.y, &self.u));
+        let change = impulse - row.impulse;
+        row.impulse = R::select(mask, impulse, row.impulse);
+        let dofs = row.dofs.of(free.dof_lists);
+        let y = &self.y[row.y..row.y + dofs.len()];
+        Self::kick(&mut self.u, free.inv_d, dofs, y, change, mask);
     }
 
     /// Takes the impulse of a row that is alone away, in some lanes.
-    fn begin_afresh(&mut self, free: Unconstrained<R>, block: usize, lost: R::Mask) {
+    fn begin_afresh(&mut self, free: Unconstrained<R>, block: usize, mask: R::Mask) {
         let row = &mut self.rows[self.blocks[block].rows.start];
         for k in row.dofs.of(free.dof_lists) {
-            self.u[*k] = R::select(lost, free.guess[*k], self.u[*k]);
+            self.u[*k] = R::select(mask, free.guess[*k], self.u[*k]);
         }
-        row.impulse = R::select(lost, R::zero(), row.impulse);
+        row.impulse = R::select(mask, R::zero(), row.impulse);
     }
 
-    /// Sweeps are to leave lanes in which the whole system is one interval row as `solve_single`
-    /// leaves these worlds alone.
+    /// Sweeps that are exact are to leave lanes in which the whole system is one interval row as
+    /// `solve_single` leaves these worlds alone.
     pub(super) fn begin_singles_afresh(&mut self, free: Unconstrained<R>) {
         let single = self.single();
         for b in 0..self.blocks.len() {
             let mask = self.blocks[b].mask.and(single);
-            if mask.none() {
-                continue;
-            }
-            let lost = mask.and(self.update_alone(free, b).1);
-            if lost.any() {
-                self.begin_afresh(free, b, lost);
+            if mask.any() {
+                self.begin_afresh(free, b, mask);
             }
         }
     }
@@ -110,7 +83,11 @@ impl<R: Real> Rows<R> {
             return None;
         }
         let mask = block.mask;
-        self.solve_alone(free, &[0], mask);
+        if exact {
+            self.solve_alone(free, &[0], mask);
+        } else {
+            self.update_alone(free, 0, mask);
+        }
         let mut report = Report::new();
         report.sweeps.add(mask, 1);
         report.updates.add(mask, 1);

@@ -106,8 +106,8 @@ impl<R: Real> Rows<R> {
     }
 
     /// Starts every impulse from the last step's, found by slot and feature; but for
-    /// equalities that the stages of the step held (`inside`).
-    pub fn warm_start(&mut self, dof_lists: &[usize], inv_d: &[R], warm: &[Warm<R>], inside: bool) {
+    /// equalities that the stages of the step held (`inside`). u is left as it is.
+    pub fn warm_start(&mut self, warm: &[Warm<R>], inside: bool) {
         let mut at = 0;
         let others = self.blocks.iter().filter(|block| !(inside && block.role == Role::Equality));
         for block in others {
@@ -123,11 +123,10 @@ impl<R: Real> Rows<R> {
                 }
             }
         }
-        self.apply_impulses(dof_lists, inv_d);
     }
 
     /// Newton starts where the velocities `before` (factored) come to under the accelerations kept in
-    /// `warm`; where there are none, or all are zero, at `u`. One row by itself needs no start.
+    /// `warm`; where there are none, or all are zero, at û. One row by itself needs no start.
     pub(crate) fn start_along(&mut self, warm: &[Warm<R>], before: &[R], dt: R) {
         self.start.clear();
         if matches!(self.blocks[..], [Block { set: Set::Interval, .. }]) && self.rows.len() == 1 {

@@ -109,7 +109,7 @@ impl<R: Real> Rows<R> {
             [a] => self.push_some(now, own, at, ([a], 1)),
             [a, b] => self.push_some(now, own, at, ([a, b], 2)),
             // Four numbers fill a register; lanes have registers of their own.
-            [a, b, c] if R::ALONE => self.push_some(now, own, at, ([a, b, c, V3::zeros()], 3)),
+            [a, b, c] if R::FILLS => self.push_some(now, own, at, ([a, b, c, V3::zeros()], 3)),
             [a, b, c] => self.push_some(now, own, at, ([a, b, c], 3)),
             _ => {}
         }
@@ -149,12 +149,12 @@ impl<R: Real> Rows<R> {
         sides: &[Option<Side<R, N>>; 2],
         (start, count): (usize, usize),
     ) -> Sums<R, N> {
-        self.lift_sides(now, list, sides);
+        let place = self.lift_sides(now, list, sides);
         let mut sums = Sums::none();
         let own = &mut self.y[start..start + count * list.len()];
         for (at, &k) in list.iter().enumerate() {
             let mut y = [R::zero(); N];
-            y.copy_from_slice(&self.scratch[k * N..(k + 1) * N]);
+            y.copy_from_slice(&self.scratch[place(at, k) * N..][..N]);
             sums.add(&y, now.placed.metric.inv_d[k], now.placed.u[k]);
             for (i, y) in y.iter().enumerate().take(count) {
                 own[i * list.len() + at] = *y;
@@ -163,27 +163,44 @@ impl<R: Real> Rows<R> {
         sums
     }
 
-    /// Sets the first of `scratch`, by dof N numbers, to y of all directions.
+    /// Sets the first of `scratch`, N numbers a dof, to y of all directions. Returns the place of a
+    /// dof, of which its own in the list and that among all are given.
     #[inline(always)]
     fn lift_sides<const N: usize>(
         &mut self,
         now: &Situation<R>,
         list: &[usize],
         sides: &[Option<Side<R, N>>; 2],
-    ) {
-        let scratch = &mut self.scratch;
-        for k in list {
-            scratch[k * N..(k + 1) * N].fill(R::zero());
-        }
-        for side in sides.iter().flatten() {
-            for &k in side.chain {
-                let j = side.of_dof(now, k);
-                for (x, j) in scratch[k * N..(k + 1) * N].iter_mut().zip(j) {
-                    *x += j;
+    ) -> impl Fn(usize, usize) -> usize {
+        let (metric, scratch) = (&now.placed.metric, &mut self.scratch);
+        let one = match sides {
+            [Some(side), None] | [None, Some(side)] => Some(side),
+            _ => None,
+        };
+        // Where one body of a robot moves; the functions of other numbers would be large.
+        let one = one.filter(|_| R::FILLS).filter(|side| side.chain.len() == list.len());
+        let path = one.filter(|_| metric.is_path(list));
+        if let Some(side) = path {
+            for (&k, x) in list.iter().zip(scratch.chunks_exact_mut(N)) {
+                x.copy_from_slice(&side.of_dof(now, k));
+            }
+            metric.lift_path::<N>(list, scratch);
+        } else {
+            for k in list {
+                scratch[k * N..(k + 1) * N].fill(R::zero());
+            }
+            for side in sides.iter().flatten() {
+                for &k in side.chain {
+                    let j = side.of_dof(now, k);
+                    for (x, j) in scratch[k * N..(k + 1) * N].iter_mut().zip(j) {
+                        *x += j;
+                    }
                 }
             }
+            metric.lift_each::<N>(list, scratch);
         }
-        now.placed.metric.lift_each::<N>(list, scratch);
+        let in_order = path.is_some();
+        move |at, k| if in_order { at } else { k }
     }
 
     /// Makes the y of the four edges J_n ± μ J_t of a contact: where they begin, A and J v of its
@@ -202,16 +219,16 @@ impl<R: Real> Rows<R> {
             Side::of(now, bodies[1], &at[1], along),
         ];
         let (list, start) = (pair.dofs.of(now.dof_lists), self.y.len());
-        self.lift_sides(now, list, &sides);
+        let place = self.lift_sides(now, list, &sides);
         self.y.resize(start + 4 * list.len(), R::zero());
         let own = &mut self.y[start..];
         let (mut ways, mut edges) = (Sums::<R, 4>::none(), Sums::<R, 4>::none());
         for (at, &k) in list.iter().enumerate() {
             let mut y = [R::zero(); 4];
-            y.copy_from_slice(&self.scratch[k * 4..(k + 1) * 4]);
+            y.copy_from_slice(&self.scratch[place(at, k) * 4..][..4]);
+            let [n, a, b, _] = y;
             let (inv_d, u) = (now.placed.metric.inv_d[k], now.placed.u[k]);
             ways.add(&y, inv_d, u);
-            let [n, a, b, _] = y;
             let (p, q) = (mu * a, mu * b);
             let line = [n + p, n - p, n + q, n - q];
             edges.add(&line, inv_d, u);

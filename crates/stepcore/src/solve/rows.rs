@@ -18,12 +18,9 @@ use crate::model::{Model, Span};
 use crate::pool::Pool;
 use crate::real::array::map;
 use crate::real::{Mask, Real};
-use crate::spatial::V3;
+use crate::spatial::{V3, WIDE};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
-
-/// The most directions that are made at a time: three, and one that fills a vector register.
-const WIDE: usize = 4;
 
 /// One row. Impulses in N·s or N·m·s.
 #[derive(Clone, Debug, PartialEq)]
@@ -338,15 +335,42 @@ impl<R: Real> Rows<R> {
 
     /// Takes J from `scratch` (set on `dofs`), lifts it to y, and measures it.
     pub(crate) fn push_scratch(&mut self, now: &Situation<R>, dofs: Span) -> &mut Row<R> {
-        let list = dofs.of(now.dof_lists);
-        now.placed.metric.lift(list, &mut self.scratch);
+        let (list, metric) = (dofs.of(now.dof_lists), &now.placed.metric);
+        let (start, path) = (self.y.len(), R::FILLS && metric.is_path(list));
+        if !path {
+            metric.lift(list, &mut self.scratch);
+        }
+        self.y.extend(list.iter().map(|k| self.scratch[*k]));
+        if path {
+            metric.lift_path::<1>(list, &mut self.y[start..]);
+        }
+        self.push_lifted(now, dofs, start)
+    }
+
+    /// Sets `scratch` to y of forces of one on the last dofs of a path, `WIDE` at most, side by side.
+    pub(crate) fn lift_last(&mut self, now: &Situation<R>, path: &[usize], count: usize) {
+        let own = &mut self.scratch[..WIDE * path.len()];
+        own.fill(R::zero());
+        for i in 0..count {
+            own[(path.len() - count + i) * WIDE + i] = R::one();
+        }
+        now.placed.metric.lift_path::<WIDE>(path, own);
+    }
+
+    /// Pushes the row of one of them.
+    pub(crate) fn push_last(&mut self, now: &Situation<R>, dofs: Span, which: usize) {
         let start = self.y.len();
+        self.y.extend(self.scratch.chunks_exact(WIDE).map(|y| y[which]).take(dofs.len));
+        self.push_lifted(now, dofs, start);
+    }
+
+    /// Pushes the row whose y stands last, and measures it.
+    #[inline(always)]
+    fn push_lifted(&mut self, now: &Situation<R>, dofs: Span, start: usize) -> &mut Row<R> {
         let (mut a, mut velocity) = (R::zero(), R::zero());
-        for &k in list {
-            let y = self.scratch[k];
-            a += y * y * now.placed.metric.inv_d[k];
-            velocity += y * now.placed.u[k];
-            self.y.push(y);
+        for (&k, y) in dofs.of(now.dof_lists).iter().zip(&self.y[start..]) {
+            a += *y * *y * now.placed.metric.inv_d[k];
+            velocity += *y * now.placed.u[k];
         }
         self.push_row(dofs, start, a, velocity)
     }

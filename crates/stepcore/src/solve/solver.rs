@@ -117,7 +117,7 @@ fn sweep<R: Real>(
         if let Some(report) = rows.solve_single(free, limits.exact) {
             return report;
         }
-        if !R::ALONE {
+        if !R::ALONE && limits.exact {
             rows.begin_singles_afresh(free);
         }
     }
