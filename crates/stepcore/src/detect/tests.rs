@@ -9,7 +9,7 @@ use crate::scene::{Body, ExplicitPair, Geom, GeomType, Joint, JointType, Scene};
 use crate::settings::{Integrator, Law, Settings, Solver};
 use crate::shapes::{Hint, ShapeTest};
 use crate::sim::Sim;
-use crate::solve::Live;
+use crate::solve::ContactIslands;
 use crate::spatial::V3;
 use std::sync::Arc;
 
@@ -210,7 +210,7 @@ fn two_ways<R: Real>(scene: &Scene, settings: &Settings) -> [Sim<R>; 2] {
         let model = Arc::new(Model::compile_with(scene, most).unwrap());
         assert_eq!(model.dynamic_pairs.is_some(), most == 0);
         let mut sim = Sim::new(model, settings.clone()).unwrap();
-        sim.rows.live = Some(Live::default());
+        sim.rows.contact_islands = Some(ContactIslands::default());
         sim
     })
 }

@@ -243,7 +243,7 @@ impl<N: Constant> Model<N> {
     }
 
     /// The island of each tree, by its lowest tree: trees that some pair, equality or tendon
-    /// can connect share one. In a heap pairs connect trees only while they touch: see `solve/live.rs`.
+    /// can connect share one. In a heap pairs connect trees only while they touch: see `solve/contact_islands.rs`.
     pub fn islands(&self) -> Vec<usize> {
         let mut island = Union::new(self.trees.len());
         let meets = self.pairs.iter().map(|p| [self.geoms[p.geom1].body, self.geoms[p.geom2].body]);

@@ -53,11 +53,11 @@ impl Islands {
 impl<R: Real> Rows<R> {
     /// Measures the islands of the rows at hand; `mass` in the layout of `Model::row_dofs`.
     pub(crate) fn weigh_islands(&mut self, model: &Model<R::Value>, mass: &[R]) {
-        let Self { islands, live, inertia, .. } = self;
+        let Self { islands, contact_islands: now, inertia, .. } = self;
         inertia.clear();
         inertia.resize(model.trees.len(), R::zero());
         for (tree, own) in model.trees.iter().enumerate() {
-            let island = live.as_mut().map_or_else(|| islands[tree], |live| live.union.of(tree));
+            let island = now.as_mut().map_or_else(|| islands[tree], |now| now.union.of(tree));
             for dof in &model.dofs[own.dofs.range()] {
                 inertia[island] += mass[dof.row.start];
             }

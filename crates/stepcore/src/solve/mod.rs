@@ -1,21 +1,21 @@
 //! Stage 3, solve: every contact, limit, friction loss and equality as rows of one
 //! system, and the impulses on which they all agree.
 
-mod alone;
+mod active_set;
 mod cone;
+mod contact_islands;
 mod derivative;
 mod direct;
 pub(crate) mod dofs;
 mod dot;
 mod edges;
-mod few;
-mod free;
+mod free_bodies;
 mod islands;
 pub(crate) mod law;
 mod limits;
-mod live;
 mod momentum;
 mod newton;
+mod one_row;
 mod pgs;
 mod proximal;
 mod relative;
@@ -28,11 +28,11 @@ mod square;
 #[cfg(test)]
 mod tests;
 
+#[cfg(test)]
+pub(crate) use contact_islands::ContactIslands;
 pub(crate) use derivative::Differentiated;
 pub(crate) use direct::{Choice, GROUP};
 pub(crate) use limits::Report;
-#[cfg(test)]
-pub(crate) use live::Live;
 pub(crate) use pgs::Noslip;
 pub(crate) use rows::{Anchor, Guessed, CONE};
 pub use rows::{Block, Push, Row, Rows, Set};

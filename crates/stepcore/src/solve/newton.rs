@@ -6,7 +6,7 @@
 //! line search is exact. Where no row changes its zone in a full step the problem
 //! was quadratic along it, and the step was the last. It starts from the last acceleration, where
 //! that costs less than none, and the first step goes by the zones of the step before
-//! (`newton/recall.rs`).
+//! (`newton/last_zones.rs`).
 
 /// `$of` of so many registers a row as `$stride` has, a number known to the compiler; `$other` of
 /// more, and where a row has no whole number of them.
@@ -26,32 +26,32 @@ macro_rules! by_registers {
     };
 }
 
-mod bent;
 mod bundles;
 mod by_lane;
 mod columns;
+mod free_blocks;
 mod hessian;
 mod inverse;
+mod last_zones;
 mod minimise;
 mod nodes;
 mod order;
 mod pattern;
 mod penalty;
-mod recall;
 mod refine;
 mod system;
 #[cfg(test)]
 mod tests;
 mod worker;
 
-use super::few::{Few, Island};
+use super::active_set::{ActiveSet, Island};
 use super::islands::{alive, Islands};
 use super::limits::{Limits, Report};
 use super::rows::{Rows, Set};
 use super::solver::Unconstrained;
 use crate::error::{Error, Result};
 use crate::pool::{inside, ROWS_WORTH_SHARING};
-use crate::real::{Count, Mask, Real};
+use crate::real::{Mask, Real};
 use by_lane::ByLane;
 use pattern::Pattern;
 use std::sync::Mutex;
@@ -67,7 +67,7 @@ pub struct Newton<R: Real> {
     workers: Vec<Mutex<Worker<R>>>,
     /// Islands that threads are to share.
     queue: Vec<usize>,
-    few: Few<R>,
+    active_set: ActiveSet<R>,
     /// Of heaps in lanes, and of few lanes.
     by_lane: Option<Box<ByLane<R>>>,
 }
@@ -80,7 +80,7 @@ struct Primal<'a, R: Real> {
     live: R::Mask,
 }
 
-room!(Newton<R>: islands, patterns, own, workers, queue, few, by_lane);
+room!(Newton<R>: islands, patterns, own, workers, queue, active_set, by_lane);
 
 impl<R: Real> Default for Newton<R> {
     fn default() -> Self {
@@ -96,7 +96,7 @@ impl<R: Real> Newton<R> {
             own: Worker::new(),
             workers: Vec::new(),
             queue: Vec::new(),
-            few: Few::new(),
+            active_set: ActiveSet::new(),
             by_lane: if R::ALONE { None } else { Some(Box::new(ByLane::new())) },
         }
     }
@@ -126,7 +126,7 @@ impl<R: Real> Newton<R> {
         }
         let shared = R::ALONE && rows.rows.len() >= ROWS_WORTH_SHARING;
         let pool = rows.pool.clone().filter(|_| shared && self.islands.count() > 1);
-        let Self { islands, patterns, own, workers, queue, few: some, by_lane } = self;
+        let Self { islands, patterns, own, workers, queue, active_set, by_lane } = self;
         let task = Task { free, limits, islands };
         queue.clear();
         for island in 0..islands.count() {
@@ -134,26 +134,18 @@ impl<R: Real> Newton<R> {
             if own.present.is_empty() {
                 continue;
             }
-            let present = alive(rows, &own.present);
-            let alone = rows.alone(&own.present);
-            if alone.any() {
-                rows.solve_alone(free, &own.present, alone);
-                let mine = alone.and(present);
-                let mut once = Count::ZERO;
-                once.add(mine, 1);
-                report.sweeps.raise(&once);
-                report.updates.add(mine, 1);
-                if present.and(alone.not()).none() {
-                    continue;
-                }
+            let single = rows.solve_one_row(free, &own.present, true, &mut report);
+            let present = alive(rows, &own.present).and(single.not());
+            if present.none() {
+                continue;
             }
-            let few = Few::fits(rows, &own.present).and(alone.not());
+            let few = ActiveSet::fits(rows, &own.present).and(single.not());
             let mut poor = R::Mask::of(false);
             if few.any() {
                 let island = Island { dof_lists, inv_d, guess, blocks: &own.present };
-                poor = some.solve(island, rows, few, &mut report);
+                poor = active_set.solve(island, rows, few, &mut report);
             }
-            let live = present.and(alone.not()).and(few.not().or(poor));
+            let live = present.and(few.not().or(poor));
             if live.none() {
                 continue;
             }
@@ -162,7 +154,7 @@ impl<R: Real> Newton<R> {
                 queue.push(island);
                 continue;
             }
-            if !R::ALONE && by_lane::few(live) {
+            if !R::ALONE && by_lane::so_few(live) {
                 if let Some(by_lane) = by_lane {
                     let left = Primal { free, limits, live };
                     by_lane.solve_island(left, (island, &own.present), rows, &mut report);

@@ -6,16 +6,17 @@
 
 mod cones;
 mod noslip;
-mod onward;
 mod packed;
 mod point;
 mod side_by_side;
 mod sweep;
+mod sweep_momentum;
 
 use super::islands::{alive, row_count, Islands};
 use super::limits::{Limits, Report};
 use super::momentum::Momentum;
 use super::rows::{Rows, Set};
+use super::solver::Unconstrained;
 use crate::interrupt::ends_after;
 use crate::real::{Count, Mask, Real};
 pub(crate) use noslip::Noslip;
@@ -75,22 +76,33 @@ impl<R: Real> Pgs<R> {
     /// computed only where the largest change of the sweep is within it already.
     pub fn solve(
         &mut self,
-        dof_lists: &[usize],
-        inv_d: &[R],
+        free: Unconstrained<R>,
         rows: &mut Rows<R>,
         limits: Limits,
     ) -> Report<R> {
         let Self { islands, sweeps, momentum, open } = self;
+        let Unconstrained { dof_lists, inv_d, .. } = free;
         open.clear();
         islands.sort(&rows.blocks);
-        sweeps.prepare(dof_lists, inv_d, rows, limits.tolerance > 0.0);
-        let mut report: Report<R> = Report::new();
+        let (mut report, mut prepared): (Report<R>, bool) = (Report::new(), false);
         for island in 0..islands.count() {
             let blocks = islands.of(island);
+            let mut live = alive(rows, blocks);
+            // One update is all that is asked, or all that it takes.
+            if limits.exact || limits.sweeps == 1 {
+                let single = rows.solve_one_row(free, blocks, limits.exact, &mut report);
+                live = live.and(single.not());
+            }
+            if live.none() {
+                continue;
+            }
+            if !std::mem::replace(&mut prepared, true) {
+                sweeps.prepare(dof_lists, inv_d, rows, limits.tolerance > 0.0);
+            }
             let convex = |b: &usize| matches!(rows.blocks[*b].set, Set::Interval | Set::Convex);
             let accelerated = limits.momentum && blocks.iter().all(convex);
             // Lanes have no sides, and must do as each world alone: heaps found pair by pair have none.
-            sweeps.join(inv_d, rows, blocks, !accelerated || rows.live.is_some());
+            sweeps.join(inv_d, rows, blocks, !accelerated || rows.contact_islands.is_some());
             // A sweep that lowers f by less is the last.
             let inertia = rows.inertia.get(island).filter(|_| limits.cost > 0.0);
             let floor = inertia.map(|inertia| R::of(limits.cost) * *inertia);
@@ -101,12 +113,10 @@ impl<R: Real> Pgs<R> {
             } else if measured {
                 sweeps.measure(inv_d, accelerated);
             }
-            let mut live = alive(rows, blocks);
-            let single = if limits.exact { rows.alone(blocks) } else { R::Mask::of(false) };
             let tolerance = reachable(dof_lists, rows, &sweeps.weight, blocks, limits);
             let judged = R::zero().lt(tolerance);
             let (count, mut done) = (row_count(rows, blocks), Count::ZERO);
-            let free = momentum.is_none();
+            let plain = momentum.is_none();
             let mut interrupted = false;
             for sweep in 0..limits.sweeps {
                 if live.none() {
@@ -120,7 +130,6 @@ impl<R: Real> Pgs<R> {
                 };
                 done.add(live, 1);
                 report.updates.add_each(live, &count);
-                live = live.and(single.not());
                 if let Some(floor) = floor {
                     live = live.and(swept.gain.abs().lt(floor).not());
                 }
@@ -132,7 +141,7 @@ impl<R: Real> Pgs<R> {
                 }
                 let close = live.and(swept.change.le(tolerance)).and(judged);
                 if close.any() {
-                    if free {
+                    if plain {
                         sweeps.store(rows, blocks);
                     }
                     let residual = rows.residual_of(dof_lists, blocks);
@@ -150,7 +159,7 @@ impl<R: Real> Pgs<R> {
                 report.interrupted = true;
                 return report;
             }
-            if free {
+            if plain {
                 sweeps.store(rows, blocks);
             }
             report.sweeps.raise(&done);

@@ -5,11 +5,11 @@
 //! J v = y·u and an impulse changes u by D⁻¹ y λ. The solvers read this file's
 //! data and nothing else: they cannot know what a row came from.
 
+use super::contact_islands::ContactIslands;
 use super::direct::Direct;
 use super::dofs::any_heap;
 use super::dot::dot;
-use super::free::Free;
-use super::live::Live;
+use super::free_bodies::FreeBodies;
 use super::saved_solve::SavedSolve;
 use super::situation::Situation;
 use crate::elements::friction::MOST_WAYS;
@@ -240,14 +240,14 @@ pub struct Rows<R: Real> {
     /// By slot: see `Model::ranks`.
     ranks: Vec<u32>,
     /// Islands of the rows at hand take the place of both.
-    pub(crate) live: Option<Live>,
+    pub(crate) contact_islands: Option<ContactIslands>,
     /// Rows of parts of the contacts, where threads share the work.
     pub(crate) parts: Vec<Mutex<Rows<R>>>,
     pub(crate) pool: Option<Arc<Pool>>,
 }
 
 room!(Rows<R>: rows, blocks, pushes, y, u, start, main, anchors, unrecovered, scratch, ways, guess, direct,
-    saved_solve, heap, islands, inertia, ranks, live, parts,
+    saved_solve, heap, islands, inertia, ranks, contact_islands, parts,
     pool);
 
 /// The guess, along a row.
@@ -279,7 +279,7 @@ impl<R: Real> Rows<R> {
             saved_solve: SavedSolve::new(model.nv),
             ranks: model.ranks(&islands),
             heap,
-            live: model.dynamic_pairs.is_some().then(Live::default),
+            contact_islands: model.dynamic_pairs.is_some().then(ContactIslands::default),
             islands,
             inertia: Vec::new(),
             parts: Vec::new(),
@@ -309,7 +309,7 @@ impl<R: Real> Rows<R> {
             islands: Vec::new(),
             inertia: Vec::new(),
             ranks: Vec::new(),
-            live: None,
+            contact_islands: None,
             parts: Vec::new(),
             pool: None,
         }
@@ -464,7 +464,7 @@ impl<R: Real> Rows<R> {
                 let y = map([a, b, c, d], |row| &self.y[row.y..row.y + dofs.len()]);
                 let change = map([a, b, c, d], |row| row.impulse);
                 own = rest;
-                let free = if block.mask.all() { Free::ascending(dofs) } else { None };
+                let free = if block.mask.all() { FreeBodies::ascending(dofs) } else { None };
                 if let Some(free) = free {
                     free.kick_four(y, change, inv_d, &mut self.u);
                     continue;

@@ -74,7 +74,7 @@ impl<R: Real> Solve<R> for Solvers<R> {
         if settings.sweeps == Sweeps::Auto && settings.law.on_guess() {
             return Ok(self.solve_for_sure(limits, free, rows));
         }
-        Ok(sweep(&mut self.pgs, limits, free, rows))
+        Ok(self.pgs.solve(free, rows, limits))
     }
 }
 
@@ -87,7 +87,7 @@ impl<R: Real> Solvers<R> {
         free: Unconstrained<R>,
         rows: &mut Rows<R>,
     ) -> Report<R> {
-        let mut report = sweep(&mut self.pgs, limits, free, rows);
+        let mut report = self.pgs.solve(free, rows, limits);
         if report.open.none() || report.interrupted {
             return report;
         }
@@ -101,25 +101,4 @@ impl<R: Real> Solvers<R> {
         report.open = left;
         report
     }
-}
-
-/// By projected Gauss-Seidel.
-fn sweep<R: Real>(
-    pgs: &mut Pgs<R>,
-    limits: Limits,
-    free: Unconstrained<R>,
-    rows: &mut Rows<R>,
-) -> Report<R> {
-    let Unconstrained { dof_lists, inv_d, .. } = free;
-    pgs.open.clear();
-    // One row on its own, and one update all that is asked or all that it takes.
-    if limits.sweeps == 1 || limits.exact {
-        if let Some(report) = rows.solve_single(free, limits.exact) {
-            return report;
-        }
-        if !R::ALONE && limits.exact {
-            rows.begin_singles_afresh(free);
-        }
-    }
-    pgs.solve(dof_lists, inv_d, rows, limits)
 }

@@ -1,8 +1,8 @@
 //! The solvers against closed forms, enumeration and brute force, on matrices fed by hand.
 
+mod active_set;
 mod cones;
 mod derivative;
-mod few;
 mod lanes;
 mod nearly_unmoved;
 mod newton;
@@ -11,7 +11,7 @@ mod proximal;
 mod wide;
 mod wide_cones;
 
-use super::limits::Limits;
+use super::limits::{Limits, Report};
 use super::pgs::Pgs;
 use super::rows::{Block, Row, Rows, Set};
 use super::solver::Unconstrained;
@@ -48,6 +48,18 @@ pub(super) struct Problem {
 }
 
 const INF: f64 = f64::INFINITY;
+
+/// Sweeps from û, which `rows.u` holds.
+pub fn by_sweeps<R: Real>(
+    pgs: &mut Pgs<R>,
+    dof_lists: &[usize],
+    inv_d: &[R],
+    rows: &mut Rows<R>,
+    limits: Limits,
+) -> Report<R> {
+    let guess = rows.u.clone();
+    pgs.solve(Unconstrained { dof_lists, inv_d, guess: &guess }, rows, limits)
+}
 
 impl Problem {
     pub fn new(inv_d: &[f64], guess: &[f64]) -> Self {
@@ -149,7 +161,7 @@ pub(super) const EVERY: Limits = Limits {
 /// Converged PGS: impulses by row.
 pub(super) fn converged(problem: &Problem) -> Vec<f64> {
     let mut rows = problem.rows::<f64>();
-    Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, EVERY);
+    by_sweeps(&mut Pgs::new(), &problem.dof_lists(), &problem.inv_d, &mut rows, EVERY);
     assert!(rows.residual(&problem.dof_lists()) < 1e-12);
     rows.rows.iter().map(|row| row.impulse).collect()
 }
@@ -185,7 +197,8 @@ fn s1_one_contact_in_closed_form() {
             problem.blocks.push((set, mu, list));
             let mut rows = problem.rows::<f64>();
             let limits = Limits { sweeps: 50, tolerance: 1e-14, ..EVERY };
-            let report = Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, limits);
+            let report =
+                by_sweeps(&mut Pgs::new(), &problem.dof_lists(), &problem.inv_d, &mut rows, limits);
             assert!(report.sweeps.lane(0) <= 3);
             for k in 0..3 {
                 close(rows.rows[k].impulse, want[k], 1e-15);
@@ -199,7 +212,7 @@ fn s1_one_contact_in_closed_form() {
 fn no_rows_no_sweeps() {
     let problem = Problem::new(&[1.0], &[-1.0]);
     let mut rows = problem.rows::<f64>();
-    let report = Pgs::new().solve(&[0], &problem.inv_d, &mut rows, EVERY);
+    let report = by_sweeps(&mut Pgs::new(), &[0], &problem.inv_d, &mut rows, EVERY);
     assert_eq!((report.sweeps.lane(0), report.updates.lane(0), rows.u[0]), (0, 0, -1.0));
 }
 
@@ -304,7 +317,7 @@ fn c6_contraction_of_a_stack() {
         let (mut pgs, lists) = (Pgs::new(), problem.dof_lists());
         let mut after = |rows: &mut Rows<f64>, sweeps| {
             let limits = Limits { sweeps, tolerance: 0.0, ..EVERY };
-            pgs.solve(&lists, &problem.inv_d, rows, limits);
+            by_sweeps(&mut pgs, &lists, &problem.inv_d, rows, limits);
             rows.residual(&lists)
         };
         let start = after(&mut rows, (6.0 / (1.0 - want)) as u32 / 4);
@@ -323,7 +336,7 @@ fn momentum_beats_the_contraction_of_a_stack() {
     for (at, momentum) in [false, true].into_iter().enumerate() {
         let mut rows = problem.rows::<f64>();
         let limits = Limits { sweeps: 25, tolerance: 0.0, momentum, ..EVERY };
-        Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, limits);
+        by_sweeps(&mut Pgs::new(), &problem.dof_lists(), &problem.inv_d, &mut rows, limits);
         residual[at] = rows.residual(&problem.dof_lists());
     }
     assert!(residual[1] < 1e-3 * residual[0], "{residual:?}");
@@ -337,14 +350,14 @@ fn degenerate_rows_change_nothing() {
     problem.limit(&y, 0.4, 0.0);
     let clean = {
         let mut rows = problem.rows::<f64>();
-        Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, EVERY);
+        by_sweeps(&mut Pgs::new(), &problem.dof_lists(), &problem.inv_d, &mut rows, EVERY);
         rows.u
     };
     problem.limit(&[0.0; 6], 0.7, 0.0);
     problem.limit(&y, 0.4, 0.0);
     problem.blocks.push((Set::CoulombRound, 0.5, vec![(vec![0.0; 6], 0.1, 0.0, 0.0, INF)]));
     let mut rows = problem.rows::<f64>();
-    Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, EVERY);
+    by_sweeps(&mut Pgs::new(), &problem.dof_lists(), &problem.inv_d, &mut rows, EVERY);
     assert!(rows.residual(&problem.dof_lists()) < 1e-12);
     for (a, b) in rows.u.iter().zip(&clean) {
         close(*a, *b, 1e-10);
@@ -365,7 +378,7 @@ fn momentum_keeps_u_and_impulses_together() {
         for sweeps in [10, 100, 3000] {
             let mut rows = problem.rows::<f64>();
             let limits = Limits { sweeps, tolerance: 0.0, momentum: true, ..EVERY };
-            Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, limits);
+            by_sweeps(&mut Pgs::new(), &problem.dof_lists(), &problem.inv_d, &mut rows, limits);
             for (k, guess) in problem.guess.iter().enumerate() {
                 let kicks = rows.rows.iter().map(|row| rows.y[row.y + k] * row.impulse);
                 let want = guess + problem.inv_d[k] * kicks.sum::<f64>();

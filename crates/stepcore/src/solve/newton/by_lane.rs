@@ -27,7 +27,7 @@ pub(super) struct ByLane<R: Real> {
 room!(ByLane<R>: newton, rows, inv_d, guess, blocks);
 
 /// So few lanes that each is solved by itself.
-pub(super) fn few<M: Mask>(live: M) -> bool {
+pub(super) fn so_few<M: Mask>(live: M) -> bool {
     (0..M::LANES).filter(|lane| live.lane(*lane)).count() < AS_LONG
 }
 

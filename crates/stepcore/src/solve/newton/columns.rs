@@ -11,8 +11,8 @@
 //! loops have constant lengths; no sum is split, so the bits are the same however they are
 //! vectorised.
 
-use super::bent::{add_outer, add_upper, Bent, Scaled, FREE};
 use super::bundles::Bundles;
+use super::free_blocks::{add_outer, add_upper, ActiveRows, Scaled, FREE};
 use super::nodes::{Member, NodePair, Nodes};
 use crate::real::{Mask, Real};
 
@@ -177,7 +177,7 @@ impl<R: Real> Columns<R> {
         }
         let y = &curved.y[bundle.y..][..bundle.rows.len * bundle.dofs.len];
         let curve = run.curve.of(curved.curve);
-        let lines = |starts| Bent { y, len: bundle.dofs.len, curve, starts };
+        let lines = |starts| ActiveRows { y, len: bundle.dofs.len, curve, starts };
         let mut starts = members.iter().map(|member| (member.node, member.run.unwrap_or(0)));
         let Some((node, own)) = starts.next() else { return true };
         let block = |node: usize| self.place[node]..self.place[node] + FREE * FREE;

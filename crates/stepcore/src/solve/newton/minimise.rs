@@ -74,7 +74,8 @@ impl<R: Real> System<R> {
                 break;
             }
             let first = iteration == 0;
-            let recalled = if first { self.recall(problem, live) } else { R::Mask::of(false) };
+            let recalled =
+                if first { self.take_last_zones(problem, live) } else { R::Mask::of(false) };
             self.direction(problem);
             self.fresh = self.fresh.or(live);
             let (mut fall, mut length) = (zero, zero);

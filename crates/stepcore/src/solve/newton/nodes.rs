@@ -7,7 +7,7 @@
 
 use super::order::Order;
 use crate::model::Span;
-use crate::solve::free::Free;
+use crate::solve::free_bodies::FreeBodies;
 
 /// What a dof without a class has.
 pub(super) const NOWHERE: usize = usize::MAX;
@@ -48,7 +48,7 @@ pub(super) struct Nodes {
     /// Every bundle's list in local numbers.
     pub lists: Vec<usize>,
     /// By bundle: the same, where it is of free bodies.
-    pub free: Vec<Option<Free>>,
+    pub free: Vec<Option<FreeBodies>>,
     /// By turn: who meets there, `pairs[meets[k]..meets[k + 1]]`.
     pub meets: Vec<usize>,
     pub pairs: Vec<NodePair>,
@@ -107,7 +107,7 @@ impl Nodes {
         self.meet();
         let mut free = std::mem::take(&mut self.free);
         free.clear();
-        free.extend((0..self.ends.len()).map(|bundle| Free::of(self.local(bundle))));
+        free.extend((0..self.ends.len()).map(|bundle| FreeBodies::of(self.local(bundle))));
         self.free = free;
     }
 

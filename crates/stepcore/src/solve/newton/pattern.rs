@@ -11,7 +11,7 @@
 use super::nodes::Nodes;
 use crate::model::Span;
 use crate::solve::dofs::distinct;
-use crate::solve::free::Free;
+use crate::solve::free_bodies::FreeBodies;
 use crate::spatial::WIDE;
 
 /// Which dofs an island's rows couple. Indices are local: places in `dofs`.
@@ -214,7 +214,7 @@ impl Pattern {
 
     /// Of a heap: the bundle's dofs, where they are those of free bodies.
     #[inline(always)]
-    pub fn free(&self, bundle: usize) -> Option<&Free> {
+    pub fn free(&self, bundle: usize) -> Option<&FreeBodies> {
         if self.heap {
             self.nodes.free[bundle].as_ref()
         } else {

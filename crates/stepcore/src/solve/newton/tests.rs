@@ -10,7 +10,7 @@ use crate::solve::limits::Limits;
 use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Rows, Set};
 use crate::solve::solver::Unconstrained;
-use crate::solve::tests::{close, pack, Problem, Random};
+use crate::solve::tests::{by_sweeps, close, pack, Problem, Random};
 
 /// Bodies of some dofs each, touched by blocks of rows: one body alone, or two together.
 struct Heap {
@@ -194,7 +194,7 @@ fn heaps_equal_converged_pgs() {
         (want.y, want.u) = (heap.rows.y.clone(), heap.rows.u.clone());
         let guess = heap.rows.u.clone();
         let limits = Limits { momentum: true, ..EVERY };
-        Pgs::new().solve(&heap.lists, &heap.inv_d, &mut want, limits);
+        by_sweeps(&mut Pgs::new(), &heap.lists, &heap.inv_d, &mut want, limits);
         let newton = Limits { sweeps: 50, tolerance: 0.0, ..limits };
         let free = Unconstrained { dof_lists: &heap.lists, inv_d: &heap.inv_d, guess: &guess };
         Newton::new().solve(free, &mut heap.rows, newton).unwrap();

@@ -7,7 +7,7 @@
 //! copied back where somebody else reads the rows.
 
 use super::super::cone::InCone;
-use super::super::free::{six, Free, SIX};
+use super::super::free_bodies::{six, FreeBodies, SIX};
 use super::super::rows::{Block, Row, Rows, Set, NARROW};
 use super::cones::{Narrow, Tie};
 use super::point::{along, gain, gain_in_cone, Point, EDGES};
@@ -25,7 +25,7 @@ pub(super) struct Packed<R: Real> {
     pub point: Point<R>,
     mu: R,
     pub mask: R::Mask,
-    pub(super) free: Free,
+    pub(super) free: FreeBodies,
     pub tie: Tie,
 }
 
@@ -59,7 +59,7 @@ impl<R: Real> Packed<R> {
         if !rows.heap || own.len() != if edges { EDGES } else { NARROW } {
             return None;
         }
-        let free = Free::of(own[0].dofs.of(dof_lists))?;
+        let free = FreeBodies::of(own[0].dofs.of(dof_lists))?;
         let len = free.len();
         if own.iter().enumerate().any(|(at, row)| row.y != own[0].y + at * len) {
             return None;

@@ -1,7 +1,7 @@
 //! The update of a contact between free bodies, of one or of several side by side, number by
 //! number.
 
-use super::super::free::SIX;
+use super::super::free_bodies::SIX;
 use super::super::rows::NARROW;
 use crate::real::array::from_fn;
 use crate::real::Real;

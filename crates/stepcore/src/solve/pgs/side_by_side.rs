@@ -6,11 +6,11 @@
 //! rows in order, to the last bit; but an update is a chain of additions that waits for itself,
 //! and four of them take hardly longer than one.
 
-use super::super::free::SIX;
+use super::super::free_bodies::SIX;
 use super::super::rows::{Rows, NARROW};
-use super::onward::{Found, Onward, Six, Step};
 use super::packed::Packed;
 use super::point::{along, gain, Each, Numbers, Point, Swept, EDGES, SIDE};
+use super::sweep_momentum::{Found, Six, Step, SweepMomentum};
 use crate::real::Real;
 
 /// Contacts of which it is clear whether they stand in a row, each on the one before; an island of
@@ -55,12 +55,12 @@ pub(super) struct SideBySide<R> {
     /// By dof: the body that begins there, where it is one of the island.
     body_at: Vec<u32>,
     /// Momentum, if there is any, and where it leads before the next sweep.
-    onward: Onward<R>,
+    momentum: SweepMomentum<R>,
     step: Option<Step<R>>,
     found: Found<R>,
 }
 
-room!(SideBySide<R>: fours, moved, bodies, dofs, free, filled, places, body_at, onward, step,
+room!(SideBySide<R>: fours, moved, bodies, dofs, free, filled, places, body_at, momentum, step,
     found);
 
 impl<R: Real> SideBySide<R> {
@@ -74,7 +74,7 @@ impl<R: Real> SideBySide<R> {
             filled: Vec::new(),
             places: Vec::new(),
             body_at: Vec::new(),
-            onward: Onward::new(),
+            momentum: SweepMomentum::new(),
             step: None,
             found: Found::nothing(),
         }
@@ -113,7 +113,7 @@ impl<R: Real> SideBySide<R> {
             Some(own) => Six(crate::real::array::from_fn(|k| R::one() / own[k])),
             None => Six::zero(),
         });
-        self.step = on.then(|| self.onward.begin(&self.bodies, by_body));
+        self.step = on.then(|| self.momentum.begin(&self.bodies, by_body));
         self.moved.extend(self.fours.iter().map(|four| Moved {
             s: four.point.inv_s.map(|each| Each(each.0.map(R::recip_or_zero))),
             from: four.point.impulse,
@@ -124,7 +124,7 @@ impl<R: Real> SideBySide<R> {
     /// After a sweep: the next one will begin where momentum leads.
     pub fn go_on(&mut self) {
         if self.step.is_some() {
-            self.step = Some(self.onward.step(&mut self.bodies, self.found));
+            self.step = Some(self.momentum.step(&mut self.bodies, self.found));
         }
     }
 
@@ -205,7 +205,7 @@ impl<R: Real> SideBySide<R> {
         let (largest, sums) = self.sweep_on(&self.step.unwrap_or(Step::none()));
         let [gain, own, both] = sums.map(|Each(each)| (each[0] + each[1]) + (each[2] + each[3]));
         self.found = Found { gain, own, both };
-        let fall = if self.step.is_some() { self.onward.fall() } else { R::zero() };
+        let fall = if self.step.is_some() { self.momentum.fall() } else { R::zero() };
         Swept { change: most(largest), gain: fall + gain }
     }
 

@@ -1,10 +1,10 @@
 //! A lane is, bit for bit, the world that it holds.
 
-use super::few::intervals;
+use super::active_set::intervals;
 use super::newton::mixed;
 use super::proximal::stack;
 use super::wide_cones::wide_contacts;
-use super::{contacts, pack, Problem, Random, EVERY, INF};
+use super::{by_sweeps, contacts, pack, Problem, Random, EVERY, INF};
 use crate::model::Span;
 use crate::real::{Lanes, Mask, Real, WIDTH};
 use crate::solve::limits::{Limits, Report};
@@ -24,7 +24,7 @@ enum By {
 fn solve<R: Real>(by: By, lists: &[usize], inv_d: &[f64], rows: &mut Rows<R>) -> Report<R> {
     let inv_d: Vec<R> = inv_d.iter().map(|x| R::of(*x)).collect();
     match by {
-        By::Pgs(limits) => Pgs::new().solve(lists, &inv_d, rows, limits),
+        By::Pgs(limits) => by_sweeps(&mut Pgs::new(), lists, &inv_d, rows, limits),
         By::Auto(limits) => {
             let guess = rows.u.clone();
             let free = Unconstrained { dof_lists: lists, inv_d: &inv_d, guess: &guess };

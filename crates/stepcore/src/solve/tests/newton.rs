@@ -1,6 +1,6 @@
 //! Newton against converged PGS.
 
-use super::{close, contacts, Problem, Random, EVERY, INF};
+use super::{by_sweeps, close, contacts, Problem, Random, EVERY, INF};
 use crate::solve::limits::Limits;
 use crate::solve::newton::Newton;
 use crate::solve::pgs::Pgs;
@@ -31,7 +31,7 @@ fn newton_equals_converged_pgs() {
         let want = {
             let mut rows = problem.rows::<f64>();
             let limits = Limits { momentum: true, tolerance: 1e-15, ..EVERY };
-            Pgs::new().solve(&lists, &problem.inv_d, &mut rows, limits);
+            by_sweeps(&mut Pgs::new(), &lists, &problem.inv_d, &mut rows, limits);
             rows
         };
         let mut rows = problem.rows::<f64>();

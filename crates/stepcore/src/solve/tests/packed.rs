@@ -1,12 +1,12 @@
 //! Contacts that are packed for sweeps, against the same rows one by one.
 
-use super::{close, contacts, pack, Problem, Random, EVERY, INF};
+use super::{by_sweeps, close, contacts, pack, Problem, Random, EVERY, INF};
 use crate::model::Span;
 use crate::real::{Lanes, Real, WIDTH};
 use crate::solve::limits::Limits;
 use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Rows, Set};
-use crate::solve::Live;
+use crate::solve::ContactIslands;
 
 /// Contacts between two free bodies; with `Set::Interval` they are pyramids.
 fn between_two(set: Set, random: &mut Random) -> Problem {
@@ -40,7 +40,7 @@ fn each_way(set: Set) -> impl Iterator<Item = Limits> {
 fn swept<R: Real>(problem: &Problem, mut rows: Rows<R>, heap: bool, limits: Limits) -> Rows<R> {
     rows.heap = heap;
     let inv_d: Vec<R> = problem.inv_d.iter().map(|x| R::of(*x)).collect();
-    Pgs::new().solve(&problem.dof_lists(), &inv_d, &mut rows, limits);
+    by_sweeps(&mut Pgs::new(), &problem.dof_lists(), &inv_d, &mut rows, limits);
     rows
 }
 
@@ -142,13 +142,13 @@ fn side_by_side_is_one_after_another() {
         let (mut lanes, lists) = ring::<Lanes>(&worlds, BODIES);
         lanes.heap = true;
         let inverse: Vec<Lanes> = inv_d.iter().map(|x| Lanes::of(*x)).collect();
-        Pgs::new().solve(&lists, &inverse, &mut lanes, limits);
+        by_sweeps(&mut Pgs::new(), &lists, &inverse, &mut lanes, limits);
         for (lane, world) in worlds.iter().enumerate() {
             let [plain, side] = [false, true].map(|heap| {
                 let (mut rows, _) = ring::<f64>(std::slice::from_ref(world), BODIES);
                 rows.heap = heap;
                 let mut pgs = Pgs::new();
-                pgs.solve(&lists, &inv_d, &mut rows, limits);
+                by_sweeps(&mut pgs, &lists, &inv_d, &mut rows, limits);
                 assert_eq!(pgs.side_by_side(), heap);
                 rows
             });
@@ -177,10 +177,10 @@ fn momentum_side_by_side() {
         let solve = |momentum: bool, sweeps: u32, tolerance: f64| {
             let (mut rows, lists) = ring::<f64>(std::slice::from_ref(&world), BODIES);
             rows.heap = true;
-            rows.live = Some(Live::default());
+            rows.contact_islands = Some(ContactIslands::default());
             let limits = Limits { sweeps, tolerance, momentum, ..EVERY };
             let mut pgs = Pgs::new();
-            let report = pgs.solve(&lists, &inv_d, &mut rows, limits);
+            let report = by_sweeps(&mut pgs, &lists, &inv_d, &mut rows, limits);
             assert!(pgs.side_by_side());
             (rows, lists, report.sweeps.lane(0))
         };

@@ -1,7 +1,7 @@
 //! Blocks of more interval rows than a cone has: a ten-edge pyramid.
 
-use super::few::intervals;
-use super::{close, Problem, Random, EVERY};
+use super::active_set::intervals;
+use super::{by_sweeps, close, Problem, Random, EVERY};
 use crate::solve::limits::Limits;
 use crate::solve::newton::Newton;
 use crate::solve::pgs::Pgs;
@@ -18,12 +18,12 @@ fn in_tens(problem: &Problem) -> Problem {
 type Solve = fn(&Problem, &mut Rows<f64>);
 
 fn sweep(problem: &Problem, rows: &mut Rows<f64>) {
-    Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, rows, EVERY);
+    by_sweeps(&mut Pgs::new(), &problem.dof_lists(), &problem.inv_d, rows, EVERY);
 }
 
 fn accelerated(problem: &Problem, rows: &mut Rows<f64>) {
     let limits = Limits { momentum: true, ..EVERY };
-    Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, rows, limits);
+    by_sweeps(&mut Pgs::new(), &problem.dof_lists(), &problem.inv_d, rows, limits);
 }
 
 fn newton(problem: &Problem, rows: &mut Rows<f64>) {

@@ -1,6 +1,6 @@
 //! Cones with torsion and rolling against brute force, and as blocks of every solver.
 
-use super::{close, Problem, Random, EVERY, INF};
+use super::{by_sweeps, close, Problem, Random, EVERY, INF};
 use crate::real::{Dual, Real};
 use crate::solve::cone::{across, project_box, project_round, InBall, InCone};
 use crate::solve::limits::Limits;
@@ -189,7 +189,7 @@ fn sweeps_and_newton_agree() {
         for momentum in [false, true] {
             let mut rows = problem.rows::<f64>();
             let limits = Limits { momentum, tolerance: 1e-15, ..EVERY };
-            Pgs::new().solve(&lists, &problem.inv_d, &mut rows, limits);
+            by_sweeps(&mut Pgs::new(), &lists, &problem.inv_d, &mut rows, limits);
             assert!(rows.residual(&lists) < 1e-13, "{case}: {:e}", rows.residual(&lists));
             found.push(rows);
         }
@@ -221,7 +221,7 @@ fn sweeps_solve_coulomb_blocks() {
             let problem = wide_contacts(set, 1, c, &mut random);
             let lists = problem.dof_lists();
             let mut rows = problem.rows::<f64>();
-            let report = Pgs::new().solve(&lists, &problem.inv_d, &mut rows, EVERY);
+            let report = by_sweeps(&mut Pgs::new(), &lists, &problem.inv_d, &mut rows, EVERY);
             if !report.open {
                 assert!(rows.residual(&lists) < 1e-13, "{case}: {:e}", rows.residual(&lists));
                 solved += 1;

@@ -29,13 +29,13 @@ const PIVOT: f64 = 1e-5;
 const GUESSES: u32 = 10;
 
 /// The method's memory.
-pub(super) struct Few<R: Real> {
+pub(super) struct ActiveSet<R: Real> {
     gathered: Gathered<R>,
     half: Box<Table<R, HALF>>,
     whole: Box<Table<R, MOST>>,
 }
 
-room!(Few<R>: gathered, half, whole);
+room!(ActiveSet<R>: gathered, half, whole);
 
 /// What one solve reads.
 #[derive(Clone, Copy)]
@@ -47,7 +47,7 @@ pub(super) struct Island<'a, R: Real> {
     pub blocks: &'a [usize],
 }
 
-impl<R: Real> Few<R> {
+impl<R: Real> ActiveSet<R> {
     pub fn new() -> Self {
         Self {
             gathered: Gathered::new(),

@@ -49,7 +49,7 @@ fn add_lines<R: Real, const N: usize>(target: &mut [R], m: usize, lines: &impl L
 }
 
 /// Intervals on the same dofs: rows at a bound have no curvature.
-pub(super) struct Bent<'a, R: Real> {
+pub(super) struct ActiveRows<'a, R: Real> {
     /// Row after row, `len` numbers each.
     pub y: &'a [R],
     pub len: usize,
@@ -59,7 +59,7 @@ pub(super) struct Bent<'a, R: Real> {
     pub starts: [usize; 2],
 }
 
-impl<R: Real> Lines<R> for Bent<'_, R> {
+impl<R: Real> Lines<R> for ActiveRows<'_, R> {
     #[inline(always)]
     fn each(&self, m: usize, mut add: impl FnMut([R; 2], &[R])) {
         let [own, theirs] = self.starts;

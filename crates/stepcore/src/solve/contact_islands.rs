@@ -10,18 +10,20 @@ use crate::real::Real;
 
 /// Working space.
 #[derive(Default)]
-pub(crate) struct Live {
+pub(crate) struct ContactIslands {
     pub(super) union: Union,
     /// By island: how many blocks it has so far.
     blocks: Vec<u32>,
 }
 
-room!(Live: union, blocks);
+room!(ContactIslands: union, blocks);
 
 impl<R: Real> Rows<R> {
     /// Sets the island of every block, and its place there.
     pub(crate) fn find_islands(&mut self, model: &Model<R::Value>, dof_lists: &[usize]) {
-        let Some(Live { union, blocks: counts }) = &mut self.live else { return };
+        let Some(ContactIslands { union, blocks: counts }) = &mut self.contact_islands else {
+            return;
+        };
         union.reset(model.trees.len());
         counts.clear();
         counts.resize(model.trees.len(), 0);

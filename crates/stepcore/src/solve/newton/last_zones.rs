@@ -16,7 +16,7 @@ use crate::solve::rows::{Row, Set};
 impl<R: Real> System<R> {
     /// With the laws at u at hand: impulses, curvature and gradient in the zones of the impulses that
     /// rows start from, in lanes of `live`. Lanes in which that is another zone for some row.
-    pub(super) fn recall(&mut self, problem: Problem<R>, live: R::Mask) -> R::Mask {
+    pub(super) fn take_last_zones(&mut self, problem: Problem<R>, live: R::Mask) -> R::Mask {
         let Problem { rows, blocks, bundles, .. } = problem;
         let (mut recalled, mut at, mut curve) = (R::Mask::of(false), 0, 0);
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {

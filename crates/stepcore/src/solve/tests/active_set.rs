@@ -1,6 +1,6 @@
 //! Islands of few rows under Newton: the active set method against converged PGS.
 
-use super::{close, Problem, Random, EVERY, INF};
+use super::{by_sweeps, close, Problem, Random, EVERY, INF};
 use crate::solve::limits::Limits;
 use crate::solve::newton::Newton;
 use crate::solve::pgs::Pgs;
@@ -28,7 +28,7 @@ fn few_rows_equal_converged_pgs() {
         let lists = problem.dof_lists();
         let mut want = problem.rows::<f64>();
         let limits = Limits { momentum: true, tolerance: 1e-15, ..EVERY };
-        Pgs::new().solve(&lists, &problem.inv_d, &mut want, limits);
+        by_sweeps(&mut Pgs::new(), &lists, &problem.inv_d, &mut want, limits);
         let mut rows = problem.rows::<f64>();
         if case % 2 == 1 {
             // From a warm start that is wrong.

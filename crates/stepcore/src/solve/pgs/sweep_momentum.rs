@@ -11,7 +11,7 @@
 //! A sweep that ends higher than the one before shows that the sets turned the step into a detour.
 //! Then there is none for as many sweeps as that has happened, so that in the end sweeps alone lead on.
 
-use super::super::free::SIX;
+use super::super::free_bodies::SIX;
 use crate::real::{Mask, Real};
 
 /// A body's part of u, on a line of the memory by itself.
@@ -50,7 +50,7 @@ impl<R: Real> Found<R> {
 }
 
 /// The method's memory for the island at hand.
-pub(super) struct Onward<R> {
+pub(super) struct SweepMomentum<R> {
     /// By body: D, u where the sweep began, and the move e.
     d: Vec<Six<R>>,
     from: Vec<Six<R>>,
@@ -63,7 +63,7 @@ pub(super) struct Onward<R> {
     rest: u32,
 }
 
-room!(Onward<R>: d, from, last, energy, fall, failures, rest);
+room!(SweepMomentum<R>: d, from, last, energy, fall, failures, rest);
 
 impl<R: Real> Step<R> {
     pub fn none() -> Self {
@@ -82,7 +82,7 @@ impl<R: Real> Step<R> {
     }
 }
 
-impl<R: Real> Onward<R> {
+impl<R: Real> SweepMomentum<R> {
     pub fn new() -> Self {
         Self {
             d: Vec::new(),

@@ -11,12 +11,12 @@ pub(super) const SIX: usize = 6;
 
 /// Where the dofs of a row's bodies begin.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Free {
+pub(super) struct FreeBodies {
     first: [u32; 2],
     two: bool,
 }
 
-impl Free {
+impl FreeBodies {
     /// Of a list of dofs, if it is one run of six or two.
     pub fn of(list: &[usize]) -> Option<Self> {
         let run = |from: usize| {
@@ -160,21 +160,21 @@ mod tests {
     #[test]
     fn runs_of_six_are_found() {
         let list = |first: usize| (first..first + 6).collect::<Vec<_>>();
-        assert!(Free::of(&list(12)).is_some());
-        assert!(Free::of(&[list(12), list(30)].concat()).is_some_and(|free| free.len() == 12));
-        assert!(Free::of(&[list(12), vec![18]].concat()).is_none());
-        assert!(Free::of(&[0, 1, 2, 3, 4, 6]).is_none());
-        assert!(Free::of(&[]).is_none());
+        assert!(FreeBodies::of(&list(12)).is_some());
+        assert!(FreeBodies::of(&[list(12), list(30)].concat()).is_some_and(|free| free.len() == 12));
+        assert!(FreeBodies::of(&[list(12), vec![18]].concat()).is_none());
+        assert!(FreeBodies::of(&[0, 1, 2, 3, 4, 6]).is_none());
+        assert!(FreeBodies::of(&[]).is_none());
         for known in [list(12), [list(12), list(30)].concat()] {
-            assert_eq!(Free::ascending(&known), Free::of(&known));
+            assert_eq!(FreeBodies::ascending(&known), FreeBodies::of(&known));
         }
-        assert!(Free::ascending(&[0, 1, 2, 3, 4, 6]).is_none());
-        assert!(Free::ascending(&[list(12), vec![18]].concat()).is_none());
+        assert!(FreeBodies::ascending(&[0, 1, 2, 3, 4, 6]).is_none());
+        assert!(FreeBodies::ascending(&[list(12), vec![18]].concat()).is_none());
     }
 
     #[test]
     fn sums_are_sums_over_the_list() {
-        let free = Free::of(&[3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17]).unwrap();
+        let free = FreeBodies::of(&[3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17]).unwrap();
         let y: Vec<f64> = (0..24).map(|i| (0.3 * i as f64).sin()).collect();
         let u: Vec<f64> = (0..20).map(|i| (0.7 * i as f64).cos()).collect();
         let list = [3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17];

@@ -1,0 +1,57 @@
+//! Interval rows that are alone in their island: one update is the whole solution.
+
+use super::islands::{alive, row_count};
+use super::limits::Report;
+use super::rows::{Rows, Set};
+use super::solver::Unconstrained;
+use crate::real::{Count, Mask, Real};
+
+impl<R: Real> Rows<R> {
+    /// Solves the blocks of an island in lanes in which they are one interval row, by one update. Where
+    /// that is `exact` it goes from no impulse and û: nothing of the last one is taken away again, whose
+    /// rounding would stay. Returns these lanes.
+    pub(super) fn solve_one_row(
+        &mut self,
+        free: Unconstrained<R>,
+        blocks: &[usize],
+        exact: bool,
+        report: &mut Report<R>,
+    ) -> R::Mask {
+        let single = self.one_row(blocks);
+        if single.none() {
+            return single;
+        }
+        for b in blocks {
+            let mask = self.blocks[*b].mask.and(single);
+            if mask.none() {
+                continue;
+            }
+            let row = &mut self.rows[self.blocks[*b].rows.start];
+            let dofs = row.dofs.of(free.dof_lists);
+            if exact {
+                row.impulse = R::select(mask, R::zero(), row.impulse);
+                dofs.iter().for_each(|k| self.u[*k] = R::select(mask, free.guess[*k], self.u[*k]));
+            }
+            let impulse = row.updated(row.short(free.dof_lists, &self.y, &self.u));
+            let change = impulse - row.impulse;
+            row.impulse = R::select(mask, impulse, row.impulse);
+            let y = &self.y[row.y..row.y + dofs.len()];
+            Self::kick(&mut self.u, free.inv_d, dofs, y, change, mask);
+        }
+        let (mine, mut once) = (single.and(alive(self, blocks)), Count::ZERO);
+        once.add(mine, 1);
+        report.sweeps.raise(&once);
+        report.updates.add(mine, 1);
+        report.open = report.open.or(mine.and(R::Mask::of(!exact)));
+        single
+    }
+
+    /// Lanes in which the blocks are one interval row, or none.
+    fn one_row(&self, blocks: &[usize]) -> R::Mask {
+        let mut interval = R::Mask::of(true);
+        for block in blocks.iter().map(|b| &self.blocks[*b]) {
+            interval = interval.and(block.mask.not().or(R::Mask::of(block.set == Set::Interval)));
+        }
+        interval.and(row_count(self, blocks).at_most(1))
+    }
+}
