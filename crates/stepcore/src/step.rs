@@ -180,7 +180,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// The contacts of the placement at hand, for reading: those of the last solve stay.
-    pub(crate) fn detected_aside(&self) -> Detected<R> {
+    pub(crate) fn detect_again(&self) -> Detected<R> {
         let mut detected = Detected::new(&self.model, 0);
         // Where a step found room there is room again; else it has refused already.
         let _ = detected.detect(&self.model, &self.placed, self.settings.ahead(), &self.state.qpos);

@@ -159,6 +159,7 @@ impl<R: Real> Group<R> {
     }
 
     /// Takes the arrays of all its worlds, `own`; idle: no force is applied in them.
+    #[inline(never)] // Once a call: copies of it in each caller would only be large.
     pub fn put_all(&mut self, own: &[usize], given: &Givens, idle: bool) {
         if !idle || self.inputs.applied() || self.standing.any() {
             for (lane, world) in own.iter().enumerate() {
@@ -214,6 +215,7 @@ impl<R: Real> Group<R> {
     /// Runs `one` up to `n` times on this group's state in a thread's working space; `worlds`: whose
     /// the lanes are. After each, worlds may fail in `check` as they do in `one`.
     #[allow(clippy::too_many_arguments)]
+    #[inline(never)] // As `put_all`.
     pub fn run(
         &mut self,
         watched: &mut Watched<R>,

@@ -240,10 +240,10 @@ impl Part<'_> {
     pub fn begin<R: Real>(&mut self, watched: &mut Watched<R>) -> Result<()> {
         self.sample(0, false, None, watched)?;
         if self.bounded() {
-            let aside = watched.aside()?;
-            aside.place_poses();
+            let second = watched.second()?;
+            second.place_poses();
             for (lane, home) in self.home.iter_mut().enumerate() {
-                put_poses(&aside.placed.xpos, lane, home);
+                put_poses(&second.placed.xpos, lane, home);
             }
         }
         Ok(())
@@ -260,9 +260,9 @@ impl Part<'_> {
         let any = |what| self.records.iter().any(|(own, ..)| *own == what);
         let mut energy = None;
         if any(Sampled::Energy) {
-            energy = Some(watched.aside()?.energy());
+            energy = Some(watched.second()?.energy());
         } else if any(Sampled::Position) || any(Sampled::Orientation) || self.bounded() {
-            watched.aside()?.place_poses();
+            watched.second()?.place_poses();
         }
         for (what, size, lists) in &mut self.records {
             for (lane, list) in lists.iter_mut().enumerate() {

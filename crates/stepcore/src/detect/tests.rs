@@ -232,7 +232,7 @@ fn kept_pairs_are_those_of_a_new_search() {
                 let contacts = detected.contacts.iter();
                 contacts.map(|c| (c.pair.index, c.part, c.dist.to_bits())).collect::<Vec<_>>()
             };
-            assert_eq!(found(&sim.detected), found(&sim.detected_aside()), "{speed} m/s");
+            assert_eq!(found(&sim.detected), found(&sim.detect_again()), "{speed} m/s");
             sim.step(1).unwrap();
         }
         assert!((1..=most).contains(&searches), "{speed} m/s: {searches} searches");

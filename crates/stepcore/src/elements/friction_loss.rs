@@ -6,7 +6,7 @@ use crate::model::transmission::{Rubbing, Transmission};
 use crate::model::Model;
 use crate::real::{Mask, Real, Value};
 use crate::settings::Law;
-use crate::solve::law::{least_softness, OnGuess, SolRef};
+use crate::solve::law::{least_softness, OnGuess, Spring};
 use crate::solve::{Rows, Set, Situation};
 use crate::spatial::WIDE;
 use std::slice;
@@ -93,7 +93,7 @@ impl<R: Real> Rows<R> {
         row.lo = loss.most.times(-most);
         row.hi = loss.most.times(most);
         if settings.law == Law::SolRef {
-            let law = SolRef::at(&loss.soft, R::zero(), dt, settings.refsafe).without_position();
+            let law = Spring::new(&loss.soft, dt, settings.refsafe).at_rest();
             let least = least_softness(slice::from_ref(row), loss.mass.get());
             law.fill(row, R::zero(), loss.invweight.get(), least, R::of(dt));
         } else {

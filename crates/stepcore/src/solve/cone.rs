@@ -101,6 +101,7 @@ pub(super) struct InCone<R: Real, const N: usize> {
 
 impl<R: Real, const N: usize> InCone<R, N> {
     /// Of a positive definite Q, by its lower half.
+    #[inline(never)] // Once a cone and solve: copies of it in each caller would only be large.
     pub fn new(q: Matrix<R, N>, mu: R) -> Self {
         let q = symmetric(&q);
         let scale = |i: usize| if i == 0 { R::one() } else { mu };
@@ -219,6 +220,7 @@ pub(super) struct InBall<R: Real, const N: usize> {
 
 impl<R: Real, const N: usize> InBall<R, N> {
     /// Of a positive semi-definite Q, by its lower half.
+    #[inline(never)] // As that of `InCone`.
     pub fn new(q: Matrix<R, N>) -> Self {
         let q = symmetric(&q);
         let (v, d) = diagonal(q, false);

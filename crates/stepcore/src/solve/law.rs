@@ -77,6 +77,13 @@ impl<'a, R: Real> Spring<'a, R> {
         let d = impedance_at(self.solimp, r);
         SolRef { b: self.b, kd: self.stiffness * d, softness: (R::one() - d) / d }
     }
+
+    /// Of a row that restores no position: at no violation.
+    #[inline(always)]
+    pub fn at_rest(&self) -> SolRef<R> {
+        let d: R = impedance_at_rest(self.solimp);
+        SolRef { b: self.b, kd: R::zero(), softness: (R::one() - d) / d }
+    }
 }
 
 impl<R: Real> SolRef<R> {
@@ -179,12 +186,21 @@ pub fn impedance_form<N: Constant>(solimp: &[N; 5]) -> ImpedanceForm {
     }
 }
 
+/// d(0).
+fn impedance_at_rest<R: Real>(solimp: &[R::Value; 5]) -> R {
+    let [d0, dw, ..] = solimp;
+    if impedance_form(solimp) == ImpedanceForm::Flat {
+        return Value::calc([d0, dw], |[d0, dw]| 0.5 * (impedance(d0) + impedance(dw)));
+    }
+    Value::calc([d0], |[d0]| impedance(d0))
+}
+
 /// d(r): from d0 at r = 0 along two power curves to dw at |r| = width.
 fn impedance_at<R: Real>(solimp: &[R::Value; 5], r: R) -> R {
     let [d0, dw, width, mid, power] = solimp;
     let form = impedance_form(solimp);
     if form == ImpedanceForm::Flat {
-        return Value::calc([d0, dw], |[d0, dw]| 0.5 * (impedance(d0) + impedance(dw)));
+        return impedance_at_rest(solimp);
     }
     let one = R::one();
     let x = (r.abs() * R::Value::calc([width], |[width]| 1.0 / width)).min(one);

@@ -71,7 +71,7 @@ impl<R: Real> Sim<R> {
         self.refresh();
         let zero = R::zero();
         let depth = |contact: &Contact<R>| R::select(contact.mask, -contact.dist, zero);
-        self.detected_aside().contacts.iter().map(depth).fold(zero, R::max)
+        self.detect_again().contacts.iter().map(depth).fold(zero, R::max)
     }
 
     /// Linear momentum, and angular momentum about the world's origin. Without armature.
@@ -113,7 +113,7 @@ impl<R: Real> Sim<R> {
         if !pulls && !model.adheres {
             return;
         }
-        let detected = self.detected_aside();
+        let detected = self.detect_again();
         if pulls {
             self.placed.pull_contacts(&model, &detected.contacts);
         }

@@ -3,8 +3,8 @@
 //! Body forces and sensors belong to the state at which forces were computed: MuJoCo computes them in
 //! `mj_forward`, before it integrates. A step leaves its placement, its rows and its impulses in the
 //! `Sim`, and the state that it started from in `next`: while both stand they are read there, with
-//! that state put back as long as it takes. Only where they do not stand the solve is made again,
-//! aside: where several were made in the step (`midpoint`, `rk4`), where somebody may sleep (what rests
+//! that state put back as long as it takes. Where they do not stand, a second `Sim` makes the solve
+//! again: where several were made in the step (`midpoint`, `rk4`), where somebody may sleep (what rests
 //! on something presses on it, asleep or not), and where something else was computed since.
 
 use crate::arrays::{ArraySet, Given};
@@ -14,14 +14,14 @@ use crate::settings::Settings;
 use crate::sim::{Effort, Sim};
 use crate::state::{Inputs, State};
 
-/// The state and the inputs at which a `Sim` last solved, and a `Sim` for what is computed aside.
+/// The state and the inputs at which a `Sim` last solved, and a second `Sim`, which makes solves again.
 pub struct LastSolve<R: Real> {
     at: At,
     /// Where it was, once it is `Kept`.
     start: State<R>,
     inputs: Inputs<R>,
-    aside: Option<Box<Sim<R>>>,
-    /// Where `aside` is.
+    second: Option<Box<Sim<R>>>,
+    /// Where the second one stands.
     there: There,
 }
 
@@ -58,7 +58,7 @@ impl At {
     }
 }
 
-/// Where the `Sim` aside is.
+/// Where the second `Sim` stands.
 #[derive(Clone, Copy, PartialEq)]
 enum There {
     Elsewhere,
@@ -67,7 +67,7 @@ enum There {
     Solved,
 }
 
-room!(LastSolve<R>: at, start, inputs, aside, there);
+room!(LastSolve<R>: at, start, inputs, second, there);
 
 impl<R: Real> LastSolve<R> {
     pub fn new(sim: &Sim<R>) -> Self {
@@ -76,7 +76,7 @@ impl<R: Real> LastSolve<R> {
             at: At::Nowhere,
             start: State::new(model),
             inputs: Inputs::new(model),
-            aside: None,
+            second: None,
             there: There::Elsewhere,
         }
     }
@@ -175,38 +175,38 @@ impl<R: Real> LastSolve<R> {
         }
         let there = std::mem::replace(&mut self.there, There::Elsewhere);
         let (start, inputs) = (&self.start, &self.inputs);
-        let aside = sim_aside(&mut self.aside, sim)?;
+        let second = second_sim(&mut self.second, sim)?;
         if there == There::Elsewhere {
-            start.copy_to(&mut aside.state);
-            inputs.copy_to(&mut aside.inputs);
+            start.copy_to(&mut second.state);
+            inputs.copy_to(&mut second.inputs);
         }
         if solve && there != There::Solved {
-            aside.forward()?;
+            second.forward()?;
         }
         let solved = solve || there == There::Solved;
         self.there = if solved { There::Solved } else { There::Placed };
-        Ok(read(aside))
+        Ok(read(second))
     }
 
     /// A `Sim` placed at the state and inputs that are given, which were checked.
     pub fn present(&mut self, sim: &Sim<R>, given: &Given) -> Result<&mut Sim<R>> {
         self.there = There::Elsewhere;
-        let aside = sim_aside(&mut self.aside, sim)?;
-        aside.put(0, given);
-        aside.refresh();
-        Ok(aside)
+        let second = second_sim(&mut self.second, sim)?;
+        second.put(0, given);
+        second.refresh();
+        Ok(second)
     }
 }
 
-/// Nobody sleeps in it.
-pub(super) fn sim_aside<'a, R: Real>(
-    aside: &'a mut Option<Box<Sim<R>>>,
+/// The second `Sim`, in which nobody sleeps.
+pub(super) fn second_sim<'a, R: Real>(
+    second: &'a mut Option<Box<Sim<R>>>,
     sim: &Sim<R>,
 ) -> Result<&'a mut Sim<R>> {
-    Ok(match aside {
-        Some(aside) => {
-            aside.take_models(&sim.models());
-            aside
+    Ok(match second {
+        Some(second) => {
+            second.take_models(&sim.models());
+            second
         }
         none => {
             let settings = Settings { sleep: false, ..sim.settings.clone() };

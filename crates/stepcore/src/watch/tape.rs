@@ -167,7 +167,7 @@ impl<R: Real> Sim<R> {
             stored(&now, group, &mut |element, energy| add(element, energy.lane(lane)));
         }
         if self.settings.law == Law::Penalty {
-            let detected = self.detected_aside();
+            let detected = self.detect_again();
             for contact in &detected.contacts {
                 let energy = penalty::stored(&self.settings, contact);
                 add(contact.element(), energy.lane(lane));

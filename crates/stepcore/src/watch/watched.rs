@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::last_solve::sim_aside;
+use super::last_solve::second_sim;
 use super::ledger::{Care, Ledger};
 use super::past::Past;
 use super::post_mortem::{look_into, Run};
@@ -24,8 +24,8 @@ pub struct Watched<R: Real> {
     past: Past<R>,
     ledger: Option<Box<Ledger<R>>>,
     others: Others,
-    /// For what is computed beside the last solve.
-    aside: Option<Box<Sim<R>>>,
+    /// Computes what is asked and leaves the last solve of the first as it is.
+    second: Option<Box<Sim<R>>>,
     /// The last step failed: its impulses are no start for another state.
     failed: bool,
 }
@@ -58,7 +58,7 @@ impl<R: Real> Watched<R> {
             past: Past::new(&sim.model),
             ledger: fixed.then(|| Box::new(Ledger::new(&sim.model, care))),
             others: Others { copies: 0, worlds: 1 },
-            aside: None,
+            second: None,
             failed: false,
             sim,
         }
@@ -210,7 +210,7 @@ impl<R: Real> Watched<R> {
     /// model is not in it.
     pub fn bytes(&self) -> usize {
         let ledger = self.ledger.as_ref().map_or(0, Room::room);
-        size_of::<Self>() + self.sim.room() + self.aside.room() + self.past.room() + ledger
+        size_of::<Self>() + self.sim.room() + self.second.room() + self.past.room() + ledger
     }
 }
 
@@ -240,18 +240,18 @@ impl<R: Real> Watched<R> {
         }
     }
 
-    /// A `Sim` beside, with the state and the inputs at hand: what is computed there leaves what was
+    /// A second `Sim`, with the state and the inputs at hand: what is computed there leaves what was
     /// solved last as it is.
-    pub(crate) fn aside(&mut self) -> Result<&mut Sim<R>> {
-        let aside = sim_aside(&mut self.aside, &self.sim)?;
-        self.sim.state.copy_to(&mut aside.state);
-        self.sim.inputs.copy_to(&mut aside.inputs);
-        Ok(aside)
+    pub(crate) fn second(&mut self) -> Result<&mut Sim<R>> {
+        let second = second_sim(&mut self.second, &self.sim)?;
+        self.sim.state.copy_to(&mut second.state);
+        self.sim.inputs.copy_to(&mut second.inputs);
+        Ok(second)
     }
 
-    /// Where bodies were placed last in the `Sim` beside; before that, where they are in steps.
+    /// Where bodies were placed last in the second `Sim`; before that, where they are in steps.
     pub(crate) fn placed(&self) -> &Placed<R> {
-        self.aside.as_ref().map_or(&self.sim.placed, |aside| &aside.placed)
+        self.second.as_ref().map_or(&self.sim.placed, |second| &second.placed)
     }
 
     /// A lane that stands for a world of its own.

@@ -121,11 +121,11 @@ pub(crate) struct Ledger<R: Real> {
     /// What the user has not been told yet; nothing more is looked for.
     said: Option<Box<Divergence>>,
     /// Where a call's last state is looked at: what was solved last stays readable.
-    aside: Option<Box<Sim<R>>>,
+    second: Option<Box<Sim<R>>>,
 }
 
 room!(Ledger<R>: care, opened, milestones, at, len, accounts, levels, verdicts, work, seen,
-    expected, balanced, asked, aside; said);
+    expected, balanced, asked, second; said);
 
 impl<R: Real> Ledger<R> {
     pub fn care(&self) -> Care {
@@ -155,7 +155,7 @@ impl<R: Real> Ledger<R> {
             balanced: false,
             asked: R::LANES,
             said: None,
-            aside: None,
+            second: None,
         }
     }
 
@@ -426,14 +426,14 @@ impl<R: Real> Ledger<R> {
 
     /// Sums up the energies of `sim` in a copy; false if that failed.
     fn audit_aside(&mut self, sim: &Sim<R>) -> Result<bool> {
-        let aside = match &mut self.aside {
-            Some(aside) => aside,
+        let second = match &mut self.second {
+            Some(second) => second,
             none => none.insert(Box::new(Sim::side_by_side(sim.models(), sim.settings.clone())?)),
         };
-        aside.take_models(&sim.models());
-        sim.state.copy_to(&mut aside.state);
-        sim.inputs.copy_to(&mut aside.inputs);
-        Ok(aside.audit(&mut self.levels, &self.work))
+        second.take_models(&sim.models());
+        sim.state.copy_to(&mut second.state);
+        sim.inputs.copy_to(&mut second.inputs);
+        Ok(second.audit(&mut self.levels, &self.work))
     }
 
     /// Balances the account of a run that ended: what was gained, and what circulated [J].
