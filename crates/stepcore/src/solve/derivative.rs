@@ -197,16 +197,15 @@ fn hold(impulses: &[f64], free: Unconstrained<Dual>, rows: &mut Rows<Dual>, forc
                 Set::Interval => bound_slopes(row, impulses[at]),
                 _ => friction[k],
             };
-            let held = Dual { value: impulses[at], slopes };
-            let change = held - row.impulse;
-            row.impulse = held;
+            row.impulse = Dual { value: impulses[at], slopes };
             for (k, y) in row.dofs.of(free.dof_lists).iter().zip(&rows.y[row.y..]) {
-                force[*k] += *y * change;
+                force[*k] += *y * row.impulse;
             }
         }
     }
-    for ((u, inv_d), force) in rows.u.iter_mut().zip(free.inv_d).zip(force) {
-        *u += *inv_d * *force;
+    for (((u, guess), inv_d), force) in rows.u.iter_mut().zip(free.guess).zip(free.inv_d).zip(force)
+    {
+        *u = *guess + *inv_d * *force;
     }
 }
 

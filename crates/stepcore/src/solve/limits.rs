@@ -15,7 +15,8 @@ pub struct Limits {
     /// Accelerate: see `momentum.rs`. For laws whose rows are all convex; an island
     /// with a Coulomb block runs plain.
     pub momentum: bool,
-    /// One sweep solves a row that is alone, and it may end there.
+    /// One update solves a row that is alone; and a solve may end there.
+    pub solves_one: bool,
     pub exact: bool,
     /// A tolerance below what rounding leaves of a residual is raised to that.
     pub rounding: bool,
@@ -33,6 +34,7 @@ impl Limits {
             },
             // By the law and not by the rows at hand, so that a lane equals its world alone.
             momentum: settings.acceleration == Acceleration::Momentum && !settings.law.on_guess(),
+            solves_one: settings.law != Law::Relaxed,
             exact: sweeps > 0 && settings.tolerance > 0.0 && settings.law != Law::Relaxed,
             rounding: settings.sweeps == Sweeps::Auto,
         }

@@ -42,7 +42,6 @@ impl<R: Real> Rows<R> {
         once.add(mine, 1);
         report.sweeps.raise(&once);
         report.updates.add(mine, 1);
-        report.open = report.open.or(mine.and(R::Mask::of(!exact)));
         single
     }
 

@@ -90,7 +90,8 @@ impl<R: Real> Pgs<R> {
             let mut live = alive(rows, blocks);
             // One update is all that is asked, or all that it takes.
             if limits.exact || limits.sweeps == 1 {
-                let single = rows.solve_one_row(free, blocks, limits.exact, &mut report);
+                let single = rows.solve_one_row(free, blocks, limits.solves_one, &mut report);
+                report.open = report.open.or(live.and(single).and(R::Mask::of(!limits.exact)));
                 live = live.and(single.not());
             }
             if live.none() {

@@ -154,6 +154,7 @@ pub(super) const EVERY: Limits = Limits {
     tolerance: 1e-14,
     momentum: false,
     cost: 0.0,
+    solves_one: true,
     exact: false,
     rounding: false,
 };
