@@ -11,10 +11,10 @@
 mod gather;
 mod table;
 
-use super::islands::row_count;
+use super::islands::intervals_at_most;
 use super::limits::Report;
-use super::rows::{Rows, Set};
-use crate::real::{Mask, Real};
+use super::rows::Rows;
+use crate::real::Real;
 use gather::Gathered;
 use table::Table;
 
@@ -56,20 +56,13 @@ impl<R: Real> ActiveSet<R> {
         }
     }
 
-    /// Lanes in which all rows of these blocks are intervals, and few. A lane's own rows
-    /// decide, whatever its neighbours have.
+    /// Lanes in which all rows of these blocks are intervals, and few.
     pub fn fits(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
-        let mut fits = R::Mask::of(true);
-        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-            if block.set != Set::Interval {
-                fits = fits.and(block.mask.not());
-            }
-        }
-        fits.and(row_count(rows, blocks).at_most(MOST as u64))
+        intervals_at_most(rows, blocks, MOST as u64)
     }
 
-    /// Solves an island in the lanes `mine`; `rows.u` and the impulses as for the other
-    /// solvers. Returns the lanes that it left unsolved.
+    /// Solves an island from û in the lanes `mine`; writes impulses, and u with their effect. Returns the
+    /// lanes that it left unsolved.
     pub fn solve(
         &mut self,
         island: Island<R>,

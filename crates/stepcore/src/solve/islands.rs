@@ -1,6 +1,6 @@
 //! The blocks of each island: what can be solved by itself.
 
-use super::rows::{Block, Rows};
+use super::rows::{Block, Rows, Set};
 use crate::model::Model;
 use crate::real::{Count, Mask, Real};
 
@@ -68,6 +68,18 @@ impl<R: Real> Rows<R> {
 /// Lanes in which an island has some block.
 pub(super) fn alive<R: Real>(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
     blocks.iter().fold(R::Mask::of(false), |mask, b| mask.or(rows.blocks[*b].mask))
+}
+
+/// Lanes in which all rows of these blocks are intervals, so many at most. A lane's own rows decide,
+/// whatever its neighbours have.
+pub(super) fn intervals_at_most<R: Real>(rows: &Rows<R>, blocks: &[usize], most: u64) -> R::Mask {
+    let mut intervals = R::Mask::of(true);
+    for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+        if block.set != Set::Interval {
+            intervals = intervals.and(block.mask.not());
+        }
+    }
+    intervals.and(row_count(rows, blocks).at_most(most))
 }
 
 /// How many rows of these blocks each lane has.

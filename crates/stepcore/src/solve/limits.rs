@@ -15,8 +15,9 @@ pub struct Limits {
     /// Accelerate: see `momentum.rs`. For laws whose rows are all convex; an island
     /// with a Coulomb block runs plain.
     pub momentum: bool,
-    /// One update solves a row that is alone; and a solve may end there.
+    /// One update solves a row that is alone.
     pub solves_one: bool,
+    /// It does, and a solve may end there, as a tolerance is asked.
     pub exact: bool,
     /// A tolerance below what rounding leaves of a residual is raised to that.
     pub rounding: bool,

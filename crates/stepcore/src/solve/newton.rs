@@ -101,8 +101,8 @@ impl<R: Real> Newton<R> {
         }
     }
 
-    /// Solves `rows`, starting from their impulses where that is better than none;
-    /// `rows.u` must hold û (`guess`) and their effect, and does so again afterwards.
+    /// Solves `rows`, starting at `rows.start`, or else `rows.u`, where that is better than û (`guess`);
+    /// afterwards `rows.u` holds û and the effect of the impulses.
     ///
     /// Ends at rounding, or with a tolerance once the residual is certainly within
     /// it, or after `limits.sweeps` iterations. Changes nothing when it refuses.

@@ -1,8 +1,8 @@
 //! Interval rows that are alone in their island: one update is the whole solution.
 
-use super::islands::{alive, row_count};
+use super::islands::{alive, intervals_at_most};
 use super::limits::Report;
-use super::rows::{Rows, Set};
+use super::rows::Rows;
 use super::solver::Unconstrained;
 use crate::real::{Count, Mask, Real};
 
@@ -17,7 +17,7 @@ impl<R: Real> Rows<R> {
         exact: bool,
         report: &mut Report<R>,
     ) -> R::Mask {
-        let single = self.one_row(blocks);
+        let single = intervals_at_most(self, blocks, 1);
         if single.none() {
             return single;
         }
@@ -43,14 +43,5 @@ impl<R: Real> Rows<R> {
         report.sweeps.raise(&once);
         report.updates.add(mine, 1);
         single
-    }
-
-    /// Lanes in which the blocks are one interval row, or none.
-    fn one_row(&self, blocks: &[usize]) -> R::Mask {
-        let mut interval = R::Mask::of(true);
-        for block in blocks.iter().map(|b| &self.blocks[*b]) {
-            interval = interval.and(block.mask.not().or(R::Mask::of(block.set == Set::Interval)));
-        }
-        interval.and(row_count(self, blocks).at_most(1))
     }
 }

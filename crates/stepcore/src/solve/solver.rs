@@ -24,8 +24,8 @@ pub(crate) struct Unconstrained<'a, R: Real> {
 /// Finds the impulses of rows. A `Sim` holds one: `Solvers`, or in numbers that carry slopes
 /// `Differentiated`.
 pub(crate) trait Solve<R: Real>: Room + Send + Sync {
-    /// Starts from the impulses that `rows` hold; `rows.u` must hold û and their effect, and
-    /// does so again afterwards.
+    /// Starts from the impulses that `rows` hold. `rows.u` must hold û and their effect, or where
+    /// `rows.start` says where to begin û alone; afterwards it holds û and the effect of the new ones.
     fn solve(
         &mut self,
         settings: &Settings,
