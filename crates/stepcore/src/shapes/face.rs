@@ -81,12 +81,33 @@ impl Pairing<'_> {
         facing.iter().flatten().any(certain).then_some(best)
     }
 
-    /// How far what is over a face is from the face's sides; negative beside it.
+    /// No direction less than twice an angle with this tangent away says more than the best face.
+    pub(super) fn tops(
+        &self,
+        facing: &[Option<Facing>; 2],
+        best: &Separation,
+        tangent: f64,
+    ) -> bool {
+        facing.iter().flatten().filter(|own| own.separation.normal == best.normal).any(|own| {
+            let room = self.room_on(own);
+            room > ROOM * self.size && room >= -best.apart * tangent
+        })
+    }
+
+    /// How far what is over a face is from the face's sides; negative beside it. Where that is a face or
+    /// an edge, of which `over` is some corner, the place of it nearest to the middle tells.
     fn room_on(&self, Facing { separation, face, over }: &Facing) -> f64 {
-        match separation.cause {
-            Cause::FaceOne(_) => self.one.room(*face, over),
-            _ => self.two.room(*face, over),
+        let n = separation.normal;
+        let (own, other, outward, way) = match separation.cause {
+            Cause::FaceOne(_) => (&self.one, &self.two, n, self.between),
+            _ => (&self.two, &self.one, -n, -self.between),
+        };
+        let room = own.room(*face, over);
+        if room > ROOM * self.size {
+            return room;
         }
+        let Some(middle) = own.middle(*face) else { return room };
+        own.room(*face, &(other.furthest_near(&-outward, &(middle - way)) + way)).max(room)
     }
 
     /// No other direction says more: `room` is that of the origin's foot.

@@ -34,6 +34,8 @@ pub struct Hull {
     /// Ends of triangles' edges: vertex v's neighbours are `adjacent[starts[v]..starts[v + 1]]`.
     starts: Vec<usize>,
     adjacent: Vec<usize>,
+    /// The same without lines inside of level faces.
+    folds: Vec<Vec<usize>>,
     /// By cell of directions the vertex furthest along the middle of the cell, from which the others
     /// of the cell are climbed to; empty where nobody climbs.
     nearby: Vec<usize>,
@@ -120,6 +122,7 @@ impl Hull {
             edges,
             starts,
             adjacent,
+            folds: Vec::new(),
             nearby: Vec::new(),
             faces_along: ByDirection::default(),
             reach,
@@ -132,8 +135,31 @@ impl Hull {
             let low = hull.faces[i].corners.iter().fold(offset, lowest);
             (hull.faces[i].offset, hull.faces[i].level) = (offset, offset - low <= LEVEL * reach);
         }
+        hull.find_folds();
         hull.find_nearby();
         hull
+    }
+
+    fn find_folds(&mut self) {
+        let mut edges: Vec<_> = self.edges.iter().map(|edge| edge.ends).collect();
+        edges.iter_mut().for_each(|ends| ends.sort_unstable());
+        edges.sort_unstable();
+        let mut uneven = vec![Vec::new(); self.vertices.len()];
+        for (index, face) in self.faces.iter().enumerate().filter(|(_, face)| !face.level) {
+            face.corners.iter().for_each(|corner| uneven[*corner].push(index));
+        }
+        let folded = &|one: usize, other: usize| {
+            edges.binary_search(&[one.min(other), one.max(other)]).is_ok()
+                || uneven[one].iter().any(|face| uneven[other].contains(face))
+        };
+        let of =
+            |one| self.neighbours(one).iter().copied().filter(move |other| folded(one, *other));
+        self.folds = (0..self.vertices.len()).map(|one| of(one).collect()).collect();
+    }
+
+    /// The vertices at the other ends of the edges from a vertex along which the surface folds.
+    pub fn folds(&self, vertex: usize) -> &[usize] {
+        &self.folds[vertex]
     }
 
     /// How far a point lies outside of the face that it is furthest from; negative inside.

@@ -7,7 +7,7 @@
 
 use super::contact_feature::{feature, Corner, Feature, Polygon, CORNERS};
 use super::separation::{Cause, Separation};
-use super::solid::{Core, Solid};
+use super::solid::{on_segment, Core, Solid};
 use super::spread::spread;
 use crate::real::Real;
 use crate::spatial::V3;
@@ -439,13 +439,6 @@ impl<R: Real> ContactPatch<'_, R> {
             out.add(self.contact(&p, &q, name(6, label, 0)));
         }
     }
-}
-
-/// The point of a segment nearest to a point.
-fn on_segment<R: Real>(a: &V3<R>, b: &V3<R>, to: &V3<R>) -> V3<R> {
-    let along = b - a;
-    let share = along.dot(&(to - a)) * along.dot(&along).recip_or_zero();
-    a + along * share.clamp(R::zero(), R::one())
 }
 
 /// At most `most` of the points: the deepest, and then each time the one furthest from those

@@ -57,9 +57,12 @@ impl Pairing<'_> {
             if let (Some(shell), true, false) = (shell, proven && !polytope.torn, self.smooth) {
                 polytope.keep(shell.get_or_insert_default(), SHELL);
             }
-            let found =
-                best.map_or_else(|| self.refine(&-polytope.best), |best| self.settled(best));
-            self.topped(found)
+            match best {
+                // Nothing is much better, and nothing nearby is.
+                Some(best) if self.smooth && self.holds(&best) => best,
+                Some(best) => self.topped(self.settled(best)),
+                None => self.topped(self.refine(&-polytope.best)),
+            }
         })
     }
 

@@ -1,5 +1,6 @@
 //! From a rough direction to the largest separation near it.
 
+use super::gjk::Vertex;
 use super::peak::peak;
 use super::separation::{across, across_both, Cause, Pairing, Separation, ROUNDING};
 use super::solid::{Core, Solid};
@@ -40,6 +41,16 @@ impl Seen {
 
     fn apart_at_most(&self, normal: &V3<f64>) -> f64 {
         self.points.iter().map(|point| normal.dot(point)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The same along whatever direction, and along one across an edge: positive numbers.
+    fn reach(&self) -> f64 {
+        self.points.iter().map(|point| point.dot(point)).fold(f64::INFINITY, f64::min).sqrt()
+    }
+
+    fn reach_across(&self, edge: &V3<f64>) -> f64 {
+        let square = |point: &V3<f64>| point.dot(point) - edge.dot(point) * edge.dot(point);
+        self.points.iter().map(square).fold(f64::INFINITY, f64::min).max(0.0).sqrt()
     }
 }
 
@@ -93,16 +104,22 @@ impl Pairing<'_> {
     }
 
     /// The place along the normal at which the separation is taken belongs to both shapes.
-    fn holds(&self, found: &Separation) -> bool {
+    pub(super) fn holds(&self, found: &Separation) -> bool {
         let n = &found.normal;
         let (p, q) = (self.one.support(n).0, self.between + self.two.support(&-n).0);
         let off = HOLDS * self.size;
         match found.cause {
             Cause::FaceOne(_) | Cause::EdgeOne(_) => {
-                self.one.outside(&(q - n * found.apart)) <= off
+                let over = |q: V3<f64>| self.one.outside(&(q - n * found.apart)) <= off;
+                let middle = || self.one.face(n).and_then(|(.., face)| self.one.middle(face));
+                let beside = |at| self.between + self.two.furthest_near(&-n, &(at - self.between));
+                over(q) || middle().is_some_and(|at| over(beside(at)))
             }
             Cause::FaceTwo(_) | Cause::EdgeTwo(_) => {
-                self.two.outside(&(p + n * found.apart - self.between)) <= off
+                let over = |p| self.two.outside(&(p + n * found.apart - self.between)) <= off;
+                let middle = || self.two.face(&-n).and_then(|(.., face)| self.two.middle(face));
+                let beside = |at| self.one.furthest_near(n, &(at + self.between));
+                over(p) || middle().is_some_and(|at| over(beside(at)))
             }
             Cause::Edges(e, f) => {
                 let [e, f] = [self.one.pose.to_world(&e), self.two.pose.to_world(&f)];
@@ -121,12 +138,16 @@ impl Pairing<'_> {
     pub(super) fn refine_once(&self, rough: &V3<f64>, near: f64) -> Separation {
         let mut seen = self.seen(rough);
         let start = rough.dot(&seen.points[0]);
-        let facing = self.facing(rough, (1.0 - near * near).sqrt());
+        let level = (1.0 - near * near).sqrt();
+        let facing = self.facing(rough, level);
         let mut best = self.best_of(&facing).unwrap_or(Separation {
             normal: *rough,
             apart: f64::NEG_INFINITY,
             cause: Cause::Free,
         });
+        if self.tops(&facing, &best, near / level) {
+            return best;
+        }
         let offer = |best: &mut Separation, normal: V3<f64>, apart: f64, cause: Cause| {
             if apart > best.apart + ROUNDING * self.size {
                 *best = Separation { normal, apart, cause };
@@ -151,16 +172,24 @@ impl Pairing<'_> {
         if self.smooth || start > 0.0 {
             let starts = [Some(*rough), self.over_rim_of_one(rough), self.over_rim_of_two(rough)];
             for from in starts.iter().flatten() {
-                for e in &ones[..nones] {
-                    let (normal, apart) = self.climb(from, Some(e), &mut seen);
-                    offer(&mut best, normal, apart, Cause::EdgeOne(self.one.pose.to_local(e)));
+                if seen.reach() <= best.apart {
+                    break;
                 }
-                for f in &twos[..ntwos] {
-                    let (normal, apart) = self.climb(from, Some(f), &mut seen);
-                    offer(&mut best, normal, apart, Cause::EdgeTwo(self.two.pose.to_local(f)));
+                let (top, most) = self.climb(from, None, &mut seen);
+                for (solid, flip) in [(&self.one, 1.0), (&self.two, -1.0)] {
+                    let (edges, count) = edges(solid, &(top * flip), near);
+                    for e in &edges[..count] {
+                        if seen.reach_across(e) <= best.apart {
+                            continue;
+                        }
+                        let (normal, apart) = self.climb(&top, Some(e), &mut seen);
+                        let own = solid.pose.to_local(e);
+                        let cause =
+                            if flip > 0.0 { Cause::EdgeOne(own) } else { Cause::EdgeTwo(own) };
+                        offer(&mut best, normal, apart, cause);
+                    }
                 }
-                let (normal, apart) = self.climb(from, None, &mut seen);
-                offer(&mut best, normal, apart, Cause::Free);
+                offer(&mut best, top, most, Cause::Free);
             }
         }
         offer(&mut best, *rough, start, Cause::Free);
@@ -191,7 +220,8 @@ impl Pairing<'_> {
     fn climb(&self, rough: &V3<f64>, edge: Option<&V3<f64>>, seen: &mut Seen) -> (V3<f64>, f64) {
         let onto = |n: V3<f64>| edge.map_or(n, |e| n - e * e.dot(&n));
         let mut normal = unit(&onto(*rough));
-        let mut point = self.furthest(&-normal);
+        let Vertex { at: mut point, pieces } = self.vertex(&-normal);
+        let mut pieces = pieces.map(|piece| piece as usize);
         let mut apart = normal.dot(&point);
         let mut hidden = 0;
         for _ in 0..STEPS {
@@ -201,7 +231,7 @@ impl Pairing<'_> {
             let better = loop {
                 let next = unit(&onto(normal + step * share));
                 if seen.apart_at_most(&next) > apart - 2.0 * ROUNDING * self.size {
-                    let there = self.furthest(&-next);
+                    let there = self.furthest_from(&mut pieces, &-next);
                     seen.add(there);
                     let gained = next.dot(&there);
                     if gained > apart {
@@ -280,7 +310,7 @@ fn edges(solid: &Solid<f64>, rough: &V3<f64>, near: f64) -> ([V3<f64>; EDGES], u
             let corner = solid.support(rough).1;
             let here = solid.corner(corner);
             let mut k = 0;
-            while let Some(next) = solid.neighbour(corner, k) {
+            while let Some(next) = solid.fold(corner, k) {
                 add(unit(&(solid.corner(next) - here)));
                 k += 1;
             }

@@ -101,6 +101,15 @@ impl<'a> Pairing<'a> {
         [self.one.support(&-way), self.two.support(way)]
     }
 
+    /// The point of two minus one furthest along a direction, from the pieces furthest along one near it.
+    pub(super) fn furthest_from(&self, [one, two]: &mut [usize; 2], way: &V3<f64>) -> V3<f64> {
+        self.asked.set(self.asked.get() + 1);
+        let (near, far);
+        (near, *one) = self.one.support_from(*one, &-way);
+        (far, *two) = self.two.support_from(*two, way);
+        self.between + (far - near)
+    }
+
     /// Which pieces of the two are least apart along a unit direction.
     pub(super) fn pieces(&self, normal: &V3<f64>) -> (usize, usize) {
         (self.one.piece(normal), self.two.piece(&-normal))

@@ -35,6 +35,8 @@ pub struct Solid<'a, R: Real> {
     pub pose: &'a Pose<R>,
 }
 
+/// Sine of an angle that is but rounding.
+const LEVEL: f64 = 1e-13;
 /// The two other corners of a prism's triangle, and the one across.
 const PRISM: [[usize; 3]; 6] = [[1, 2, 3], [2, 0, 4], [0, 1, 5], [5, 4, 0], [3, 5, 1], [4, 3, 2]];
 
@@ -61,6 +63,14 @@ impl<'a, R: Real> Solid<'a, R> {
     pub fn support(&self, direction: &V3<R>) -> (V3<R>, usize) {
         let (local, corner) = self.support_local(&self.pose.to_local(direction));
         (self.pose.to_world(&local), corner)
+    }
+
+    /// The same, found from a corner that was the furthest along a direction near this one.
+    pub fn support_from(&self, corner: usize, direction: &V3<R>) -> (V3<R>, usize) {
+        let Core::Hull(hull) = self.core else { return self.support(direction) };
+        let local = self.pose.to_local(direction).map(|x| x.lane(0));
+        let corner = hull.support_from(corner, &local);
+        (self.pose.to_world(&hull.vertices[corner].map(R::of)), corner)
     }
 
     fn support_local(&self, d: &V3<R>) -> (V3<R>, usize) {
@@ -188,6 +198,80 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
+    /// The middle of a level face, from the centre.
+    pub fn middle(&self, face: usize) -> Option<V3<f64>> {
+        let local = match self.core {
+            Core::Cylinder(_, half) => V3::z() * if face == 1 { half } else { -half },
+            Core::Box(size) => on_box_face(face, &size, V3::zeros()),
+            Core::Hull(hull) => {
+                let Face { corners, level: true, .. } = &hull.faces[face] else { return None };
+                let sum = corners.iter().fold(V3::zeros(), |sum, k| sum + hull.vertices[*k]);
+                sum * (1.0 / corners.len() as f64)
+            }
+            _ => return None,
+        };
+        Some(plain(self.pose).to_world(&local))
+    }
+
+    /// Of the places furthest along a unit direction, but for rounding, one as near to a point as there
+    /// is: a corner, and places of a face or of an edge.
+    pub fn furthest_near(&self, direction: &V3<R>, to: &V3<f64>) -> V3<f64> {
+        let plain_of = |v: &V3<R>| v.map(|x| x.lane(0));
+        let n = plain_of(direction);
+        let face = self.face(direction).filter(|(normal, ..)| {
+            let lean = plain_of(normal).cross(&n);
+            lean.dot(&lean) <= LEVEL * LEVEL
+        });
+        if let Some(place) = face.and_then(|(.., face)| self.nearest(face, to)) {
+            return place;
+        }
+        let (here, corner) = self.support(direction);
+        let here = plain_of(&here);
+        let mut best = here;
+        let mut along = |there: V3<f64>| {
+            let (way, place) = (there - here, on_segment(&here, &there, to));
+            let level = way.dot(&n) * way.dot(&n) <= LEVEL * LEVEL * way.dot(&way);
+            if level && (place - to).dot(&(place - to)) < (best - to).dot(&(best - to)) {
+                best = place;
+            }
+        };
+        if let Core::Cylinder(_, half) = self.core {
+            let axis = plain_of(&self.pose.axis(2));
+            along(here - axis * (2.0 * half).copysign(axis.dot(&here)));
+        }
+        (0..).map_while(|k| self.fold(corner, k)).for_each(|k| along(plain_of(&self.corner(k))));
+        best
+    }
+
+    fn nearest(&self, face: usize, to: &V3<f64>) -> Option<V3<f64>> {
+        let pose = plain(self.pose);
+        let p = pose.to_local(to);
+        let local = match self.core {
+            Core::Cylinder(radius, half) => {
+                let share = (radius * (p.x * p.x + p.y * p.y).sqrt().recip_or_zero()).min(1.0);
+                V3::new(p.x * share, p.y * share, if face == 1 { half } else { -half })
+            }
+            Core::Box(size) => on_box_face(face, &size, p),
+            Core::Hull(hull) => {
+                let Face { normal, corners, level: true, .. } = &hull.faces[face] else {
+                    return None;
+                };
+                let corner = |k: usize| hull.vertices[corners[k % corners.len()]];
+                let foot = p - normal * normal.dot(&(p - corner(0)));
+                if within(&p, normal, corners.len(), corner) >= 0.0 {
+                    foot
+                } else {
+                    let sides =
+                        (0..corners.len()).map(|k| on_segment(&corner(k), &corner(k + 1), &p));
+                    let square = |x: &V3<f64>| (x - foot).dot(&(x - foot));
+                    sides.min_by(|a, b| square(a).total_cmp(&square(b)))?
+                }
+            }
+            _ => return None,
+        };
+        Some(pose.to_world(&local))
+    }
+
     /// How the furthest point moves as the unit direction turns by a small `turn` across it: the
     /// second derivative of the reach, times `turn`. 0 at a corner.
     pub fn bend(&self, direction: &V3<f64>, turn: &V3<f64>) -> V3<f64> {
@@ -235,6 +319,14 @@ impl<'a, R: Real> Solid<'a, R> {
             Core::Prism(_) => PRISM[corner].get(k).copied(),
             Core::Segment(_) => (k == 0).then_some(1 - corner),
             _ => None,
+        }
+    }
+
+    /// The same, of edges along which the surface folds.
+    pub fn fold(&self, corner: usize, k: usize) -> Option<usize> {
+        match self.core {
+            Core::Hull(hull) => hull.folds(corner).get(k).copied(),
+            _ => self.neighbour(corner, k),
         }
     }
 
@@ -302,6 +394,22 @@ const LEAN: f64 = 0.3;
 /// corners; `normal_of` looks away from the other corners.
 pub const PRISM_FACES: [&[usize]; 5] =
     [&[0, 1, 2], &[3, 4, 5], &[0, 1, 4, 3], &[1, 2, 5, 4], &[2, 0, 3, 5]];
+
+/// The point of a box's face nearest to another one.
+fn on_box_face(face: usize, size: &[f64; 3], to: V3<f64>) -> V3<f64> {
+    V3::from_fn(|i, _| match (face / 2 == i, face % 2 == 1) {
+        (true, true) => size[i],
+        (true, false) => -size[i],
+        _ => to[i].clamp(-size[i], size[i]),
+    })
+}
+
+/// The point of a segment nearest to a point.
+pub fn on_segment<R: Real>(a: &V3<R>, b: &V3<R>, to: &V3<R>) -> V3<R> {
+    let along = b - a;
+    let share = along.dot(&(to - a)) * along.dot(&along).recip_or_zero();
+    a + along * share.clamp(R::zero(), R::one())
+}
 
 /// How far a point is from the sides of a polygon whose corners run counter-clockwise about its normal.
 fn within(p: &V3<f64>, normal: &V3<f64>, count: usize, corner: impl Fn(usize) -> V3<f64>) -> f64 {
