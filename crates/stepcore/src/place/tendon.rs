@@ -23,6 +23,39 @@ struct Pull<R: Real> {
     bent: R::Mask,
 }
 
+/// What of a pull a joint feels that moves some of its points: their wrench about the origin of its
+/// motion, and how large its rounding may be.
+struct Felt<R: Real> {
+    wrench: Force<R>,
+    reach: R,
+    points: R,
+}
+
+impl<R: Real> Felt<R> {
+    fn nothing() -> Self {
+        let wrench = Force { ang: V3::zeros(), lin: V3::zeros() };
+        Self { wrench, reach: R::zero(), points: R::zero() }
+    }
+}
+
+impl<R: Real> Pull<R> {
+    /// Of the first end, the geom and the second end where these move.
+    fn felt(&self, origin: &V3<R>, [first, middle, second]: [bool; 3]) -> Felt<R> {
+        let mut felt = Felt::nothing();
+        let [one, two] = &self.ends;
+        let [on, off] = &self.geom;
+        for (moves, (at, along)) in [(first, one), (middle, on), (middle, off), (second, two)] {
+            if moves {
+                felt.wrench.ang += (at - origin).cross(along);
+                felt.wrench.lin += *along;
+                felt.reach += span(at) + span(origin);
+                felt.points += R::one();
+            }
+        }
+        felt
+    }
+}
+
 impl<R: Real> Placed<R> {
     /// Length and arms of the tendons that are needed; bodies must have been placed.
     pub(super) fn place_tendons(
@@ -78,26 +111,17 @@ impl<R: Real> Placed<R> {
     ) -> R {
         let pull = self.pull_of(model, stretch);
         let share = R::of(stretch.share);
-        let geom = stretch.round.map(|round| model.geoms[round.geom].body);
+        let mut last = (usize::MAX, [false; 3]);
+        let mut felt = Felt::nothing();
         for mover in &stretch.movers {
-            let dof = &model.dofs[mover.dof];
-            let (motion, origin) = (&self.motion[mover.dof], &self.origin[dof.tree]);
-            let (mut arm, mut size) = (R::zero(), R::zero());
-            let mut feel = |(at, along): &(V3<R>, V3<R>)| {
-                let wrench = Force { ang: (at - origin).cross(along), lin: *along };
-                arm += motion.dot(&wrench);
-                size += span(&motion.ang) * (span(at) + span(origin)) + span(&motion.lin);
-            };
-            let [first, middle, second] = mover.moves;
-            if first {
-                feel(&pull.ends[0]);
+            let (dof, motion) = (&model.dofs[mover.dof], &self.motion[mover.dof]);
+            if last != (dof.tree, mover.moves) {
+                last = (dof.tree, mover.moves);
+                felt = pull.felt(&self.origin[dof.tree], mover.moves);
             }
-            if middle && geom.is_some() {
-                pull.geom.iter().for_each(&mut feel);
-            }
-            if second {
-                feel(&pull.ends[1]);
-            }
+            let mut arm = motion.dot(&felt.wrench);
+            let size = span(&motion.ang) * felt.reach + span(&motion.lin) * felt.points;
+            let [first, _, second] = mover.moves;
             // What is left are roundings where both ends of a straight line move as one, and where a
             // sphere turns about its centre; and a row of roundings alone has any force.
             if first && second {
