@@ -42,11 +42,6 @@ impl Bounds {
         self.fixed == other.fixed && inside(0) && inside(1) && inside(2)
     }
 
-    /// The same, larger on each side.
-    pub(super) fn widened(&self, more: f64) -> Self {
-        Self { low: self.low.map(|x| x - more), high: self.high.map(|x| x + more), ..*self }
-    }
-
     fn finite(&self) -> bool {
         self.low.iter().chain(&self.high).all(|x| x.is_finite())
     }
@@ -185,16 +180,30 @@ impl Broad {
         (mix >> 32) as usize & (self.cells.len() - 2)
     }
 
-    /// Compares the boxes of the list with one another and with all that have a grid.
+    /// Compares the boxes of the list with one another, along x, and with all that have a grid.
     fn compare_with_listed(&mut self) {
-        for (k, &one) in self.listed.iter().enumerate() {
-            let bounds = self.boxes[one as usize];
-            for &two in &self.listed[k + 1..] {
-                self.found.note(&bounds, &self.boxes[two as usize]);
+        let Self { boxes, size, listed, found, .. } = self;
+        // What is no number lies nowhere, and first.
+        let begin = |at: &u32| {
+            let bounds = &boxes[*at as usize];
+            if bounds.finite() {
+                bounds.low[0]
+            } else {
+                f64::NEG_INFINITY
             }
-            for (other, _) in self.boxes.iter().zip(&self.size).filter(|(_, s)| **s < SIZES as u32)
-            {
-                self.found.note(&bounds, other);
+        };
+        listed.sort_unstable_by(|a, b| begin(a).total_cmp(&begin(b)));
+        for (k, &one) in listed.iter().enumerate() {
+            let one = &boxes[one as usize];
+            for &two in &listed[k + 1..] {
+                let two = &boxes[two as usize];
+                if two.low[0] > one.high[0] {
+                    break;
+                }
+                found.note(one, two);
+            }
+            for (other, _) in boxes.iter().zip(&*size).filter(|(_, s)| **s < SIZES as u32) {
+                found.note(one, other);
             }
         }
     }

@@ -8,11 +8,14 @@
 use super::broad::{Bounds, Broad, Fixed};
 use crate::error::{Error, Result};
 use crate::model::{DynamicPairs, Model, Pair, Span};
+use crate::real::array::from_fn;
 use crate::real::Constant;
 use crate::room::can_be_had;
 
 /// Of a geom's reach: by how much its box is larger on each side.
 const SPARE: f64 = 1.0 / 32.0;
+/// And it reaches as far ahead as it moves in so many detections, but no further than its geom's reach.
+const AHEAD: f64 = 8.0;
 /// Where things move so fast that a list served once, so many searches keep to the boxes at hand.
 const PLAIN: u32 = 8;
 /// Of the boxes that may move: where fewer than one in so many have left theirs, the others keep
@@ -80,6 +83,8 @@ pub(super) struct Kept {
     /// which the pairs hold.
     boxes: Vec<Bounds>,
     spare: Vec<Bounds>,
+    /// How far each that may move has gone since the detection before.
+    moved: Vec<[f64; 3]>,
     /// The law under which the boxes of what never moves were made looks at the guess.
     guessed: bool,
     fixed: Fixed,
@@ -100,8 +105,19 @@ pub(super) struct Kept {
     fitting: usize,
 }
 
-room!(Kept: boxes, spare, guessed, fixed, left, places, broad, numbers, before, pairs, served,
+room!(Kept: boxes, spare, moved, guessed, fixed, left, places, broad, numbers, before, pairs, served,
     plain, fitting);
+
+/// A box in which its geom is to stay for a while, having `moved` since the detection before.
+fn widened<N: Constant>(model: &Model<N>, bounds: &Bounds, moved: &[f64; 3]) -> Bounds {
+    let reach = model.geoms[bounds.geom as usize].reach.lane(0);
+    let ahead = moved.map(|way| (AHEAD * way).max(-reach).min(reach));
+    Bounds {
+        low: from_fn(|k| bounds.low[k] - SPARE * reach + ahead[k].min(0.0)),
+        high: from_fn(|k| bounds.high[k] + SPARE * reach + ahead[k].max(0.0)),
+        ..*bounds
+    }
+}
 
 impl Kept {
     /// Takes the boxes of all solid geoms, made by `bounds`, and brings the pairs up to date; refuses
@@ -167,8 +183,11 @@ impl Kept {
     ) {
         let all = heap.solid.iter().map(|&geom| bounds(geom));
         if self.boxes.len() == heap.solid.len() && self.guessed == guessed {
-            let moving = &mut self.boxes[..heap.moving];
-            moving.iter_mut().zip(all).for_each(|(own, now)| *own = now);
+            let moving = self.boxes[..heap.moving].iter_mut().zip(&mut self.moved);
+            for ((own, moved), now) in moving.zip(all) {
+                *moved = from_fn(|k| now.low[k] - own.low[k]);
+                *own = now;
+            }
             return;
         }
         self.guessed = guessed;
@@ -176,6 +195,8 @@ impl Kept {
         self.boxes.extend(all);
         self.fixed = Fixed::of(&self.boxes[heap.moving..]);
         self.spare.clear();
+        self.moved.clear();
+        self.moved.resize(heap.moving, [0.0; 3]);
         self.places.resize(model.geoms.len(), 0);
         for (place, bounds) in (0..).zip(&self.boxes) {
             self.places[bounds.geom as usize] = place;
@@ -184,12 +205,11 @@ impl Kept {
 
     /// Keeps the pairs of boxes that stay within theirs, and finds those of the others.
     fn search_again<N: Constant>(&mut self, model: &Model<N>) {
-        let Self { boxes, spare, left, places, broad, numbers, before, served, .. } = self;
+        let Self { boxes, spare, moved, left, places, broad, numbers, before, served, .. } = self;
         *served = true;
         for &place in &*left {
-            let bounds = &boxes[place as usize];
-            spare[place as usize] =
-                bounds.widened(SPARE * model.geoms[bounds.geom as usize].reach.lane(0));
+            let place = place as usize;
+            spare[place] = widened(model, &boxes[place], &moved[place]);
         }
         let leaves = |geom: u32| left.binary_search(&places[geom as usize]).is_ok();
         numbers.extend(before.iter().filter(|(_, a, b)| !leaves(*a) && !leaves(*b)));
@@ -232,13 +252,9 @@ impl Kept {
         self.plain = if fast { PLAIN } else { self.plain.saturating_sub(1) };
         self.served = false;
         self.spare.clear();
-        for bounds in &self.boxes[..heap.moving] {
-            let more = if self.plain > 0 {
-                0.0
-            } else {
-                SPARE * model.geoms[bounds.geom as usize].reach.lane(0)
-            };
-            self.spare.push(bounds.widened(more));
+        for (bounds, moved) in self.boxes[..heap.moving].iter().zip(&self.moved) {
+            let wide = if self.plain > 0 { *bounds } else { widened(model, bounds, moved) };
+            self.spare.push(wide);
         }
     }
 
