@@ -195,9 +195,10 @@ impl Broad {
         listed.sort_unstable_by(|a, b| begin(a).total_cmp(&begin(b)));
         for (k, &one) in listed.iter().enumerate() {
             let one = &boxes[one as usize];
+            let lies = one.finite();
             for &two in &listed[k + 1..] {
                 let two = &boxes[two as usize];
-                if two.low[0] > one.high[0] {
+                if lies && two.low[0] > one.high[0] {
                     break;
                 }
                 found.note(one, two);
