@@ -177,7 +177,7 @@ impl Pairing<'_> {
                 }
                 let (top, most) = self.climb(from, None, &mut seen);
                 for (solid, flip) in [(&self.one, 1.0), (&self.two, -1.0)] {
-                    let (edges, count) = edges(solid, &(top * flip), near);
+                    let (edges, count) = edges(solid, &(top * flip), near.min(NEAR_AGAIN));
                     for e in &edges[..count] {
                         if seen.reach_across(e) <= best.apart {
                             continue;
