@@ -40,6 +40,7 @@ impl<R: Real> Felt<R> {
 
 impl<R: Real> Pull<R> {
     /// Of the first end, the geom and the second end where these move.
+    #[inline(never)]
     fn felt(&self, origin: &V3<R>, [first, middle, second]: [bool; 3]) -> Felt<R> {
         let mut felt = Felt::nothing();
         let [one, two] = &self.ends;
@@ -169,10 +170,13 @@ impl<R: Real> Placed<R> {
         let obstacle =
             Obstacle { pose: &pose, sphere: round.sphere, radius: R::of(round.radius), side };
         let wrapped = wrap(ends, &obstacle);
-        let free = straight(ends);
+        let on = wrapped.touches;
+        if on.none() {
+            return straight(ends);
+        }
         let [one, two] = wrapped.points;
         let (before, after) = (straight([ends[0], one]), straight([two, ends[1]]));
-        let on = wrapped.touches;
+        let free = straight(ends);
         let pick = |yes: &V3<R>, no: &V3<R>| V3::from_fn(|k, _| R::select(on, yes[k], no[k]));
         let zero = V3::zeros();
         let whole = before.length + wrapped.length + after.length;
@@ -181,7 +185,10 @@ impl<R: Real> Placed<R> {
                 (ends[0], pick(&before.ends[0].1, &free.ends[0].1)),
                 (ends[1], pick(&after.ends[1].1, &free.ends[1].1)),
             ],
-            geom: [(one, pick(&before.ends[1].1, &zero)), (two, pick(&after.ends[0].1, &zero))],
+            geom: [
+                (pick(&one, &zero), pick(&before.ends[1].1, &zero)),
+                (pick(&two, &zero), pick(&after.ends[0].1, &zero)),
+            ],
             length: R::select(on, whole, free.length),
             bent: on,
         }

@@ -73,6 +73,9 @@ pub fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
             }
         }
     };
+    if touch.mask.none() {
+        return Wrap { touches: touch.mask, points: [V3::zeros(); 2], length: R::zero() };
+    }
     let [mut first, mut second] = touch.points.map(|[x, y]| axes[0] * x + axes[1] * y);
     let mut length = touch.arc;
     if !sphere {
@@ -138,6 +141,9 @@ fn outside<R: Real>(a: Flat<R>, b: Flat<R>, turn: R, radius: R) -> Touch<R> {
     let apart = [b[0] - a[0], b[1] - a[1]];
     let two = dot(apart, apart).gt(R::of(SAME_POINT) * square);
     let mask = aa.ge(square).and(bb.ge(square)).and(two).and(angle.gt(zero));
+    if mask.none() {
+        return Touch { mask, points: [a, b], arc: zero };
+    }
     // r/A of the way from the centre, turned by ±α: cos α = r/A, sin α = l/A.
     let tangent = |v: Flat<R>, vv: R, l: R, sign: R| {
         let k = radius * vv.recip_or_zero();

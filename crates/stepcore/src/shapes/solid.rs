@@ -215,6 +215,7 @@ impl<'a, R: Real> Solid<'a, R> {
 
     /// Of the places furthest along a unit direction, but for rounding, one as near to a point as there
     /// is: a corner, and places of a face or of an edge.
+    #[inline(never)]
     pub fn furthest_near(&self, direction: &V3<R>, to: &V3<f64>) -> V3<f64> {
         let plain_of = |v: &V3<R>| v.map(|x| x.lane(0));
         let n = plain_of(direction);
