@@ -15,6 +15,7 @@ TEXTS = {
     "blanks first": f'\n\n <?xml version="1.0"?><mujoco>{BODY.format("")}</mujoco>',
     "an ampersand": f'<mujoco model="a & b &amp; c">{BODY.format("")}</mujoco>',
     "attributes side by side": f"<mujoco>{BODY.format(GROUP)}</mujoco>",
+    "an end that is there twice": f"<mujoco>{BODY.format('')}\n </mujoco>\n</mujoco>\n",
 }
 
 

@@ -20,6 +20,7 @@ from stepcore.checks import brief, cut
 
 # An "&" that does not begin a reference.
 _AMPERSAND = re.compile(rb"&(?!(?:\w+|#\d+|#x[0-9a-fA-F]+);)", re.ASCII)
+_TWICE = re.compile(rb"(</mujoco(?:include)?\s*>)(?:\s*</mujoco(?:include)?\s*>)+\s*\Z")
 _BLANKS = re.compile(rb"(?:\xef\xbb\xbf)?(\s+)(<\?xml[^>]*>)")
 # A start tag with attributes that may lack blanks between them.
 _TAG = re.compile(rb"""(<[^\s<>!?/"'=]+)((?:\s*[^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))*)""")
@@ -233,12 +234,12 @@ def _parse(data: str | bytes, file: str) -> Node:
 def repaired(data: str | bytes) -> str | bytes:
     """Return XML that MuJoCo's parser accepts as XML; the same text if there is nothing to repair.
 
-    Repaired are bare "&", "--" in comments, blanks before the document, and attributes without
-    blanks between them. Line numbers do not change.
+    Repaired are bare "&", "--" in comments, blanks before the document, attributes without blanks
+    between them, and an end of the document that is there twice. Line numbers do not change.
     """
     raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
     raw = _plain_comments(raw)
-    raw = _AMPERSAND.sub(b"&amp;", raw)
+    raw = _TWICE.sub(rb"\1", _AMPERSAND.sub(b"&amp;", raw))
     if blanks := _BLANKS.match(raw):
         raw = blanks[2] + blanks[1] + raw[blanks.end() :]
     spaced = partial(_ATTRIBUTE.sub, lambda found: (found[1] or b" ") + found[2])
@@ -248,8 +249,7 @@ def repaired(data: str | bytes) -> str | bytes:
 
 def _plain_comments(raw: bytes) -> bytes:
     """Return the text without "--" inside comments, which XML does not allow."""
-    parts: list[bytes] = []
-    at = 0
+    parts, at = list[bytes](), 0
     while (start := raw.find(b"<!--", at)) >= 0 and (end := raw.find(b"-->", start + 4)) >= 0:
         parts += [raw[at : start + 4], raw[start + 4 : end].replace(b"-", b" ")]
         at = end
