@@ -16,7 +16,7 @@ use super::by_lane::{empty, OneWorld};
 use super::convex::{contacts, meeting, solid};
 use super::field_list::List;
 use super::separation::{Cause, Separation};
-use super::solid::{plain, Core, Solid};
+use super::solid::{self, plain, Core, Solid};
 use super::touch::Touches;
 use super::Shape;
 use crate::real::{Mask, Real};
@@ -387,7 +387,8 @@ fn on_field<R: Real>(
     }
     // Under a valley every way out may lead into another prism: then a top holds what is below it.
     if let Some((prism, _)) = list.sunk.take().filter(|_| list.least() >= 0.0) {
-        let ground = Solid { core: Core::Prism(&prism.corners), radius: 0.0, pose };
+        let wedge = solid::Prism::of(prism.corners);
+        let ground = Solid { core: Core::Prism(&wedge), radius: 0.0, pose };
         let found = on_top(&prism, &plain_pose, &body);
         let touches: Touches<R, 8> = contacts(&ground, shape, &found);
         list.add_all(&prism, &touches, SAME * shape.extent(), |_| true);
@@ -396,6 +397,7 @@ fn on_field<R: Real>(
 }
 
 /// The contacts of one prism that are the field's.
+#[inline(never)]
 fn on_prism<R: Real>(
     field: &HeightField,
     prism: &Prism,
@@ -404,7 +406,8 @@ fn on_prism<R: Real>(
     centre: &V3<f64>,
     list: &mut List<R>,
 ) {
-    let ground = Solid { core: Core::Prism(&prism.corners), radius: 0.0, pose };
+    let wedge = solid::Prism::of(prism.corners);
+    let ground = Solid { core: Core::Prism(&wedge), radius: 0.0, pose };
     // Which contacts of a field are kept depends on all of them, near or far.
     let Some(separation) = meeting(&ground, shape, f64::INFINITY, None) else { return };
     let way = plain(pose).to_local(&separation.normal);

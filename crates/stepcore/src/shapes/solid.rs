@@ -23,8 +23,22 @@ pub enum Core<'a> {
     /// Half sizes.
     Box([f64; 3]),
     Hull(&'a Hull),
-    /// Six corners: a triangle, and below or above each of its corners the other one's.
-    Prism(&'a [V3<f64>; 6]),
+    Prism(&'a Prism),
+}
+
+/// Six corners: a triangle, and below or above each of its corners the other one's; and the outward
+/// normals of its faces.
+#[derive(Clone, Copy)]
+pub struct Prism {
+    pub corners: [V3<f64>; 6],
+    normals: [V3<f64>; 5],
+}
+
+impl Prism {
+    #[inline(never)]
+    pub fn of(corners: [V3<f64>; 6]) -> Self {
+        Self { corners, normals: PRISM_FACES.map(|face| normal_of(&corners, face)) }
+    }
 }
 
 /// A shape and how it is turned.
@@ -49,7 +63,7 @@ impl<'a, R: Real> Solid<'a, R> {
             Core::Ellipsoid(size) | Core::Box(size) => size[0].max(size[1]).max(size[2]),
             Core::Cylinder(radius, half) => radius.max(half),
             Core::Hull(hull) => hull.reach(),
-            Core::Prism(corners) => corners.iter().flat_map(|c| c.iter()).fold(0.0, far),
+            Core::Prism(prism) => prism.corners.iter().flat_map(|c| c.iter()).fold(0.0, far),
         };
         core + self.radius
     }
@@ -100,7 +114,7 @@ impl<'a, R: Real> Solid<'a, R> {
                 let corner = hull.support(&d.map(|x| x.lane(0)));
                 (hull.vertices[corner].map(R::of), corner)
             }
-            Core::Prism(corners) => {
+            Core::Prism(Prism { corners, .. }) => {
                 let plain = d.map(|x| x.lane(0));
                 let mut best = 0;
                 for i in 1..6 {
@@ -162,9 +176,8 @@ impl<'a, R: Real> Solid<'a, R> {
                 (0..3).map(|i| p[i].abs() - size[i]).fold(f64::NEG_INFINITY, f64::max)
             }
             Core::Hull(hull) => hull.outside(&p),
-            Core::Prism(corners) => PRISM_FACES
-                .iter()
-                .map(|face| normal_of(corners, face).dot(&(p - corners[face[0]])))
+            Core::Prism(Prism { corners, normals }) => (PRISM_FACES.iter().zip(normals))
+                .map(|(face, normal)| normal.dot(&(p - corners[face[0]])))
                 .fold(f64::NEG_INFINITY, f64::max),
         }
     }
@@ -186,9 +199,8 @@ impl<'a, R: Real> Solid<'a, R> {
                 }
                 within(&p, normal, corners.len(), |k| hull.vertices[corners[k]])
             }
-            Core::Prism(all) => {
-                let corners = PRISM_FACES[face];
-                let normal = normal_of(all, corners);
+            Core::Prism(Prism { corners: all, normals }) => {
+                let (corners, normal) = (PRISM_FACES[face], normals[face]);
                 // They run either way around.
                 let [one, other] = [normal, -normal]
                     .map(|normal| within(&p, &normal, corners.len(), |k| all[corners[k]]));
@@ -305,7 +317,7 @@ impl<'a, R: Real> Solid<'a, R> {
                 V3::from_fn(|i, _| if corner >> i & 1 == 1 { size[i] } else { -size[i] })
             }
             Core::Hull(hull) => hull.vertices[corner],
-            Core::Prism(corners) => corners[corner],
+            Core::Prism(prism) => prism.corners[corner],
             Core::Segment(half) => V3::new(0.0, 0.0, if corner == 1 { half } else { -half }),
             _ => V3::zeros(),
         };
@@ -356,13 +368,12 @@ impl<'a, R: Real> Solid<'a, R> {
                 let face = hull.face(&d);
                 (hull.faces[face].normal, face)
             }
-            Core::Prism(corners) => {
+            Core::Prism(prism) => {
                 let mut best = (f64::NEG_INFINITY, V3::zeros(), 0);
-                for (face, list) in PRISM_FACES.iter().enumerate() {
-                    let normal = normal_of(corners, list);
+                for (face, normal) in prism.normals.iter().enumerate() {
                     let along = normal.dot(&d);
                     if along > best.0 {
-                        best = (along, normal, face);
+                        best = (along, *normal, face);
                     }
                 }
                 (best.1, best.2)
