@@ -96,3 +96,13 @@ def test_a_start_is_the_same_however_many_there_are(kind):
     few, many = (scheduled(Motion(horizon=0.2, kind=kind), model, 0.01, starts=n) for n in (2, 5))
     ends = [run(model, schedule, [1])["xquat"][0, -1].tolist() for schedule in (few, many)]
     assert ends[0] == ends[1]
+
+
+def test_a_joint_that_its_damping_locks_starts_at_rest():
+    """A base held by dampers, as that of gymnasium_robotics' fetch, would explode with a speed."""
+    joint = '<joint type="slide" axis="{}" damping="{}"/>'
+    joints = joint.format("1 0 0", 1e11) + joint.format("0 1 0", 1.0)
+    body = f'<body>{joints}<geom size=".1" mass="5"/></body>'
+    model = sc.loads(f"<mujoco><worldbody>{body}</worldbody></mujoco>").compile()
+    starts = scheduled(Motion(horizon=0.1, starts=4), model, 0.01).starts[1:]
+    assert all(start.qvel[0] == 0.0 != start.qvel[1] for start in starts)

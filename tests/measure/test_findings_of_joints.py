@@ -303,6 +303,17 @@ def test_what_slips_out_of_a_grip_is_told_with_the_friction_that_carries_it(pres
         assert "slip" not in kinds
 
 
+def test_a_target_that_moves_by_rounding_is_held():
+    """A leg that swings about its held target asks for the same gains as one without rounding."""
+    scene = sc.loads(LEG.format(axis="0 1 0", kp=0.5, kv=0.001))
+
+    def texts(size):
+        return [f.text for f in watched(scene, control=lambda t, sim: [size * math.sin(9 * t)])[1]]
+
+    assert texts(1e-17) == texts(0.0)
+    assert float(re.search(r"kp (\S+) and kv", texts(0.0)[0])[1]) < 100
+
+
 def test_a_servo_of_a_standing_thing_sags_under_its_weight():
     """A body of 5 kg on a foot of 0.1 kg by a telescope: 5 g / kp."""
     scene = sc.loads(

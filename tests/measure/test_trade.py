@@ -3,6 +3,7 @@
 No time is judged here: choices are made by counted work.
 """
 
+import copy
 import json
 import pickle
 from concurrent.futures import ThreadPoolExecutor
@@ -330,6 +331,16 @@ def test_what_cannot_be_verified_is_said():
     assert result.to_dict()["recommended"] is None
     with pytest.raises(ValueError, match="the smallest in this trade"):
         result.best()
+
+
+def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
+    worse, lost = copy.copy(ball), copy.copy(ball)
+    worse.chosen = max((row for row in ball.rows if not row.failure), key=lambda row: row.error)
+    assert worse.chosen.error > 1e-4
+    assert next(worse._answer()).startswith("No setting tried has an error of at most 100 µm in")
+    lost.unsure = np.inf
+    said = "100 µm cannot be verified: from some start no run converges."
+    assert next(lost._answer()).startswith(said)
 
 
 def test_an_answer_counts_errors_only_as_long_as_motions_can_be_predicted():

@@ -39,7 +39,16 @@ from stepcore.experiment.control_table import Controls, PositionTable
 from stepcore.experiment.default_motion import Asked, by_rule
 from stepcore.experiment.engines import FAR, Engine, Stepcore, Way, spread
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.schedule import HORIZON, Schedule, given_controls, laid_out, near
+from stepcore.experiment.schedule import (
+    FINEST,
+    HORIZON,
+    SPEED,
+    SPIN,
+    Schedule,
+    given_controls,
+    laid_out,
+    near,
+)
 from stepcore.experiment.sizes import scene_size
 from stepcore.loading import find_asset, find_model, find_scene
 from stepcore.mjcf.reader import read_text
@@ -671,8 +680,10 @@ def _scheduled(
         asked = Asked(first, held, begin, motion.seed, period, periods, True)
         return by_rule(kind, "actuators", drives.called("actuator"), ranges, asked)
 
-    nearby = partial(near, coordinates, first, _overlaps(scene), 1e-4)
     dt = float(scene.opt.timestep)
+    moving = scene.dof_damping * dt <= FINEST * scene.dof_M0
+    speeds = coordinates.scaled(moving, SPEED, SPIN)
+    nearby = partial(near, coordinates, first, speeds, _overlaps(scene), 1e-4)
     return laid_out(motion, dt, first, nearby, drive, period, starts, horizon)
 
 

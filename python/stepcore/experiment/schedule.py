@@ -39,6 +39,10 @@ HORIZON, STARTS = 1.0, 8
 # to the motion in one step.
 SHIFT, TURN = 1e-3, 1e-2  # [m], [rad]
 SPEED, SPIN = 0.05, 0.1  # [m/s], [rad/s]
+# The most steps in a control period, relative to the shipped ones. A joint that damping stops
+# within the shortest of them is locked, and starts at rest: the base of gymnasium_robotics' fetch
+# takes 6e-7 of a step, and a speed would tear it apart, in MuJoCo too; what moves takes 7e-3.
+FINEST = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +187,9 @@ def scheduled(
         return driving(motion, model, asked)
 
     slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
-    nearby = partial(near, Coordinates(model), first, overlaps(model), slack)
+    coordinates = Coordinates(model)
+    speeds = coordinates.scaled(~locked(model, first), SPEED, SPIN)
+    nearby = partial(near, coordinates, first, speeds, overlaps(model), slack)
     return laid_out(motion, model.settings.dt, first, nearby, drive, period, starts, horizon)
 
 
@@ -334,12 +340,14 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
 def near(
     coordinates: Coordinates,
     home: Start,
+    speeds: np.ndarray,
     overlap: Callable[[Start], float],
     slack: float,
     rng: np.random.Generator,
 ) -> Start:
     """Return a random start near `home`, within the joint ranges.
 
+    speeds: the largest of each dof, (nv,).
     overlap: the deepest overlap of a start's contacts [m]. It exceeds that of `home` by at most
     `slack`: 0.1 mm under laws whose contacts are springs. Other laws correct a share of an overlap
     in each step, which ejects a body at a speed that grows as 1/dt. Under these laws the overlap
@@ -348,13 +356,25 @@ def near(
     allowed = max(0.0, overlap(home)) + slack
     tried = []
     for _ in range(64):
-        step, rate = coordinates.drawn(rng, SHIFT, TURN), coordinates.drawn(rng, SPEED, SPIN)
+        step, rate = coordinates.drawn(rng, SHIFT, TURN), speeds * coordinates.drawn(rng, 1.0, 1.0)
         moved = coordinates.inside(coordinates.moved(home.qpos, step))
         start = dataclasses.replace(home, qpos=moved, qvel=home.qvel + rate)
         tried.append((overlap(start), start))
         if tried[-1][0] <= allowed:
             return start
     return min(tried, key=lambda pair: pair[0])[1]
+
+
+def locked(model: Model, home: Start) -> np.ndarray:
+    """Return which dofs are so damped that they cannot have a speed, (nv,)."""
+    sim, forces = Sim(model), list[np.ndarray]()
+    for speed in (0.0, 1.0):
+        home.put(sim)
+        sim.qvel[:] = speed
+        sim.forward()
+        forces.append(np.array(sim.passive))
+    stops = np.abs(forces[1] - forces[0]) * model.settings.dt
+    return stops > FINEST * np.diagonal(sim.mass_matrix())
 
 
 def overlaps(model: Model) -> Callable[[Start], float]:

@@ -164,7 +164,8 @@ def following(
     joints = Layout(model.scene).joints
     for of in _servos(model):
         asked = of.target(np.clip(run["ctrl"][:, of.index], *of.ctrlrange))
-        moves, length = np.ptp(asked) > 0, of.gear * run["qpos"][:, of.qposadr]
+        # A target that moves by less than a sag that is told, if only by rounding, is held.
+        moves, length = np.ptp(asked) > _notable(model, of), of.gear * run["qpos"][:, of.qposadr]
         still = of.index in rests or int(run.roots[model.jnt_body[of.joint]]) in free_bodies(model)
         if not moves and still:
             continue

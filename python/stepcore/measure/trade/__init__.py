@@ -15,6 +15,7 @@ from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
+from stepcore.experiment.trial import Trial
 from stepcore.measure.monitors import monitored
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.search import UNSURE, Search, proven, settled
@@ -23,7 +24,8 @@ from stepcore.report.units import counted, rounded
 
 __all__ = ["Trade", "trade"]
 
-# The largest error that replaces one which cannot be verified, as a share of the displacement.
+# The largest error that replaces one which cannot be verified, as a share of the displacement, or
+# of the error of the shipped settings.
 USEFUL = 0.5
 # Without a request: errors that a search looks for, relative to that of the shipped settings.
 LESS = (1.0, 0.5, 0.1)
@@ -184,11 +186,24 @@ def _searched(result: Trade, search: Search, further: int) -> None:
     if unsure > UNSURE * target:
         # What the converged motion is known to, an error can be found within.
         least = rounded(unsure / UNSURE, 2, up=True)
-        result.verified = least if least <= USEFUL * search.moved else None
+        worst = max(search.moved, search.shipped.error)
+        result.verified = least if least <= USEFUL * worst else None
     if unsure <= target or result.verified is not None:
-        result.chosen = settled(search, result.asked, further)
-        if result.chosen is not None:
-            search.cheapest(result.chosen.error / 2)
+        result.chosen = _settled(search, result.asked, further)
+    if result.verified is not None and search.truth.error <= UNSURE * target:
+        # The search itself has made the motion sure enough for what was asked.
+        result.unsure = search.truth.error
+        chosen = _settled(search, target, further)
+        if chosen is not None:
+            result.chosen, result.verified = chosen, None
+
+
+def _settled(search: Search, error: float, further: int) -> Trial | None:
+    """Choose settings for an error [m], and look for what half of theirs would cost."""
+    chosen = settled(search, error, further)
+    if chosen is not None:
+        search.cheapest(chosen.error / 2)
+    return chosen
 
 
 def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None], engine: str) -> bool:

@@ -26,7 +26,7 @@ from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Truth
 from stepcore.measure.monitors import Finding
-from stepcore.measure.trade.search import KNOWING, Search
+from stepcore.measure.trade.search import KNOWING, UNSURE, Search
 from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import differences, solver_words
@@ -319,21 +319,26 @@ class Trade(Result):
             )
 
     def _answer(self) -> Iterator[str]:
-        target, unsure = self.target, self.unsure
-        if target is not None and (unsure > target or self.verified is not None):
+        target, unsure, row = self.target, self.unsure, self.chosen
+        if target is not None and unsure > (UNSURE if self.verified else 1.0) * target:
             well = "" if unsure > target else " well"
             known = f"the converged motion was known to {metres(unsure)} in the worst start"
+            if not math.isfinite(unsure):
+                known = "from some start no run converges"
             yield f"{metres(target)} cannot be verified{well}: {known}. {self._surer()}"
-        row = self.chosen
+        elif target is not None and self.verified is not None:
+            yield f"No setting tried has an error of at most {metres(target)} in every start."
         if row is not None:
             within = f"an error of at most {metres(self.asked)}"
             if self.budget is not None:
                 within = f"a cost of at most {self._amount(self.budget)} per simulated second"
-            yield (
-                f"Recommended for {within}: {self.label(row)}. Its RMS position error is "
-                f"{self._wrong(row)} in the worst of {counted(len(row.starts), 'start')}, for "
-                f"{self._priced_beside(row)}."
-            )
+            choice = f"Recommended for {within}: {self.label(row)}"
+            if self.budget is None and row.error > self.asked:
+                choice = f"No setting tried has {within} in every start. In most it is kept by "
+                choice += self.label(row)
+            worst = f"{self._wrong(row)} in the worst of {counted(len(row.starts), 'start')}"
+            priced = self._priced_beside(row)
+            yield f"{choice}. Its RMS position error is {worst}, for {priced}."
             if self.proof is not None:
                 yield self.proof.words
             elif target is not None:

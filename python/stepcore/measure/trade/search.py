@@ -19,6 +19,7 @@ from stepcore.deadline import OutOfTime
 from stepcore.engine.norm import Tracks, apart, rms
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import JOIN, ROUNDS, Proof, least
+from stepcore.experiment.schedule import FINEST
 from stepcore.experiment.study import SHIPPED, TOGETHER, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Truth
@@ -30,8 +31,6 @@ MARGIN = 0.9
 UNSURE = 0.3
 # The price relative to the best so far that another family must promise.
 BETTER = 0.95
-# The most steps in a control period, relative to the shipped ones.
-FINEST = 256
 # Accuracies to try for steps that choose their own length, relative to the error.
 ACCURACIES = (10.0, 3.0, 1.0, 0.3, 0.1)
 # Errors below this share of a scene's size are rounding.
@@ -137,9 +136,7 @@ class Search:
 
     def cheapest(self, error: float) -> Trial | None:
         """Return the cheapest settings within an error [m] on the starts of the search, or None."""
-        every = [t for t in self.trials.values() if t.starts == self.truth.starts]
-        holds = [trial for trial in every if trial.within(error)]
-        best = min(holds, key=lambda trial: trial.cost, default=None)
+        best = next((trial for trial in self.whole if trial.within(error)), None)
         own, limit = self.study.steps(), self.study.cost(self.truth.change)
         if best is not None:
             self.hard = best.worst
@@ -153,6 +150,12 @@ class Search:
                 best = found
                 self.study.workers.deadline.so_far(self.so_far(best))
         return self._adaptive(error, best)
+
+    @property
+    def whole(self) -> list[Trial]:
+        """The trials from all starts of the search, the cheapest first."""
+        every = [t for t in self.trials.values() if t.starts == self.truth.starts]
+        return sorted(every, key=lambda trial: trial.cost)
 
     def so_far(self, best: Trial | None = None) -> str:
         """Return what is known of the shipped and of the best settings so far, in words."""
@@ -259,8 +262,9 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
     """Choose the cheapest settings, test them on a second set of starts, and choose again.
 
     Starts of the second set on which a choice fails join the search, until a choice holds on all of
-    them. Without such a choice it is the one that failed on the fewest. What is told of it comes
-    from a third set; see `proven`.
+    them. Where none is left, it is the cheapest that may hold, for all that is known of the motion;
+    without one, that which failed on the fewest. What is told of it comes from a third set; see
+    `proven`.
     """
     study, chosen, fewest = search.study, None, math.inf
     best = search.cheapest(MARGIN * error)
@@ -278,7 +282,7 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
             break
         search.join(new, error)
         best = search.cheapest(MARGIN * error)
-    return best if chosen is None else chosen
+    return best or next((trial for trial in search.whole if trial.error <= error), chosen)
 
 
 def tested(
