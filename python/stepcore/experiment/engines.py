@@ -32,6 +32,7 @@ from stepcore.experiment.sizes import scene_size
 
 # A run has failed if a body is so many sizes of the scene away from where it began. A distance of a
 # few sizes is an error that is told; at a hundred, bodies have left the scene that was modelled.
+# What falls freely may fall twice as far.
 FAR = 100.0
 # The integrators that are tried under MuJoCo's law, and under the laws on velocities.
 CONVEX = ("rk4", "implicitfast", "euler", "semi-implicit", "discrete", "midpoint", "implicit")
@@ -59,6 +60,7 @@ class Engine(ABC):
     name: of the engine. title: of the scene. refusal: why stepcore has no model of it; else "".
     shipped: the settings of the scene. dt: its time step [s]. nv: the number of dofs.
     matter: the moving bodies. coordinates: of the states. size: the size of the scene [m].
+    gravity: [m/s²].
     """
 
     name: str
@@ -68,6 +70,7 @@ class Engine(ABC):
     coordinates: Coordinates
     nv: int
     size: float
+    gravity: float
 
     def __init__(self, model: Model | None, refusal: str = "") -> None:
         self._model, self.refusal = model, refusal
@@ -93,6 +96,10 @@ class Engine(ABC):
     @property
     def dt(self) -> float:
         return float(self.shipped.dt)
+
+    def farthest(self, schedule: Schedule) -> float:
+        """Return how far from its start a body may come before a run has failed [m]."""
+        return FAR * self.size + self.gravity * schedule.horizon**2
 
     def scheduled(
         self, motion: Motion, period: float, starts: int | None = None, horizon: float = HORIZON
@@ -186,7 +193,7 @@ class Stepcore(Engine):
         super().__init__(model)
         self.title, self.shipped = model.scene.name or "scene", model.settings
         self.matter, self.coordinates, self.nv = Matter.of(model), Coordinates(model), model.nv
-        self.size = scene_size(model.scene)
+        self.size, self.gravity = scene_size(model.scene), math.hypot(*model.scene.gravity)
         self._models: dict[Change, Model] = {}
         self._looks: list[tuple[np.ndarray, ...]] = []
         self._evaluations: dict[Change, float] = {}
@@ -204,7 +211,7 @@ class Stepcore(Engine):
     ) -> Tracks:
         try:
             model = self.of(change)
-            ran = run(model, schedule, starts, bound=FAR * self.size)
+            ran = run(model, schedule, starts, bound=self.farthest(schedule))
         except ControlError:
             raise
         except (ValueError, SimulationError) as error:

@@ -37,7 +37,7 @@ from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import Controls, PositionTable
 from stepcore.experiment.default_motion import Asked, by_rule
-from stepcore.experiment.engines import FAR, Engine, Stepcore, Way, spread
+from stepcore.experiment.engines import Engine, Stepcore, Way, spread
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import (
     FINEST,
@@ -202,6 +202,7 @@ class MuJoCo(Engine):
         extent = scene.geom_rbound.max(initial=0.0)
         extent += np.linalg.norm(scene.body_pos, axis=1).max(initial=0.0)
         self.size = scene_size(self.model.scene) if self.known else float(extent) or UNKNOWN
+        self.gravity = math.hypot(*scene.opt.gravity)
         self._rows, self._looks = False, list[tuple[np.ndarray, np.ndarray]]()
         self._free, self._lock = list[_World](), threading.Lock()
 
@@ -245,7 +246,7 @@ class MuJoCo(Engine):
                     states, _, failure = self._run(world, schedule, start)
                     places, turns = world.frames(states)
                     far = np.linalg.norm(places - places[0], axis=-1).max(axis=1, initial=0.0)
-                    for sample in np.flatnonzero(far > FAR * self.size)[:1]:
+                    for sample in np.flatnonzero(far > self.farthest(schedule))[:1]:
                         away, time = far[sample], schedule.times[sample - 1]
                         failure = f"a body is {away:.3g} m from its start at {time:.4g} s"
                         places[sample:] = turns[sample:] = np.nan

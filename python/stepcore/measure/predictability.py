@@ -194,9 +194,6 @@ def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[
             found.append((growth, change))
             if growth.factor.max() <= math.sqrt(GROWTH):
                 break
-        elif change != rungs[-1]:
-            # Runs of other steps fail at the same time: the motion itself does.
-            break
     if not found:
         text = f"the motion fails{schedule.driven}, at shorter steps too"
         raise ValueError(f"{text}: {growth.failure}")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stepcore._core import SimulationError
-from stepcore.engine.element import OVERRIDE, Element, SceneField
+from stepcore.engine.element import OVERRIDE, ROWS, Element, SceneField
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.measure.diagnosis.limits import FAILS
@@ -292,6 +292,9 @@ def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict
             omega = float(np.abs(np.linalg.eigvals(damp)).max())
         elif omega > 0:
             ratio = float(vectors[:, -1] @ damp @ vectors[:, -1]) / (2 * omega)
+            if ratio < 0 and element.kind in ROWS:
+                # The row takes away what dampers beside it push with, which is not its own damping.
+                ratio = math.nan
         if omega > 0 or rate > 0:
             soft = softened_from(held.model, element)
             found[element] = Figures(element, omega, ratio, rate, soft, state)

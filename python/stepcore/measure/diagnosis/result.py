@@ -225,14 +225,13 @@ class Diagnosis(Result):
         if not limit.ran:
             judged = "by the linearised step"
         if math.isinf(limit.dt):
-            fastest = f" The fastest element is {name}{traits}." if elements else ""
             below = seconds(min(limit.longest, max(self.wanted, self.horizon / 10)))
             if limit.longest < self.wanted:
                 does = "is not known yet" if self.observed is None else "fails"
                 held = f"Runs hold up to {seconds(limit.longest)} under {own}"
                 more = "The limit is not known yet: it takes more time (seconds)."
                 return f"{held}; {step[0].lower()}{step[1:]} {does}. {more}"
-            return f"No element limits dt below {below} under {own}, {judged}.{fastest}"
+            return f"No element limits dt below {below} under {own}, {judged}."
         if limit.dt <= 0 and self.longest_period:
             return f"{step} explodes under {own}: the control function is sampled too rarely."
         if limit.dt <= 0:
