@@ -199,3 +199,15 @@ def test_servos_too_quick_for_rk4_are_no_chaos(seed):
     )
     assert grown_plainly(model, 0.5) < 10
     assert math.isinf(found.time) and found.growth.factor.max() < 10
+
+
+def test_what_falls_freely_beside_a_damper_that_rk4_does_not_bear():
+    """As gymnasium_robotics' goals beside its hands: 490 m of a free fall are no failure."""
+    locked = '<joint type="slide" axis="1 0 0" damping="1e4"/><geom size=".1" mass="1"/>'
+    falls = '<freejoint/><geom size=".1" mass="1"/>'
+    scene = sc.loads(
+        f"""<mujoco><worldbody><body>{locked}</body><body pos="1 0 0">{falls}</body>
+        </worldbody></mujoco>"""
+    )
+    found = sc.predict(scene, horizon=10.0, starts=2, progress=False)
+    assert found.time == math.inf and found.growth.factor.max() == pytest.approx(1.0, abs=0.2)

@@ -38,7 +38,7 @@ class Actuator:
     filtered: whether an activation stands between its control and its force.
     integrates: whether its control sets the velocity of a servo's target.
     inertia: the inertia that moves with its joint in the model's initial pose, the other joints
-        free [kg·m² or kg]; inf without a joint. See `inertias` for other poses.
+        free [kg·m² or kg]; inf without a joint.
     """
 
     index: int
@@ -115,12 +115,6 @@ def actuators(model: Model) -> list[Actuator]:
     """Return the actuators of a model, in its order."""
     layout = Layout(model.scene)
     return [_actuator(model, layout, k) for k in range(model.nu)]
-
-
-def inertias(mass: Floats) -> Floats:
-    """Return the inertia that moves with each dof, the others free, of a mass matrix (nv, nv)."""
-    moved: Floats = 1.0 / np.diag(np.linalg.inv(mass))
-    return moved
 
 
 def loads(sim: Sim) -> Floats:

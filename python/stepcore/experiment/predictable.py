@@ -14,6 +14,7 @@ none at 1e-10. Much smaller nudges drown in rounding.)
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -125,22 +126,30 @@ def settled(
 ) -> tuple[Growth, Change]:
     """Measure the growth at shorter and shorter steps, until two of them agree on when starts end.
 
-    A motion of long steps may be unstable itself. Where no start ends, the first step is enough.
-    Of two that agree the longer one is returned, with its change: it has less rounding.
+    A motion of long steps may be unstable itself. Where no start ends, the first step is enough;
+    where all do, shorter steps run for twice as long. Of two that agree the longer one is returned,
+    with its change: it has less rounding.
 
     changes: with steps ever shorter.
     """
-    last = None
+    last = whole = None
     for change in changes:
-        now = growth(engine, change, schedule, starts, size, directions), change
-        if not (now[0].failure or np.isfinite(now[0].ends).any()):
-            return now
+        grown = growth(engine, change, schedule, starts, size, directions)
+        if not (grown.failure or np.isfinite(grown.ends).any()):
+            return grown, change
+        if whole is None and not grown.failure and np.isfinite(grown.ends).all():
+            whole = grown
+            samples = math.ceil(2 * grown.ends.max() / (schedule.period * schedule.every))
+            periods = min(schedule.periods, samples * schedule.every)
+            schedule = dataclasses.replace(schedule, periods=periods)
         if last is not None:
-            a, b = (np.minimum(one[0].ends, 1e300) for one in (now, last))
+            a, b = (np.minimum(one, 1e300) for one in (grown.ends, last[0].ends))
             if (np.abs(a - b) <= AGREE * np.maximum(a, b)).all():
                 return last
-        last = now
-    return now
+        full = grown if whole is None else dataclasses.replace(whole, ends=grown.ends)
+        last = dataclasses.replace(full, failure=grown.failure), change
+    assert last is not None
+    return last
 
 
 def _end(times: np.ndarray, factor: np.ndarray) -> float:

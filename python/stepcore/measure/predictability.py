@@ -132,9 +132,9 @@ def predict(
 
     Each start runs again from three perturbed states, 1e-10 of the scene's size away. The motion
     counts as predictable until the distance between these runs has grown by a factor of 1e3. After
-    that, only statistics of the motion are meaningful. The runs use rk4 at a quarter of the shipped
-    time step, with rows solved to rounding. Where a start is lost, shorter steps must show the same
-    time, and implicitfast is asked too: growth is the motion's own only if both show it.
+    that, only statistics of the motion are meaningful. The runs use implicitfast at a quarter of
+    the shipped time step, with rows solved to rounding. Where a start is lost, shorter steps must
+    show the same time, and rk4 is asked too: growth is the motion's own only if both show it.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, or its fields as arguments. By default 10 s, and 8 starts.
@@ -179,14 +179,14 @@ def predict(
 
 
 def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[Growth, Change]:
-    """Measure the growth from one start, under rk4 first.
+    """Measure the growth from one start, under the quicker method first.
 
-    What grows under rk4 may be its own instability (a servo whose damping is too quick for its
-    steps): then another method is asked. The one that predicts for longer is right, and of two that
-    do so alike the one in which less grows.
+    What grows may be the method's own instability (under rk4 a servo whose damping is too quick for
+    its steps): then the other one is asked. The one that predicts for longer is right, and of two
+    that do so alike the one in which less grows.
     """
     found = list[tuple[Growth, Change]]()
-    for way in reversed([way for way in engine.ways(schedule, 1.0) if way.fixed]):
+    for way in filter(lambda way: way.fixed, engine.ways(schedule, 1.0)):
         # From a quarter of the shipped step.
         rungs = [way.at(2 + finer) for finer in range(FINER + 1)]
         growth, change = settled(engine, rungs, schedule, [start], size, DIRECTIONS)
