@@ -67,6 +67,12 @@ class Growth:
         failure = next((part.failure for part in parts if part.failure), "")
         return cls(parts[0].times, factor, ends, failure)
 
+    def then(self, longer: Growth) -> Growth:
+        """Return this growth, followed by what a longer one has after it."""
+        after = longer.factor[:, len(self.times) :]
+        factor = np.concatenate([self.factor, after], axis=1)
+        return dataclasses.replace(self, times=longer.times, factor=factor)
+
     def scored(self, samples: np.ndarray) -> np.ndarray:
         """Return which samples can be predicted, (starts, n); the first one always counts."""
         mask: np.ndarray = samples[None, :] <= self.ends[:, None]
@@ -138,18 +144,23 @@ def settled(
         if not (grown.failure or np.isfinite(grown.ends).any()):
             return grown, change
         if whole is None and not grown.failure and np.isfinite(grown.ends).all():
-            whole = grown
-            samples = math.ceil(2 * grown.ends.max() / (schedule.period * schedule.every))
-            periods = min(schedule.periods, samples * schedule.every)
-            schedule = dataclasses.replace(schedule, periods=periods)
+            whole, schedule = grown, shortened(schedule, grown)
         if last is not None:
             a, b = (np.minimum(one, 1e300) for one in (grown.ends, last[0].ends))
             if (np.abs(a - b) <= AGREE * np.maximum(a, b)).all():
                 return last
-        full = grown if whole is None else dataclasses.replace(whole, ends=grown.ends)
-        last = dataclasses.replace(full, failure=grown.failure), change
+        last = grown if whole is None else grown.then(whole), change
     assert last is not None
     return last
+
+
+def shortened(schedule: Schedule, grown: Growth) -> Schedule:
+    """Return the schedule for twice as long as all starts can be predicted, if they all end."""
+    if not np.isfinite(grown.ends).all():
+        return schedule
+    samples = math.ceil(2 * grown.ends.max() / (schedule.period * schedule.every))
+    periods = min(schedule.periods, samples * schedule.every)
+    return dataclasses.replace(schedule, periods=periods)
 
 
 def _end(times: np.ndarray, factor: np.ndarray) -> float:

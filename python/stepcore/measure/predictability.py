@@ -14,7 +14,7 @@ from stepcore.experiment.arguments import MeasurementFields, Source, measurement
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.predictable import GROWTH, NEARBY, Growth, settled
+from stepcore.experiment.predictable import GROWTH, NEARBY, Growth, settled, shortened
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import FINER
@@ -182,18 +182,24 @@ def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[
     """Measure the growth from one start, under the quicker method first.
 
     What grows may be the method's own instability (under rk4 a servo whose damping is too quick for
-    its steps): then the other one is asked. The one that predicts for longer is right, and of two
-    that do so alike the one in which less grows.
+    its steps): where a start is lost, the other one is asked. The one that predicts for longer is
+    right, and of two that do so alike the one in which less grows.
     """
-    found = list[tuple[Growth, Change]]()
+    found, own = list[tuple[Growth, Change]](), schedule
     for way in filter(lambda way: way.fixed, engine.ways(schedule, 1.0)):
         # From a quarter of the shipped step.
         rungs = [way.at(2 + finer) for finer in range(FINER + 1)]
-        growth, change = settled(engine, rungs, schedule, [start], size, DIRECTIONS)
+        growth, change = settled(engine, rungs, own, [start], size, DIRECTIONS)
+        if own is not schedule and not growth.failure:
+            if math.isinf(growth.overall):
+                growth, change = settled(engine, rungs, schedule, [start], size, DIRECTIONS)
+            else:
+                growth = growth.then(found[0][0])
         if not growth.failure:
             found.append((growth, change))
-            if growth.factor.max() <= math.sqrt(GROWTH):
+            if math.isinf(growth.overall):
                 break
+            own = shortened(schedule, growth)
     if not found:
         text = f"the motion fails{schedule.driven}, at shorter steps too"
         raise ValueError(f"{text}: {growth.failure}")
