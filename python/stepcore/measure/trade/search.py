@@ -277,7 +277,9 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
         over = tried.misses(error)
         if len(over) / len(tried.starts) < fewest:
             chosen, fewest = best, len(over) / len(tried.starts)
-        new = [s for s in over if s not in search.truth.starts][:JOIN]
+        # A start from which no run converges tells nothing.
+        known = dict(zip(tried.starts, np.isfinite(tried.unsure), strict=True))
+        new = [s for s in over if known[s] and s not in search.truth.starts][:JOIN]
         if not new:
             break
         search.join(new, error)
