@@ -60,9 +60,11 @@ class Engine(ABC):
     name: of the engine. title: of the scene. refusal: why stepcore has no model of it; else "".
     shipped: the settings of the scene. dt: its time step [s]. nv: the number of dofs.
     matter: the moving bodies. coordinates: of the states. size: the size of the scene [m].
-    gravity: [m/s²].
+    gravity: [m/s²]. nearby: how far a nudge moves a state whose growth is measured, relative to the
+    size or in radians.
     """
 
+    nearby = 1e-10
     name: str
     title: str
     shipped: Any

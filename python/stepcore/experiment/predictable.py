@@ -25,8 +25,8 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.schedule import Schedule
 
-# The nudge and the common shift, relative to the scene's size or in radians.
-NEARBY, ASIDE = 1e-10, 1e-6
+# The common shift of all runs, relative to the scene's size or in radians.
+ASIDE = 1e-6
 # The time between samples is at most this [s].
 APART = 0.02
 # The growth above which a motion counts as unpredictable.
@@ -100,7 +100,7 @@ def growth(
     aside = ASIDE * moved.drawn(rng, size, 1.0)
     nudges = [np.zeros(moved.nv)]
     nudges += [
-        NEARBY * moved.scaled(rng.choice([-1.0, 1.0], moved.nv), size, 1.0)
+        engine.nearby * moved.scaled(rng.choice([-1.0, 1.0], moved.nv), size, 1.0)
         for _ in range(directions)
     ]
     begin = [
@@ -138,13 +138,16 @@ def settled(
 
     changes: with steps ever shorter.
     """
-    last = whole = None
+    last, whole, own = None, None, schedule
     for change in changes:
-        grown = growth(engine, change, schedule, starts, size, directions)
+        grown = growth(engine, change, own, starts, size, directions)
+        if own is not schedule and not np.isfinite(grown.ends).all():
+            # What does not end there again may end later.
+            grown = growth(engine, change, schedule, starts, size, directions)
         if not (grown.failure or np.isfinite(grown.ends).any()):
             return grown, change
-        if whole is None and not grown.failure and np.isfinite(grown.ends).all():
-            whole, schedule = grown, shortened(schedule, grown)
+        if whole is None and not grown.failure:
+            whole, own = grown, shortened(schedule, grown)
         if last is not None:
             a, b = (np.minimum(one, 1e300) for one in (grown.ends, last[0].ends))
             if (np.abs(a - b) <= AGREE * np.maximum(a, b)).all():
@@ -159,8 +162,10 @@ def shortened(schedule: Schedule, grown: Growth) -> Schedule:
     if not np.isfinite(grown.ends).all():
         return schedule
     samples = math.ceil(2 * grown.ends.max() / (schedule.period * schedule.every))
-    periods = min(schedule.periods, samples * schedule.every)
-    return dataclasses.replace(schedule, periods=periods)
+    periods = samples * schedule.every
+    return (
+        dataclasses.replace(schedule, periods=periods) if periods < schedule.periods else schedule
+    )
 
 
 def _end(times: np.ndarray, factor: np.ndarray) -> float:

@@ -14,7 +14,7 @@ from stepcore.experiment.arguments import MeasurementFields, Source, measurement
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.predictable import GROWTH, NEARBY, Growth, settled, shortened
+from stepcore.experiment.predictable import GROWTH, Growth, settled, shortened
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import FINER
@@ -34,6 +34,7 @@ class Predictability(Result):
 
     motion: the motion that was run, over `horizon` [s] in steps of `dt` [s] under `integrator`.
     growth: the growth of the perturbations; see `stepcore.experiment.predictable.Growth`.
+    nearby: how far these move a start, relative to the scene's size.
     """
 
     kind = "predictability"
@@ -45,6 +46,7 @@ class Predictability(Result):
     dt: float
     integrator: str
     growth: Growth
+    nearby: float
 
     @property
     def time(self) -> float:
@@ -79,8 +81,8 @@ class Predictability(Result):
         """The method of the measurement, in one line."""
         return (
             f"Run under {self.integrator}, dt {seconds(self.dt)}. Each start runs again from "
-            f"{DIRECTIONS} perturbed states, {compact(NEARBY)} of the scene's size away; it can be "
-            f"predicted until a perturbation has grown more than {times(GROWTH)}."
+            f"{DIRECTIONS} perturbed states, {compact(self.nearby)} of the scene's size away; it can "
+            f"be predicted until a perturbation has grown more than {times(GROWTH)}."
         )
 
     @property
@@ -113,7 +115,7 @@ class Predictability(Result):
             "times": self.growth.times,
             "growth": self.growth.factor,
             "limit": GROWTH,
-            "nearby": NEARBY,
+            "nearby": self.nearby,
         }
 
     def __repr__(self) -> str:
@@ -130,11 +132,12 @@ def predict(
 ) -> Predictability:
     """Measure how long the motion of a scene can be predicted.
 
-    Each start runs again from three perturbed states, 1e-10 of the scene's size away. The motion
-    counts as predictable until the distance between these runs has grown by a factor of 1e3. After
-    that, only statistics of the motion are meaningful. The runs use implicitfast at a quarter of
-    the shipped time step, with rows solved to rounding. Where a start is lost, shorter steps must
-    show the same time, and rk4 is asked too: growth is the motion's own only if both show it.
+    Each start runs again from three perturbed states, 1e-10 of the scene's size away (1e-6 in
+    MuJoCo, whose solver leaves more than 1e-10 open). The motion counts as predictable until the
+    distance between these runs has grown by a factor of 1e3. After that, only statistics of the
+    motion are meaningful. The runs use implicitfast at a quarter of the shipped time step, with
+    rows solved to rounding. Where a start is lost, shorter steps must show the same time, and rk4
+    is asked too: growth is the motion's own only if both show it.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, or its fields as arguments. By default 10 s, and 8 starts.
@@ -174,6 +177,7 @@ def predict(
         dt=finest.dt,
         integrator=finest.integrator,
         growth=Growth.joined([growth for growth, _ in every]),
+        nearby=study.engine.nearby,
         ran=study.motion_ran,
     )
 
