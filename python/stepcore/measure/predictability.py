@@ -81,8 +81,8 @@ class Predictability(Result):
         """The method of the measurement, in one line."""
         return (
             f"Run under {self.integrator}, dt {seconds(self.dt)}. Each start runs again from "
-            f"{DIRECTIONS} perturbed states, {compact(self.nearby)} of the scene's size away; it can "
-            f"be predicted until a perturbation has grown more than {times(GROWTH)}."
+            f"{DIRECTIONS} perturbed states, {compact(self.nearby)} of the scene's size away; it "
+            f"can be predicted until a perturbation has grown more than {times(GROWTH)}."
         )
 
     @property

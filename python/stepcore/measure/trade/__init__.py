@@ -199,11 +199,15 @@ def _searched(result: Trade, search: Search, further: int) -> None:
 
 
 def _settled(search: Search, error: float, further: int) -> Trial | None:
-    """Choose settings for an error [m], and look for what half of theirs would cost."""
+    """Choose settings for an error [m], and look for what half of theirs would cost.
+
+    That may be less: the search passes over what is hardly cheaper than the best so far.
+    """
     chosen = settled(search, error, further)
-    if chosen is not None:
-        search.cheapest(chosen.error / 2)
-    return chosen
+    if chosen is None:
+        return None
+    better = search.cheapest(chosen.error / 2)
+    return better if better is not None and better.cost <= chosen.cost else chosen
 
 
 def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None], engine: str) -> bool:
