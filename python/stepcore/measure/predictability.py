@@ -203,7 +203,11 @@ def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[
             found.append((growth, change))
             if math.isinf(growth.overall):
                 break
-            own = shortened(schedule, growth)
+            # A user's control may make the whole motion fail, which is said.
+            own = shortened(schedule, growth) if schedule.control is None else schedule
+        elif change != rungs[-1] and growth.overall > growth.times[0]:
+            # Runs of other steps are lost at the same time, and fail: the motion itself does.
+            found.clear()
     if not found:
         text = f"the motion fails{schedule.driven}, at shorter steps too"
         raise ValueError(f"{text}: {growth.failure}")
