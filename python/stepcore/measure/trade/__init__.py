@@ -15,7 +15,6 @@ from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
-from stepcore.experiment.trial import Trial
 from stepcore.measure.monitors import monitored
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.search import UNSURE, Search, proven, settled
@@ -189,25 +188,13 @@ def _searched(result: Trade, search: Search, further: int) -> None:
         worst = max(search.moved, search.shipped.error)
         result.verified = least if least <= USEFUL * worst else None
     if unsure <= target or result.verified is not None:
-        result.chosen = _settled(search, result.asked, further)
+        result.chosen = settled(search, result.asked, further)
     if result.verified is not None and search.truth.error <= UNSURE * target:
         # The search itself has made the motion sure enough for what was asked.
         result.unsure = search.truth.error
-        chosen = _settled(search, target, further)
+        chosen = settled(search, target, further)
         if chosen is not None:
             result.chosen, result.verified = chosen, None
-
-
-def _settled(search: Search, error: float, further: int) -> Trial | None:
-    """Choose settings for an error [m], and look for what half of theirs would cost.
-
-    That may be less: the search passes over what is hardly cheaper than the best so far.
-    """
-    chosen = settled(search, error, further)
-    if chosen is None:
-        return None
-    better = search.cheapest(chosen.error / 2)
-    return better if better is not None and better.cost <= chosen.cost else chosen
 
 
 def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None], engine: str) -> bool:

@@ -263,8 +263,8 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
 
     Starts of the second set on which a choice fails join the search, until a choice holds on all of
     them. Where none is left, it is the cheapest that may hold, for all that is known of the motion;
-    without one, that which failed on the fewest. What is told of it comes from a third set; see
-    `proven`.
+    without one, that which failed on the fewest. What halves its error is tried, and chosen where
+    it costs no more. What is told of the choice comes from a third set; see `proven`.
     """
     study, chosen, fewest = search.study, None, math.inf
     best = search.cheapest(MARGIN * error)
@@ -284,7 +284,12 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
             break
         search.join(new, error)
         best = search.cheapest(MARGIN * error)
-    return best or next((trial for trial in search.whole if trial.error <= error), chosen)
+    found = best or next((trial for trial in search.whole if trial.error <= error), chosen)
+    better = None if found is None else search.cheapest(found.error / 2)
+    if found is None or better is None or better.cost > found.cost:
+        return found
+    missed = second and tested(study, better.change, second, error).misses(error)
+    return found if missed else better
 
 
 def tested(
