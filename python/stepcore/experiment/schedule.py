@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from stepcore import checks
+from stepcore._core import SimulationError
 from stepcore.engine.control import Control, control_name, fresh
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
@@ -371,7 +372,10 @@ def locked(model: Model, home: Start) -> np.ndarray:
     for speed in (0.0, 1.0):
         home.put(sim)
         sim.qvel[:] = speed
-        sim.forward()
+        try:
+            sim.forward()
+        except SimulationError:
+            return np.zeros(model.nv, bool)
         forces.append(np.array(sim.passive))
     stops = np.abs(forces[1] - forces[0]) * model.settings.dt
     return stops > FINEST * np.diagonal(sim.mass_matrix())

@@ -185,8 +185,8 @@ def _searched(result: Trade, search: Search, further: int) -> None:
     if unsure > UNSURE * target:
         # What the converged motion is known to, an error can be found within.
         least = rounded(unsure / UNSURE, 2, up=True)
-        worst = max(search.moved, search.shipped.error)
-        result.verified = least if least <= USEFUL * worst else None
+        most = search.moved if search.shipped.failure else max(search.moved, search.shipped.error)
+        result.verified = least if least <= USEFUL * most else None
     if unsure <= target or result.verified is not None:
         result.chosen = settled(search, result.asked, further)
     if result.verified is not None and search.truth.error <= UNSURE * target:

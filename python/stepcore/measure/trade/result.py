@@ -334,7 +334,7 @@ class Trade(Result):
                 within = f"a cost of at most {self._amount(self.budget)} per simulated second"
             choice = f"Recommended for {within}: {self.label(row)}"
             if self.budget is None and row.error > self.asked:
-                choice = f"No setting tried has {within} in every start. In most it is kept by "
+                choice = f"No setting tried has {within} in every start. The fewest exceed it with "
                 choice += self.label(row)
             worst = f"{self._wrong(row)} in the worst of {counted(len(row.starts), 'start')}"
             priced = self._priced_beside(row)
