@@ -17,7 +17,7 @@ from stepcore.experiment.schedule import STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.measure.monitors import monitored
 from stepcore.measure.trade.result import Trade
-from stepcore.measure.trade.search import UNSURE, Search, proven, settled
+from stepcore.measure.trade.search import SEARCHING, UNSURE, Search, proven, settled
 from stepcore.report import units
 from stepcore.report.units import counted, rounded
 
@@ -189,7 +189,8 @@ def _searched(result: Trade, search: Search, further: int) -> None:
         result.verified = least if least <= USEFUL * most else None
     if unsure <= target or result.verified is not None:
         result.chosen = settled(search, result.asked, further)
-    if result.verified is not None and search.truth.error <= UNSURE * target:
+    rest = search.study.spent <= SEARCHING * search.study.effort
+    if result.verified is not None and search.truth.error <= UNSURE * target and rest:
         # The search itself has made the motion sure enough for what was asked.
         result.unsure = search.truth.error
         chosen = settled(search, target, further)

@@ -247,11 +247,11 @@ class Trade(Result):
         error: as in `best`; by default that of the chosen settings on the starts of the search, or
             of the shipped ones.
         """
-        if error is not None:
-            half = length("best", "error", error, self.size) / 2
-        else:
-            half = (self.chosen or self.shipped).error / 2
-        good = [row for row in self.rows if row.error <= half and not row.failure]
+        own = self.chosen or self.shipped
+        half = (own.error if error is None else length("best", "error", error, self.size)) / 2
+        # Others ran from fewer starts, and failed on one that joined.
+        whole = [row for row in self.rows if len(row.starts) >= len(own.starts)]
+        good = [row for row in whole if row.error <= half and not row.failure]
         return min(good, key=COST) if good and half > 0 else None
 
     def _same(self) -> Trial | None:
@@ -358,11 +358,13 @@ class Trade(Result):
     def _surer(self) -> str:
         """Say what it takes to verify the error that was asked for."""
         truth = self.reference
-        if not math.isfinite(truth.needs):
+        if not math.isfinite(truth.needs) and truth.error >= self.unsure:
             given = self.motion is not None and self.motion.is_users
             other = "a shorter piece of this motion" if given else "your own motion"
             return f"Shorter steps do not make it surer: try {other}."
-        effort = rounded(self.effort + truth.needs / KNOWING, 1, up=True)
+        # The search may have made it surer than it was, and spent the effort.
+        needs = truth.needs if math.isfinite(truth.needs) else 0.0
+        effort = rounded(self.effort + max(needs / KNOWING, 0.01 * self.effort), 1, up=True)
         spent = seconds(max(1.0, round(1e-6 * OPERATION * effort)))
         return f"With --effort {effort:.0e} (in Python effort=) it may be: about {spent}."
 

@@ -264,7 +264,8 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
     Starts of the second set on which a choice fails join the search, until a choice holds on all of
     them. Where none is left, it is the cheapest that may hold, for all that is known of the motion;
     without one, that which failed on the fewest. What halves its error is tried, and chosen where
-    it costs no more. What is told of the choice comes from a third set; see `proven`.
+    it costs no more and fails on no more. What is told of the choice comes from a third set; see
+    `proven`.
     """
     study, chosen, fewest = search.study, None, math.inf
     best = search.cheapest(MARGIN * error)
@@ -288,8 +289,10 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
     better = None if found is None else search.cheapest(found.error / 2)
     if found is None or better is None or better.cost > found.cost:
         return found
-    missed = second and tested(study, better.change, second, error).misses(error)
-    return found if missed else better
+    if not second:
+        return better
+    missed = [len(tested(study, t.change, second, error).misses(error)) for t in (found, better)]
+    return found if missed[0] < missed[1] else better
 
 
 def tested(
