@@ -358,7 +358,7 @@ class Trade(Result):
     def _surer(self) -> str:
         """Say what it takes to verify the error that was asked for."""
         truth = self.reference
-        if not math.isfinite(truth.needs) and truth.error >= self.unsure:
+        if not (math.isfinite(truth.needs) or truth.error < self.unsure):
             given = self.motion is not None and self.motion.is_users
             other = "a shorter piece of this motion" if given else "your own motion"
             return f"Shorter steps do not make it surer: try {other}."
