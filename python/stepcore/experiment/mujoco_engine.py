@@ -42,8 +42,6 @@ from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import (
     FINEST,
     HORIZON,
-    SPEED,
-    SPIN,
     Schedule,
     given_controls,
     laid_out,
@@ -685,8 +683,7 @@ def _scheduled(
 
     dt = float(scene.opt.timestep)
     moving = scene.dof_damping * dt <= FINEST * scene.dof_M0
-    speeds = coordinates.scaled(moving, SPEED, SPIN)
-    nearby = partial(near, coordinates, first, speeds, _overlaps(scene), 1e-4)
+    nearby = partial(near, coordinates, first, moving, _overlaps(scene), 1e-4)
     return laid_out(motion, dt, first, nearby, drive, period, starts, horizon)
 
 

@@ -129,6 +129,7 @@ def settled(
     starts: Sequence[int],
     size: float,
     directions: int = 1,
+    whole: Growth | None = None,
 ) -> tuple[Growth, Change]:
     """Measure the growth at shorter and shorter steps, until two of them agree on when starts end.
 
@@ -136,14 +137,15 @@ def settled(
     where all do, shorter steps run for twice as long. Of two that agree the longer one is returned,
     with its change: it has less rounding.
 
-    changes: with steps ever shorter.
+    changes: with steps ever shorter. whole: the growth in which all starts end, if one is known.
     """
-    last, whole, own = None, None, schedule
+    last, own = None, schedule if whole is None else shortened(schedule, whole)
     for change in changes:
         grown = growth(engine, change, own, starts, size, directions)
         if own is not schedule and not np.isfinite(grown.ends).all():
             # What does not end there again may end later.
-            grown = growth(engine, change, schedule, starts, size, directions)
+            own = schedule
+            grown = growth(engine, change, own, starts, size, directions)
         if not (grown.failure or np.isfinite(grown.ends).any()):
             return grown, change
         if whole is None and not grown.failure:

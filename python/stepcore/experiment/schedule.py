@@ -188,9 +188,8 @@ def scheduled(
         return driving(motion, model, asked)
 
     slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
-    coordinates = Coordinates(model)
-    speeds = coordinates.scaled(~locked(model, first), SPEED, SPIN)
-    nearby = partial(near, coordinates, first, speeds, overlaps(model), slack)
+    moving = ~locked(model, first)
+    nearby = partial(near, Coordinates(model), first, moving, overlaps(model), slack)
     return laid_out(motion, model.settings.dt, first, nearby, drive, period, starts, horizon)
 
 
@@ -341,14 +340,14 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
 def near(
     coordinates: Coordinates,
     home: Start,
-    speeds: np.ndarray,
+    moving: np.ndarray,
     overlap: Callable[[Start], float],
     slack: float,
     rng: np.random.Generator,
 ) -> Start:
     """Return a random start near `home`, within the joint ranges.
 
-    speeds: the largest of each dof, (nv,).
+    moving: which dofs get a speed, (nv,).
     overlap: the deepest overlap of a start's contacts [m]. It exceeds that of `home` by at most
     `slack`: 0.1 mm under laws whose contacts are springs. Other laws correct a share of an overlap
     in each step, which ejects a body at a speed that grows as 1/dt. Under these laws the overlap
@@ -357,7 +356,8 @@ def near(
     allowed = max(0.0, overlap(home)) + slack
     tried = []
     for _ in range(64):
-        step, rate = coordinates.drawn(rng, SHIFT, TURN), speeds * coordinates.drawn(rng, 1.0, 1.0)
+        step = coordinates.drawn(rng, SHIFT, TURN)
+        rate = np.where(moving, coordinates.drawn(rng, SPEED, SPIN), 0.0)
         moved = coordinates.inside(coordinates.moved(home.qpos, step))
         start = dataclasses.replace(home, qpos=moved, qvel=home.qvel + rate)
         tried.append((overlap(start), start))

@@ -14,7 +14,7 @@ from stepcore.experiment.arguments import MeasurementFields, Source, measurement
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.predictable import GROWTH, Growth, settled, shortened
+from stepcore.experiment.predictable import GROWTH, Growth, settled
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import FINER
@@ -189,22 +189,17 @@ def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[
     its steps): where a start is lost, the other one is asked. The one that predicts for longer is
     right, and of two that do so alike the one in which less grows.
     """
-    found, own = list[tuple[Growth, Change]](), schedule
+    found, whole = list[tuple[Growth, Change]](), None
     for way in filter(lambda way: way.fixed, engine.ways(schedule, 1.0)):
         # From a quarter of the shipped step.
         rungs = [way.at(2 + finer) for finer in range(FINER + 1)]
-        growth, change = settled(engine, rungs, own, [start], size, DIRECTIONS)
-        if own is not schedule and not growth.failure:
-            if math.isinf(growth.overall):
-                growth, change = settled(engine, rungs, schedule, [start], size, DIRECTIONS)
-            else:
-                growth = growth.then(found[0][0])
+        growth, change = settled(engine, rungs, schedule, [start], size, DIRECTIONS, whole)
         if not growth.failure:
             found.append((growth, change))
             if math.isinf(growth.overall):
                 break
             # A user's control may make the whole motion fail, which is said.
-            own = shortened(schedule, growth) if schedule.control is None else schedule
+            whole = growth if schedule.control is None else None
         elif change != rungs[-1] and growth.overall > growth.times[0]:
             # Runs of other steps are lost at the same time, and fail: the motion itself does.
             found.clear()

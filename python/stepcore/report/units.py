@@ -135,8 +135,10 @@ def beginning(text: str, sentences: int = 1) -> str:
 
 def compact(value: float) -> str:
     """Format a number for a narrow column: two digits, short exponent; 0 for values <= 0."""
-    if value <= 0 or not math.isfinite(value):
-        return "0" if value <= 0 else f"{value}"
+    if value <= 0:
+        return "0"
+    if not math.isfinite(value):
+        return f"{value}"
     digits, exponent = f"{value:.1e}".split("e")
     return f"{digits}e{int(exponent)}"
 
