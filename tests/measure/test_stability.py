@@ -10,6 +10,7 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
+from stepcore.deadline import OutOfTime
 from stepcore.engine.linear_maps import INTEGRATORS, step_matrix
 from stepcore.experiment import Change, Study
 from stepcore.lesson import maps
@@ -72,6 +73,42 @@ def test_the_step_matrix_is_the_engines(integrator):
     expected = largest_stable_dt(integrator, mass, stiffness, joint + servo, implicit)
     limit = limit_of_springs(sim.model, None, integrator)
     assert limit == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_grows_by_itself_has_no_boundary():
+    """A pendulum on its head, held too softly, falls at any dt; held well, it has a limit."""
+    scene = sc.Scene(gravity=(0, 0, 0))
+    body = scene.add_body("pole", mass=1, inertia=(1, 1, 1))
+    scene.add_joint(body, "hinge", name="hinge", stiffness=-5.0)
+    scene.add_actuator("hinge", "position", name="servo", kp=4)
+    assert np.isnan(limit_of_springs(scene.compile(), None, "euler"))
+    held = scene.compile().with_values({"actuator/servo/kp": 30})
+    assert limit_of_springs(held, None, "euler") == pytest.approx(2 / 5, rel=1e-5)
+    found = stability_map(scene, path="actuator/servo/kp", values=[4, 30], dts=[0.01])
+    assert [line.split()[-1] for line in found.text().splitlines()[-2:]] == ["ms", "ms"]
+
+
+def test_by_default_the_first_of_a_vector_and_the_mass_of_geoms_are_varied():
+    scene = sc.loads("""<mujoco><option cone="elliptic"/>
+    <worldbody><geom name="floor" type="plane" size="1 1 1"/>
+    <body name="box" pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1" mass="3"/></body>
+    </worldbody></mujoco>""")
+    for path, present in (("geom/floor/friction", 1.0), ("body/box/mass", 3.0)):
+        found = stability_map(scene, path=path, dts=[0.002], horizon=0.02)
+        assert found.values[::6] == pytest.approx([present / 100, present, present * 100])
+
+
+def test_values_whose_truth_the_time_left_out_are_unknown(monkeypatch):
+    """Runs are judged as far as they can: what failed has exploded, the rest is only finite."""
+    grid = {"path": SPRING, "values": [100.0, 1e6], "dts": [1e-3, 1e-1], "integrators": "euler"}
+
+    def late(*_, **__):
+        raise OutOfTime("the time of the measurement is over")
+
+    monkeypatch.setattr(Study, "truth", late)
+    found = stability_map("lesson:spring", **grid)
+    assert "Not done: all true motions" in found.text() and "unknown" in found.text()
+    assert [cell.state for cell in found.rows] == ["finite"] * 3 + ["exploded"]
 
 
 def test_a_scene_without_springs_has_no_boundary():

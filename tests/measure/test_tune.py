@@ -155,6 +155,34 @@ def test_beyond_the_step_its_limit_and_an_integrator_are_said(goal, wanted, unit
     assert all(t.reached for t in sc.tune(fast, **{goal: wanted}).found)
 
 
+def test_a_robot_on_a_free_base_hangs_while_its_servos_are_tuned():
+    """On the floor it would fall; its gains are those of the same legs on a base that is fixed."""
+    legs = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="9 9 9"/>
+    <body name="trunk" pos="0 0 .45"><freejoint/><geom type="box" size=".2 .1 .05" mass="5"
+    contype="0" conaffinity="0"/>
+    <body name="thigh"><joint name="hip" axis="0 1 0" damping=".1"/>
+    <geom type="capsule" size=".02" fromto="0 0 0 0 0 -.2" mass=".8"/>
+    <body name="shank" pos="0 0 -.2"><joint name="knee" axis="0 1 0" range="-150 0"/>
+    <geom type="capsule" size=".02" fromto="0 0 0 0 0 -.2" mass=".4"/></body></body></body>
+    </worldbody><actuator><position name="hip" joint="hip"/><position name="knee" joint="knee"/>
+    </actuator><keyframe><key qpos="0 0 .45 1 0 0 0 .3 -.01"/></keyframe></mujoco>"""
+    fixed = legs.replace("<freejoint/>", "").replace("0 0 .45 1 0 0 0 ", "").replace(".45", "9")
+    ours, theirs = (sc.tune(sc.loads(text), bandwidth=4.0) for text in (legs, fixed))
+    assert "the base held in the air" in ours.text() and "in the air" not in theirs.text()
+    for hung, held in zip(ours.found, theirs.found, strict=True):
+        assert hung.reached and held.reached
+        assert dict(hung.change.values) == pytest.approx(dict(held.change.values), rel=0.02)
+
+
+def test_what_dry_friction_holds_is_said_of_its_servo_alone():
+    """The pose rests; the knee sticks. The hip, damped enough by its joint, needs a kv of 0."""
+    sticky = ARM.replace('damping="0.2"', 'frictionloss="5"')
+    sticky = sticky.replace('name="hip" axis="0 1 0"', 'name="hip" axis="0 1 0" damping="60"')
+    hip, knee = sc.tune(sc.loads(sticky), bandwidth=1.0).found
+    assert hip.reached and re.search(r'kp="[\d.]+" kv="0"/>', *hip.lines)
+    assert not knee.reached and "is no sine, even where ten times less" in knee.why
+
+
 def test_quiet_contacts_are_left_as_they_are():
     (box, ball) = sc.tune(sc.loads(RESTING.format("pyramidal")), noise=1e-3).found
     assert box.reached and ball.reached and not box.lines

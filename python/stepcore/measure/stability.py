@@ -28,12 +28,13 @@ from stepcore.experiment.schedule import divides, home, often
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import Truth
 from stepcore.lesson import maps
-from stepcore.lesson.maps import GROWS, MapCase, MapSetting, divisors, largest_stable_dt
+from stepcore.lesson.maps import MapCase, MapSetting, divisors, largest_stable_dt
 from stepcore.report import units
 from stepcore.report.report import not_shown
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, metres, seconds
+from stepcore.scene.elements import Body
 from stepcore.scene.value_paths import find
 
 __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
@@ -46,6 +47,12 @@ WHOLE = 20
 WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt", "interpolation", "kind", "follow")
 # Kinds of elements in the linear system of a scene.
 LINEAR = ("spring", "damper", "actuator")
+# The theory of a scene's map: the dt beyond which that system grows.
+SPRINGS = "limit of springs"
+LEFT_OUT = (
+    "of the joint springs, dampers and servos at the start, without contacts, limits, friction and "
+    "bounds of forces"
+)
 # The states of a cell, and their marks; "finite" is used only if the accuracy is unknown.
 ACCURATE, INACCURATE, EXPLODED, FINITE = "accurate", "inaccurate", "exploded", "finite"
 UNTRIED = "not run"
@@ -151,11 +158,12 @@ class StabilityMap(Result):
                 f"{accurate}: the error is at most what was asked for; {inaccurate}: it is larger; "
                 f"{exploded}: the run failed."
             )
+        theory = any(panel.beyond == SPRINGS for panel in self.panels)
         return (
             f"{accurate}: the RMS position error is at most {metres(self.deviation)}; "
             f"{inaccurate}: it is larger; {exploded}: the run failed, a body went further than "
             f"{FAR:g} times the scene's size, or a hinge turned {FAR:g} times too fast."
-        )
+        ) + f" {SPRINGS}: {LEFT_OUT}." * theory
 
     @property
     def sentences(self) -> list[str]:
@@ -223,7 +231,7 @@ class StabilityMap(Result):
                 row["delivered over asked"] = " ".join(shares)
             else:
                 good = [cell.dt for cell in cells if cell.state == ACCURATE]
-                unknown = not good and any(cell.state == FINITE for cell in cells)
+                unknown = not good and any(cell.state in (FINITE, UNTRIED) for cell in cells)
                 most = _dt(max(good, default=0.0))
                 row["largest accurate"] = "unknown" if unknown else most
             if panel.boundary is not None:
@@ -251,8 +259,8 @@ class StabilityMap(Result):
 
 
 def _dt(value: float) -> str:
-    if value == 0:
-        return "none"
+    if value == 0 or math.isnan(value):
+        return "" if value else "none"
     return seconds(value) if math.isfinite(value) else "any"
 
 
@@ -345,7 +353,8 @@ def stability_map(
         raise ValueError(f"horizon = {horizon:g}: must be >= the largest dt")
     runs = _Runs(setup, case, horizon, kept, deviation)
     runs.make()
-    panels = [runs.panel(setting) for setting in case.settings]
+    with setup.workers.deadline.closing():
+        panels = [runs.panel(setting) for setting in case.settings]
     if all(cell.state == UNTRIED for panel in panels for cell in panel.cells):
         raise OutOfTime("no cell has been run")
     return StabilityMap(
@@ -378,7 +387,7 @@ class _Runs:
 
     accuracies: asked for over the horizon [m], in place of time steps; or none.
     deviation: the error above which a cell is inaccurate [m].
-    truths: the true motions, by study and value; None where there is none.
+    truths: the true motions, by study and value; None where none converges.
     """
 
     def __init__(
@@ -475,9 +484,10 @@ class _Runs:
         study, asked = own.study, own.step if self.accuracies else None
         dt = self.engine.dt if self.accuracies else own.step
         cell = MapCell(own.value, dt, UNTRIED, asked=asked)
-        if (study, own.value) not in self.truths or not study.ran(own.change, 0):
+        if not study.ran(own.change, 0):
             return cell
-        (tracks,), truth = study.tracks([own.change], study.starts), self.truths[study, own.value]
+        (tracks,) = study.tracks([own.change], study.starts)
+        truth = self.truths.get((study, own.value))
         if tracks.failure:
             reason = tracks.failure.removeprefix("start 0: ")
             return dataclasses.replace(cell, state=EXPLODED, reason=reason)
@@ -563,7 +573,7 @@ def _case(
     model, present = None, None
     if engine.known:
         model = setup.model
-        present = getattr(*find(model.scene, path))
+        present = _present(model, path)
         if key is not None:
             model.index("key", key)
         elif model.keys:
@@ -579,9 +589,18 @@ def _case(
         axis=path,
         values=(np.geomspace(0.01, 100.0, 13) * (number or 1.0)).tolist(),
         dts=divisors(WHOLE * engine.dt, engine.dt * np.geomspace(0.1, 10.0, 13)),
-        settings=[MapSetting(n, {"integrator": n}, theory.get(n), GROWS) for n in names],
+        settings=[MapSetting(n, {"integrator": n}, theory.get(n), SPRINGS) for n in names],
         key=key,
     )
+
+
+def _present(model: Model, path: str) -> Any:
+    """Return the number at a path: the first of a vector, and a mass that comes from geoms."""
+    element, field = find(model.scene, path)
+    present = getattr(element, field)
+    if field == "mass" and isinstance(element, Body) and present is None:
+        return model.masses()[element.name]
+    return present[0] if isinstance(present, tuple) and present else present
 
 
 def _linear(
@@ -594,7 +613,7 @@ def _linear(
 def limit_of_springs(model: Model, key: str | int | None, integrator: str) -> float:
     """Return the largest stable dt of a scene's joint springs, dampers and servos at its start [s].
 
-    NaN if the scene has none of these elements, or the integrator has no such theory. Contacts,
+    NaN if the scene has none of these elements, or they grow by themselves, at any dt. Contacts,
     limits, gravity and Coriolis terms are left out.
     """
     sim = unwatched(Sim(model))
@@ -607,7 +626,13 @@ def limit_of_springs(model: Model, key: str | int | None, integrator: str) -> fl
     late = sum((s.damping for e, s in slopes.items() if e.kind in implicit), none)
     if not (stiffness.any() or damping.any()):
         return float("nan")
-    return largest_stable_dt(integrator, sim.mass_matrix(), stiffness, damping, late)
+    mass, one = sim.mass_matrix(), np.eye(model.nv)
+    pulled, braked = (np.linalg.solve(mass, matrix) for matrix in (stiffness, damping))
+    rates = np.linalg.eigvals(np.block([[none, one], [-pulled, -braked]]))
+    # Rounding moves a double eigenvalue by the square root of rounding.
+    if rates.real.max() > (maps.GROWING - 1.0) * np.abs(rates).max():
+        return float("nan")
+    return largest_stable_dt(integrator, mass, stiffness, damping, late)
 
 
 def _accuracies(

@@ -15,7 +15,7 @@ from stepcore.experiment.motion_words import scene_in_words, start_in_words
 from stepcore.experiment.schedule import home
 from stepcore.measure.tune.contacts import resting_geoms, tuned_contact
 from stepcore.measure.tune.goal import At, Goal, Tuned
-from stepcore.measure.tune.servos import servos_of, tuned_servos
+from stepcore.measure.tune.servos import hung, servos_of, tuned_servos
 from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.settings import label
@@ -63,15 +63,20 @@ class Tuning(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """The proposals, each with what the run shows."""
+        """The proposals, each with what the run shows; what is not reached, by its reason."""
         if not self.found:
             return ["There is nothing to tune: no position servo, and nothing that rests."]
         reached = sum(tuned.reached for tuned in self.found)
         said = [f"{reached} of {len(self.found)} reached, each run as it is printed:"]
         said = said if reached else ["Not reached:"]
+        alike = dict[object, list[Tuned]]()
         for tuned in self.found:
-            said.append(f"- {tuned.sentence}")
-            said += [f"  {line}" for line in tuned.lines] if tuned.reached else []
+            reason = id(tuned) if tuned.reached else (tuned.wanted, tuned.why)
+            alike.setdefault(reason, []).append(tuned)
+        for group in alike.values():
+            names = ", ".join(tuned.called for tuned in group)
+            said.append(f"- {names[0].upper()}{names[1:]}, {group[0].sentence}")
+            said += [f"  {line}" for line in group[0].lines] if group[0].reached else []
         return said
 
     @property
@@ -153,7 +158,9 @@ def tune(
     is_servo = goal.name in SERVO and geom is None
     servos = servos_of(compiled, _names(servo)) if is_servo else []
     if servos:
-        found, ran = tuned_servos(compiled, at, servos, goal), "the servos hold the pose"
+        hanging, at = hung(compiled, at, setup.engine.size)
+        base = ", the base held in the air" if hanging is not compiled else ""
+        found, ran = tuned_servos(hanging, at, servos, goal), f"the servos hold the pose{base}"
     elif goal.name in CONTACT:
         law, ran = compiled.settings.law, "2 s to come to rest"
         if law != "solref":

@@ -70,9 +70,10 @@ class Goal(NamedTuple):
         it shows nothing.
         """
         goal, power, before = math.log(self.value), np.ones(count), None
-        x = np.full(count, goal)
+        x, held = np.full((2, count), goal)
         for last in reversed(range(ROUNDS)):
             shown = run(np.exp(x))
+            held = np.where(shown > 0, x, held)
             off = np.log(np.where(shown > 0, shown, self.value)) - goal
             if not last or np.abs(off).max() <= WITHIN / 4:
                 break
@@ -81,7 +82,8 @@ class Goal(NamedTuple):
                 rise = (off - before[1]) / np.where(moved == 0, 1.0, moved)
                 power = np.where(moved == 0, power, np.clip(rise, 0.5, 4))
             before = x, off
-            x = x - np.clip(off / power, -1.0, 1.0)
+            # What shows nothing was asked too much: half of the way back to what showed something.
+            x = np.where(shown > 0, x - np.clip(off / power, -1.0, 1.0), (x + held) / 2)
         return np.exp(x), shown
 
 
@@ -111,15 +113,23 @@ class Tuned:
     also: str = ""
 
     @property
+    def called(self) -> str:
+        """The element in words."""
+        return self.name if "`" in self.name else f"{self.kind} `{self.name}`"
+
+    @property
+    def wanted(self) -> str:
+        """The goal in words."""
+        return f"{self.goal.name} of {self.goal.words(self.goal.value, self.unit)}"
+
+    @property
     def sentence(self) -> str:
         """What was wanted, and what the run shows."""
-        wanted = self.goal.words(self.goal.value, self.unit)
-        head = f"{self.kind.capitalize()} `{self.name}`, {self.goal.name} of {wanted}: "
         if not self.reached:
-            return f"{head}not reached. {self.why}."
+            return f"{self.wanted}: not reached. {self.why}."
         law = self.goal.words(self.expected, self.unit)
         closed = f", {law} by the closed form" if math.isfinite(self.expected) else ""
-        return f"{head}{self.result} in the run{closed}{self.also}."
+        return f"{self.wanted}: {self.result} in the run{closed}{self.also}."
 
     @property
     def result(self) -> str:
@@ -178,6 +188,6 @@ def pasted(model: Model, values: Mapping[str, Any]) -> tuple[str, ...]:
         k = int(index[1:])
         tag = model.scene.actuators[k].type if kind == "actuator" else kind
         head = f'{tag} name="{model.called(kind)[k]}"' if model.names[kind][k] else tag
-        text = " ".join(f"{number:.6g}" for number in np.atleast_1d(value)) if value else ""
-        lines[head] = lines.get(head, "") + (f' {field}="{text}"' if value is not None else "")
+        text = "" if value is None else " ".join(f"{x:.6g}" for x in np.atleast_1d(value))
+        lines[head] = lines.get(head, "") + (f' {field}="{text}"' if text else "")
     return tuple(f"<{head}{fields}/>" for head, fields in lines.items())

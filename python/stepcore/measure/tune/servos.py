@@ -6,9 +6,10 @@ to 1/√2 at PASSES ω, its steps settle in SETTLES/ω, and under a load F it sa
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import least
+from stepcore.experiment.moves import moves_about, roots
 from stepcore.measure.monitors.servos import gained
 from stepcore.measure.tune.goal import (
     FEWEST,
@@ -40,6 +42,8 @@ from stepcore.scene.layout import Layout
 WIDTH = 0.1
 # Gains hold at this multiple of the time step too: the margin without a warning at load.
 MARGIN = 2.0
+# The armature of a base that is held, in masses of the scene.
+HEAVY = 1e6
 
 
 def servos_of(model: Model, names: Sequence[str] | None) -> list[Actuator]:
@@ -55,6 +59,34 @@ def servos_of(model: Model, names: Sequence[str] | None) -> list[Actuator]:
             model.index("actuator", name)
             raise ValueError(f"servo = {name!r}: is no position servo on a hinge or slide")
     return list(found.values() if names is None else map(found.__getitem__, dict.fromkeys(names)))
+
+
+def hung(model: Model, at: At, size: float) -> tuple[Model, At]:
+    """Return a model, and a start whose servos ask for its own pose.
+
+    A robot that moves about hangs in the air by its base, which a large armature holds: on its feet
+    it would fall before anything is known of a servo. size: how far it is lifted [m].
+    """
+    drives = actuators(model)
+    ctrl, qpos = at.ctrl.copy(), at.start.qpos.copy()
+    for drive in drives:
+        if drive.kind == SERVO and drive.joint is not None and drive.gain:
+            asked = drive.holding(drive.gear * qpos[drive.qposadr])
+            ctrl[drive.index] = np.clip(asked, *drive.ctrlrange)
+    if not moves_about(model, drives):
+        return model, At(at.start, ctrl)
+    trees, driven = roots(model, drives), {drive.joint for drive in drives}
+    heavy = {
+        f"joint/#{joint}/armature": HEAVY * float(model.body_mass.sum())
+        for joint, body in enumerate(model.jnt_body.tolist())
+        if body in trees and joint not in driven
+    }
+    up = -np.array(model.scene.gravity) / max(float(np.linalg.norm(model.scene.gravity)), 1e-9)
+    for joint in np.flatnonzero(np.isin(model.jnt_body, list(trees))).tolist():
+        if model.jnt_type[joint] == "free":
+            qpos[model.jnt_qposadr[joint] :][:3] += size * up
+    start = dataclasses.replace(at.start, qpos=qpos)
+    return Change(heavy).of(model), At(start, ctrl)
 
 
 def shown(
@@ -86,7 +118,11 @@ def shown(
         # At most a share of the range, and half of the force that is left.
         left, width = drive.bound - drive.kp * far, share_of_range(drive)
         width = min(width, left / 2 / drive.kp) if left > 0 else width
-        ctrl[n, :, k] += wave * (width if asked + 2 * width <= drive.ctrlrange[1] else -width)
+        low, high = ends(model, drive)
+        if goal.name == "bandwidth":
+            # About the pose, or as near to it as the sine's room allows.
+            ctrl[n, :, k] = np.clip(asked, low + width, max(low + width, high - width))
+        ctrl[n, :, k] += wave * (width if asked + 2 * width <= high else -width)
         off[n], widths[n] = far / gear, width / gear
     ran = follow(model, [rest] * len(drives), len(wave), ctrl=ctrl, record=("qpos",))
     for n, drive in enumerate(drives):
@@ -96,6 +132,13 @@ def shown(
         elif is_settled(path, widths[n]):
             values[n] = settling(path, dt) if goal.name == "settling" else off[n]
     return values, off, widths
+
+
+def ends(model: Model, drive: Actuator) -> tuple[float, float]:
+    """Return the controls between which the range of a servo and that of its joint lie."""
+    reached = drive.holding(drive.gear * model.jnt_range[drive.joint])
+    inside = np.clip(np.sort(reached), *drive.ctrlrange)
+    return float(inside[0]), float(inside[1])
 
 
 def share_of_range(drive: Actuator) -> float:
@@ -113,7 +156,8 @@ def passed(path: np.ndarray, frequency: float, width: float) -> float:
     """Return the bandwidth that a response to a sine shows, as a multiple of the sine's frequency.
 
     It is that of the critically damped oscillator with the same gain, 1/(1 + (ω/ω₀)²), and four at
-    most; nan if the response is no sine. frequency: periods in a step. width: of the sine.
+    most; nan if the response is no sine, or next to none. frequency: periods in a step. width: of
+    the sine.
     """
     late = path[-(len(path) // 4) :]
     phase = 2 * np.pi * frequency * np.arange(len(late))
@@ -122,7 +166,8 @@ def passed(path: np.ndarray, frequency: float, width: float) -> float:
         return math.nan
     size, *_ = np.linalg.lstsq(sines, late, rcond=None)
     gain = math.hypot(size[0], size[1]) / width
-    if np.std(late - sines @ size) > WITHIN * gain * width:
+    # Dry friction lets a hundredth through that is a sine again.
+    if gain < 0.01 or np.std(late - sines @ size) > WITHIN * gain * width:
         return math.nan
     return PASSES / math.sqrt(max(1 / gain - 1, (PASSES / 4) ** 2))
 
@@ -163,18 +208,18 @@ class Servos:
         """Try the servos; see the function `shown`."""
         return shown(model, self.at, [drive.index for drive in self.drives], goal, omega)
 
-    def holds_longer(self, model: Model, omega: float) -> bool:
-        """Return whether all servos settle after a step of the target in longer time steps."""
+    def hold_longer(self, model: Model, goal: Goal, omega: float) -> np.ndarray:
+        """Return which servos have a value of the goal in longer time steps."""
         longer = Change(dt=MARGIN * model.settings.dt).of(model)
-        step = Goal("settling", SETTLES / omega)
-        return bool(np.isfinite(self.shown(longer, step, omega)[0]).all())
+        return np.isfinite(self.shown(longer, goal, omega)[0])
 
     @cached_property
-    def margin(self) -> bool:
-        """Whether longer steps hold as shipped. Other elements may leave no margin, which gains do
-        not give back."""
+    def margin(self) -> np.ndarray:
+        """Which servos settle in longer steps as shipped. Other elements may leave no margin, which
+        gains do not give back."""
         own = np.array([drive.stiffness for drive in self.drives]) / self.inertia
-        return self.holds_longer(self.model, math.sqrt(own.min()))
+        slowest = math.sqrt(own.min())
+        return self.hold_longer(self.model, Goal("settling", SETTLES / slowest), slowest)
 
     def run(self, goal: Goal, asked: np.ndarray, **settings: Any) -> np.ndarray:
         """Return the values of a goal with the gains of what is asked; nan without a margin."""
@@ -184,33 +229,41 @@ class Servos:
         self.change, slowest = Change(values), float(omegas.min())
         model = self.change.also(Change(**settings)).of(self.model)
         found, self.off, self.widths = self.shown(model, goal, slowest)
-        if np.isfinite(found).all() and self.margin and not self.holds_longer(model, slowest):
-            return np.full(len(found), math.nan)
+        if np.isfinite(found).any() and self.margin.any():
+            found[self.margin & ~self.hold_longer(model, goal, slowest)] = math.nan
         return found
 
-    def limit(self, goal: Goal) -> str:
-        """Return in words what the time step holds: the goal that comes nearest, which was run."""
+    def limits(self, goal: Goal, asked: np.ndarray, failing: Sequence[int]) -> dict[int, str]:
+        """Return in words what the time step holds of some servos: what comes nearest to the goal.
+
+        asked: of the closed forms, for the goal. All servos come down together, and are run.
+        """
         settings, way = self.model.settings, -1 if goal.name == "bandwidth" else 1
 
-        def wanted(percent: int) -> Goal:
-            return Goal(goal.name, goal.value * (percent / 100) ** way)
+        @cache
+        def shown(percent: int, **other: Any) -> np.ndarray:
+            share = (percent / 100) ** way
+            return self.run(Goal(goal.name, goal.value * share), asked * share, **other)
 
-        def holds(percent: int, **other: Any) -> bool:
-            asked = np.full(len(self.drives), wanted(percent).value)
-            return bool(np.isfinite(self.run(wanted(percent), asked, **other)).all())
+        def limit(k: int) -> str:
+            def fails(percent: int) -> float:
+                return float(math.isnan(shown(percent)[k]))
 
-        parts = range(100, 12_801)
-        held = least(parts, lambda part: float(not holds(part)), 0.5, 200, ratio=1.05, cliff=True)
-        if held is None:
-            return (
-                "The pose does not come to rest, so nothing can be verified: try another keyframe"
-            )
-        limit = goal.words(wanted(held).value, self.units[0])
-        said = f"{seconds(settings.dt)} under {settings.integrator} holds about {limit}"
-        if settings.integrator != "implicitfast":
-            does = "holds" if holds(100, integrator="implicitfast") else "does not hold"
-            said += f"; implicitfast {does} it"
-        return said
+            held = least(range(100, 1001), fails, 0.5, 200, ratio=1.05, cliff=True)
+            if held is None:
+                what = "is no sine" if goal.name == "bandwidth" else "does not settle"
+                return (
+                    f"Its motion {what}, even where ten times less is asked: friction, a limit or "
+                    "contacts hold it, or the pose does not come to rest; try another keyframe"
+                )
+            most = goal.words(float(shown(held)[k]), self.units[k])
+            said = f"{seconds(settings.dt)} under {settings.integrator} holds about {most}"
+            if settings.integrator != "implicitfast":
+                holds = math.isfinite(shown(100, integrator="implicitfast")[k])
+                said += f"; implicitfast {'holds it' if holds else 'does not hold it'}"
+            return said
+
+        return {k: limit(k) for k in failing}
 
 
 def tuned_servos(model: Model, at: At, drives: Sequence[Actuator], goal: Goal) -> list[Tuned]:
@@ -230,11 +283,13 @@ def tuned_servos(model: Model, at: At, drives: Sequence[Actuator], goal: Goal) -
     count = len(servos.drives)
     asked, values = goal.corrected(count, lambda asked: servos.run(goal, asked))
     change, off, widths = servos.change, servos.off, servos.widths
-    limit = "" if np.isfinite(values).all() else servos.limit(goal)
+    limits = servos.limits(goal, asked, np.flatnonzero(np.isnan(values)).tolist())
     found, gains = [], servos.gains(servos.omegas(goal.name, asked))
     for k, (drive, unit) in enumerate(zip(servos.drives, servos.units, strict=True)):
         (kp, kv), reached, also = gains[k], goal.near(values[k]), ""
-        why = limit or f"The run shows {goal.words(values[k], unit)} with kp={kp:g}"
+        why = f"The run shows {goal.words(values[k], unit)} with kp={kp:g}"
+        if math.isnan(values[k]):
+            why = limits[k]
         if goal.name == "sag" and kp * goal.value * abs(drive.gear) > drive.bound:
             why = f"The pose needs more than its forcerange of {drive.bound:g}"
         full = share_of_range(drive) / abs(drive.gear)
