@@ -128,6 +128,36 @@ def test_robots_on_the_ground(name):
     assert_columns(found, model, settled)
 
 
+def test_muscles_whose_force_and_range_follow_from_inertia():
+    """The scale of a force changes with an armature: derivatives, and bits by world."""
+    model = sc.loads("""<mujoco><option timestep="0.002"/><worldbody>
+    <body><joint name="hip" axis="0 1 0" range="-40 60" damping=".3" armature=".01"/>
+    <geom type="capsule" size=".03" fromto="0 0 0 0 0 -.3" mass="1"/>
+    <site name="low" pos=".03 0 -.1"/></body><site name="high" pos=".05 0 .1"/></worldbody>
+    <tendon><spatial name="cord"><site site="high"/><site site="low"/></spatial></tendon>
+    <actuator><muscle name="pull" tendon="cord" scale="300"/></actuator></mujoco>""").compile()
+
+    def pulled(model):
+        sim = sc.Sim(model)
+        sim.qpos[0], sim.qvel[0], sim.act[0], sim.ctrl[0] = 0.2, 0.3, 0.4, 0.9
+        return sim
+
+    path = "joint/hip/armature"
+    found = pulled(model).linearize([path]).P[:, 0]
+    expected = differences(model, path, None, 0.01, pulled)
+    np.testing.assert_allclose(found, expected, atol=1e-7 * abs(expected).max())
+    assert abs(expected).max() > 0.1
+    batch = sc.Batch(model, 5)
+    batch.param[path] = np.linspace(0.005, 0.02, 5)
+    for name in ("qpos", "qvel", "act", "ctrl"):
+        getattr(batch, name)[:] = getattr(pulled(model), name)
+    batch.step(20)
+    for world in range(5):
+        sim = pulled(batch.model_of(world))
+        sim.step(20)
+        assert np.array_equal(sim.qpos, batch.qpos[world])
+
+
 def test_patterns_and_labels():
     model = sc.loads(ARM.format(integrator="Euler")).compile()
     found = moving(model).linearize(["joint/*/damping", "geom/floor/friction"])
@@ -196,6 +226,18 @@ def test_what_changes_more_than_numbers_is_refused_by_name():
     sim = moving(sc.loads(ARM.format(integrator="Euler")).compile())
     with pytest.raises(ValueError, match=r"parameters: geom/crate/condim: .*must be one of"):
         sim.linearize(["geom/crate/condim"])
+
+
+def test_a_heap_is_refused_by_its_reason():
+    scene = sc.Scene()
+    for k in range(66):
+        ball = scene.add_body(f"ball{k}", pos=(k, 0, 0))
+        scene.add_joint(ball, "free", name=f"free{k}")
+        scene.add_geom(ball, "sphere", size=(0.1,), mass=1.0)
+    sim = sc.Sim(scene)
+    assert sim.model.is_heap and sim.linearize().A.shape == (792, 792)
+    with pytest.raises(ValueError, match=r"2145 pairs of geoms .* until 2000 are left"):
+        sim.linearize(["body/ball0/mass"])
 
 
 @every_pair(condim=(3, 4, 6), speed=(0.0, 1.0), cone=("pyramidal", "elliptic"))

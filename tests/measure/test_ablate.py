@@ -147,7 +147,7 @@ EVERYTHING = """<mujoco><option cone="elliptic"/><worldbody>
 
 def test_every_feature_is_found_and_removed() -> None:
     model = sc.loads(EVERYTHING).compile()
-    usage = MotionUsage(frozenset({(0, 1)}), frozenset({1}))
+    usage = MotionUsage(frozenset({(0, 1)}), frozenset({("joint", 1)}))
     removals = RemovableFeatures(model).removals(usage, model.settings)
     assert [removal.label for removal in removals] == [
         "cone: elliptic → pyramidal",

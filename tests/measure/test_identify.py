@@ -9,7 +9,7 @@ from arm_log import DAMPING, HIDDEN, RANGES, SENSORS, TRUE, controls, guess, muj
 import stepcore as sc
 from stepcore import deadline, lesson
 from stepcore.experiment.control_table import ControlLog
-from stepcore.measure.identification.log import read_log
+from stepcore.measure.identification.log import MeasuredLog, read_log
 from stepcore.measure.identification.predictions import Predictions
 from stepcore.measure.identification.result import in_words
 
@@ -90,6 +90,42 @@ def test_the_intervals_hold_the_truth(wanted):
             off.append((found.values[path] - true[path]) / ((high - low) / 2))
     off = np.array(off)
     assert np.mean(np.abs(off) <= 1) >= 0.8 and 0.3 < np.sqrt(np.mean(off**2)) < 0.75
+
+
+def test_what_steps_do_not_read_as_a_number_is_not_looked_for():
+    """The gear of a force at a site changes which way it points, not a number alone."""
+    pushed = sc.loads("""<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0"
+    damping="1"/><geom size=".1" mass="1"/><site name="nose"/></body></worldbody>
+    <actuator><motor name="push" site="nose" gear="1 0 0 0 0 0"/></actuator></mujoco>""").compile()
+    true = pushed.with_values({"joint/rail/damping": 2.5})
+    run = sc.Sim(true).run(
+        1.0, control=np.sin(np.arange(500) / 40)[:, None], record=("qpos", "ctrl")
+    )
+    noise = np.random.default_rng(0).normal(0, 1e-4, run.qpos.shape)
+    log = {"time": run.time, "qpos": run.qpos + noise, "ctrl": np.roll(run.ctrl, -1, axis=0)}
+    found = sc.identify(pushed, log, {"joint/rail/damping": (0.1, 10)})
+    low, high = found.intervals["joint/rail/damping"]
+    assert low <= 2.5 <= high and found.quality.verdict == "noise"
+
+
+def test_pieces_that_the_time_leaves_out_leave_what_was_found(monkeypatch):
+    """A log beyond what can be predicted is fitted whole first, and that is kept."""
+    double = """<mujoco><option timestep="0.01"/><default><geom contype="0" conaffinity="0"
+    size=".02" mass="1"/></default><worldbody><body><joint name="a" axis="0 1 0" damping=".01"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -1"/><body pos="0 0 -1"><joint name="b" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -1"/></body></body></worldbody></mujoco>"""
+    sim = sc.Sim(sc.loads(double))
+    sim.qpos[:] = 2.0, 0.5
+    log = sim.run(8.0)
+
+    def late(*asked):
+        raise deadline.OutOfTime("the time of the measurement is over")
+
+    monkeypatch.setattr(MeasuredLog, "cut", late)
+    guess = sc.loads(double).compile().with_values({"joint/a/damping": 0.02})
+    found = sc.identify(guess, log, {"joint/a/damping": (0.001, 0.1)}, most=2)
+    assert min(found.predictable) < 8.0 and found.alike == []
+    assert "the fit of pieces of" in found.unfinished
 
 
 def test_several_entries_and_pieces_of_a_log():

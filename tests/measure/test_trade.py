@@ -343,6 +343,17 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     assert next(lost._answer()).startswith(said) and compact(np.inf) == "inf"
 
 
+def test_a_start_from_which_no_run_converges_has_no_error_in_kilometres(ball):
+    found, far = copy.copy(ball), np.array([0.01] * 7 + [np.inf])
+    found.chosen = found.proof = None
+    found.shipped = replace(ball.shipped, starts=range(8), errors=far, unsure=far, largest=far)
+    found.rows = [found.shipped]
+    found.reference = replace(ball.reference, unsure=far)
+    said = found.text()
+    assert "from start 7 no run converges" in said and "10 mm in the median" in said
+    assert "from some start no run converges" in said and "inf km" not in said
+
+
 def test_an_answer_counts_errors_only_as_long_as_motions_can_be_predicted():
     """A double pendulum from high up: the first sentence says until when."""
     scene = sc.Scene(gravity=(0, 0, -G), name="double pendulum")

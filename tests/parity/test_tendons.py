@@ -23,7 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stepcore as sc
-from stepcore.engine.features import RemovableFeatures, without
+from stepcore.engine.features import MotionUsage, RemovableFeatures, without
 
 INERT = 'contype="0" conaffinity="0"'
 MOVES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
@@ -415,13 +415,16 @@ def test_measurements_speak_of_tendons():
     words = ("lengths of tendons", "tendon springs", "tendon damping", "tendon armature")
     for word in (*words, "tendon friction loss, one row each", "tendon limits"):
         assert word in plan
-    features = RemovableFeatures(scene.compile())
+    features, sim = RemovableFeatures(scene.compile()), sc.Sim(scene, dt=0.05)
     kinds = {removal.kind: removal for removal in features.tendons()}
-    assert kinds.keys() == {*words[1:], "tendon friction loss", "tendon limit"}
+    assert kinds.keys() == {*words[1:], "tendon friction loss"}
+    for reached, label in ((set(), "tendon limits"), ({("tendon", 0)}, "tendon limit")):
+        usage = MotionUsage(frozenset(), frozenset(reached))
+        own = {removal.kind: removal for removal in features.removals(usage, sim.settings)}
+        assert without(scene, [own[label]]).tendons[0].range is None
     for removal in kinds.values():
         assert without(scene, [removal]).compile().ntendon == 1
     assert without(scene, [kinds["tendon springs"]]).tendons[0].stiffness == 0
-    sim = sc.Sim(scene, dt=0.05)
     with pytest.raises(sc.SimulationError, match="tendon spring `rope`"):
         sim.step(10_000)
 

@@ -47,13 +47,13 @@ class Removal:
 
 @dataclass(frozen=True)
 class MotionUsage:
-    """The pairs of bodies that touched and the joints that reached a limit during a motion.
+    """The pairs of bodies that touched, and what reached a limit, during a motion.
 
-    Bodies and joints are indices in the order of the compiled model.
+    limited: ("joint" or "tendon", index). All are indices in the order of the compiled model.
     """
 
     touched: frozenset[tuple[int, int]]
-    limited: frozenset[int]
+    limited: frozenset[tuple[str, int]]
 
 
 def without(scene: SomeScene, removals: Iterable[Removal]) -> SomeScene:
@@ -224,33 +224,33 @@ class RemovableFeatures:
         return [Removal(kind, counted(len(joints), "joint"), (("feature", feature),))]
 
     def tendons(self) -> list[Removal]:
-        """Return the removals of spring, damping, friction loss, armature and each limit."""
-        features, tendons, removals = self.scene.features, self.scene.tendons, list[Removal]()
+        """Return the removals of spring, damping, friction loss and armature."""
+        tendons, removals = self.scene.tendons, list[Removal]()
         for feature in OF_TENDONS:
             has, fields, words = HAS[feature]
             own = [i for i, t in enumerate(tendons) if has(t) and self._acts(feature)]
             removals += _cleared(f"tendon {words}", own, "tendons", *fields, name="tendon")
-        on = features.limit and features.constraint
-        ranged = [i for i, tendon in enumerate(tendons) if on and tendon.range is not None]
-        names = self.model.called("tendon") if ranged else ()
-        return removals + [
-            Removal("tendon limit", names[i], (("cleared", ("tendons", (i,), ("range",))),))
-            for i in ranged
-        ]
+        return removals
 
     def _limits(self, usage: MotionUsage) -> Iterator[Removal]:
         """Yield the removals of all unreached limits together, and of each reached limit."""
-        features, names = self.scene.features, self.model.called("joint")
-        on = features.limit and features.constraint
-        joints = dict(enumerate(self.joint)) if on else {}
-        ranged = {i: j for i, j in joints.items() if self.scene.joints[j].range is not None}
-        unused = [j for i, j in ranged.items() if i not in usage.limited]
-        if unused:
-            never = f"{counted(len(unused), 'joint')} whose limit is never reached"
-            yield Removal("limits", never, (("cleared", ("joints", tuple(unused), ("range",))),))
-        for i, j in ranged.items():
-            if i in usage.limited:
-                yield Removal("limit", names[i], (("cleared", ("joints", (j,), ("range",))),))
+        features, tendons = self.scene.features, range(len(self.scene.tendons))
+        if not (features.limit and features.constraint):
+            return
+        for noun, word, held, order in (
+            ("joint", "limit", "joints", self.joint),
+            ("tendon", "tendon limit", "tendons", tendons),
+        ):
+            own = getattr(self.scene, held)
+            ranged = {i: j for i, j in enumerate(order) if own[j].range is not None}
+            unused = [j for i, j in ranged.items() if (noun, i) not in usage.limited]
+            if unused:
+                never = f"{counted(len(unused), noun)} whose limit is never reached"
+                yield Removal(f"{word}s", never, (("cleared", (held, tuple(unused), ("range",))),))
+            for i, j in ranged.items():
+                if (noun, i) in usage.limited:
+                    name = self.model.called(noun)[i]
+                    yield Removal(word, name, (("cleared", (held, (j,), ("range",))),))
 
     def _colliders(self, usage: MotionUsage) -> Iterator[Removal]:
         """Yield the removals of body pairs, self-collision and groups of geoms."""

@@ -422,6 +422,12 @@ def _columns(model: Model, path: str) -> Iterator[Column]:
 
 def models_around(model: Model, by: Sequence[Column]) -> list[list[_core.Model]]:
     """Return the compiled models around the value of each parameter, which the model keeps."""
+    if by and model.is_heap:
+        raise ValueError(
+            f"parameters: {by[0].label}: a model with {model.npair} pairs of geoms that could meet "
+            "looks for them in every step, which is not differentiated by values: exclude "
+            "what never meets, until 2000 are left"
+        )
     kept: dict[str, list[_core.Model]] = model.__dict__.setdefault("_around", {})
     new = [column for column in by if column.label not in kept]
     if new:

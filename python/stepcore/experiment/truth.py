@@ -97,10 +97,10 @@ class Truth:
     @property
     def words(self) -> str:
         """The method and the uncertainty as a sentence."""
-        return (
-            f"Errors are measured from a converged motion ({label(self.settings)}); its "
-            f"uncertainty is {metres(self.error)}."
-        )
+        said = f"its uncertainty is {metres(self.error)}"
+        if math.isinf(self.error):
+            said = "from some start no run converges"
+        return f"Errors are measured from a converged motion ({label(self.settings)}); {said}."
 
 
 @dataclass

@@ -524,15 +524,17 @@ class Choice:
 
 
 def usage_of(study: Study, starts: Sequence[int]) -> MotionUsage:
-    """Return which pairs of bodies touch and which joints reach a limit in the whole model."""
+    """Return which pairs of bodies touch and what reaches a limit in the whole model."""
     model = study.engine.model
-    owner, touched, limited = model.geom_body.tolist(), set[tuple[int, int]](), set[int]()
+    owner, touched = model.geom_body.tolist(), set[tuple[int, int]]()
+    limited = set[tuple[str, int]]()
     for _, _, sim in visits(model, study.schedule, starts, 1):
         contacts, rows = sim.contacts, sim.rows
         pairs = zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True)
         for bodies in ((owner[a], owner[b]) for a, b in pairs):
             touched.add((min(bodies), max(bodies)))
-        limited.update(rows["index"][rows["kind"] == "limit"].tolist())
+        for noun, kind in (("joint", "limit"), ("tendon", "tendon limit")):
+            limited |= {(noun, index) for index in rows["index"][rows["kind"] == kind].tolist()}
     return MotionUsage(frozenset(touched), frozenset(limited))
 
 

@@ -112,7 +112,7 @@ fn input<R: Real>(
 fn asked<R: Real>(model: &Model<R::Value>, index: usize, at: Along<R>, u: R) -> R {
     let actuator = &model.actuators[index];
     if let Some(muscle) = &actuator.muscle_gain {
-        return muscle.gain(at.length, at.velocity, actuator.lengthrange)[0] * u;
+        return muscle.gain(at.length, at.velocity, value::get(&actuator.lengthrange))[0] * u;
     }
     let [constant, length, velocity] = value::get(&actuator.gain);
     if !model.drives[index].gain_varies {
@@ -125,7 +125,7 @@ fn asked<R: Real>(model: &Model<R::Value>, index: usize, at: Along<R>, u: R) -> 
 #[inline(always)]
 fn bias<R: Real>(actuator: &scene::Actuator<R::Value>, at: Along<R>) -> R {
     if let Some(muscle) = &actuator.muscle_bias {
-        return muscle.bias(at.length, actuator.lengthrange);
+        return muscle.bias(at.length, value::get(&actuator.lengthrange));
     }
     let [constant, length, velocity] = value::get(&actuator.bias);
     if actuator.bias[1].vanishes() && actuator.bias[2].vanishes() {
@@ -423,9 +423,14 @@ impl Forces for Actuator {
             let at = Along::of(model, index, now.qpos, now.qvel, pulls);
             let ctrl = now.act.ctrl(model, index, now.inputs);
             let u = input(model, index, now.act, ctrl, at.length);
-            let slopes = actuator.muscle_gain.map_or_else(
+            let slopes = actuator.muscle_gain.as_ref().map_or_else(
                 || [actuator.gain[1].get(), actuator.gain[2].get()],
-                |muscle| [R::zero(), muscle.gain(at.length, at.velocity, actuator.lengthrange)[1]],
+                |muscle| {
+                    [
+                        R::zero(),
+                        muscle.gain(at.length, at.velocity, value::get(&actuator.lengthrange))[1],
+                    ]
+                },
             );
             by = [by[0] + slopes[0] * u, by[1] + slopes[1] * u];
         }

@@ -22,31 +22,38 @@ struct Stretch<R: Real> {
     length: R,
     velocity: R,
     /// ∂velocity/∂(rate of the length).
-    by_rate: f64,
+    by_rate: R,
 }
 
-impl Muscle {
-    fn stretch<R: Real>(&self, length: R, velocity: R, span: [f64; 2]) -> Stretch<R> {
-        let optimum = (span[1] - span[0]) / (self.range[1] - self.range[0]).max(SMALLEST);
-        let by_rate = 1.0 / (optimum * self.vmax).max(SMALLEST);
-        let from = (length - R::of(span[0])) / R::of(optimum.max(SMALLEST));
-        Stretch {
-            length: R::of(self.range[0]) + from,
-            velocity: velocity * R::of(by_rate),
-            by_rate,
-        }
+impl<N: Constant> Muscle<N> {
+    fn stretch<R: Real>(&self, length: R, velocity: R, span: [R; 2]) -> Stretch<R> {
+        let least = R::of(SMALLEST);
+        let range = (self.range[1] - self.range[0]).max(SMALLEST);
+        let optimum = (span[1] - span[0]) / R::of(range);
+        let by_rate = R::one() / (optimum * R::of(self.vmax)).max(least);
+        let from = (length - span[0]) / optimum.max(least);
+        let length = R::of(self.range[0]) + from;
+        Stretch { length, velocity: velocity * by_rate, by_rate }
     }
 
     /// The force at full activation, and its derivative by the velocity.
-    pub(super) fn gain<R: Real>(&self, length: R, velocity: R, span: [f64; 2]) -> [R; 2] {
+    #[inline(never)]
+    pub(super) fn gain<R: Real>(&self, length: R, velocity: R, span: [R; 2]) -> [R; 2]
+    where
+        N: Value<R>,
+    {
         let at = self.stretch(length, velocity, span);
         let [fast, slope] = self.by_velocity(at.velocity);
-        let most = R::of(-self.force) * self.by_length(at.length);
-        [most * fast, most * slope * R::of(at.by_rate)]
+        let most = -self.force.get() * self.by_length(at.length);
+        [most * fast, most * slope * at.by_rate]
     }
 
     /// The passive force.
-    pub(super) fn bias<R: Real>(&self, length: R, span: [f64; 2]) -> R {
+    #[inline(never)]
+    pub(super) fn bias<R: Real>(&self, length: R, span: [R; 2]) -> R
+    where
+        N: Value<R>,
+    {
         let length = self.stretch(length, R::zero(), span).length;
         let (one, half) = (R::one(), R::of(0.5));
         let b = 0.5 * (1.0 + self.lmax);
@@ -55,7 +62,7 @@ impl Muscle {
         let beyond = half + (length - R::of(b)) / width;
         let curve = R::select(length.le(R::of(b)), half * within * within, beyond);
         let share = R::select(length.le(one), R::zero(), curve);
-        R::of(-self.force * self.fpmax) * share
+        -self.force.get() * R::of(self.fpmax) * share
     }
 
     /// FL.

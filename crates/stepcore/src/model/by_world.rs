@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 use crate::plan::acting::{Acting, Acts, ActuatorAt, DamperAt, MassAt, SpringAt, TendonAt};
 use crate::real::{Constant, Real};
 use crate::room::Room;
-use crate::scene::{Actuator, Softness};
+use crate::scene::{Actuator, Muscle, Softness};
 use crate::solve::law::impedance_form;
 
 /// A part of a model, whose numbers may differ from world to world.
@@ -244,9 +244,11 @@ parts!(ActuatorAt: ctrlrange, bounds;
     drive, feeds_back, gain_varies, biased, elsewhere);
 parts!(Acting: damper, spring, tendon_spring, tendon_damper, compensation, driven_compensation,
     gravity, held; fluid, actuator, joint_force, body_force, left_out, passive, driven);
-parts!(Actuator: gear, gain, bias, dynprm, ctrlrange, actrange, forcerange, damping, armature;
-    name, target, muscle_gain, muscle_bias, dampratio, controller, orientation, input, feeds,
-    dynamics, actearly, lengthrange, delay, nsample, interp, enabled; |own| own.dynprm[2] < 1e-15);
+parts!(Muscle: force; range, scale, lmin, lmax, vmax, fpmax, fvmax);
+parts!(Actuator: gear, gain, bias, muscle_gain, muscle_bias, dynprm, ctrlrange, actrange, forcerange,
+    lengthrange, damping, armature;
+    name, target, dampratio, controller, orientation, input, feeds,
+    dynamics, actearly, delay, nsample, interp, enabled; |own| own.dynprm[2] < 1e-15);
 parts!(Model: pairs, gears, clamps, gravity, bodies, joints, dofs, trees, geoms, tendons, equalities, actuators, qpos_spring, limited, rubbing, acting, drives;
     name, nq, nv, na, activations, nhistory, histories, along, circles, feeders, linkages, adheres,
     sticks, magnetic, features, mocaps, carried, sites, compensates, fluid, sensors, dynamic_pairs,

@@ -18,8 +18,8 @@ pub struct Actuator<N = f64> {
     pub gain: [N; 3],
     pub bias: [N; 3],
     /// In place of these: the force of a muscle.
-    pub muscle_gain: Option<Muscle>,
-    pub muscle_bias: Option<Muscle>,
+    pub muscle_gain: Option<Muscle<N>>,
+    pub muscle_bias: Option<Muscle<N>>,
     /// Not 0: bias₂ is −2·dampratio·√(kp·m), m being the inertia that the actuator moves at
     /// the initial configuration, and is filled in when the scene is compiled.
     pub dampratio: f64,
@@ -43,7 +43,7 @@ pub struct Actuator<N = f64> {
     /// The force is that of the activation at the end of the step.
     pub actearly: bool,
     /// The least and greatest length that it can have, which muscles refer to.
-    pub lengthrange: [f64; 2],
+    pub lengthrange: [N; 2],
     /// Given, times gear², to the joint or tendon that it pulls at.
     pub damping: Coefficients<N>,
     pub armature: N,
@@ -107,12 +107,12 @@ pub enum Interp {
 
 /// A muscle as MuJoCo describes it (documentation, "Muscle actuators").
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Muscle {
+pub struct Muscle<N = f64> {
     /// The operating range of lengths, of the optimal length.
     pub range: [f64; 2],
     /// Peak force [N]; negative: `scale` over the acceleration that a unit force gives at the initial
     /// configuration, filled in when the scene is compiled.
-    pub force: f64,
+    pub force: N,
     pub scale: f64,
     /// Lengths beyond which it does not pull; the fastest shortening [1/s].
     pub lmin: f64,

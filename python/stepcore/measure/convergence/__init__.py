@@ -288,13 +288,26 @@ class Convergence(Result):
             return "No contact, limit or other row was ever active, so sweeps have no effect."
         solver, starts = ending.solver, len(self.shipped.starts)
         worst = f" in the worst of {counted(starts, 'start')}" if starts > 1 else ""
-        error = f"{metres(self.solved.error)}{worst}"
+        most = "" if self._told(self.solved) else "at most "
+        error = f"{most}{metres(self.solved.error)}{worst}"
         apart = f"{metres(solver)} (RMS) from the motion with converged forces"
         if self.verdict == "under-solved":
             where, step = self._where_it_ends(ending), "The time step itself causes an error of"
             return f"Under-solved: {where} Over the motion it is {apart}. {step} {error}."
         fine = "the solver is fine." if solver < 1e-9 * self.size else f"the motion is {apart}."
-        return f"Solved: {fine} The time step causes an error of {error}; reduce dt to lower it."
+        return f"Solved: {fine} The time step causes an error of {error}{self._shorter()}."
+
+    def _shorter(self) -> str:
+        """Say what the longest step leaves that about halves the error, or that none does."""
+        tried = [t for t in self.dts if t.dt < self.shipped.dt and not t.failure]
+        better = [trial for trial in tried if trial.error <= 0.6 * self.shipped.error]
+        if better:
+            best = max(better, key=lambda trial: trial.dt)
+            return f"; a dt of {seconds(best.dt)} leaves {metres(best.error)}"
+        if not tried or self.shipped.error <= 2 * self.reference.error:
+            return ""
+        least = min(tried, key=lambda trial: trial.dt)
+        return f", which shorter steps, down to {seconds(least.dt)}, hardly lower"
 
     def _where_it_ends(self, ending: Ending) -> str:
         """Describe where an under-solved motion ends."""
@@ -322,6 +335,15 @@ class Convergence(Result):
                 "`stepcore diagnose` names the element that limits it."
             )
         return f"{why} Neither converged forces nor the smaller time steps tried help."
+
+    def _told(self, trial: Trial) -> bool:
+        """Return whether an error is more than the converged motion is unsure by."""
+        return trial.error > self.reference.error * (1 + 1e-9)
+
+    @property
+    def _untold(self) -> str:
+        least = metres(self.reference.error)
+        return f"no error is more than the {least} to which the converged motion is known."
 
     def _forces(self) -> str:
         """Describe the rows that are furthest from their converged force."""
@@ -372,6 +394,9 @@ class Convergence(Result):
         }
         steps, sweeps = map(math.isfinite, self.at_equal_work)
         begin = "At" if self.settings.solver == "pgs" else "Under pgs, at"
+        ran = [trial for *_, trial in self.splits if not trial.failure]
+        if ran and not any(map(self._told, ran)):
+            return f"{begin} equal work (row updates) {self._untold}"
         return f"{begin} equal work (row updates) {answer[steps, sweeps]}: {', '.join(errors)}."
 
     def _four_times(self) -> str:
@@ -381,6 +406,8 @@ class Convergence(Result):
             return ""
         if self.shipped.failure or more.failure or quarter.failure:
             return ""
+        if not any(map(self._told, (self.shipped, more, quarter))):
+            return f"With four times the sweeps, or a quarter of the time step, {self._untold}"
         return (
             f"The shipped settings have an error of {metres(self.shipped.error)}; four times the "
             f"sweeps give {metres(more.error)}, a quarter of the time step {metres(quarter.error)}."

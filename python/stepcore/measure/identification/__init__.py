@@ -148,10 +148,11 @@ def identify(
         end = rounded(min(result.predictable) / 4, 1)
         known = end < np.inf and end > ENOUGH * compiled.settings.dt
         if length is None and known and not findings and result.quality.verdict != "noise":
-            again = fitted(end)
-            if again.quality.verdict != "bad":
-                again.notes.append(CUT.format(units.seconds(end), units.seconds(4 * end)))
-                return again
+            with workers.deadline.stage(f"the fit of pieces of {units.seconds(end)}"):
+                again = fitted(end)
+                if again.quality.verdict != "bad":
+                    again.notes.append(CUT.format(units.seconds(end), units.seconds(4 * end)))
+                    return again
     except SimulationError as error:
         limit = "must be values with which the logs can be run"
         said = " ".join(["", *(finding.text for finding in findings)])
@@ -339,7 +340,8 @@ def _result(
         start=named(search.start),
         bounds=dict(search.bounds),
         intervals=dict(zip(fit.labels, ranges, strict=True)),
-        alike=sure.alike,
+        # What has grown without measure hides all else from the derivatives.
+        alike=sure.alike if min(ends) == np.inf else [],
         correlations=sure.correlations,
         quality=quality,
         before=fit.rms(fit.measured, first),

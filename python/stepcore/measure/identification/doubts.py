@@ -324,7 +324,8 @@ def certainty(
     np.fill_diagonal(related, 1.0)
     # A part of this size leaves a correlation as large.
     ways = np.abs(turns[weak][:, :count]) > math.sqrt(1 - ALIKE)
-    alike = [tuple(labels[int(k)] for k in np.flatnonzero(way)) for way in ways if way.any()]
+    sets = (tuple(labels[int(k)] for k in np.flatnonzero(way)) for way in ways if way.any())
+    alike = list(dict.fromkeys(sets))
     for i in range(count):
         for k in range(i):
             pair = (labels[k], labels[i])

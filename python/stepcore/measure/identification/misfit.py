@@ -12,6 +12,7 @@ import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import named_columns
+from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change
 from stepcore.measure.identification.doubts import WEAK
 from stepcore.measure.identification.log import DELAY
@@ -237,4 +238,15 @@ def _candidates(fit: Predictions) -> tuple[Model, dict[str, float]]:
     late = [f"{DELAY}/{array}" for array in dict.fromkeys(part.array for part in fit.parts)]
     found |= dict.fromkeys([DELAY] * bool(model.nu) + late, 0.0)
     values = {label: value for label, value in found.items() if label not in fit.labels}
-    return Change({k: v for k, v in almost.items() if k in values}).of(model), values
+    model = Change({k: v for k, v in almost.items() if k in values}).of(model)
+    sim, labels = Sim(model), [label for label in values if not label.startswith(DELAY)]
+    # Some change more than numbers, as the gear of a force at a site.
+    while labels:
+        try:
+            sim.linearize(labels)
+            break
+        except ValueError as error:
+            (bad,) = (label for label in labels if f" {label}: " in str(error))
+            labels.remove(bad)
+            del values[bad]
+    return model, values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
@@ -186,7 +187,7 @@ def _searched(result: Trade, search: Search, further: int) -> None:
         # What the converged motion is known to, an error can be found within.
         least = rounded(unsure / UNSURE, 2, up=True)
         most = search.moved if search.shipped.failure else max(search.moved, search.shipped.error)
-        result.verified = least if least <= USEFUL * most else None
+        result.verified = least if least < math.inf and least <= USEFUL * most else None
     if unsure <= target or result.verified is not None:
         result.chosen = settled(search, result.asked, further)
     rest = search.study.spent <= SEARCHING * search.study.effort

@@ -348,7 +348,7 @@ class Trade(Result):
             yield self._halved()
         elif target is not None:
             yield f"No setting tried has an error of at most {metres(self.asked)} in every start."
-            done = [row for row in self.rows if not row.failure]
+            done = [row for row in self.rows if row.error < math.inf]
             if done:
                 least = min(done, key=lambda row: row.error)
                 yield f"The smallest is {self._wrong(least)}: {self.label(least)}."
@@ -387,6 +387,11 @@ class Trade(Result):
         if count > 1:
             median = f"start {row.worst}; median {metres(row.median)}"
             where = f" in the worst of {count} starts ({median})"
+        if math.isinf(row.error):
+            return (
+                f"{what} the RMS position error is {metres(row.median)} in the median of {count} "
+                f"starts, for {self._priced(row)}; from start {row.worst} no run converges."
+            )
         scored = min(self.horizon, self.predictable)
         over = seconds(self.horizon) if scored == self.horizon else "what can be predicted"
         return (

@@ -59,7 +59,10 @@ class Goal(NamedTuple):
         return bool(abs(value / self.value - 1) < share)
 
     def corrected(
-        self, count: int, run: Callable[[np.ndarray], np.ndarray]
+        self,
+        count: int,
+        run: Callable[[np.ndarray], np.ndarray],
+        first: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return what closed forms are to be asked so that runs show this goal, and what they show.
 
@@ -67,10 +70,11 @@ class Goal(NamedTuple):
         is shown goes as a power of what is asked, of which two runs tell the exponent.
 
         count: of elements. run: returns what a run shows of each, for what is asked of each; nan if
-        it shows nothing.
+        it shows nothing. first: asked first, by default the goal.
         """
         goal, power, before = math.log(self.value), np.ones(count), None
-        x, held = np.full((2, count), goal)
+        x = np.full(count, goal) if first is None else np.log(first)
+        held = x
         for last in reversed(range(ROUNDS)):
             shown = run(np.exp(x))
             held = np.where(shown > 0, x, held)
@@ -115,7 +119,8 @@ class Tuned:
     @property
     def called(self) -> str:
         """The element in words."""
-        return self.name if "`" in self.name else f"{self.kind} `{self.name}`"
+        nameless = self.name.startswith(f"{self.kind} ")
+        return self.name if nameless else f"{self.kind} `{self.name}`"
 
     @property
     def wanted(self) -> str:

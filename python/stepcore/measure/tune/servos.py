@@ -233,8 +233,10 @@ class Servos:
             found[self.margin & ~self.hold_longer(model, goal, slowest)] = math.nan
         return found
 
-    def limits(self, goal: Goal, asked: np.ndarray, failing: Sequence[int]) -> dict[int, str]:
-        """Return in words what the time step holds of some servos: what comes nearest to the goal.
+    def limits(
+        self, goal: Goal, asked: np.ndarray, failing: Sequence[int]
+    ) -> dict[int, tuple[float, str]]:
+        """Return what the time step holds of some servos, nearest to the goal: as asked, in words.
 
         asked: of the closed forms, for the goal. All servos come down together, and are run.
         """
@@ -245,14 +247,14 @@ class Servos:
             share = (percent / 100) ** way
             return self.run(Goal(goal.name, goal.value * share), asked * share, **other)
 
-        def limit(k: int) -> str:
+        def limit(k: int) -> tuple[float, str]:
             def fails(percent: int) -> float:
                 return float(math.isnan(shown(percent)[k]))
 
             held = least(range(100, 1001), fails, 0.5, 200, ratio=1.05, cliff=True)
             if held is None:
                 what = "is no sine" if goal.name == "bandwidth" else "does not settle"
-                return (
+                return float(asked[k]), (
                     f"Its motion {what}, even where ten times less is asked: friction, a limit or "
                     "contacts hold it, or the pose does not come to rest; try another keyframe"
                 )
@@ -261,7 +263,7 @@ class Servos:
             if settings.integrator != "implicitfast":
                 holds = math.isfinite(shown(100, integrator="implicitfast")[k])
                 said += f"; implicitfast {'holds it' if holds else 'does not hold it'}"
-            return said
+            return float(asked[k]) * (held / 100) ** way, said
 
         return {k: limit(k) for k in failing}
 
@@ -281,15 +283,26 @@ def tuned_servos(model: Model, at: At, drives: Sequence[Actuator], goal: Goal) -
         if not servos.drives:
             return idle
     count = len(servos.drives)
-    asked, values = goal.corrected(count, lambda asked: servos.run(goal, asked))
-    change, off, widths = servos.change, servos.off, servos.widths
-    limits = servos.limits(goal, asked, np.flatnonzero(np.isnan(values)).tolist())
+
+    def tried(first: np.ndarray | None = None) -> tuple[Any, ...]:
+        asked, values = goal.corrected(count, lambda asked: servos.run(goal, asked), first)
+        return asked, values, servos.change, servos.off, servos.widths
+
+    ours = tried()
+    limits = servos.limits(goal, ours[0], np.flatnonzero(np.isnan(ours[1])).tolist())
+    if limits:
+        held = ours[0].copy()
+        held[[*limits]] = [asked for asked, _ in limits.values()]
+        ours = max(ours, tried(held), key=lambda one: sum(map(goal.near, one[1])))
+    asked, values, change, off, widths = ours
     found, gains = [], servos.gains(servos.omegas(goal.name, asked))
     for k, (drive, unit) in enumerate(zip(servos.drives, servos.units, strict=True)):
         (kp, kv), reached, also = gains[k], goal.near(values[k]), ""
         why = f"The run shows {goal.words(values[k], unit)} with kp={kp:g}"
         if math.isnan(values[k]):
-            why = limits[k]
+            why = "Beside the gains of the other servos it has no margin"
+        if k in limits:
+            why = limits[k][1]
         if goal.name == "sag" and kp * goal.value * abs(drive.gear) > drive.bound:
             why = f"The pose needs more than its forcerange of {drive.bound:g}"
         full = share_of_range(drive) / abs(drive.gear)
