@@ -52,11 +52,24 @@ def stepped(scene, servo, size=0.02, steps=1500):
     return run.time - run.time[0], path / path[-1]
 
 
-def test_a_pasted_bandwidth_is_the_gain_at_this_frequency():
-    """A sine of 3 Hz comes out at 1/√2 of its amplitude: another measure than the step of tune."""
-    tuning = sc.tune(sc.loads(ARM), bandwidth=3.0)
+@pytest.mark.parametrize("tag", ("position", "motor"))
+def test_a_pasted_bandwidth_is_the_gain_at_this_frequency(tag):
+    """A sine of 3 Hz comes out at 1/√2 of its amplitude: another measure than the step of tune.
+
+    Motors get the servo of a PD controller, with their bounds, which is pasted in their place.
+    """
+    scene = sc.loads(ARM.replace("<position", f"<{tag}"))
+    tuning = sc.tune(scene, bandwidth=3.0)
     assert all(tuned.reached for tuned in tuning.found) and len(tuning.found) == 2
-    sim = held(pasted(ARM, tuning))
+    assert ("in place of 2 motors" in tuning.text()) == (tag == "motor")
+    text = ARM
+    for line in tuning.mjcf.splitlines() if tag == "motor" else ():
+        name = re.search(r'name="(\w+)"', line)[1]
+        text = re.sub(rf'<position name="{name}"[^>]*/>', line, text)
+    sim = held(sc.loads(text) if tag == "motor" else pasted(ARM, tuning))
+    assert np.array_equal(
+        sim.model.actuator_forcerange, sc.loads(ARM).compile().actuator_forcerange
+    )
     rest, start, dt = np.array(sim.ctrl), np.array(sim.actuator_length), sim.settings.dt
     for k, size in ((0, 0.02), (1, 0.04)):
         sim.ctrl, path = rest, []

@@ -15,11 +15,12 @@ from stepcore.experiment.motion_words import scene_in_words, start_in_words
 from stepcore.experiment.schedule import home
 from stepcore.measure.tune.contacts import resting_geoms, tuned_contact
 from stepcore.measure.tune.goal import At, Goal, Tuned
-from stepcore.measure.tune.servos import hung, servos_of, tuned_servos
+from stepcore.measure.tune.servos import for_motors, hung, servos_of, tuned_servos
 from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
+from stepcore.report.units import counted
 
 __all__ = ["Tuning", "tune"]
 
@@ -65,7 +66,9 @@ class Tuning(Result):
     def sentences(self) -> list[str]:
         """The proposals, each with what the run shows; what is not reached, by its reason."""
         if not self.found:
-            return ["There is nothing to tune: no position servo, and nothing that rests."]
+            return [
+                "There is nothing to tune: no servo or motor of a joint, and nothing that rests."
+            ]
         reached = sum(tuned.reached for tuned in self.found)
         said = [f"{reached} of {len(self.found)} reached, each run as it is printed:"]
         said = said if reached else ["Not reached:"]
@@ -117,6 +120,9 @@ def tune(
     this time step is said, with the most that can.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
+    Where motors drive joints, servos stand in their place, which are the PD controllers that such
+    robots have: kp and kv are its gains.
+
     bandwidth: of servos, the frequency at which the response falls to 1/√2 [Hz].
     settling: the time until a step of the target (or, of contacts, of the load) stays within 2 %
         [s], or a text such as "200ms".
@@ -124,7 +130,7 @@ def tune(
     stiffness: of the contacts of a geom together, normal force over depth [N/m].
     depth: of contacts at rest, a length such as 1e-4 or "0.1mm".
     noise: of contacts at rest, the RMS deviation of the normal force from its mean [N].
-    servo: the name of a servo, or several; by default all position servos on hinges and slides.
+    servo: the name of a servo, or several; by default all on hinges and slides.
     geom: the name of a geom, or several; by default those that rest on something after 2 s.
     dt: the time step [s]; by default the model's.
     key: the keyframe of the pose and controls; by default the first, or the pose of the scene.
@@ -156,11 +162,14 @@ def tune(
         compiled = Change(dt=units.time("dt", dt)).of(compiled)
     at, found, ran = At(*home(compiled, motion.key)), list[Tuned](), "nothing was run"
     is_servo = goal.name in SERVO and geom is None
-    servos = servos_of(compiled, _names(servo)) if is_servo else []
+    driven, motors = for_motors(compiled, _names(servo)) if is_servo else (compiled, set())
+    servos = servos_of(driven, _names(servo)) if is_servo else []
     if servos:
-        hanging, at = hung(compiled, at, setup.engine.size)
-        base = ", the base held in the air" if hanging is not compiled else ""
-        found, ran = tuned_servos(hanging, at, servos, goal), f"the servos hold the pose{base}"
+        hanging, at = hung(driven, at, setup.engine.size)
+        base = ", the base held in the air" if hanging is not driven else ""
+        place = f" in place of {counted(len(motors), 'motor')}" if motors else ""
+        found = tuned_servos(hanging, at, servos, goal, motors)
+        ran = f"{'servos' if motors else 'the servos'}{place} hold the pose{base}"
     elif goal.name in CONTACT:
         law, ran = compiled.settings.law, "2 s to come to rest"
         if law != "solref":

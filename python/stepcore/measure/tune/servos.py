@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.engine.actuator import SERVO, Actuator, actuators, loads
+from stepcore.engine.actuator import MOTOR, SERVO, Actuator, actuators, loads
 from stepcore.engine.follow import follow
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.change import Change
+from stepcore.experiment.change import Change, Servo
 from stepcore.experiment.choose import least
 from stepcore.experiment.moves import moves_about, roots
 from stepcore.measure.monitors.servos import gained
@@ -59,6 +59,38 @@ def servos_of(model: Model, names: Sequence[str] | None) -> list[Actuator]:
             model.index("actuator", name)
             raise ValueError(f"servo = {name!r}: is no position servo on a hinge or slide")
     return list(found.values() if names is None else map(found.__getitem__, dict.fromkeys(names)))
+
+
+def for_motors(model: Model, names: Sequence[str] | None) -> tuple[Model, set[int]]:
+    """Return the model with servos in place of its motors on hinges and slides, and their indices.
+
+    They are the PD controllers that robots with motors have. names: of motors; by default all.
+    """
+    called, omega = model.called("actuator"), 2 * np.pi
+    motors = [
+        drive
+        for drive in actuators(model)
+        if drive.kind == MOTOR and drive.direct and drive.gear
+        if names is None or called[drive.index] in names
+    ]
+    servos = list[Servo]()
+    for drive in motors:
+        inertia = drive.inertia / drive.gear**2
+        servos.append(Servo(drive.index, omega**2 * inertia, 2 * omega * inertia, drive.forces))
+    changed = Change(servos=servos).of(model) if servos else model
+    return changed, {drive.index for drive in motors}
+
+
+def in_place(model: Model, drive: Actuator, kp: float, kv: float) -> tuple[str, ...]:
+    """Return the servo to write in place of a motor, as MJCF."""
+    names, joints = model.names["actuator"], model.names["joint"]
+    fields = {"name": names[drive.index], "joint": joints[drive.joint or 0]}
+    fields |= {} if drive.gear == 1 else {"gear": f"{drive.gear:g}"}
+    fields |= {"kp": f"{kp:g}", "kv": f"{kv:g}"}
+    if np.isfinite(drive.forcerange).all():
+        fields["forcerange"] = " ".join(f"{end:g}" for end in drive.forcerange)
+    said = " ".join(f'{field}="{value}"' for field, value in fields.items() if value)
+    return (f"<position {said}/>",)
 
 
 def hung(model: Model, at: At, size: float) -> tuple[Model, At]:
@@ -268,8 +300,13 @@ class Servos:
         return {k: limit(k) for k in failing}
 
 
-def tuned_servos(model: Model, at: At, drives: Sequence[Actuator], goal: Goal) -> list[Tuned]:
-    """Return gains for each servo. All servos are changed together, and verified together."""
+def tuned_servos(
+    model: Model, at: At, drives: Sequence[Actuator], goal: Goal, motors: set[int]
+) -> list[Tuned]:
+    """Return gains for each servo. All servos are changed together, and verified together.
+
+    motors: the indices of those that stand in place of motors.
+    """
     called, servos, idle = model.called("actuator"), Servos(model, at, drives), list[Tuned]()
     if goal.name == "sag":
         # A thousandth of the largest load is none.
@@ -319,7 +356,9 @@ def tuned_servos(model: Model, at: At, drives: Sequence[Actuator], goal: Goal) -
             Tuned(
                 *("servo", called[drive.index], goal, unit if goal.name == "sag" else "", change),
                 *(
-                    pasted(model, gained(model, drive.index, kp, kv)),
+                    in_place(model, drive, kp, kv)
+                    if drive.index in motors
+                    else pasted(model, gained(model, drive.index, kp, kv)),
                     float(asked[k]),
                     float(values[k]),
                 ),
