@@ -168,7 +168,7 @@ def tune(
         hanging, at = hung(driven, at, setup.engine.size)
         base = ", the base held in the air" if hanging is not driven else ""
         place = f" in place of {counted(len(motors), 'motor')}" if motors else ""
-        found = tuned_servos(hanging, at, servos, goal, motors)
+        found = tuned_servos(hanging, at, servos, goal, motors, workers.deadline)
         ran = f"{'servos' if motors else 'the servos'}{place} hold the pose{base}"
     elif goal.name in CONTACT:
         law, ran = compiled.settings.law, "2 s to come to rest"

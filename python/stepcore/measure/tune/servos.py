@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from stepcore.deadline import Deadline
 from stepcore.engine.actuator import MOTOR, SERVO, Actuator, actuators, loads
 from stepcore.engine.follow import follow
 from stepcore.engine.model import Model
@@ -301,7 +302,12 @@ class Servos:
 
 
 def tuned_servos(
-    model: Model, at: At, drives: Sequence[Actuator], goal: Goal, motors: set[int]
+    model: Model,
+    at: At,
+    drives: Sequence[Actuator],
+    goal: Goal,
+    motors: set[int],
+    deadline: Deadline,
 ) -> list[Tuned]:
     """Return gains for each servo. All servos are changed together, and verified together.
 
@@ -325,19 +331,20 @@ def tuned_servos(
         asked, values = goal.corrected(count, lambda asked: servos.run(goal, asked), first)
         return asked, values, servos.change, servos.off, servos.widths
 
-    ours = tried()
-    limits = servos.limits(goal, ours[0], np.flatnonzero(np.isnan(ours[1])).tolist())
-    if limits:
+    ours, limits = tried(), dict[int, tuple[float, str]]()
+    with deadline.stage("what the time step holds of the servos that are not reached"):
+        limits = servos.limits(goal, ours[0], np.flatnonzero(np.isnan(ours[1])).tolist())
         held = ours[0].copy()
         held[[*limits]] = [asked for asked, _ in limits.values()]
-        ours = max(ours, tried(held), key=lambda one: sum(map(goal.near, one[1])))
+        if limits:
+            ours = max(ours, tried(held), key=lambda one: sum(map(goal.near, one[1])))
     asked, values, change, off, widths = ours
     found, gains = [], servos.gains(servos.omegas(goal.name, asked))
     for k, (drive, unit) in enumerate(zip(servos.drives, servos.units, strict=True)):
         (kp, kv), reached, also = gains[k], goal.near(values[k]), ""
         why = f"The run shows {goal.words(values[k], unit)} with kp={kp:g}"
         if math.isnan(values[k]):
-            why = "Beside the gains of the other servos it has no margin"
+            why = "The run does not show it, or one with steps twice as long does not"
         if k in limits:
             why = limits[k][1]
         if goal.name == "sag" and kp * goal.value * abs(drive.gear) > drive.bound:
