@@ -349,7 +349,7 @@ def test_a_start_from_which_no_run_converges_has_no_error_in_kilometres(ball):
     found.shipped = replace(ball.shipped, starts=range(8), errors=far, unsure=far, largest=far)
     found.rows = [found.shipped]
     found.reference = replace(ball.reference, unsure=far)
-    said = found.text()
+    said = " ".join(found.text().split())
     assert "from start 7 no run converges" in said and "10 mm in the median" in said
     assert "from some start no run converges" in said and "inf km" not in said
 
