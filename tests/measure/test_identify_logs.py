@@ -210,6 +210,17 @@ def test_gaps_of_the_controls_are_told():
         found_in(log)
 
 
+def test_what_is_small_is_not_taken_for_degrees():
+    """An axis has a range of 2 degrees, and a soft row lets it go four times as far."""
+    text = """<mujoco><worldbody><body><joint name="axis" axis="0 1 0" range="-2 2" damping="1"
+    solreflimit=".2 1"/><geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/></body></worldbody>
+    </mujoco>"""
+    run = sc.Sim(sc.loads(text)).run(1.0)
+    assert 3 * np.radians(2) < np.abs(run.qpos).max() < 1.0
+    found = sc.identify(sc.loads(text), run, {"joint/axis/damping": (0.1, 10)})
+    assert found.values["joint/axis/damping"] == pytest.approx(1.0, rel=1e-3)
+
+
 PENDULUM = """<mujoco><option timestep="0.01" integrator="RK4"/>
 <default><geom contype="0" conaffinity="0" size="0.02" mass="1"/></default><worldbody>
 <body><joint name="upper" axis="0 1 0" damping="0.01"/><geom type="capsule" fromto="0 0 0 0 0 -1"/>

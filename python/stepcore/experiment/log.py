@@ -500,7 +500,8 @@ class Log:
                 rate = float(np.nansum(speed * moved) / (np.nansum(speed**2) or 1.0))
             if np.degrees(0.8) < rate < np.degrees(1.2):
                 why = f"changes {rate:.3g} times as fast as its velocity"
-            elif not 3 * limit < most < np.degrees(3 * limit):
+            # What stays within a radian would be less than a degree.
+            elif not max(3 * limit, 1.0) < most < np.degrees(3 * limit):
                 continue
             cure = f'it looks like degrees: name the column "{title} [deg]"'
             raise ValueError(f"{self.source}, column {title}: {why}: {cure}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from statistics import NormalDist
 
 import numpy as np
@@ -248,12 +249,14 @@ class Search:
         self.x, self.jacobian = self._known[fit]
 
     def _run(self, x: np.ndarray) -> None:
-        fit = self.fit
-        with self.workers.deadline.stage("the rest of the search"):
+        fit, stage = self.fit, partial(self.workers.deadline.stage, "the rest of the search")
+        with stage():
             if all(BEGINNING * log.steps(fit.base.settings.dt) >= ENOUGH for log in fit.logs):
                 part = fit.until(BEGINNING)
-                self._solve(part, x, ROUGH)
-                near, _ = self._known[part]
+                # The whole gets at least half of the time.
+                with stage(0.5):
+                    self._solve(part, x, ROUGH)
+                near, _ = self._known.get(part, (x, None))
                 fit.steps, fit.linearised = fit.steps + part.steps, fit.linearised + part.linearised
                 before, after = (np.sum(_residual(fit, each) ** 2) for each in (x, near))
                 x = near if after < before else x
