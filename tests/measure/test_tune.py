@@ -62,11 +62,14 @@ def test_a_pasted_bandwidth_is_the_gain_at_this_frequency(tag):
     tuning = sc.tune(scene, bandwidth=3.0)
     assert all(tuned.reached for tuned in tuning.found) and len(tuning.found) == 2
     assert ("in place of 2 motors" in tuning.text()) == (tag == "motor")
+    assert all(tuned.sentence.startswith("Servo `") for tuned in tuning.found)
     text = ARM
     for line in tuning.mjcf.splitlines() if tag == "motor" else ():
         name = re.search(r'name="(\w+)"', line)[1]
         text = re.sub(rf'<position name="{name}"[^>]*/>', line, text)
     sim = held(sc.loads(text) if tag == "motor" else pasted(ARM, tuning))
+    changed = tuning.found[0].change.of(scene.compile())
+    assert changed.actuator_bias == pytest.approx(sim.model.actuator_bias, rel=1e-3)
     assert np.array_equal(
         sim.model.actuator_forcerange, sc.loads(ARM).compile().actuator_forcerange
     )

@@ -17,6 +17,7 @@ from stepcore.deadline import SEARCHED, OutOfTime
 from stepcore.engine.linear_maps import implicit_kinds
 from stepcore.engine.model import Model
 from stepcore.engine.norm import apart, largest, rms
+from stepcore.engine.parameters import own_value
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.change import Change
@@ -34,8 +35,6 @@ from stepcore.report.report import not_shown
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, metres, seconds
-from stepcore.scene.elements import Body
-from stepcore.scene.value_paths import find
 
 __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
 
@@ -573,7 +572,8 @@ def _case(
     model, present = None, None
     if engine.known:
         model = setup.model
-        present = _present(model, path)
+        # Of a vector the first, which a number replaces.
+        present = next(iter(np.ravel(own_value(model, path)).tolist()), None)
         if key is not None:
             model.index("key", key)
         elif model.keys:
@@ -592,15 +592,6 @@ def _case(
         settings=[MapSetting(n, {"integrator": n}, theory.get(n), SPRINGS) for n in names],
         key=key,
     )
-
-
-def _present(model: Model, path: str) -> Any:
-    """Return the number at a path: the first of a vector, and a mass that comes from geoms."""
-    element, field = find(model.scene, path)
-    present = getattr(element, field)
-    if field == "mass" and isinstance(element, Body) and present is None:
-        return model.masses()[element.name]
-    return present[0] if isinstance(present, tuple) and present else present
 
 
 def _linear(

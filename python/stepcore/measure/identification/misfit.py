@@ -10,6 +10,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+from stepcore._core import SimulationError
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import named_columns
 from stepcore.engine.sim import Sim
@@ -245,8 +246,11 @@ def _candidates(fit: Predictions) -> tuple[Model, dict[str, float]]:
         try:
             sim.linearize(labels)
             break
-        except ValueError as error:
-            (bad,) = (label for label in labels if f" {label}: " in str(error))
-            labels.remove(bad)
-            del values[bad]
+        except (ValueError, SimulationError) as error:
+            bad = [label for label in labels if f" {label}: " in str(error)]
+            if not bad:
+                # The first pose itself has no derivative; those of the log may.
+                break
+            labels = [label for label in labels if label not in bad]
+            values = {label: value for label, value in values.items() if label not in bad}
     return model, values

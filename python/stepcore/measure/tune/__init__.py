@@ -78,7 +78,7 @@ class Tuning(Result):
             alike.setdefault(reason, []).append(tuned)
         for group in alike.values():
             names = ", ".join(tuned.called for tuned in group)
-            said.append(f"- {names[0].upper()}{names[1:]}, {group[0].sentence}")
+            said.append(f"- {names[0].upper()}{names[1:]}, {group[0].said}")
             said += [f"  {line}" for line in group[0].lines] if group[0].reached else []
         return said
 

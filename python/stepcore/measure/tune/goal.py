@@ -129,7 +129,12 @@ class Tuned:
 
     @property
     def sentence(self) -> str:
-        """What was wanted, and what the run shows."""
+        """What was wanted of the element, and what the run shows."""
+        return f"{self.called[0].upper()}{self.called[1:]}, {self.said}"
+
+    @property
+    def said(self) -> str:
+        """The sentence without the element."""
         if not self.reached:
             return f"{self.wanted}: not reached. {self.why}."
         law = self.goal.words(self.expected, self.unit)

@@ -210,7 +210,7 @@ class Servos:
 
     drives: the servos. inertia: that each moves while the other joints are held. damping: of its
     joint. load: its force that the pose needs at rest [N or N·m].
-    change, off, widths: of the last run; see `shown`.
+    off, widths: of the last run; see `shown`.
     """
 
     def __init__(self, model: Model, at: At, drives: Sequence[Actuator]) -> None:
@@ -259,8 +259,7 @@ class Servos:
         omegas, values = self.omegas(goal.name, asked), dict[str, Any]()
         for k, gains in enumerate(self.gains(omegas)):
             values |= gained(self.model, self.drives[k].index, *gains)
-        self.change, slowest = Change(values), float(omegas.min())
-        model = self.change.also(Change(**settings)).of(self.model)
+        model, slowest = Change(values, **settings).of(self.model), float(omegas.min())
         found, self.off, self.widths = self.shown(model, goal, slowest)
         if np.isfinite(found).any() and self.margin.any():
             found[self.margin & ~self.hold_longer(model, goal, slowest)] = math.nan
@@ -329,7 +328,7 @@ def tuned_servos(
 
     def tried(first: np.ndarray | None = None) -> tuple[Any, ...]:
         asked, values = goal.corrected(count, lambda asked: servos.run(goal, asked), first)
-        return asked, values, servos.change, servos.off, servos.widths
+        return asked, values, servos.off, servos.widths
 
     ours, limits = tried(), dict[int, tuple[float, str]]()
     with deadline.stage("what the time step holds of the servos that are not reached"):
@@ -338,8 +337,16 @@ def tuned_servos(
         held[[*limits]] = [asked for asked, _ in limits.values()]
         if limits:
             ours = max(ours, tried(held), key=lambda one: sum(map(goal.near, one[1])))
-    asked, values, change, off, widths = ours
+    asked, values, off, widths = ours
     found, gains = [], servos.gains(servos.omegas(goal.name, asked))
+    # Of the model as it was given, which may have motors.
+    own, placed = dict[str, Any](), list[Servo]()
+    for drive, (kp, kv) in zip(servos.drives, gains, strict=True):
+        if drive.index in motors:
+            placed.append(Servo(drive.index, kp, kv, drive.forcerange))
+        else:
+            own |= gained(model, drive.index, kp, kv)
+    change = Change(own, servos=placed)
     for k, (drive, unit) in enumerate(zip(servos.drives, servos.units, strict=True)):
         (kp, kv), reached, also = gains[k], goal.near(values[k]), ""
         why = f"The run shows {goal.words(values[k], unit)} with kp={kp:g}"
