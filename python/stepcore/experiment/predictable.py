@@ -137,9 +137,12 @@ def settled(
     where all do, shorter steps run for twice as long. Of two that agree the longer one is returned,
     with its change: it has less rounding.
 
-    changes: with steps ever shorter. whole: the growth in which all starts end, if one is known.
+    changes: with steps ever shorter. whole: the growth in which all starts end under another
+    method, if one is known. A step that agrees with it is enough, and so are two that fall short
+    of it: the longer time is the right one.
     """
     last, own = None, schedule if whole is None else shortened(schedule, whole)
+    known = np.zeros(len(starts)) if whole is None else whole.ends
     for change in changes:
         grown = growth(engine, change, own, starts, size, directions)
         if own is not schedule and not np.isfinite(grown.ends).all():
@@ -148,15 +151,24 @@ def settled(
             grown = growth(engine, change, own, starts, size, directions)
         if not (grown.failure or np.isfinite(grown.ends).any()):
             return grown, change
-        if whole is None and not grown.failure:
-            whole, own = grown, shortened(schedule, grown)
-        if last is not None:
-            a, b = (np.minimum(one, 1e300) for one in (grown.ends, last[0].ends))
-            if (np.abs(a - b) <= AGREE * np.maximum(a, b)).all():
-                return last
-        last = grown if whole is None else grown.then(whole), change
+        if not grown.failure:
+            whole, own = whole or grown, shortened(own, grown)
+        before, last = last, (grown if whole is None else grown.then(whole), change)
+        if _agree(grown.ends, known).all():
+            return last
+        if before is not None:
+            short = np.maximum(grown.ends, before[0].ends) < (1 - AGREE) * known
+            if (_agree(grown.ends, before[0].ends) | short).all():
+                return before
     assert last is not None
     return last
+
+
+def _agree(ends: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return which starts end at the same time, to a share of it."""
+    a, b = (np.minimum(one, 1e300) for one in (ends, others))
+    agree: np.ndarray = np.abs(a - b) <= AGREE * np.maximum(a, b)
+    return agree
 
 
 def shortened(schedule: Schedule, grown: Growth) -> Schedule:
