@@ -20,6 +20,9 @@ from stepcore import checks
 # Largest file [bytes]. No model or replay is larger, and a larger file could fill the memory.
 LARGEST = 2**28
 
+# How a pointer of Git LFS begins.
+LFS = b"version https://git-lfs.github.com/spec/"
+
 # Outputs of the running command, as (device, inode): reading them is refused.
 outputs: set[tuple[int, int]] = set()
 
@@ -37,10 +40,20 @@ def path(name: str, value: object) -> str:
 
 
 def read(path: str | os.PathLike[str], expected: str) -> bytes:
-    """Return the bytes of a regular file of at most `LARGEST` bytes; see `opened`."""
+    """Return the bytes of a regular file of at most `LARGEST` bytes; see `opened`.
+
+    Raises ValueError for a pointer of Git LFS, which stands in a clone for a file not yet brought.
+    """
     with opened(path, expected) as (file, size):
         # At most the reported size: system files that block until there is news report 0.
-        return file.read(size)
+        data = file.read(size)
+    if data.startswith(LFS):
+        called = checks.cut(checks.without_middle(os.fsdecode(path)))
+        raise ValueError(
+            f"{called}: is a pointer of Git LFS, not {expected}: `git lfs pull` in its repository "
+            "brings the file"
+        )
+    return data
 
 
 @contextmanager

@@ -335,6 +335,32 @@ def test_a_foot_that_a_leg_pulls_out_of_the_floor_is_not_thrown():
     assert not [one for one in findings if "thrown" in one.text]
 
 
+def test_what_moves_out_of_the_floor_is_the_robot_and_not_its_foot():
+    one = the(watched(sc.loads(LEG.replace(".405", ".31")), time=0.2)[1], "overlap at the start")
+    assert "move body `trunk` 10 mm away" in one.text
+
+
+STOOL = """<mujoco><worldbody><geom name="base" type="box" size=".05 .05 .05"/>
+<body name="turret"><joint axis="0 0 1" damping="1"/><geom name="turret" size=".06" mass="1"/>
+</body></worldbody></mujoco>"""
+
+
+def test_parts_of_a_machine_that_is_fixed_to_the_world_are_left_out():
+    """The base of a URDF is part of the world, whose contacts with its child are not left out."""
+    found = watched(sc.loads(STOOL))[1]
+    (one,) = [one for one in found if "`base`" in one.text]
+    assert '<exclude body1="turret" body2="world"/>' in one.text
+    assert not watched(
+        sc.loads(
+            STOOL.replace(
+                "</mujoco>",
+                """<contact>
+<exclude body1="world" body2="turret"/></contact></mujoco>""",
+            )
+        )
+    )[1]
+
+
 WHEEL = """<mujoco><option cone="elliptic"/><worldbody>
 <geom name="floor" type="plane" size="1 1 1"/>
 <body name="wheel" pos="0 0 .099"><joint axis="0 1 0" name="axle"/>

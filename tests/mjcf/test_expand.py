@@ -332,6 +332,29 @@ def test_models_within_models_find_their_files(tmp_path: Path) -> None:
     assert files == ["m.xml", "mid.xml", "in.xml", "tetra.obj"]
 
 
+CLASSED = """<mujoco><default>{defaults}</default>{asset}<worldbody>
+  <body name="{name}"><joint/><geom class="own"/>{inside}</body></worldbody></mujoco>"""
+
+
+def test_models_without_a_prefix_keep_their_own_defaults(tmp_path: Path) -> None:
+    """Each has a class of the same name, at another depth; MuJoCo cannot read what it writes."""
+    own = '<default class="own"><geom size="{}"/></default>'
+    inner = CLASSED.format(
+        defaults=f'<default class="all">{own.format(0.2)}</default>', asset="", name="in", inside=""
+    )
+    asset = '<asset><model name="next" file="{}"/></asset>'
+    attach = '<frame pos="1 0 0"><attach model="next" prefix=""/></frame>'
+    middle = CLASSED.format(
+        defaults=own.format(0.3), asset=asset.format("in.xml"), name="mid", inside=attach
+    )
+    (tmp_path / "in.xml").write_text(inner)
+    (tmp_path / "mid.xml").write_text(middle)
+    outer = f"<mujoco>{asset.format('mid.xml')}<worldbody>{attach}</worldbody></mujoco>"
+    (tmp_path / "m.xml").write_text(outer)
+    scene = load(tmp_path / "m.xml")
+    assert [geom.size[0] for geom in scene.geoms] == [0.3, 0.2]
+
+
 def test_options_that_are_not_taken_over_are_noted(tmp_path: Path) -> None:
     (tmp_path / "kid.xml").write_text(CHILD)
     text = parent('<attach model="kid" body="b" prefix="K-"/>')

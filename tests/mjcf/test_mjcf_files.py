@@ -173,6 +173,17 @@ def test_a_file_that_grows_is_read_as_far_as_it_said(tmp_path, monkeypatch):
     assert files.read(path, "a model") == BODY.encode()
 
 
+def test_pointers_of_git_lfs_are_told(tmp_path):
+    """A clone without Git LFS has them in place of meshes."""
+    (tmp_path / "arm.stl").write_text(
+        "version https://git-lfs.github.com/spec/v1\noid sha256:9ba0e5a4dc95\nsize 6884\n"
+    )
+    text = """<mujoco><asset><mesh file="arm.stl"/></asset><worldbody><geom type="mesh" mesh="arm"/>
+</worldbody></mujoco>"""
+    with pytest.raises(sc.MJCFError, match=r"arm\.stl: is a pointer of Git LFS.*git lfs pull"):
+        sc.loads(text, base=tmp_path)
+
+
 LONG = "n" * 6000
 
 

@@ -188,8 +188,9 @@ impl Sim {
         Ok(samples)
     }
 
-    /// Energies are not looked at, but by the ledger of the settings.
+    /// Energies are not looked at, but by the ledger of the settings, and slow steps not explained.
     fn unwatch(&self) -> PyResult<()> {
+        self.slow.keep_quiet();
         self.lock()?.unwatch();
         Ok(())
     }

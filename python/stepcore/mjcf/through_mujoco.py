@@ -16,7 +16,7 @@ import sys
 import tempfile
 import warnings
 from bisect import bisect
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -104,6 +104,7 @@ class Expansion:
     def __init__(self, root: Node, compiler: Compiler, check: Callable[[Node], None]) -> None:
         self.root, self.compiler, self.check = root, compiler, check
         self.files = [node.file for node in below(root)]
+        self._classes = _classes(root)
         self.notes: list[str] = []
         # The attached models by path.
         self._made: dict[str, Attached] = {}
@@ -143,9 +144,11 @@ class Expansion:
         chain: the files of the models around this one, and its own.
         """
         models: dict[str, Attached] = {}
+        attached = [node for node in below(root) if node.tag == "attach"]
+        bare = {node.attrs.get("model") for node in attached if not node.attrs.get("prefix")}
         for node in inside(root, "asset"):
             if node.tag == "model":
-                model = self._model(node, compiler, chain)
+                model = self._model(node, compiler, chain, node.attrs.get("name") in bare)
                 name = node.values.get("name", model.name)
                 if name in models:
                     raise node.error(f'model "{name}": the name is used twice')
@@ -153,8 +156,11 @@ class Expansion:
                 node.attrs["name"], node.attrs["file"] = name, model.file
         return models
 
-    def _model(self, node: Node, compiler: Compiler, chain: list[str]) -> Attached:
-        """Check the model that an <asset><model> names, and write its text."""
+    def _model(self, node: Node, compiler: Compiler, chain: list[str], bare: bool) -> Attached:
+        """Check the model that an <asset><model> names, and write its text.
+
+        bare: it is attached without a prefix.
+        """
         name = node.values["file"]
         if not name or "\0" in name:
             raise node.error('<model> needs a file="…"')
@@ -171,6 +177,9 @@ class Expansion:
             self.notes += expand(root, path.parent, path)
             self.check(root)
             self.files += [inner.file for inner in below(root)]
+            if bare:
+                _name_classes(root, f"{len(self.files)}.", self._classes)
+            self._classes |= _classes(root)
             own = Compiler(sections(root, "compiler"), os.path.abspath(path.parent), root.file)
             size = _size(root, self._models(root, own, [*chain, str(path)]))
             file = Path(self._folder, f"{len(self._made)}.xml")
@@ -179,6 +188,25 @@ class Expansion:
             named = tuple(node.attrs["name"] for node in rest if node.attrs.get("name"))
             self._made[here] = Attached(root.attrs.get("model", ""), size, str(file), named)
         return self._made[here]
+
+
+def _classes(root: Node) -> set[str]:
+    """Return the names of the defaults of a model."""
+    inner = [node for top in inside(root, "default") for node in below(top)]
+    return {node.attrs["class"] for node in inner if "class" in node.attrs}
+
+
+def _name_classes(root: Node, prefix: str, known: Set[str]) -> None:
+    """Give the defaults of a model other names than known ones.
+
+    MuJoCo writes those of models that are attached without a prefix under one name, and cannot read
+    that.
+    """
+    names = _classes(root) & known
+    for node in below(root):
+        for name in ("class", "childclass"):
+            if node.attrs.get(name) in names:
+                node.attrs[name] = prefix + node.attrs[name]
 
 
 @contextlib.contextmanager

@@ -127,8 +127,9 @@ impl Batch {
         self.warn(py, worlds)
     }
 
-    /// Energies are not looked at, but by the ledger of the settings.
+    /// Energies are not looked at, but by the ledger of the settings, and slow steps not explained.
     fn unwatch(&self) -> PyResult<()> {
+        self.slow.keep_quiet();
         self.how.unwatched.store(true, Ordering::Relaxed);
         self.lock()?.unwatch();
         Ok(())

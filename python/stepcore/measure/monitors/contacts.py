@@ -81,7 +81,8 @@ def contact_findings(run: Recording) -> Iterator[Finding]:
         force = f"push each other with {newtons(held[0].force)} all the time"
         becomes = f", as their joints hold them, and {force}"
         yield _overlapping(run, "overlap", "warning", held, "", becomes)
-    late = [at for at in late if at.pair not in jammed]
+    stuck = {at.pair for at in starts if _stuck(run, at)}
+    late = [at for at in late if at.pair not in {*jammed, *stuck}]
     rest = sorted((at for at in late if at.settled), key=lambda at: at.depth)
     starts = [at for at in starts if at.pair not in jammed]
     yield from _overlaps(run, starts, {at.pair: at.depth for at in rest})
@@ -146,14 +147,27 @@ def _overlap(run: Recording, contact: np.void) -> Contact:
 def _jammed(
     run: Recording, starts: list[Contact], at_rest: Mapping[int, Contact]
 ) -> dict[int, Contact]:
-    """Return pairs of one tree that overlap throughout because joints keep the geoms there."""
+    """Return pairs that overlap throughout because joints keep the geoms there.
+
+    They are of one tree, or, where they are deeper than their middle, of a machine that is fixed to
+    the world and of the world.
+    """
     jammed: dict[int, Contact] = {}
     for start in starts:
         at, geoms = at_rest.get(start.pair), run.model.contact_pair(start.pair).geoms
-        one = len(set(run.roots[run.model.geom_body[list(geoms)]].tolist())) == 1
-        if at is not None and one and min(start.depth, at.depth) > DEEP * run.thick(start.pair):
+        if at is None:
+            continue
+        roots = set(run.roots[run.model.geom_body[list(geoms)]].tolist())
+        fixed = 0 in roots and not roots & free_bodies(run.model)
+        share = DEEP if len(roots) == 1 else 1.0 if fixed else math.inf
+        if min(start.depth, at.depth) > share * run.thick(start.pair):
             jammed.setdefault(at.pair, at)
     return jammed
+
+
+def _stuck(run: Recording, start: Contact) -> bool:
+    """Return whether geoms are far in each other at the start, and no joint moves them apart."""
+    return not start.movable and start.depth > DEEP * run.thick(start.pair)
 
 
 def _overlaps(
@@ -196,9 +210,12 @@ def _overlapping(
     problem = f"{both} overlap by {metres(of.depth)}{by}{also}{becomes}"
     bodies = model.geom_body[list(geoms)].tolist()
     roots = run.roots[bodies].tolist()
-    mover = model.element_name("body", bodies[1] if roots[1] else bodies[0])
+    moved = 1 if roots[1] else 0
+    # The foot of a robot moves away with all of it.
+    base = roots[moved] if roots[moved] in free_bodies(model) else bodies[moved]
+    mover = model.element_name("body", base)
     cure = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
-    if roots[0] == roots[1] and roots[0]:
+    if kind == "overlap" or _stuck(run, of) or (roots[0] == roots[1] and roots[0]):
         a, b = (model.body_names[body] or "…" for body in bodies)
         exclude = f'<exclude body1="{a}" body2="{b}"/>'
         cure = f"leave them out with {exclude}, or make the geoms smaller"
