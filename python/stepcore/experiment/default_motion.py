@@ -124,10 +124,11 @@ def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
         after = seconds(moves.held.fell)
         yield f"nothing holds this pose: the robot falls over within {after}"
     elif not moves.keep and chosen.still:
-        yield (
-            f"{chosen.still} of {counted(len(chosen.spans), 'start')} only hold their pose, "
-            "because even small moves meet contacts, limits or the bounds of forces"
-        )
+        of = f"{chosen.still} of {counted(len(chosen.spans), 'start')}"
+        who = f"{of} only hold their pose" if chosen.still > 1 else f"{of} only holds its pose"
+        if len(chosen.spans) == 1:
+            who = "it only holds its pose"
+        yield f"{who}, because even small moves meet contacts, limits or the bounds of forces"
 
 
 def _far(moves: Moves, chosen: Chosen) -> str:

@@ -161,6 +161,8 @@ class Search:
         """Return what is known of the shipped and of the best settings so far, in words."""
         shipped = self.shipped
         said = f"error as shipped {metres(shipped.error)}, ± {metres(self.truth.error)}"
+        if not math.isfinite(shipped.error):
+            said = f"the shipped settings fail; errors are known to {metres(self.truth.error)}"
         if best is None:
             return said
         cost = f"{times(best.cost / shipped.cost)} the shipped cost"
