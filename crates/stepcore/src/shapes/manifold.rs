@@ -120,7 +120,7 @@ impl<R: Real> ContactPatch<'_, R> {
         }
         if self.strays(found) {
             let low = points.low().map(|low| points.list[low]);
-            deepest = self.on_both(deepest, low);
+            deepest = self.on_both(deepest, [low, self.crossing(&deepest)]);
         }
         chosen(&mut points, deepest, BORDER * self.size, most)
     }
@@ -169,21 +169,49 @@ impl<R: Real> ContactPatch<'_, R> {
 
     /// The deepest place of those that may be it, at either core's corner or where faces and edges
     /// overlap: the one that lies on both cores.
-    fn on_both(&self, deepest: Point<R>, low: Option<Point<R>>) -> Point<R> {
+    fn on_both(&self, deepest: Point<R>, others: [Option<Point<R>>; 2]) -> Point<R> {
         let n = &self.normal;
         let half = n * (R::of(0.5) * deepest.apart);
         let at_one = Point { at: self.one.support(n).0 + half, ..deepest };
         let at_two = Point { at: self.between + self.two.support(&-n).0 - half, ..deepest };
         let rise = |low: &Point<R>| low.apart.lane(0) - deepest.apart.lane(0);
-        let even = low.filter(|low| rise(low) < EVEN * self.size);
+        let even = others.into_iter().flatten().filter(|low| rise(low) < EVEN * self.size);
         let mut best = (self.outside(&deepest), deepest);
-        for point in [Some(at_one), Some(at_two), even].into_iter().flatten() {
+        for point in [at_one, at_two].into_iter().chain(even) {
             let outside = self.outside(&point);
             if outside < best.0 {
                 best = (outside, point);
             }
         }
         best.1
+    }
+
+    /// Where sides of what meets cross, seen along the normal: of faces so narrow that no corner of
+    /// one lies over the other, as of two crossed bars.
+    fn crossing(&self, deepest: &Point<R>) -> Option<Point<R>> {
+        let one = feature(&self.one, &V3::zeros(), &self.normal);
+        let two = feature(&self.two, &self.between, &-self.normal);
+        let half = self.normal * (R::of(0.5) * deepest.apart);
+        let mut best: Option<(f64, Point<R>)> = None;
+        for [a, b] in sides(&one) {
+            for [c, d] in sides(&two) {
+                let (e, f) = (b - a, d - c);
+                let (over, under) = (f.cross(&self.normal), e.cross(&self.normal));
+                let (along, across) = (e.dot(&over), f.dot(&under));
+                if along.lane(0) == 0.0 || across.lane(0) == 0.0 {
+                    continue;
+                }
+                let s = ((c - a).dot(&over) / along).clamp(R::zero(), R::one());
+                let t = ((a - c).dot(&under) / across).clamp(R::zero(), R::one());
+                let at = (a + e * s + half + c + f * t - half) * R::of(0.5);
+                let point = Point { at, ..*deepest };
+                let outside = self.outside(&point);
+                if best.is_none_or(|best| outside < best.0) {
+                    best = Some((outside, point));
+                }
+            }
+        }
+        best.map(|best| best.1)
     }
 
     /// How far a contact's places on the two cores lie outside of them.
@@ -439,6 +467,16 @@ impl<R: Real> ContactPatch<'_, R> {
             out.add(self.contact(&p, &q, name(6, label, 0)));
         }
     }
+}
+
+/// The sides of a face, or an edge.
+fn sides<R: Real>(feature: &Feature<R>) -> impl Iterator<Item = [V3<R>; 2]> + '_ {
+    let (corners, count): (&[Corner<R>], usize) = match feature {
+        Feature::Point => (&[], 0),
+        Feature::Edge(ends) => (ends, 1),
+        Feature::Face(face) => (&face.corners[..face.count], face.count),
+    };
+    (0..count).map(move |k| [corners[k].at, corners[(k + 1) % corners.len()].at])
 }
 
 /// At most `most` of the points: the deepest, and then each time the one furthest from those
