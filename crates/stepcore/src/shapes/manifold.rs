@@ -97,7 +97,8 @@ impl<R: Real> ContactPatch<'_, R> {
         let mut points = Points::new();
         let capped = matches!(self.one.core, Core::Cylinder(..))
             || matches!(self.two.core, Core::Cylinder(..));
-        if most > 1 || capped {
+        let strays = self.strays(found);
+        if most > 1 || capped || strays {
             let one = feature(&self.one, &V3::zeros(), &self.normal);
             let two = feature(&self.two, &self.between, &-self.normal);
             match (&one, &two) {
@@ -117,10 +118,10 @@ impl<R: Real> ContactPatch<'_, R> {
                     }
                 }
             }
-        }
-        if self.strays(found) {
-            let low = points.low().map(|low| points.list[low]);
-            deepest = self.on_both(deepest, [low, self.crossing(&deepest)]);
+            if strays {
+                let low = points.low().map(|low| points.list[low]);
+                deepest = self.on_both(deepest, [low, self.crossing(&one, &two, &deepest)]);
+            }
         }
         chosen(&mut points, deepest, BORDER * self.size, most)
     }
@@ -169,6 +170,7 @@ impl<R: Real> ContactPatch<'_, R> {
 
     /// The deepest place of those that may be it, at either core's corner or where faces and edges
     /// overlap: the one that lies on both cores.
+    #[inline(never)]
     fn on_both(&self, deepest: Point<R>, others: [Option<Point<R>>; 2]) -> Point<R> {
         let n = &self.normal;
         let half = n * (R::of(0.5) * deepest.apart);
@@ -188,13 +190,12 @@ impl<R: Real> ContactPatch<'_, R> {
 
     /// Where sides of what meets cross, seen along the normal: of faces so narrow that no corner of
     /// one lies over the other, as of two crossed bars.
-    fn crossing(&self, deepest: &Point<R>) -> Option<Point<R>> {
-        let one = feature(&self.one, &V3::zeros(), &self.normal);
-        let two = feature(&self.two, &self.between, &-self.normal);
+    #[inline(never)]
+    fn crossing(&self, one: &Feature<R>, two: &Feature<R>, deepest: &Point<R>) -> Option<Point<R>> {
         let half = self.normal * (R::of(0.5) * deepest.apart);
         let mut best: Option<(f64, Point<R>)> = None;
-        for [a, b] in sides(&one) {
-            for [c, d] in sides(&two) {
+        for [a, b] in sides(one) {
+            for [c, d] in sides(two) {
                 let (e, f) = (b - a, d - c);
                 let (over, under) = (f.cross(&self.normal), e.cross(&self.normal));
                 let (along, across) = (e.dot(&over), f.dot(&under));
@@ -215,6 +216,7 @@ impl<R: Real> ContactPatch<'_, R> {
     }
 
     /// How far a contact's places on the two cores lie outside of them.
+    #[inline(never)]
     fn outside(&self, point: &Point<R>) -> f64 {
         let plain = |v: V3<R>| v.map(|x| x.lane(0));
         let half = self.normal * (R::of(0.5) * point.apart);
