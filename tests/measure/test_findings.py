@@ -371,6 +371,9 @@ def test_a_wheel_on_a_fixed_axle_cannot_leave_the_floor():
     one = the(watched(sc.loads(WHEEL))[1], "overlap at the start")
     assert one.severity == "warning" and one.value == pytest.approx(1e-3)
     assert "no joint can move them apart: move body `wheel` 1 mm away" in one.text
+    # However deep, a wheel is meant to touch the floor.
+    one = the(watched(sc.loads(WHEEL.replace(".099", ".08")))[1], "overlap at the start")
+    assert "move body `wheel` 20 mm away" in one.text
 
 
 def test_geoms_that_joints_hold_in_each_other_are_to_be_left_out():

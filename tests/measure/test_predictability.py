@@ -3,6 +3,7 @@
 import json
 import math
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
+from stepcore.experiment import predictable
 from stepcore.experiment.predictable import Growth, _end
 
 QUIET = {"threads": 1, "progress": False}
@@ -211,3 +213,40 @@ def test_what_falls_freely_beside_a_damper_that_rk4_does_not_bear():
     )
     found = sc.predict(scene, horizon=10.0, starts=2, progress=False)
     assert found.time == math.inf and found.growth.factor.max() == pytest.approx(1.0, abs=0.2)
+
+
+@dataclass(frozen=True)
+class Steps:
+    period: float = 0.1
+    every: int = 1
+    periods: int = 100
+
+
+def ladder(monkeypatch, rungs, known):
+    """What `settled` makes of rungs that end so, and may fail, beside another method's end."""
+
+    def grown(engine, change, schedule, starts, size, directions):
+        end, failure = rungs[change]
+        times = schedule.period * np.arange(1, schedule.periods + 1)
+        return Growth(times, np.ones((1, len(times))), np.array([end]), failure)
+
+    monkeypatch.setattr(predictable, "growth", grown)
+    whole = Growth(0.1 * np.arange(1, 101), np.ones((1, 100)), np.array([known]), "")
+    return predictable.settled(None, range(len(rungs)), Steps(), [0], 1.0, 1, whole)[1]
+
+
+@pytest.mark.parametrize(
+    ("rungs", "rung"),
+    [
+        # One that agrees with the other method is enough, unless it fails.
+        ([(2.1, "")], 0),
+        ([(2.1, "diverged"), (2.0, "")], 1),
+        # So are two that fall short of it, unless one fails.
+        ([(0.5, ""), (1.0, ""), (0.4, ""), (0.8, "")], 0),
+        ([(0.5, "diverged"), (1.0, ""), (1.9, "")], 2),
+        # What lasts longer has to show it twice.
+        ([(3.0, ""), (4.0, ""), (4.1, "")], 1),
+    ],
+)
+def test_a_second_method_ends_where_it_cannot_matter(monkeypatch, rungs, rung):
+    assert ladder(monkeypatch, rungs, known=2.0) == rung

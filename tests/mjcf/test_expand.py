@@ -332,17 +332,18 @@ def test_models_within_models_find_their_files(tmp_path: Path) -> None:
     assert files == ["m.xml", "mid.xml", "in.xml", "tetra.obj"]
 
 
-CLASSED = """<mujoco><default>{defaults}</default>{asset}<worldbody>
+CLASSED = """<mujoco model="next"><default>{defaults}</default>{asset}<worldbody>
   <body name="{name}"><joint/><geom class="own"/>{inside}</body></worldbody></mujoco>"""
 
 
-def test_models_without_a_prefix_keep_their_own_defaults(tmp_path: Path) -> None:
+@pytest.mark.parametrize("named", ['name="next"', ""])
+def test_models_without_a_prefix_keep_their_own_defaults(named: str, tmp_path: Path) -> None:
     """Each has a class of the same name, at another depth; MuJoCo cannot read what it writes."""
     own = '<default class="own"><geom size="{}"/></default>'
     inner = CLASSED.format(
         defaults=f'<default class="all">{own.format(0.2)}</default>', asset="", name="in", inside=""
     )
-    asset = '<asset><model name="next" file="{}"/></asset>'
+    asset = f'<asset><model {named} file="{{}}"/></asset>'
     attach = '<frame pos="1 0 0"><attach model="next" prefix=""/></frame>'
     middle = CLASSED.format(
         defaults=own.format(0.3), asset=asset.format("in.xml"), name="mid", inside=attach

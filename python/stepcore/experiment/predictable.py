@@ -154,10 +154,12 @@ def settled(
         if not grown.failure:
             whole, own = whole or grown, shortened(own, grown)
         before, last = last, (grown if whole is None else grown.then(whole), change)
-        if _agree(grown.ends, known).all():
+        if not grown.failure and _agree(grown.ends, known).all():
             return last
         if before is not None:
             short = np.maximum(grown.ends, before[0].ends) < (1 - AGREE) * known
+            if grown.failure or before[0].failure:
+                short[:] = False
             if (_agree(grown.ends, before[0].ends) | short).all():
                 return before
     assert last is not None

@@ -145,10 +145,10 @@ class Expansion:
         """
         models: dict[str, Attached] = {}
         attached = [node for node in below(root) if node.tag == "attach"]
-        bare = {node.attrs.get("model") for node in attached if not node.attrs.get("prefix")}
+        bare = {node.attrs.get("model", "") for node in attached if not node.attrs.get("prefix")}
         for node in inside(root, "asset"):
             if node.tag == "model":
-                model = self._model(node, compiler, chain, node.attrs.get("name") in bare)
+                model = self._model(node, compiler, chain, bare)
                 name = node.values.get("name", model.name)
                 if name in models:
                     raise node.error(f'model "{name}": the name is used twice')
@@ -156,10 +156,10 @@ class Expansion:
                 node.attrs["name"], node.attrs["file"] = name, model.file
         return models
 
-    def _model(self, node: Node, compiler: Compiler, chain: list[str], bare: bool) -> Attached:
+    def _model(self, node: Node, compiler: Compiler, chain: list[str], bare: Set[str]) -> Attached:
         """Check the model that an <asset><model> names, and write its text.
 
-        bare: it is attached without a prefix.
+        bare: names of models that are attached without a prefix.
         """
         name = node.values["file"]
         if not name or "\0" in name:
@@ -177,7 +177,7 @@ class Expansion:
             self.notes += expand(root, path.parent, path)
             self.check(root)
             self.files += [inner.file for inner in below(root)]
-            if bare:
+            if node.values.get("name", root.attrs.get("model", "")) in bare:
                 _name_classes(root, f"{len(self.files)}.", self._classes)
             self._classes |= _classes(root)
             own = Compiler(sections(root, "compiler"), os.path.abspath(path.parent), root.file)

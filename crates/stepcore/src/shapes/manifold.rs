@@ -192,7 +192,6 @@ impl<R: Real> ContactPatch<'_, R> {
     /// one lies over the other, as of two crossed bars.
     #[inline(never)]
     fn crossing(&self, one: &Feature<R>, two: &Feature<R>, deepest: &Point<R>) -> Option<Point<R>> {
-        let half = self.normal * (R::of(0.5) * deepest.apart);
         let mut best: Option<(f64, Point<R>)> = None;
         for [a, b] in sides(one) {
             for [c, d] in sides(two) {
@@ -204,7 +203,7 @@ impl<R: Real> ContactPatch<'_, R> {
                 }
                 let s = ((c - a).dot(&over) / along).clamp(R::zero(), R::one());
                 let t = ((a - c).dot(&under) / across).clamp(R::zero(), R::one());
-                let at = (a + e * s + half + c + f * t - half) * R::of(0.5);
+                let at = (a + e * s + c + f * t) * R::of(0.5);
                 let point = Point { at, ..*deepest };
                 let outside = self.outside(&point);
                 if best.is_none_or(|best| outside < best.0) {

@@ -81,8 +81,7 @@ def contact_findings(run: Recording) -> Iterator[Finding]:
         force = f"push each other with {newtons(held[0].force)} all the time"
         becomes = f", as their joints hold them, and {force}"
         yield _overlapping(run, "overlap", "warning", held, "", becomes)
-    stuck = {at.pair for at in starts if _stuck(run, at)}
-    late = [at for at in late if at.pair not in {*jammed, *stuck}]
+    late = [at for at in late if at.pair not in jammed]
     rest = sorted((at for at in late if at.settled), key=lambda at: at.depth)
     starts = [at for at in starts if at.pair not in jammed]
     yield from _overlaps(run, starts, {at.pair: at.depth for at in rest})
@@ -165,11 +164,6 @@ def _jammed(
     return jammed
 
 
-def _stuck(run: Recording, start: Contact) -> bool:
-    """Return whether geoms are far in each other at the start, and no joint moves them apart."""
-    return not start.movable and start.depth > DEEP * run.thick(start.pair)
-
-
 def _overlaps(
     run: Recording, starts: list[Contact], at_rest: Mapping[int, float]
 ) -> Iterator[Finding]:
@@ -215,7 +209,7 @@ def _overlapping(
     base = roots[moved] if roots[moved] in free_bodies(model) else bodies[moved]
     mover = model.element_name("body", base)
     cure = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
-    if kind == "overlap" or _stuck(run, of) or (roots[0] == roots[1] and roots[0]):
+    if kind == "overlap" or (roots[0] == roots[1] and roots[0]):
         a, b = (model.body_names[body] or "…" for body in bodies)
         exclude = f'<exclude body1="{a}" body2="{b}"/>'
         cure = f"leave them out with {exclude}, or make the geoms smaller"

@@ -160,9 +160,10 @@ class Search:
     def so_far(self, best: Trial | None = None) -> str:
         """Return what is known of the shipped and of the best settings so far, in words."""
         shipped = self.shipped
-        said = f"error as shipped {metres(shipped.error)}, ± {metres(self.truth.error)}"
+        known = metres(self.truth.error)
+        said = f"error as shipped {metres(shipped.error)}, ± {known}"
         if not math.isfinite(shipped.error):
-            said = f"the shipped settings fail; errors are known to {metres(self.truth.error)}"
+            said = f"the shipped settings fail; errors are known to {known}"
         if best is None:
             return said
         cost = f"{times(best.cost / shipped.cost)} the shipped cost"
