@@ -13,6 +13,10 @@ use crate::spatial::V3;
 const NONE: u16 = u16::MAX;
 /// Height above a face, over the size, that is only rounding.
 const FLAT: f64 = 1e-13;
+/// Sine of the angle by which a direction leans: a face over a surface that bends by it is lower by 4e-6.
+const LEAN: f64 = 6e-3;
+/// Cosine of the angle up to which a face is beside a direction.
+const BESIDE: f64 = 0.5;
 
 /// Points from which the first four are taken: of a simplex, along axes, and beside those twice.
 const SEEDS: usize = 4 + 6 + 2 * 4;
@@ -197,6 +201,27 @@ impl Polytope {
             self.faces[face].done = true;
         }
         Way { normal, reach }
+    }
+
+    /// Grows over a face with the set's furthest point along a direction, or along one that leans from it a
+    /// little towards the face; false where neither lies beyond the face.
+    pub fn grow_beside(
+        &mut self,
+        face: usize,
+        way: &V3<f64>,
+        support: &impl Fn(&V3<f64>) -> Vertex,
+    ) -> bool {
+        let Face { normal, height, .. } = self.faces[face];
+        let along = normal.dot(way);
+        let aside = normal - way * along;
+        let far = aside.dot(&aside).sqrt();
+        if along < BESIDE || far <= 2.0 * LEAN {
+            return false;
+        }
+        [*way, way + aside * (LEAN / far)].iter().any(|way| {
+            let w = support(way);
+            normal.dot(&w.at) - height > FLAT * self.size && self.grow(face, w)
+        })
     }
 
     /// Takes away what the new point sees and joins the rim to it.

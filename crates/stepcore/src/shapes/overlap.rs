@@ -95,17 +95,28 @@ impl Pairing<'_> {
     /// less than `clear` of the size worse.
     fn expand(&self, polytope: &mut Polytope, clear: f64) -> Found {
         let support = |way: &V3<f64>| self.vertex(way);
+        let next = |height: f64| NEXT * (height.max(0.0) + 1e-3 * self.size);
         let mut out = Found::default();
         for _ in 0..if self.smooth { ROUNDS } else { MANY } {
             let depth = out.best.map_or(f64::INFINITY, |best| -best.apart);
-            let Some((face, height)) = polytope.lowest(depth + clear * self.size) else {
+            let least = match out.best {
+                Some(_) if self.smooth => depth - next(depth),
+                _ => depth + clear * self.size,
+            };
+            let Some((face, height)) = polytope.lowest(least) else {
                 out.proven = !polytope.full;
                 break;
             };
+            // As long as the way out is short beside what bends, faces near an answer settle at once.
+            if let (true, Some(best)) = (self.smooth && depth < FIRST * self.size, out.best) {
+                if polytope.grow_beside(face, &-best.normal, &support) {
+                    continue;
+                }
+            }
             // With a first answer the rest of the search only has to rule out better ones.
             let close = match (self.smooth, out.best) {
                 (true, None) => FIRST * self.size,
-                (true, _) => NEXT * (height.max(0.0) + 1e-3 * self.size),
+                (true, _) => next(height),
                 _ => 1e-12 * self.size,
             };
             let way = polytope.push(face, out.best.map_or(0.0, |_| close), &support);
