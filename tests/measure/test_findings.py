@@ -361,6 +361,18 @@ def test_parts_of_a_machine_that_is_fixed_to_the_world_are_left_out():
     )[1]
 
 
+LIMBS = """<mujoco><worldbody>
+<body name="left" pos="-.1 0 0"><joint axis="0 0 1"/><geom name="l" size=".12" mass="1"/>
+<geom pos="0 1 0" size=".1" mass="1"/></body><body name="right" pos=".1 0 0"><joint axis="0 0 1"/>
+<geom name="r" pos="0 .05 0" size=".12" mass="1"/></body></worldbody></mujoco>"""
+
+
+def test_limbs_of_a_machine_have_another_pose_and_no_other_places():
+    one = the(watched(sc.loads(LIMBS), time=0.2)[1], "overlap at the start")
+    cure = 'start from another pose, or leave them out with <exclude body1="left" body2="right"/>'
+    assert cure in one.text
+
+
 WHEEL = """<mujoco><option cone="elliptic"/><worldbody>
 <geom name="floor" type="plane" size="1 1 1"/>
 <body name="wheel" pos="0 0 .099"><joint axis="0 1 0" name="axle"/>

@@ -167,6 +167,10 @@ def test_meshes_are_found(tmp_path):
         assert sc.load(tmp_path / "saved.xml") == scene
 
 
+THIN = HEAVY.replace('iyz="-.03"', 'iyz="0"').replace('ixy=".01" ixz=".02"', "")
+THIN = THIN.replace('ixx=".1" iyy=".2" izz=".25"', 'ixx="1" iyy="1" izz="5"').replace("rpy", "was")
+# The mass of a fused body is computed while the file is read.
+FIXED = (joint("j", "revolute", "a", "b"), joint("k", "fixed", "b", "c"))
 ERRORS = {
     "unknown link": (
         (link("base"), joint("j", "fixed", "base", "bose")),
@@ -202,6 +206,14 @@ ERRORS = {
         ),
         "meshes are read from .stl",
     ),
+    "pasted": (
+        (link("a"), '<exclude body1="a" body2="b"/>'),
+        "arm.urdf:3: <exclude> is of MJCF, which a URDF has inside <mujoco>",
+    ),
+    "inertia": (
+        (link("a"), link("b", THIN), link("c"), *FIXED),
+        "arm.urdf:3: body 'b' inertia = [1.000e0, 1.000e0, 5.000e0]: must be principal moments",
+    ),
     "xacro": (("<xacro:macro/>",), "this is xacro"),
     "mimic": (
         (
@@ -230,6 +242,15 @@ def test_errors_say_where(case):
         sc.loads(text, name="arm.urdf")
     assert str(caught.value).startswith("arm.urdf:")
     assert said in str(caught.value)
+
+
+def test_every_mesh_that_is_not_read_is_told():
+    dae = ERRORS["dae"][0][0]
+    parts = [dae.replace('"a"', f'"{name}"').replace("y.dae", f"{name}.dae") for name in "ab"]
+    with pytest.raises(ValueError) as caught:
+        sc.loads("<robot>\n" + "\n".join(parts) + "</robot>", name="arm.urdf")
+    lines = [line.split(": <mesh")[0] for line in str(caught.value).splitlines()]
+    assert lines == ["arm.urdf:2", "arm.urdf:3"]
 
 
 HINGED = """<robot name="r" {robot}><link name="a"/><link name="b"><inertial><mass value="1"/>
@@ -272,6 +293,10 @@ SPHERE = '<collision name="x"><geometry><sphere radius=".1"/>{}</geometry></coll
 # What MuJoCo passes over: the file, and what a note says of it.
 PASSED_OVER = {
     "inertia twice": (hinged().replace('iyz="0"', 'iyz="0" iyx="0" izx="0" izy="0"'), "izy is no"),
+    "beside one that it resembles": (
+        hinged('lower="-1" upper="1" effort="3" command_effort="9"'),
+        "command_effort is no",
+    ),
     "friction": (hinged().replace("<mass", '<friction value=".3"/><mass', 1), "<friction>"),
     "in an origin": (hinged().replace("<axis", "<origin><foo/></origin><axis"), "<foo>"),
     "in a limit": (hinged().replace("<dynamics", "<dynamics><foo/></dynamics><bar"), "<foo>"),

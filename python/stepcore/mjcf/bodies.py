@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore import _core
 from stepcore.checks import cut
+from stepcore.engine.compilation import compile_data
 from stepcore.mjcf.nodes import below, inside, sections
 from stepcore.mjcf.sections import Shape, WorldReader
 from stepcore.mjcf.validation import references
@@ -94,7 +94,7 @@ def weights(
     used = {id(asset) for geom in part.geoms for asset in (geom.mesh, geom.hfield)}
     part.meshes = [mesh for mesh in scene.meshes if id(mesh) in used]
     part.hfields = [hfield for hfield in scene.hfields if id(hfield) in used]
-    tables = _core.compile(plain(Layout(part))).tables()
+    tables = compile_data(part, plain(Layout(part))).tables()
     columns = [tables[f"body_{name}"][1:] for name in ("mass", "ipos", "inertia", "iquat")]
     # All bodies have the same parent here, so compiling keeps their order.
     return {

@@ -57,10 +57,9 @@ JOINT = once_each(
     },
 )
 ROBOT = spec("name version", {"link": spec("name! type", LINK, once=("inertial",)), "joint": JOINT})
-# Attributes of other programs whose names resemble those of URDF. The last three repeat entries
-# of the symmetric inertia matrix.
-FOREIGN = ("concave", "iyx", "izx", "izy")
 DRAWS = ("visual", "material")
+# What people paste from MJCF. It has an effect inside <mujoco> only.
+PASTED = ("compiler", "contact", "default", "equality", "exclude", "keyframe", "option")
 # The program xacro may leave these elements in its output; they have no effect.
 XACRO_ONLY = ("xacro:property", "xacro:arg")
 MESHES = (".stl", ".obj", ".msh")
@@ -85,6 +84,9 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
         except MJCFError as error:
             refusals.add(error, node)
             continue
+        if node.tag == "mesh" and not node.values["filename"].lower().endswith(MESHES):
+            text = f"meshes are read from {', '.join(MESHES)}; save it as one"
+            refusals.add(node.error(f'<mesh filename="{node.values["filename"]}">: {text}'))
         # Unknown elements are common in URDF files, but the shape of a geom must be known.
         shapeless = node.tag == "geometry" and not any(
             child.tag in known.children for child in node.children
@@ -96,6 +98,9 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
                 pending.append((child, known.children[child.tag]))
             elif child.tag.startswith("xacro:") and child.tag not in XACRO_ONLY:
                 text = f"<{child.tag}>: this is xacro, from which the program xacro makes URDF"
+                refusals.add(child.error(text))
+            elif node is root and child.tag in PASTED:
+                text = f"<{child.tag}> is of MJCF, which a URDF has inside <mujoco>"
                 refusals.add(child.error(text))
             elif shapeless and child.tag not in XACRO_ONLY:
                 near = nearest(child.tag, known.children)
@@ -120,9 +125,10 @@ def _drop_attributes(node: Node, known: Spec) -> list[str]:
         free = {"lower", "upper"} if {"lower", "upper"} <= {*infinite} else set()
         for name in {*infinite} & {"effort", "velocity", *free}:
             del node.attrs[name]
+    # A misspelled attribute is missing. What resembles only given ones is another program's.
+    missing = [name for name in known.attrs if name not in node.attrs]
     extra = [name for name in node.attrs if name not in known.attrs]
-    far = [name for name in extra if "nearest" not in nearest(name, known.attrs)]
-    foreign = [name for name in extra if name in far or name in FOREIGN]
+    foreign = [name for name in extra if "nearest" not in nearest(name, missing)]
     for name in foreign:
         del node.attrs[name]
     return [node.listed(f"{name} is no attribute of URDF") for name in foreign]
@@ -398,11 +404,6 @@ class Robot:
 
     def _mesh(self, node: Node) -> str:
         scale = node.values.get("scale", (1.0, 1.0, 1.0))
-        name = node.values["filename"].replace("\\", "/")
-        if os.path.splitext(name)[1].lower() not in MESHES:
-            words = ", ".join(MESHES)
-            text = f'<mesh filename="{name}">: meshes are read from {words}; save it as one'
-            raise node.error(text)
         path = file_path(node, self.directory, bool(self.extension))
         if (path, scale) not in self.meshes:
             name = stem = os.path.splitext(os.path.basename(path))[0] or "mesh"

@@ -156,7 +156,7 @@ fn positive(element: &Text, load: &Load) -> Result<()> {
     }
     Err(Error::value(
         text![element, " inertia"],
-        format!("[{}, {}, {}]", m[0], m[1], m[2]),
+        format!("[{:.3e}, {:.3e}, {:.3e}]", m[0], m[1], m[2]),
         "positive principal moments",
     ))
 }
@@ -187,8 +187,8 @@ fn apply_rules(scene: &Scene, body: usize, load: &mut Load) -> Result<()> {
         let m = SymmetricEigen::new(load.inertia).eigenvalues;
         return Err(Error::value(
             text![element, " inertia"],
-            format!("[{}, {}, {}]", m[0], m[1], m[2]),
-            "principal moments of which none is greater than the sum of the others (or balance_inertia set)",
+            format!("[{:.3e}, {:.3e}, {:.3e}]", m[0], m[1], m[2]),
+            "principal moments of which none is greater than the sum of the others; <compiler balanceinertia=\"true\"/>, in a URDF inside <mujoco>, sets each to their mean",
         ));
     }
     load.keep_axes();

@@ -192,10 +192,11 @@ def _overlaps(
 def _overlapping(
     run: Recording, kind: str, severity: str, found: list[Contact], by: str, becomes: str
 ) -> Finding:
-    """Return a finding on overlaps; its cure is other positions, or no contact of the two."""
+    """Return a finding on overlaps; its cure is other positions or poses, or no contact at all."""
     model, of = run.model, found[0]
     contacts = named(model, "contact", (at.pair for at in found))
     geoms = model.contact_pair(of.pair).geoms
+    types = [model.geom_type[geom] for geom in geoms]
     names = [model.geom_names[geom] for geom in geoms]
     both = f"geoms `{names[0]}` and `{names[1]}`"
     if not all(names):
@@ -204,15 +205,20 @@ def _overlapping(
     problem = f"{both} overlap by {metres(of.depth)}{by}{also}{becomes}"
     bodies = model.geom_body[list(geoms)].tolist()
     roots = run.roots[bodies].tolist()
+    free = {*roots} & free_bodies(model)
+    # A base that is part of the world is no floor.
+    based = "world" in model.scene.fused.values() and not {*types} & {"plane", "hfield"}
+    machine = not free and (all(roots) or based)
     moved = 1 if roots[1] else 0
     # The foot of a robot moves away with all of it.
-    base = roots[moved] if roots[moved] in free_bodies(model) else bodies[moved]
+    base = roots[moved] if roots[moved] in free else bodies[moved]
     mover = model.element_name("body", base)
     cure = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
-    if kind == "overlap" or (roots[0] == roots[1] and roots[0]):
+    if kind == "overlap" or machine or (roots[0] == roots[1] and roots[0]):
         a, b = (model.body_names[body] or "…" for body in bodies)
+        pose = "start from another pose, or " if of.movable and kind != "overlap" else ""
         exclude = f'<exclude body1="{a}" body2="{b}"/>'
-        cure = f"leave them out with {exclude}, or make the geoms smaller"
+        cure = f"{pose}leave them out with {exclude}, or make the geoms smaller"
     return Finding(kind, severity, problem, cure, contacts, of.depth, "m", TEST_CONTACTS)
 
 
