@@ -84,9 +84,10 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
         except MJCFError as error:
             refusals.add(error, node)
             continue
-        if node.tag == "mesh" and not node.values["filename"].lower().endswith(MESHES):
+        name = str(node.values.get("filename", ""))
+        if node.tag == "mesh" and not name.lower().endswith(MESHES):
             text = f"meshes are read from {', '.join(MESHES)}; save it as one"
-            refusals.add(node.error(f'<mesh filename="{node.values["filename"]}">: {text}'))
+            refusals.add(node.error(f'<mesh filename="{name}">: {text}'))
         # Unknown elements are common in URDF files, but the shape of a geom must be known.
         shapeless = node.tag == "geometry" and not any(
             child.tag in known.children for child in node.children
