@@ -10,8 +10,7 @@ import zlib
 from typing import TYPE_CHECKING, Any
 
 from stepcore import _core, checks
-from stepcore.mjcf.nodes import MJCFError
-from stepcore.scene.elements import Body
+from stepcore.mjcf.validation import with_file_lines
 from stepcore.scene.layout import Layout, called, named
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ def compile_data(scene: Scene, data: dict[str, Any] | ValueError) -> _core.Model
             raise named(scene, error) from None
         raise checks.ElementError(f"{place}: {called(scene, error.owner)}", error.text) from None
     except ValueError as error:
-        raise _with_file_lines(error, Layout(scene)) from None
+        raise with_file_lines(error, Layout(scene)) from None
 
 
 @functools.lru_cache(maxsize=16)
@@ -72,33 +71,3 @@ def compiled_pickle(pickled: bytes) -> _core.Model:
     """
     scene: Scene = pickle.loads(zlib.decompress(pickled))
     return compiled(scene)
-
-
-def _with_file_lines(error: ValueError, layout: Layout) -> ValueError:
-    """Add file and line to the elements that an error names, where they come from a file.
-
-    The engine knows an element by its kind and index, but a user needs its line in the file. The
-    error begins with the place of the first element. An element without a name is described by its
-    body.
-    """
-    text, first, end = str(error), "", 0
-    parts: list[str] = []
-    mentions: list[tuple[int, int, str, int]] = getattr(error, "mentions", [])
-    mentioned = [layout.elements(kind)[index] for _, _, kind, index in mentions]
-    for at, ((start, stop, _, _), element) in enumerate(zip(mentions, mentioned, strict=True)):
-        label, body = text[start:stop], getattr(element, "body", None)
-        # The engine may already name the body, right after the element.
-        told = getattr(element, "name", "") or mentioned[at + 1 : at + 2] == [body]
-        if isinstance(body, Body) and not told:
-            label += f" of {layout.body_called(body)}"
-        place = str(element.place)
-        first = first or place
-        if place and place != first:
-            label += f" ({place})"
-        parts += [text[end:start], label]
-        end = stop
-    text = "".join([*parts, text[end:]])
-    if not first:
-        return ValueError(text)
-    file, _, line = first.rpartition(":")
-    return MJCFError(file, int(line), text)

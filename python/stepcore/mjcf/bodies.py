@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.checks import cut
-from stepcore.engine.compilation import compile_data
+from stepcore import _core
+from stepcore.checks import ElementError, cut
 from stepcore.mjcf.nodes import below, inside, sections
 from stepcore.mjcf.sections import Shape, WorldReader
-from stepcore.mjcf.validation import references
+from stepcore.mjcf.validation import references, with_file_lines
 from stepcore.scene import frames
 from stepcore.scene.elements import Body, MassRules
 from stepcore.scene.frames import Vec
@@ -94,7 +94,12 @@ def weights(
     used = {id(asset) for geom in part.geoms for asset in (geom.mesh, geom.hfield)}
     part.meshes = [mesh for mesh in scene.meshes if id(mesh) in used]
     part.hfields = [hfield for hfield in scene.hfields if id(hfield) in used]
-    tables = compile_data(part, plain(Layout(part))).tables()
+    try:
+        tables = _core.compile(plain(Layout(part))).tables()
+    except ElementError:
+        raise
+    except ValueError as error:
+        raise with_file_lines(error, Layout(part)) from None
     columns = [tables[f"body_{name}"][1:] for name in ("mass", "ipos", "inertia", "iquat")]
     # All bodies have the same parent here, so compiling keeps their order.
     return {

@@ -149,6 +149,9 @@ class Search:
             if found is not None and (best is None or found.cost < best.cost):
                 best = found
                 self.study.workers.deadline.so_far(self.so_far(best))
+        if best is None:
+            # Nothing is there to be tested from further starts: that effort is free.
+            self.study.allowed = SETTLING * self.study.effort
         return self._adaptive(error, best)
 
     @property
