@@ -157,3 +157,21 @@ def test_mjcf_is_fused_where_that_is_asked_for() -> None:
     assert len(sc.loads(text).bodies) == 3
     scene = sc.loads(text, fuse=True)
     assert scene.fused == {"hand": "arm"} and scene.geoms[1].pos == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("mass", ["0", "1e-16", "1e-14"])
+def test_a_fused_link_without_mass_adds_no_inertia(mass: str) -> None:
+    """The feet of bolt.urdf (example-robot-data) have none; below mjMINVAL MuJoCo drops theirs."""
+    inertia = '<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'
+    text = '<robot name="r"><link name="base"/>' + "".join(
+        f'<link name="{name}"><inertial><mass value="{heavy}"/>{inertia}</inertial></link>'
+        f'<joint name="{name}" type="{kind}"><origin xyz="1 0 0"/><axis xyz="0 1 0"/>'
+        f'<parent link="{parent}"/><child link="{name}"/></joint>'
+        for name, heavy, kind, parent in (
+            ("leg", "1", "continuous", "base"),
+            ("foot", mass, "fixed", "leg"),
+        )
+    )
+    theirs = mujoco.MjModel.from_xml_string(text + "</robot>")
+    model = sc.loads(text + "</robot>").compile()
+    assert np.diag(model.body_inertia[1]) == pytest.approx(theirs.body_inertia[1], rel=1e-12)

@@ -264,12 +264,13 @@ def _may_fuse(
 
 def _add_weight(world: WorldReader, body: Body, carrier: Body, known: dict[int, Weight]) -> None:
     """Give the carrier the summed mass and inertia, unless its geoms determine them anyway."""
+    # MuJoCo (mjMINVAL) drops the inertia of a fused body without mass.
+    if known[id(body)].mass < 1e-15:
+        return
     rules = world.scene.mass_rules
     both = known[id(carrier)] + known[id(body)].seen_from(body.pos, body.quat)
     bounded = any(getattr(rules, name) for name in BOUNDS)
     known[id(carrier)] = both
-    if known[id(body)].mass == 0.0 and body.mass is None:
-        return
     inferred = carrier.mass is None and body.mass is None
     if not bounded and inferred and rules.inertiafromgeom is None:
         return
