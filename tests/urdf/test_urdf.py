@@ -131,6 +131,7 @@ def test_a_root_called_world_is_the_world():
     )
     assert [body.name for body in scene.bodies] == ["world", "arm"]
     assert scene.geoms[0].body is scene.world
+    assert "free" not in "".join(scene.notes)
 
 
 def test_a_root_set_free_falls():

@@ -427,8 +427,10 @@ class Robot:
         notes = [f"{text}: {cut(', '.join(names), 200)}" for text, names in lists if names]
         if self.with_velocity:
             notes.insert(0, f"velocity limits of {self.with_velocity} joints are not modelled")
-        if not any(joint.values["type"] == "floating" for joint in self.joints.values()):
-            root = next(name for name in self.links if name not in self.above)
+        root = next(name for name in self.links if name not in self.above)
+        floats = any(joint.values["type"] == "floating" for joint in self.joints.values())
+        # A root called world is the world.
+        if not floats and root != "world":
             notes.append(
                 "the root link is fixed to the world; load(..., fuse=False) keeps it a "
                 f'body, which scene.add_joint("{cut(root, 80)}", "free") sets free'
