@@ -10,7 +10,7 @@ import zlib
 from typing import TYPE_CHECKING, Any
 
 from stepcore import _core, checks
-from stepcore.mjcf.validation import with_file_lines
+from stepcore.mjcf.nodes import with_file_lines
 from stepcore.scene.layout import Layout, called, named
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from stepcore import _core
 from stepcore.checks import ElementError, cut
-from stepcore.mjcf.nodes import below, inside, sections
+from stepcore.mjcf.nodes import below, inside, sections, with_file_lines
 from stepcore.mjcf.sections import Shape, WorldReader
-from stepcore.mjcf.validation import references, with_file_lines
+from stepcore.mjcf.validation import references
 from stepcore.scene import frames
 from stepcore.scene.elements import Body, MassRules
 from stepcore.scene.frames import Vec

@@ -17,6 +17,8 @@ from xml.parsers import expat
 
 from stepcore import files
 from stepcore.checks import brief, cut
+from stepcore.scene.elements import Body
+from stepcore.scene.layout import Layout
 
 # An "&" that does not begin a reference.
 _AMPERSAND = re.compile(rb"&(?!(?:\w+|#\d+|#x[0-9a-fA-F]+);)", re.ASCII)
@@ -458,3 +460,33 @@ def _included(
     if not root.children:
         raise node.error(f'<include file="{name}">: the file has no elements')
     return root.children
+
+
+def with_file_lines(error: ValueError, layout: Layout) -> ValueError:
+    """Add file and line to the elements that an error names, where they come from a file.
+
+    The engine knows an element by its kind and index, but a user needs its line in the file. The
+    error begins with the place of the first element. An element without a name is described by its
+    body.
+    """
+    text, first, end = str(error), "", 0
+    parts: list[str] = []
+    mentions: list[tuple[int, int, str, int]] = getattr(error, "mentions", [])
+    mentioned = [layout.elements(kind)[index] for _, _, kind, index in mentions]
+    for at, ((start, stop, _, _), element) in enumerate(zip(mentions, mentioned, strict=True)):
+        label, body = text[start:stop], getattr(element, "body", None)
+        # The engine may already name the body, right after the element.
+        told = getattr(element, "name", "") or mentioned[at + 1 : at + 2] == [body]
+        if isinstance(body, Body) and not told:
+            label += f" of {layout.body_called(body)}"
+        place = str(element.place)
+        first = first or place
+        if place and place != first:
+            label += f" ({place})"
+        parts += [text[end:start], label]
+        end = stop
+    text = "".join([*parts, text[end:]])
+    if not first:
+        return ValueError(text)
+    file, _, line = first.rpartition(":")
+    return MJCFError(file, int(line), text)

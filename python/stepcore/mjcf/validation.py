@@ -23,8 +23,7 @@ from stepcore.mjcf.nodes import (
 )
 from stepcore.mjcf.schema import ROOT, SEEN, UNCHECKED, Spec
 from stepcore.scene.element import table
-from stepcore.scene.elements import Actuator, Body, Equality, Geom, Pair
-from stepcore.scene.layout import Layout
+from stepcore.scene.elements import Actuator, Equality, Geom, Pair
 
 # Stricter than float(): no nan, inf, underscores or other spellings.
 REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -354,33 +353,3 @@ class Exclusions:
 
     def counts(self) -> list[str]:
         return [f"{kind} ({len(nodes)})" for kind, nodes in self.nodes.items() if nodes]
-
-
-def with_file_lines(error: ValueError, layout: Layout) -> ValueError:
-    """Add file and line to the elements that an error names, where they come from a file.
-
-    The engine knows an element by its kind and index, but a user needs its line in the file. The
-    error begins with the place of the first element. An element without a name is described by its
-    body.
-    """
-    text, first, end = str(error), "", 0
-    parts: list[str] = []
-    mentions: list[tuple[int, int, str, int]] = getattr(error, "mentions", [])
-    mentioned = [layout.elements(kind)[index] for _, _, kind, index in mentions]
-    for at, ((start, stop, _, _), element) in enumerate(zip(mentions, mentioned, strict=True)):
-        label, body = text[start:stop], getattr(element, "body", None)
-        # The engine may already name the body, right after the element.
-        told = getattr(element, "name", "") or mentioned[at + 1 : at + 2] == [body]
-        if isinstance(body, Body) and not told:
-            label += f" of {layout.body_called(body)}"
-        place = str(element.place)
-        first = first or place
-        if place and place != first:
-            label += f" ({place})"
-        parts += [text[end:start], label]
-        end = stop
-    text = "".join([*parts, text[end:]])
-    if not first:
-        return ValueError(text)
-    file, _, line = first.rpartition(":")
-    return MJCFError(file, int(line), text)
