@@ -294,6 +294,10 @@ SPHERE = '<collision name="x"><geometry><sphere radius=".1"/>{}</geometry></coll
 # What MuJoCo passes over: the file, and what a note says of it.
 PASSED_OVER = {
     "inertia twice": (hinged().replace('iyz="0"', 'iyz="0" iyx="0" izx="0" izy="0"'), "izy is no"),
+    "of Bullet": (
+        hinged().replace("<inertial", SPHERE.replace('name="x"', 'concave="y"') + "<inertial"),
+        "concave is no",
+    ),
     "beside one that it resembles": (
         hinged('lower="-1" upper="1" effort="3" command_effort="9"'),
         "command_effort is no",

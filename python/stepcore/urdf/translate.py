@@ -58,6 +58,8 @@ JOINT = once_each(
 )
 ROBOT = spec("name version", {"link": spec("name! type", LINK, once=("inertial",)), "joint": JOINT})
 DRAWS = ("visual", "material")
+# An attribute of another program (Bullet) that resembles `name` and `scale`.
+FOREIGN = ("concave",)
 # What people paste from MJCF. It has an effect inside <mujoco> only.
 PASTED = ("compiler", "contact", "default", "equality", "exclude", "keyframe", "option")
 # The program xacro may leave these elements in its output; they have no effect.
@@ -129,7 +131,8 @@ def _drop_attributes(node: Node, known: Spec) -> list[str]:
     # A misspelled attribute is missing. What resembles only given ones is another program's.
     missing = [name for name in known.attrs if name not in node.attrs]
     extra = [name for name in node.attrs if name not in known.attrs]
-    foreign = [name for name in extra if "nearest" not in nearest(name, missing)]
+    far = [name for name in extra if "nearest" not in nearest(name, missing)]
+    foreign = [name for name in extra if name in far or name in FOREIGN]
     for name in foreign:
         del node.attrs[name]
     return [node.listed(f"{name} is no attribute of URDF") for name in foreign]
