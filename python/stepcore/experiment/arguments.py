@@ -17,7 +17,6 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.mujoco_engine import engine_of
-from stepcore.loading import find_model
 from stepcore.report.progress import Choice, Progress
 from stepcore.scene.scene import Scene
 from stepcore.signatures import F, annotation, keyword
@@ -134,18 +133,6 @@ def measurement(*, without: tuple[str, ...] = ()) -> Callable[[F], F]:
     return lambda function: spelled_out(in_time(function))
 
 
-def _driven(model: Source, motion: Motion, engine: str) -> Source:
-    """Return the model with motors for what the motion's log needs, also for MuJoCo."""
-    try:
-        known = find_model(model)
-    except (ValueError, OSError):
-        if engine == "stepcore":
-            raise
-        return model
-    made = motion.driven(known)
-    return made if engine == "stepcore" or made is not known else model
-
-
 def set_up(
     called: Callable[..., Any],
     model: Source,
@@ -162,9 +149,7 @@ def set_up(
     engine: "stepcore" or "mujoco".
     """
     motion = Motion.of(motion, {k: v for k, v in fields.items() if k not in SHARED}, called)
-    if motion.table is not None:
-        model = _driven(model, motion, engine)
-    made = engine_of(model, engine)
+    made = engine_of(model, engine, motion)
     asked = made.settings(Change()).accuracy
     if asked is not None and called.__name__ not in WITHIN_ACCURACY:
         limit = f"None: {called.__name__} regards steps of a fixed length; stepcore.trade does not"

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
 
 from stepcore import checks
+from stepcore.engine.element import listed
 from stepcore.engine.features import Removal, without
 from stepcore.engine.model import Model
 from stepcore.mjcf.option import said, shortest
 from stepcore.report.settings import label
 from stepcore.report.units import metres, seconds
 from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS
+from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore._core import Settings
@@ -30,8 +32,9 @@ MODELLING = ("cone", "impratio", "stiction", "softness", "beta", "restitution", 
 class Servo(NamedTuple):
     """A position servo in place of an actuator: force = kp × (control − length) − kv × velocity.
 
-    actuator: its name or index. kp, kv: the gains, before the gear. forcerange: bounds of the
-    force, before the gear.
+    actuator: its name or index; in a model without actuators, the name of a joint, which gets one.
+    kp, kv: the gains, before the gear. forcerange: bounds of the force, before
+    the gear.
     """
 
     actuator: str | int
@@ -202,6 +205,8 @@ def _law(servo: Servo) -> dict[str, Any]:
 
 def _with_servos(model: Model, servos: Iterable[Servo]) -> Model:
     """Return the model with servos in place of actuators; filters of controls stay."""
+    if not model.nu:
+        model = with_motors(model, [model.index("joint", servo.actuator) for servo in servos])
     scene = copy.deepcopy(model.scene)
     for servo in servos:
         actuator = scene.actuators[model.index("actuator", servo.actuator)]
@@ -211,6 +216,43 @@ def _with_servos(model: Model, servos: Iterable[Servo]) -> Model:
         kept |= {"dyntype": law.dyntype, "dynprm": law.dynprm}
         for field, value in (cleared | kept | _law(servo)).items():
             setattr(actuator, field, value)
+    return Model(scene, model.settings)
+
+
+def powered(model: Model) -> Model:
+    """Return a model without actuators with motors on the joints whose effort it bounds.
+
+    A URDF does not name its motors, but says what they can do. What follows another joint has none.
+    """
+    led = [one.joint1 for one in model.scene.equalities if one.type == "joint" and one.active]
+    joints = [
+        index
+        for index, joint in enumerate(Layout(model.scene).joints)
+        if joint.actuatorfrcrange is not None and not any(joint is one for one in led)
+    ]
+    if model.nu or not joints:
+        return model
+    made, names = with_motors(model, joints), listed(model.called("joint")[k] for k in joints)
+    made.scene.notes.insert(0, f"motors were made for the joints whose effort is bounded: {names}")
+    return made
+
+
+def with_motors(model: Model, joints: Sequence[int], others: Sequence[int] = ()) -> Model:
+    """Return the model with motors on joints, and in place of some actuators."""
+    if not joints and not others:
+        return model
+    scene = copy.deepcopy(model.scene)
+    for k in others:
+        for name in (*ALL_LAW_FIELDS, "ctrlrange"):
+            setattr(scene.actuators[k], name, None)
+        scene.actuators[k].type = "motor"
+    taken, owners = {actuator.name for actuator in scene.actuators}, Layout(scene).joints
+    for joint in joints:
+        name = model.joint_names[joint]
+        scene.add_actuator(owners[joint], name="" if name in taken else name)
+    for key in scene.keys:
+        if key.ctrl is not None:
+            key.ctrl = (*key.ctrl, *[0.0] * len(joints))
     return Model(scene, model.settings)
 
 

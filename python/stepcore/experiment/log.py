@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import difflib
 import os
 import re
@@ -19,10 +18,9 @@ from stepcore.engine.element import listed
 from stepcore.engine.model import Model
 from stepcore.engine.start import Start
 from stepcore.engine.trajectory import Trajectory
+from stepcore.experiment.change import with_motors
 from stepcore.experiment.log_files import TIMES, UNITS, content_of, parts_of, plain
 from stepcore.report.units import counted, seconds
-from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS
-from stepcore.scene.layout import Layout
 
 # What a log can tell of a model: in the words of a sentence, and in those of columns.
 SAID = {"qpos": "position", "qvel": "velocity", "effort": "torque", "ctrl": "control"}
@@ -597,25 +595,6 @@ class Log:
         rows = {key: arrays[key][0] for key in ("qpos", "qvel") if key in arrays}
         own = {key: np.where(np.isfinite(r), r, getattr(home, key)) for key, r in rows.items()}
         return replace(home, **own)
-
-
-def with_motors(model: Model, joints: Sequence[int], others: Sequence[int]) -> Model:
-    """Return the model with motors on joints, and in place of some actuators."""
-    if not joints and not others:
-        return model
-    scene = copy.deepcopy(model.scene)
-    for k in others:
-        for name in (*ALL_LAW_FIELDS, "ctrlrange"):
-            setattr(scene.actuators[k], name, None)
-        scene.actuators[k].type = "motor"
-    taken, owners = {actuator.name for actuator in scene.actuators}, Layout(scene).joints
-    for joint in joints:
-        name = model.joint_names[joint]
-        scene.add_actuator(owners[joint], name="" if name in taken else name)
-    for key in scene.keys:
-        if key.ctrl is not None:
-            key.ctrl = (*key.ctrl, *[0.0] * len(joints))
-    return Model(scene, model.settings)
 
 
 def spellings(title: str) -> Iterator[tuple[str, str]]:

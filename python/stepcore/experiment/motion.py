@@ -16,6 +16,7 @@ from stepcore import checks
 from stepcore.engine.control import Control
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.change import powered
 from stepcore.experiment.control_table import ControlTable, PositionTable, control_table
 from stepcore.experiment.default_motion import KINDS
 from stepcore.report import units
@@ -88,7 +89,8 @@ class Motion:
         beginning of each period is held.
     interpolation: "held" (each row until the next) or "linear", for rows with times.
     kind: the controls without `ctrl` and `control`. None chooses them from the model; see
-        `stepcore.experiment.default_motion` for the rules. "move": servos and motors move joints
+        `stepcore.experiment.default_motion` for the rules. A URDF has no actuators: to be moved or
+        held, it gets motors on the joints whose effort it bounds. "move": servos and motors move joints
         point to point, within their forces and limits; "hold": they hold the start; "sines": every
         control is a sum of random sines within its range; "random": new random controls in every
         control period; "fall": all controls are 0. A measurement also takes the kind in place of a
@@ -162,9 +164,15 @@ class Motion:
         """The user's rows, or recorded positions; None without."""
         return self.ctrl if isinstance(self.ctrl, ControlTable) else None
 
-    def driven(self, model: Model) -> Model:
-        """Return the model that the motion drives: with motors for what its log needs."""
-        return model if self.table is None else self.table.driven(model)
+    def driven(self, model: Model, kind: str | None = None) -> Model:
+        """Return the model that the motion drives: with motors for its log, or to move its joints.
+
+        kind: of a motion that has no kind, and no controls.
+        """
+        if self.table is not None:
+            return self.table.driven(model)
+        moves = self.control is None and (self.kind or kind) in ("move", "hold")
+        return powered(model) if moves else model
 
     def period(self, dt: float) -> float | None:
         """Return the control period [s], or None if this motion does not determine a period.

@@ -350,15 +350,20 @@ class MuJoCo(Engine):
             return math.nan if failure else time.thread_time() - begun
 
 
-def engine_of(model: Any, engine: Engine | str) -> Engine:
+def engine_of(model: Any, engine: Engine | str, motion: Motion) -> Engine:
     """Return the engine of a name for a model, see `Study`; or the engine itself.
+
+    motion: for which motors are made where a model has none.
 
     Raises ValueError for another name, and ImportError where MuJoCo is not installed.
     """
     if not isinstance(engine, str):
         return engine
     checks.one_of("stepcore", "mujoco")("study", "engine", engine)
-    return MuJoCo(model) if engine == "mujoco" else Stepcore(find_model(model))
+    made = MuJoCo(model) if engine == "mujoco" else Stepcore(find_model(model))
+    if not made.known or (driven := motion.driven(made.model, "move")) is made.model:
+        return made
+    return engine_of(driven, engine, motion)
 
 
 class _World:
@@ -493,6 +498,9 @@ def load(source: Any) -> Any:
             return mj.MjModel.from_xml_string(text)
         package, colon, name = text.partition(":")
         if package == "lesson":
+            return load(find_scene(text))
+        if text.lower().endswith(".urdf"):
+            # MuJoCo finds no mesh of a package.
             return load(find_scene(text))
         path = text if os.path.exists(text) or not colon else find_asset(package, name)
         return mj.MjModel.from_xml_path(os.fspath(path))

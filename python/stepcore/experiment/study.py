@@ -79,7 +79,8 @@ class Study:
         by: str = "time",
         workers: Workers | None = None,
     ) -> None:
-        self.engine, self.motion = engine_of(model, engine), motion or Motion()
+        self.motion = motion or Motion()
+        self.engine = engine_of(model, engine, self.motion)
         shipped, self.size = self.engine.dt, self.engine.size
         if period is None:
             horizon = self.motion.horizon or 1.0

@@ -400,7 +400,8 @@ class _Runs:
         self.engine, self.workers, self.case = setup.engine, setup.workers, case
         if case.truth is not None:
             # The true motion of all panels is that of other settings.
-            self.engine = engine_of(setup.model.with_settings(**case.truth), "stepcore")
+            true = setup.model.with_settings(**case.truth)
+            self.engine = engine_of(true, "stepcore", setup.motion)
         self.horizon, self.accuracies = horizon, accuracies
         self.size = case.size or self.engine.size
         self.deviation = units.length("stability_map", "deviation", deviation, self.size)

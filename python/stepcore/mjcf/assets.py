@@ -48,6 +48,8 @@ class Assets:
         # The files that were read: sizes by path [bytes], and names as in the text.
         self.sizes: dict[str, int] = {}
         self.named: set[str] = set()
+        # Files outside the folder of the main file, and what reads each.
+        self.outside: dict[str, str] = {}
         for node in (node for section in sections for node in section.children):
             if node.tag == "material":
                 default: Any = defaults.of(node, kind="material").get("rgba", "")
@@ -168,7 +170,7 @@ class Assets:
         self, scene: Scene, node: Node, asset: Mesh | HField, values: Mapping[str, Any]
     ) -> None:
         """Read the file of an asset; assets of the same file share its read-only arrays."""
-        path = self._path(scene, node, values["file"])
+        path = self._path(node, values["file"])
         key = path, values.get("content_type", "")
         first = self.read.get(key)
         if first is not None:
@@ -187,8 +189,8 @@ class Assets:
         self.sizes.setdefault(path, os.path.getsize(path))
         self.named.add(node.attrs["file"])
 
-    def _path(self, scene: Scene, node: Node, name: str) -> str:
-        """Return the path of a file; add a note if it is outside the folder of the main file."""
+    def _path(self, node: Node, name: str) -> str:
+        """Return the path of a file; keep it in mind if it is outside the main file's folder."""
         if not name or "\0" in name:
             raise bad(node, "file", name, "the name of a file")
         path = self.compiler.asset(node, name)
@@ -196,14 +198,16 @@ class Assets:
             raise node.error(f'<{node.tag} file="{name}"> in a text needs loads(text, base=folder)')
         real, home = os.path.realpath(path), os.path.realpath(self.compiler.directory or os.sep)
         if os.path.commonpath([real, home]) != home:
-            scene.notes.append(
-                f"{node.file}:{node.line}: <{node.tag}> reads {cut(str(path), 300)}, which is "
-                "outside the folder of the main file"
-            )
+            self.outside.setdefault(path, f"{node.file}:{node.line}: <{node.tag}> reads")
         return path
 
     def _record(self, scene: Scene) -> None:
-        """Record which files were read in the scene's source."""
+        """Record which files were read in the scene's source; note what is outside its folder."""
+        if self.outside:
+            (path, reads), more = next(iter(self.outside.items())), len(self.outside) - 1
+            others = f" and {more} more files, which are" if more else ", which is"
+            said = f"{reads} {cut(str(path), 300)}{others} outside the folder of the main file"
+            scene.notes.append(said)
         files = [
             node for nodes in self.nodes.values() for node in nodes.values() if "file" in node.attrs
         ]

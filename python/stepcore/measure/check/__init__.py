@@ -7,7 +7,7 @@ import itertools
 import math
 import os
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Unpack
 
@@ -254,10 +254,18 @@ def check(
             if driven
             else held_motion_in_words(compiled, motion.key, schedule.horizon, held)
         ),
-        notes=[*notes, *compiled.scene.notes],
+        notes=[*notes, *_for_urdf(model, found), *compiled.scene.notes],
         file=_file(model, compiled),
         options=_options(motion),
     )
+
+
+def _for_urdf(source: Source, found: Sequence[Finding]) -> Iterator[str]:
+    """Yield how the file can say what findings advise, if it is a URDF."""
+    path = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
+    if path.lower().endswith(".urdf") and any("solref=" in finding.text for finding in found):
+        saved = f'sc.load("{path}").save("{os.path.splitext(path)[0]}.xml")'
+        yield f"a URDF has no solref; {saved} writes the robot as MJCF, which has it"
 
 
 def _first(findings: list[Finding], where: str) -> str:

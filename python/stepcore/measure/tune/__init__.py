@@ -121,7 +121,8 @@ def tune(
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     Where motors drive joints, servos stand in their place, which are the PD controllers that such
-    robots have: kp and kv are its gains.
+    robots have: kp and kv are its gains. A URDF, which has no actuators, gets motors on the joints
+    whose effort it bounds.
 
     bandwidth: of servos, the frequency at which the response falls to 1/√2 [Hz].
     settling: the time until a step of the target (or, of contacts, of the load) stays within 2 %

@@ -343,7 +343,8 @@ def tuned_servos(
     own, placed = dict[str, Any](), list[Servo]()
     for drive, (kp, kv) in zip(servos.drives, gains, strict=True):
         if drive.index in motors:
-            placed.append(Servo(drive.index, kp, kv, drive.forcerange))
+            named = model.actuator_names[drive.index] or drive.index
+            placed.append(Servo(named, kp, kv, drive.forcerange))
         else:
             own |= gained(model, drive.index, kp, kv)
     change = Change(own, servos=placed)

@@ -1,0 +1,105 @@
+"""A URDF names no motors: measurements that move it make them of the efforts of its joints."""
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore.experiment import Change, Study
+from stepcore.experiment.change import Servo
+
+LINK = """<link name="{0}"><inertial><origin xyz=".15 0 0"/><mass value="1"/>
+<inertia ixx=".001" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+JOINT = """<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>
+<origin xyz="{3} 0 0"/><axis xyz="0 1 0"/>
+<limit effort="{4}" velocity="3" lower="-2" upper="2"/>{5}</joint>"""
+MIMIC = '<mimic joint="elbow" multiplier="-1"/>'
+ARM = "".join(
+    [
+        '<robot name="arm"><link name="base"/>',
+        *(LINK.format(name) for name in ("upper", "lower", "finger", "flap")),
+        JOINT.format("shoulder", "base", "upper", "0", "40", ""),
+        JOINT.format("elbow", "upper", "lower", ".3", "20", ""),
+        JOINT.format("grip", "lower", "finger", ".3", "5", MIMIC),
+        JOINT.format("loose", "lower", "flap", ".2", "0", '<dynamics damping="1"/>').replace(
+            "0 1 0", "0 0 1"
+        ),
+        "</robot>",
+    ]
+)
+
+
+def test_joints_with_an_effort_get_motors_where_a_motion_moves_them():
+    scene = sc.loads(ARM)
+    model = Study(scene).model
+    assert scene.compile().nu == 0
+    assert model.actuator_names == ("shoulder", "elbow")
+    said = "motors were made for the joints whose effort is bounded: shoulder, elbow"
+    assert model.scene.notes[0] == said
+    assert said not in scene.notes
+    assert Study(scene, sc.Motion(kind="hold")).model.nu == 2
+    for still in (sc.Motion(kind="fall"), sc.Motion(control=lambda time, sim: [])):
+        assert Study(scene, still).model.nu == 0
+    assert sc.run(scene, horizon=0.1).sim.model.nu == 0
+    assert sc.run(scene, "move", horizon=0.1).sim.model.nu == 2
+
+
+def test_both_engines_say_how_wrong_the_moved_robot_is():
+    pytest.importorskip("mujoco")
+    errors = [
+        Study(sc.loads(ARM), starts=2, engine=engine).run([Change(dt=0.004)])[0].error
+        for engine in ("stepcore", "mujoco")
+    ]
+    assert 1e-5 < errors[0] < 1e-2
+    assert errors[1] == pytest.approx(errors[0], rel=1e-3)
+
+
+def test_a_file_is_read_by_stepcore_for_mujoco_too(tmp_path):
+    """MuJoCo's own reader of URDF looks for the meshes of packages in the folder of the file."""
+    mujoco = pytest.importorskip("mujoco")
+    (tmp_path / "own" / "meshes").mkdir(parents=True)
+    corners = np.array(np.meshgrid(*[[0, 0.1]] * 3)).reshape(3, -1).T
+    lines = [f"v {x} {y} {z}" for x, y, z in corners]
+    (tmp_path / "own" / "meshes" / "box.obj").write_text("\n".join(lines))
+    shape = '<geometry><mesh filename="package://own/meshes/box.obj"/></geometry>'
+    text = ARM.replace('<link name="flap">', f'<link name="flap"><collision>{shape}</collision>')
+    (tmp_path / "own" / "urdf").mkdir()
+    path = tmp_path / "own" / "urdf" / "arm.urdf"
+    path.write_text(text)
+    with pytest.raises(ValueError):
+        mujoco.MjModel.from_xml_path(str(path))
+    assert Study(path, engine="mujoco").engine.scene.nmesh == 1
+
+
+def test_tuned_gains_are_those_of_a_controller_of_ones_own():
+    """The gain of a PD controller that a user writes is 1/√2 at the bandwidth asked for."""
+    scene = sc.loads(ARM).with_settings(dt=0.0005)
+    tuning = sc.tune(scene, bandwidth=3.0)
+    assert [tuned.name for tuned in tuning.found if tuned.reached] == ["shoulder", "elbow"]
+    assert "forcerange" not in tuning.mjcf  # the joint has the bound
+    model = scene.compile()
+    driven = tuning.found[0].change.of(model)
+    assert driven.actuator_names == ("shoulder", "elbow")
+    kp, kv = driven.actuator_gain, -driven.actuator_bias[:, 2]
+    dofs = [model.jnt_dofadr[model.index("joint", name)] for name in ("shoulder", "elbow")]
+    for k, dof in enumerate(dofs):
+        sim = sc.Sim(model)
+        sim.forward()
+        weight = np.array(sim.bias)[dofs]
+        late = []
+        for step in range(8000):
+            target = np.zeros(2)
+            target[k] = 0.01 * np.sin(2 * np.pi * 3 * step * sim.settings.dt)
+            error = target - np.array(sim.qpos)[dofs]
+            sim.qfrc_applied[dofs] = kp * error - kv * np.array(sim.qvel)[dofs] + weight
+            sim.step()
+            late.append(sim.qpos[dof])
+        gain = np.ptp(late[4000:]) / 0.02
+        assert gain == pytest.approx(np.sqrt(0.5), rel=0.05)
+
+
+def test_a_servo_of_a_change_may_name_a_joint_without_a_motor():
+    model = sc.loads(ARM).compile()
+    change = Change(servos=[Servo("elbow", 30.0, 2.0)])
+    assert change.of(model).actuator_names == ("elbow",)
+    with pytest.raises(ValueError, match="elbw.*elbow"):
+        Change(servos=[Servo("elbw", 30.0, 2.0)]).of(model)
