@@ -101,5 +101,31 @@ def test_a_servo_of_a_change_may_name_a_joint_without_a_motor():
     model = sc.loads(ARM).compile()
     change = Change(servos=[Servo("elbow", 30.0, 2.0)])
     assert change.of(model).actuator_names == ("elbow",)
-    with pytest.raises(ValueError, match="elbw.*elbow"):
+    with pytest.raises(ValueError, match=r"elbw.*elbow"):
         Change(servos=[Servo("elbw", 30.0, 2.0)]).of(model)
+
+
+BALL = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
+
+
+def test_check_lists_the_pairs_of_a_urdf_to_leave_out(tmp_path):
+    """Pasted where check says, its lines leave nothing of the finding."""
+    path = tmp_path / "arm.urdf"
+    text = ARM
+    for name in ("upper", "finger", "flap"):
+        text = text.replace(f'<link name="{name}">', f'<link name="{name}">{BALL}')
+    # The shoulder's ball lies in the world's, and the flap's and the finger's in each other.
+    path.write_text(text.replace('<link name="base"/>', f'<link name="base">{BALL}</link>'))
+    found = sc.check(path, horizon=0.2, progress=False)
+    assert "In a URDF, <exclude> stands in <mujoco><contact>" in found.text()
+    (one,) = [finding for finding in found.findings if finding.lines]
+    assert found.mjcf.splitlines() == list(one.lines)
+    assert set(one.lines) == {
+        '<exclude body1="world" body2="upper"/>',
+        '<exclude body1="finger" body2="flap"/>',
+    }
+    assert all(f"  {line}" in found.text() for line in one.lines)
+    pasted = f"<mujoco><contact>{found.mjcf}</contact></mujoco></robot>"
+    path.write_text(path.read_text().replace("</robot>", pasted))
+    after = sc.check(path, horizon=0.2, progress=False)
+    assert not [finding for finding in after.findings if "exclude" in finding.text]

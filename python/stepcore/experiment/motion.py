@@ -89,10 +89,10 @@ class Motion:
         beginning of each period is held.
     interpolation: "held" (each row until the next) or "linear", for rows with times.
     kind: the controls without `ctrl` and `control`. None chooses them from the model; see
-        `stepcore.experiment.default_motion` for the rules. A URDF has no actuators: to be moved or
-        held, it gets motors on the joints whose effort it bounds. "move": servos and motors move joints
-        point to point, within their forces and limits; "hold": they hold the start; "sines": every
-        control is a sum of random sines within its range; "random": new random controls in every
+        `stepcore.experiment.default_motion` for the rules. "move": servos and motors move joints
+        point to point, within their forces and limits; "hold": they hold the start. (A URDF has no
+        actuators: for these two, joints whose effort it bounds get motors.) "sines": every control
+        is a sum of random sines within its range; "random": new random controls in every
         control period; "fall": all controls are 0. A measurement also takes the kind in place of a
         Motion: ``trade(model, "hold")``.
     follow: recorded positions of joints, followed in place of `ctrl`: a `Log`, or what one is read

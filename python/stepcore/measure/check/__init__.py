@@ -112,6 +112,11 @@ class Check(Result):
         return any(finding.kind == ENDLESS for finding in self.findings)
 
     @property
+    def mjcf(self) -> str:
+        """The elements to paste of findings that have several, an element a line."""
+        return "\n".join(line for finding in self.findings for line in finding.lines)
+
+    @property
     def title(self) -> str:
         """The scene checked."""
         return f"{self.name}: check"
@@ -136,7 +141,15 @@ class Check(Result):
     def sentences(self) -> list[str]:
         """The problems with their cures, the diagnosis' answer, and the commands to run next."""
         explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
-        said = [f"{finding.severity.capitalize()}: {finding.text}" for finding in self.findings]
+        said = [
+            text
+            for finding in self.findings
+            for text in (
+                f"{finding.severity.capitalize()}: {finding.text}",
+                *(f"  {line}" for line in finding.lines),
+            )
+        ]
+        said += _for_urdf(shlex.split(self.file)[0], self.findings)
         unknown = [what for what in (AS_SHIPPED, TIME_STEP) if what in self.not_done]
         if unknown:
             said.insert(0, f"Not known yet: {' and '.join(unknown)}.")
@@ -170,7 +183,8 @@ class Check(Result):
     def details(self) -> dict[str, Any]:
         """Return the commands and the diagnosis as plain data."""
         diagnosis = None if self.diagnosis is None else self.diagnosis.to_dict()
-        return {"next": [command for command, _ in self.commands], "diagnosis": diagnosis}
+        commands = [command for command, _ in self.commands]
+        return {"next": commands, "diagnosis": diagnosis, "mjcf": self.mjcf}
 
     def __repr__(self) -> str:
         return f"<Check of {self.name}: {counted(len(self.findings), 'finding')}>"
@@ -254,18 +268,22 @@ def check(
             if driven
             else held_motion_in_words(compiled, motion.key, schedule.horizon, held)
         ),
-        notes=[*notes, *_for_urdf(model, found), *compiled.scene.notes],
+        notes=[*notes, *compiled.scene.notes],
         file=_file(model, compiled),
         options=_options(motion),
     )
 
 
-def _for_urdf(source: Source, found: Sequence[Finding]) -> Iterator[str]:
-    """Yield how the file can say what findings advise, if it is a URDF."""
-    path = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
-    if path.lower().endswith(".urdf") and any("solref=" in finding.text for finding in found):
+def _for_urdf(path: str, findings: Sequence[Finding]) -> Iterator[str]:
+    """Yield how a file can say what findings advise, if it is a URDF."""
+    advised = " ".join(finding.text for finding in findings)
+    if not path.lower().endswith(".urdf"):
+        return
+    if "<exclude" in advised:
+        yield "In a URDF, <exclude> stands in <mujoco><contact>…</contact></mujoco>."
+    if "solref=" in advised:
         saved = f'sc.load("{path}").save("{os.path.splitext(path)[0]}.xml")'
-        yield f"a URDF has no solref; {saved} writes the robot as MJCF, which has it"
+        yield f"A URDF has no solref; {saved} writes the robot as MJCF, which has it."
 
 
 def _first(findings: list[Finding], where: str) -> str:

@@ -214,12 +214,21 @@ def _overlapping(
     base = roots[moved] if roots[moved] in free else bodies[moved]
     mover = model.element_name("body", base)
     cure = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
+    lines = tuple[str, ...]()
     if kind == "overlap" or machine or (roots[0] == roots[1] and roots[0]):
-        a, b = (model.body_names[body] or "…" for body in bodies)
+        lines = tuple(dict.fromkeys(_exclude(model, at.pair) for at in found))
         pose = "start from another pose, or " if of.movable and kind != "overlap" else ""
-        exclude = f'<exclude body1="{a}" body2="{b}"/>'
-        cure = f"{pose}leave them out with {exclude}, or make the geoms smaller"
-    return Finding(kind, severity, problem, cure, contacts, of.depth, "m", TEST_CONTACTS)
+        more = f" and {len(lines) - 1} more (`stepcore check` lists them)" if lines[1:] else ""
+        cure = f"{pose}leave them out with {lines[0]}{more}, or make the geoms smaller"
+    what = problem, cure, contacts, of.depth, "m", TEST_CONTACTS
+    return Finding(kind, severity, *what, lines=lines[len(lines) == 1 :])
+
+
+def _exclude(model: Model, pair: int) -> str:
+    """Return the element that leaves out a pair of geoms, with all others of their bodies."""
+    bodies = model.geom_body[list(model.contact_pair(pair).geoms)].tolist()
+    first, second = (model.body_names[body] or "…" for body in bodies)
+    return f'<exclude body1="{first}" body2="{second}"/>'
 
 
 # Depths.

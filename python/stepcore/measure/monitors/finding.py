@@ -113,6 +113,7 @@ class Finding:
     commands: the commands to run next because of the finding.
     settings: the settings that the cure changes, with their new values.
     remedy: cures that have not been tried yet; `verified` tries them, and writes what they leave.
+    lines: MJCF elements to paste, where the cure is more than one.
     """
 
     kind: str
@@ -125,6 +126,7 @@ class Finding:
     commands: tuple[Next, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     remedy: Remedy | None = field(default=None, repr=False, compare=False)
+    lines: tuple[str, ...] = ()
 
     @property
     def element(self) -> str:
