@@ -383,7 +383,8 @@ class _World:
 class _Asked(TypedDict):
     """A motion: `steps` steps, with samples of what `names` says (of the start, if `first`, and
     after each `every` steps), under rows of controls that are held for `hold` steps each. A world
-    of a batch fails where a body is further than `bound` from its start [m]."""
+    of a batch fails where a body is further than `bound` from its start [m]; steps within an
+    accuracy do where they have evaluated forces `most` times."""
 
     names: list[str]
     steps: int
@@ -391,6 +392,7 @@ class _Asked(TypedDict):
     hold: int
     first: bool
     bound: float
+    most: int
 
 @final
 class Sim(_World):

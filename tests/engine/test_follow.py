@@ -237,3 +237,34 @@ def test_a_start_that_is_not_finite_is_refused(hopper):
 def test_the_deadline_ends_it(hopper):
     with deadline.Deadline(0.0).opened(), pytest.raises(deadline.OutOfTime):
         follow(hopper, drawn(hopper, 2), 1000)
+
+
+BOUNCING = """<mujoco><option timestep="0.01" integrator="RK4"/><worldbody>
+<geom type="plane" size="1 1 1"/><body pos="0 0 .05"><freejoint/>
+<geom size=".05" mass="1" solref="-1e6 -10"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("recorded", (("qpos",), ("qacc",)))
+def test_steps_within_an_accuracy_end_at_an_allowance(recorded):
+    """Until then they are those of a run without one; a step in which it ends is not made.
+
+    What the engine samples itself, and what a Sim is read for, alike.
+    """
+    model = sc.loads(BOUNCING).with_settings(accuracy=1e-7).compile()
+    starts = [Start(np.array([0, 0, height, 1, 0, 0, 0]), np.zeros(6)) for height in (0.06, 3.0)]
+    whole = follow(model, starts, 30, record=recorded)
+    assert not whole.failures and whole.inner[0] > 4 * whole.inner[1]
+    most = whole.inner[0] // 2
+    cut = follow(model, starts, 30, record=recorded, most=most)
+    assert [*cut.failures] == [0] and "more evaluations" in str(cut.failures[0])
+    made, name = cut.made[0], recorded[0]
+    assert 0 < made < 30 and most < cut.inner[0] < whole.inner[0]
+    if name == "qpos":
+        # Where it ends a stretch is tried whole.
+        assert cut.inner[0] < most + 100
+    assert np.array_equal(cut[name][0, :made], whole[name][0, :made], equal_nan=True)
+    assert np.isnan(cut[name][0, made + 1 :]).all()
+    assert np.array_equal(cut[name][1], whole[name][1], equal_nan=True)
+    # Steps of a fixed length have none.
+    fixed = sc.loads(BOUNCING).compile()
+    assert not follow(fixed, starts, 30, record=recorded, most=1).failures

@@ -170,13 +170,18 @@ fn attach(error: &Bound<'_, PyBaseException>, divergence: &Divergence) -> PyResu
     // The state itself is what cannot be, and not the step after it.
     let finite = matches!(divergence.fault, Fault::Energy { .. } | Fault::Beyond { .. });
     error.setattr("_finite", finite)?;
-    if let Fault::Far { body, .. } = &divergence.fault {
+    let stopped = match &divergence.fault {
+        Fault::Far { body, .. } => Some(Some(body)),
+        Fault::Evaluations => Some(None),
+        _ => None,
+    };
+    if let Some(element) = stopped {
         error.setattr("shares", PyDict::new(error.py()))?;
         error.setattr("share_ids", Vec::<u32>::new())?;
         for unknown in ["growth", "stable_dt"] {
             error.setattr(unknown, error.py().None())?;
         }
-        return attach_element(error, Some(body));
+        return attach_element(error, element);
     }
     divergence.post.as_ref().map_or(Ok(()), |post| attach_post_mortem(error, post))
 }

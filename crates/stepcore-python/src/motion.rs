@@ -32,12 +32,15 @@ pub struct Asked {
     first: bool,
     /// A world of a batch stops further than this from its start [m].
     bound: f64,
+    /// After so many evaluations of the forces steps within an accuracy stop.
+    most: u64,
 }
 
 impl Asked {
     /// A sample after each step, under a row of controls for each.
     pub fn every_step(names: Vec<String>, steps: usize) -> Self {
-        Self { names, steps, every: 1, hold: 1, first: false, bound: f64::INFINITY }
+        let (bound, most) = (f64::INFINITY, u64::MAX);
+        Self { names, steps, every: 1, hold: 1, first: false, bound, most }
     }
 }
 
@@ -96,6 +99,7 @@ impl Play {
             rows: self.rows,
             hold: asked.hold.max(1),
             bound: asked.bound,
+            most: asked.most,
             home: room(*worlds, 1, homes)?,
             records: names
                 .iter()

@@ -46,6 +46,8 @@ pub enum Fault {
     Rough { error: f64, length: f64, asked: f64, body: Named },
     /// A body is further from where it began [m] than the bound of a motion.
     Far { body: Named, far: f64, bound: f64 },
+    /// Steps within an accuracy evaluate forces more often than a motion may.
+    Evaluations,
     /// A velocity that no motion has: see `Sim::beyond`.
     Beyond { velocity: f64, joint: Named },
     /// Energy that a passive scene cannot have gained, and what motion and springs hold [J].
@@ -152,6 +154,9 @@ impl fmt::Display for Fault {
                 short(*far),
                 short(*bound)
             ),
+            Self::Evaluations => {
+                f.write_str("the accuracy takes more evaluations of the forces than the run may")
+            }
             Self::Beyond { velocity, joint } => write!(
                 f,
                 "the velocity of {joint} is {}, faster than anything moves",

@@ -114,6 +114,8 @@ pub struct Sim<R: Real> {
     pub velocity: Vec<R>,
     pub qacc: Vec<R>,
     pub effort: Effort,
+    /// After so many evaluations of the forces a step within an accuracy is given up.
+    pub(crate) most: u64,
     pub(crate) next: Next<R>,
     /// The next step has been placed, detected and solved already: see `ledger/audit.rs`.
     pub(crate) stands: bool,
@@ -164,7 +166,7 @@ impl At {
 }
 
 room!(Sim<R>: model, models, plan, clock, state, inputs, placed, detected, rows, velocity, qacc, effort,
-    next, stands, solver, noslip, sleeper, extrapolation; settings, period);
+    next, stands, solver, noslip, sleeper, extrapolation; settings, period, most);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
@@ -238,6 +240,7 @@ impl<R: Real> Sim<R> {
             velocity: vec![R::zero(); model.nv],
             qacc: vec![R::zero(); model.nv],
             effort: Effort::default(),
+            most: u64::MAX,
             next: Next::new(&model, &plan),
             plan,
             stands: false,

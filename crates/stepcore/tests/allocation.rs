@@ -175,6 +175,7 @@ fn a_motion_allocates_once() {
             rows: 0,
             hold: 1,
             bound: 1e3,
+            most: u64::MAX,
             home: vec![0.0; 8 * size(&Sampled::Position)],
             records: both.map(|(what, numbers)| Record { what, numbers }).collect(),
             evaluations: vec![0; 8],

@@ -161,6 +161,7 @@ fn motion<'a>(
         rows: 0,
         hold: 1,
         bound: f64::INFINITY,
+        most: u64::MAX,
         home: Vec::new(),
         records: vec![record(Array::Qpos, qpos), record(Array::Qvel, qvel)],
         evaluations: vec![0; worlds],

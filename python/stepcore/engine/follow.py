@@ -25,6 +25,7 @@ from stepcore.executors import checkpoint
 
 # The states of a run at which operations are counted.
 COUNTED = 8
+DEAR = "the accuracy takes more evaluations of the forces than the run may"
 # Batches that are kept for the next call with the same model, settings and number of starts: a
 # search goes through a few settings again and again. Ten steps of eight half_cheetahs take 54 µs
 # with one that was kept, and 196 µs anew.
@@ -82,6 +83,7 @@ def follow(
     control: Control | None = None,
     record: Sequence[str] = ("xpos", "xquat"),
     bound: float = np.inf,
+    most: float = np.inf,
     threads: int = 1,
 ) -> Followed:
     """Run a model from several starts, and record the motions.
@@ -99,6 +101,8 @@ def follow(
     record: names as in `Sim.run`, read at the start and at each sample.
     bound: a run ends where a body is further than this from its place at the start [m]; looked at
         at the samples.
+    most: evaluations of the forces after which steps within an accuracy end; those of a control
+        function, and what the engine does not sample, end after the step.
     threads: threads that share the starts.
 
     Raises ValueError for arguments outside their limits, ControlError for a control function that
@@ -112,7 +116,7 @@ def follow(
     >>> run.times.tolist(), run["qpos"].shape
     ([0.0, 0.1, 0.2], (2, 3, 1))
     """
-    run = _Run(model, starts, steps, every, ctrl, hold, control, record, bound)
+    run = _Run(model, starts, steps, every, ctrl, hold, control, record, bound, most)
     threads = checks.threads(threads)
     clock = thread_time if threads == 1 else process_time
     begun = clock()
@@ -141,10 +145,12 @@ class _Run:
         control: Control | None,
         record: Sequence[str],
         bound: float,
+        most: float,
     ) -> None:
         if not len(starts):
             raise ValueError("starts: must be at least one")
-        self.model, self.starts, self.control, self.bound = model, starts, control, bound
+        self.model, self.starts, self.control = model, starts, control
+        self.bound, self.most = bound, most
         self.steps = checks.count("steps", steps, 0)
         self.every, self.hold = checks.count("every", every), checks.count("hold", hold)
         if self.steps % self.every:
@@ -205,7 +211,8 @@ class _Run:
         for world, start in enumerate(self.starts):
             start.write(arrays, world)
         given = {name: arrays[name].copy() for name in self.names if name in arrays}
-        how = asked(self.names, self.steps, self.every, self.hold, first=True, bound=self.bound)
+        ends = {"bound": self.bound, "most": self.most}
+        how = asked(self.names, self.steps, self.every, self.hold, first=True, **ends)
         samples, evaluations = core.follow(how, self.ctrl, lambda count: checkpoint())
         self.data = dict(zip(self.names, samples, strict=True))
         for name, values in given.items():
@@ -232,6 +239,9 @@ class _Run:
         try:
             for done in pieces(sim, self.steps, drive, self.hold, pauses=(self.every,)):
                 checkpoint()
+                if sim.settings.accuracy is not None and sim._core.evaluations > self.most:
+                    self.end(start, _failure(DEAR, done, sim.time, start))
+                    break
                 if done % self.every == 0:
                     self.keep(start, done // self.every, sim)
                 if start in self.failures:

@@ -570,6 +570,7 @@ def asked(
     hold: int = 1,
     first: bool = False,
     bound: float = np.inf,
+    most: float = np.inf,
 ) -> _core._Asked:
     """Return what the engine is asked for: samples of a run, the first at the start or not."""
     return {
@@ -579,6 +580,7 @@ def asked(
         "hold": hold,
         "first": first,
         "bound": bound,
+        "most": int(min(most, 2.0**63)),
     }
 
 

@@ -91,6 +91,8 @@ class Study:
         self.workers, self.effort, self.by = workers or Workers(), effort, by
         self.spent, self.runs, self.allowed = 0.0, 0, effort
         self._tracks: dict[tuple[Change, int], Tracks] = {}
+        # Of steps within an accuracy that evaluated forces too often.
+        self._given_up: set[Change] = set()
         self._truths: dict[Change, Converging] = {}
         self._blocks, self._dearer = 0, 1.0
         if self.schedule.control is not None:
@@ -153,8 +155,13 @@ class Study:
         if self.engine.settings(change).accuracy is None:
             return counted
         runs = (self._tracks.get((change, start)) for start in self.schedule.indices)
-        whole = [run.evaluations for run in runs if run is not None and not run.failures]
-        made = [float(own[0]) for own in whole if own is not None]
+        # Of one that was given up, as many more as there was left of it.
+        made = [
+            float(run.evaluations[0]) / max(_share(run), 1e-2)
+            for run in runs
+            if run is not None and run.evaluations is not None
+            if not run.failures or change in self._given_up
+        ]
         if not made:
             return counted * self._dearer
         one = self.engine.evaluation(change, self.schedule)
@@ -175,26 +182,43 @@ class Study:
         Starts run in eights, beside each other on the workers. A change that is known to fail from
         one of the starts is not run from the others, which then count as failed.
         """
-        jobs = list[tuple[Change, list[int]]]()
+        jobs = list[_Job]()
         for change in dict.fromkeys(changes):
             known = [self._tracks.get((change, start)) for start in starts]
             if any(own is not None and own.failures for own in known):
                 continue
             todo = [s for s, own in zip(starts, known, strict=True) if own is None]
-            jobs += [(change, todo[k : k + TOGETHER]) for k in range(0, len(todo), TOGETHER)]
+            parts = (todo[k : k + TOGETHER] for k in range(0, len(todo), TOGETHER))
+            jobs += [(change, part, self._most(change, part)) for part in parts]
         follow = partial(_followed, self.engine, self.schedule)
 
         def took(indices: range, made: list[Tracks]) -> None:
             """Remember runs as they come: a deadline may end the others."""
-            for (change, some), own in zip(jobs[indices.start : indices.stop], made, strict=True):
+            done = jobs[indices.start : indices.stop]
+            for (change, some, most), own in zip(done, made, strict=True):
+                if own.failures and own.evaluations is not None and own.evaluations[0] >= most:
+                    self._given_up.add(change)
                 for k, start in enumerate(some):
                     self._tracks[change, start] = own.some([k])
                 self.runs += len(some)
                 # A run that fails costs its steps until then.
-                self.spent += self.price(change, len(some)) * float(np.isfinite(own.com).mean())
+                self.spent += self.price(change, len(some)) * _share(own)
 
         self.workers.each(follow, jobs, bar, took=took)
         return [self._together(change, starts) for change in changes]
+
+    def _most(self, change: Change, starts: Sequence[int]) -> float:
+        """Return after how many evaluations of the forces a run within an accuracy is given up.
+
+        At impacts the first one may cost a hundred times what was expected: it gets what is allowed
+        now. Others cost about as much as the first.
+        """
+        known = any(self.ran(change, start) for start in self.schedule.indices)
+        if self.engine.settings(change).accuracy is None or known or len(starts) > 1:
+            return math.inf
+        one = self.engine.evaluation(change, self.schedule)
+        room = max(self.allowed - self.spent, self.price(change, 1))
+        return room / LANES / one if math.isfinite(one) else math.inf
 
     def ran(self, change: Change, start: int) -> bool:
         """Return whether a change was run from a start."""
@@ -304,5 +328,15 @@ class Study:
             )
 
 
-def _followed(engine: Engine, schedule: Schedule, job: tuple[Change, list[int]]) -> Any:
-    return engine.follow(job[0], schedule, job[1])
+# Settings, the starts from which they are run, and after how many evaluations they are given up.
+_Job = tuple[Change, list[int], float]
+
+
+def _followed(engine: Engine, schedule: Schedule, job: _Job) -> Any:
+    change, starts, most = job
+    return engine.follow(change, schedule, starts, most=most)
+
+
+def _share(tracks: Tracks) -> float:
+    """Return how much of some runs was made."""
+    return float(np.isfinite(tracks.com).mean())

@@ -13,11 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 
+from stepcore import deadline
+from stepcore.deadline import Deadline
 from stepcore.engine.norm import Tracks, apart, rms
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, Way
@@ -131,6 +134,11 @@ def left(gain: float) -> float:
     return max(1.0, 1 / (max(gain, 1 / STALLED) - 1))
 
 
+def _half() -> AbstractContextManager[None]:
+    """Return a stage that ends at half of the time, for an answer to what is known then."""
+    return (deadline.current() or Deadline()).stage("a surer converged motion", 0.5)
+
+
 class Converging:
     """The converged motion of one physics of a study, start by start.
 
@@ -153,10 +161,12 @@ class Converging:
         """Return the converged motion from some starts, sure to a goal [m] if the effort allows."""
         goal = self.goal if goal is None else goal
         assert goal is not None
+        surer = nullcontext() if self.known else _half()
         self._begin([s for s in starts if s not in self.known], goal)
-        self._refine(starts, goal)
-        self._witness(starts)
-        self._refine(starts, goal)
+        with surer:
+            self._refine(starts, goal)
+            self._witness(starts)
+            self._refine(starts, goal)
         own = [self.known[s] for s in starts]
         grown = self._growth(starts)
         finest = self.at(max(one.rung for one in own))
@@ -225,12 +235,12 @@ class Converging:
             k = int(np.argmin(prices))
             spent = study.spent - begun + prices[k] > FINDING * study.effort
             if (spent and sum(rungs) > 2 * len(ways)) or rungs[k] >= RUNGS:
-                k = int(np.argmin(moved))
-                if not math.isfinite(moved[k]):
-                    raise self._fails(failure or "it does not settle")
-                self.goal = moved[k] if self.goal is None else self.goal
                 break
-            (now,) = study.tracks([change[k]], [start])
+            now = None
+            with _half() if np.isfinite(moved).any() else nullcontext():
+                (now,) = study.tracks([change[k]], [start])
+            if now is None:
+                break
             before, last[k] = last[k], now
             rungs[k] += 1
             failure = failure or now.failure
@@ -245,6 +255,10 @@ class Converging:
             # Of order 1, work times what a rung moves stays as it is.
             needs = study.price(change[k], len(study.starts)) * moved[k] / goal
             study.tell(wrong, moved[k], goal, needs)
+        k = int(np.argmin(moved))
+        if not math.isfinite(moved[k]):
+            raise self._fails(failure or "it does not settle")
+        self.goal = moved[k] if self.goal is None else self.goal
         own = last[k]
         assert own is not None
         # A rival counts against the motion by what its own change does not explain.

@@ -84,6 +84,8 @@ pub struct Motion<'a> {
     pub hold: usize,
     /// A world stops where a body is further from where it began than this [m].
     pub bound: f64,
+    /// How often steps within an accuracy may evaluate forces; a world stops there.
+    pub most: u64,
     /// Where bodies began, by world; as much as `Sampled::Position` if there is a bound.
     pub home: Vec<f64>,
     pub records: Vec<Record<'a>>,
@@ -98,6 +100,7 @@ pub(super) struct Part<'a> {
     rows: usize,
     hold: usize,
     bound: f64,
+    most: u64,
     nu: usize,
     ctrl: Vec<&'a [f64]>,
     home: Vec<&'a mut [f64]>,
@@ -135,6 +138,7 @@ impl Motion<'_> {
                 rows: self.rows,
                 hold: self.hold,
                 bound: self.bound,
+                most: self.most,
                 nu,
                 ctrl: own.iter().map(table).collect(),
                 home: own.iter().filter_map(|world| home[*world].take()).collect(),
@@ -209,9 +213,13 @@ impl Part<'_> {
             self.control(self.row(step), watched);
         }
         let before = watched.sim.effort.evaluations;
-        watched.step(1)?;
+        let so_far = self.evaluations.first().map_or(0, |count| **count);
+        watched.sim.most = self.most.saturating_sub(so_far).saturating_add(before);
+        let stepped = watched.step(1);
+        watched.sim.most = u64::MAX;
         let more = watched.sim.effort.evaluations - before;
         self.evaluations.iter_mut().for_each(|count| **count += more);
+        stepped?;
         if (step + 1).is_multiple_of(self.every) {
             let row = (self.rows > 0).then(|| self.row(step));
             self.sample((step + 1) / self.every - 1 + self.first, true, row, watched)?;

@@ -72,6 +72,9 @@ impl<R: Real> Sim<R> {
             if ends_after(tries) {
                 return Err(Error::Interrupted);
             }
+            if self.effort.evaluations > self.most {
+                return Err(self.too_dear());
+            }
             self.state.copy_to(&mut space.from);
             let length = self.period / (1_u64 << level) as f64;
             let allowed = asked * length.max(SUDDEN);
@@ -173,6 +176,12 @@ impl<R: Real> Sim<R> {
             self.placed.set_dt(self.clock.dt);
             self.plan.noslip_cost = self.settings.cost_floor(self.settings.noslip_tolerance);
         }
+    }
+
+    /// The run may evaluate forces no more.
+    #[cold]
+    fn too_dear(&self) -> Error {
+        self.diverged(R::Mask::of(true), |_| Fault::Evaluations)
     }
 
     /// No stretch is short enough.

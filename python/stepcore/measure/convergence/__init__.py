@@ -31,6 +31,7 @@ from stepcore.measure.convergence.sweeps import (
     row_states,
 )
 from stepcore.measure.monitors import Finding, monitored
+from stepcore.measure.monitors.finding import OTHERS
 from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import label
@@ -49,8 +50,6 @@ STARTS = 3
 # solvers stop at tolerances that leave as much. Errors that differ by less than the factor count as
 # equal. A body at rest moves less than the last share of the distance during the whole motion.
 NOTABLE, ALIKE, STILL = 1e-5, 1.2, 0.1
-# The number of rows that a sentence names.
-NAMED = 3
 
 
 class Split(NamedTuple):
@@ -347,7 +346,7 @@ class Convergence(Result):
 
     def _forces(self) -> str:
         """Describe the rows that are furthest from their converged force."""
-        rows = [row for row in self.rows if row.missing > 0][:NAMED]
+        rows = [row for row in self.rows if row.missing > 0][:OTHERS]
         if not rows or self.verdict == "solved":
             return ""
         said = [
