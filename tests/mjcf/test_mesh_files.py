@@ -47,11 +47,34 @@ def msh() -> bytes:
     return head + places + places + bytes(32) + FACES.astype("<i4").tobytes()
 
 
-FORMATS = {"a.stl": binary_stl, "b.STL": text_stl, "c.obj": obj, "d.msh": msh}
+def dae(up="Z_UP") -> bytes:
+    """Two geometries in half metres, one of them moved, with lines beside it."""
+    shapes, nodes = "", ""
+    parts = ((FACES[:2], "triangles", "", 0.0), (FACES[2:], "polylist", "<vcount>3 3</vcount>", 1))
+    for faces, tag, counts, shift in parts:
+        places = " ".join(str(2 * x) for x in (CORNERS - [shift, 0, 0]).ravel())
+        index = " ".join(map(str, faces.ravel()))
+        way = f'<input semantic="VERTEX" source="#{tag}v" offset="0"/>'
+        shapes += f"""<geometry id="{tag}"><mesh><source id="{tag}p"><float_array id="{tag}f"
+count="12">{places}</float_array><technique_common><accessor source="#{tag}f" count="4" stride="3">
+<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>
+</accessor></technique_common></source><vertices id="{tag}v"><input semantic="POSITION"
+source="#{tag}p"/></vertices><{tag} count="2">{way}{counts}<p>{index}</p></{tag}>
+<lines count="1">{way}<p>0 1</p></lines></mesh></geometry>"""
+        nodes += f"""<node id="{tag}n"><translate>{2 * shift} 0 0</translate>
+<instance_geometry url="#{tag}"/></node>"""
+    return f"""<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema"
+version="1.4.1"><asset><unit name="half" meter="0.5"/><up_axis>{up}</up_axis></asset>
+<library_geometries>{shapes}</library_geometries><library_visual_scenes><visual_scene id="s">{nodes}
+</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>
+""".encode()
+
+
+FORMATS = {"a.stl": binary_stl, "b.STL": text_stl, "c.obj": obj, "d.msh": msh, "e.dae": dae}
 
 
 def same_surface(vertices, faces) -> None:
-    """The triangles of the four formats, whatever the numbers of their vertices."""
+    """The triangles of the formats, whatever the numbers of their vertices."""
 
     def triangles(points, corners):
         rolled = []
@@ -66,7 +89,7 @@ def same_surface(vertices, faces) -> None:
 @pytest.mark.parametrize("name", FORMATS)
 def test_each_format_holds_the_mesh(name, tmp_path):
     (tmp_path / name).write_bytes(FORMATS[name]())
-    vertices, faces, _ = asset_files.read_mesh(tmp_path / name)
+    vertices, faces = asset_files.read_mesh(tmp_path / name)[:2]
     assert len(vertices) == 4
     same_surface(vertices, faces)
     scene = sc.Scene()
@@ -74,6 +97,20 @@ def test_each_format_holds_the_mesh(name, tmp_path):
     assert mesh.name == name[0]
     same_surface(mesh.vertices, mesh.faces)
     assert not mesh.vertices.flags.writeable
+
+
+def test_the_axis_that_collada_calls_up_is_passed_over_and_its_package_is_named(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "a.dae").write_bytes(dae("Y_UP"))
+    surface = asset_files.read_mesh(tmp_path / "a.dae")
+    same_surface(surface.vertices, surface.faces)
+    assert asset_files.notes("a.dae", surface) == [
+        "a.dae: calls another axis than z up, which is passed over, as in ROS"
+    ]
+    monkeypatch.setattr(asset_files.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"need pycollada: pip install '\.\[dae\]'"):
+        asset_files.read_mesh(tmp_path / "a.dae")
 
 
 def test_faces_of_four_corners_and_none_at_all(tmp_path):
@@ -184,7 +221,10 @@ DAMAGED = {
     "b.msh": (struct.pack("<4i", 2**31 - 1, 0, 0, 2**31 - 1), "asks for"),
     "c.msh": (struct.pack("<4i", -4, 0, 0, 0), "its head says"),
     "d.msh": (msh()[:-4] + struct.pack("<i", 99), "vertex 99, of 4"),
-    "a.dae": (b"<x/>", "ends with .stl"),
+    "a.ply": (b"<x/>", "ends with .stl"),
+    "a.dae": (b"<x/>", "not a whole DAE file"),
+    "b.dae": (dae()[:-40], "not a whole DAE file"),
+    "c.dae": (dae().replace(b'url="#s"', b'url="#t"'), "no faces"),
 }
 
 
@@ -227,7 +267,7 @@ def test_bytes_changed_at_random_are_read_or_refused(name, tmp_path):
             del data[rng.integers(len(data)) :]
         (tmp_path / name).write_bytes(data)
         try:
-            vertices, faces, _ = asset_files.read_mesh(tmp_path / name)
+            vertices, faces = asset_files.read_mesh(tmp_path / name)[:2]
         except ValueError as error:
             assert "\n" not in str(error)
             outcomes["refused"] += 1

@@ -198,11 +198,11 @@ ERRORS = {
         (link("a", '<collision><geometry><sphere radius="0"/></geometry></collision>'),),
         "sizes must be > 0",
     ),
-    "dae": (
+    "ply": (
         (
             link(
                 "a",
-                '<collision><geometry><mesh filename="package://x/y.dae"/></geometry></collision>',
+                '<collision><geometry><mesh filename="package://x/y.ply"/></geometry></collision>',
             ),
         ),
         "meshes are read from .stl",
@@ -246,8 +246,8 @@ def test_errors_say_where(case):
 
 
 def test_every_mesh_that_is_not_read_is_told():
-    dae = ERRORS["dae"][0][0]
-    parts = [dae.replace('"a"', f'"{name}"').replace("y.dae", f"{name}.dae") for name in "ab"]
+    ply = ERRORS["ply"][0][0]
+    parts = [ply.replace('"a"', f'"{name}"').replace("y.ply", f"{name}.ply") for name in "ab"]
     with pytest.raises(ValueError) as caught:
         sc.loads("<robot>\n" + "\n".join(parts) + "</robot>", name="arm.urdf")
     lines = [line.split(": <mesh")[0] for line in str(caught.value).splitlines()]

@@ -31,7 +31,7 @@ Example:
 # stepcore and its dependency, then the packages of the extras, then packages with models.
 PACKAGES = (
     *("stepcore", "numpy", "matplotlib", "trimesh", "viser", "mitsuba", "imageio-ffmpeg"),
-    *("pillow", "pandas", "xarray", "mcap", "distributed", "gymnasium", "mujoco"),
+    *("pillow", "pandas", "xarray", "mcap", "pycollada", "distributed", "gymnasium", "mujoco"),
 )
 
 

@@ -33,8 +33,7 @@ class Servo(NamedTuple):
     """A position servo in place of an actuator: force = kp × (control − length) − kv × velocity.
 
     actuator: its name or index; in a model without actuators, the name of a joint, which gets one.
-    kp, kv: the gains, before the gear. forcerange: bounds of the force, before
-    the gear.
+    kp, kv: the gains, before the gear. forcerange: bounds of the force, before the gear.
     """
 
     actuator: str | int
@@ -224,13 +223,15 @@ def powered(model: Model) -> Model:
 
     A URDF does not name its motors, but says what they can do. What follows another joint has none.
     """
+    if model.nu:
+        return model
     led = [one.joint1 for one in model.scene.equalities if one.type == "joint" and one.active]
     joints = [
         index
         for index, joint in enumerate(Layout(model.scene).joints)
         if joint.actuatorfrcrange is not None and not any(joint is one for one in led)
     ]
-    if model.nu or not joints:
+    if not joints:
         return model
     made, names = with_motors(model, joints), listed(model.called("joint")[k] for k in joints)
     made.scene.notes.insert(0, f"motors were made for the joints whose effort is bounded: {names}")

@@ -3,7 +3,7 @@
 `kind_of` chooses it from the model alone:
 
 - Nothing is actuated: "fall". The scene falls, rolls and comes to rest. (A URDF, which has no
-  actuators, got motors before on the joints whose effort it bounds: see `change.powered`.)
+  actuators, was given motors before, on the joints whose effort it bounds: see `change.powered`.)
 - Servos, or motors on a fixed base or with controls in N or N·m: "move". All joints move together,
   from the start to a random pose near it in 0.8 s (minimum jerk), rest for 0.2 s, and return. A
   joint goes up to a tenth of its range and at most 0.5 rad; each start has a pose of its own.

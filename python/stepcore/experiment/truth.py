@@ -245,6 +245,7 @@ class Converging:
             rungs[k] += 1
             failure = failure or now.failure
             if before is None or before.failure or now.failure:
+                moved[k] = math.inf
                 continue
             moved[k], wrong = off(before, now), off(shipped, now)
             asked = SHARE**2 * wrong if 0 < wrong < math.inf else 1e-3 * study.size

@@ -1,7 +1,7 @@
 """Read the files of assets: meshes, and height fields.
 
-Meshes are in STL (binary and text), OBJ or MuJoCo's MSH; height fields in PNG images (read with
-pillow) or MuJoCo's binary format.
+Meshes are in STL (binary and text), OBJ, MuJoCo's MSH or COLLADA (.dae, read with pycollada);
+height fields in PNG images (read with pillow) or MuJoCo's binary format.
 
 Each reader takes the bytes of a file. Violations of the format raise ValueError. The first row of a
 height field is at the largest y.
@@ -32,16 +32,19 @@ class Surface(NamedTuple):
     vertices: shape (n, 3).
     faces: indices of vertices, shape (m, 3); None for a file without faces.
     beyond: number of further faces, in objects that MuJoCo does not read.
+    turned: whether the file calls another axis than z up, which is passed over.
     """
 
     vertices: NDArray[Any]
     faces: NDArray[Any] | None
     beyond: int = 0
+    turned: bool = False
 
 
 Polygon = list[int]
 # Formats by MJCF's content type.
 MESHES = {"model/stl": "stl", "model/obj": "obj", "model/vnd.mujoco.msh": "msh"}
+MESHES |= {"model/vnd.collada+xml": "dae"}
 HFIELDS = {"image/png": "png", "image/vnd.mujoco.hfield": "binary"}
 # Largest number of points of a height field: 128 MiB in double precision.
 MOST_POINTS = 2**24
@@ -62,8 +65,10 @@ def read_mesh(path: str | os.PathLike[str], content_type: str = "") -> Surface:
         endings = ", ".join("." + each for each in MESHES.values())
         raise _refused(name, f"the name of a mesh file ends with {endings}")
     data = files.read(name, "a mesh file")
+    if kind == "dae" and importlib.util.find_spec("collada") is None:
+        raise _refused(name, f"COLLADA files need pycollada: {installing('dae')}")
     try:
-        surface = {"stl": stl, "obj": obj, "msh": msh}[kind](data)
+        surface = {"stl": stl, "obj": obj, "msh": msh, "dae": dae}[kind](data)
         _check(surface.vertices, surface.faces)
     except ValueError as error:
         raise _refused(name, f"not a whole {kind.upper()} file: {error}") from None
@@ -107,7 +112,9 @@ def _refused(name: str, text: str) -> ValueError:
 
 
 def notes(where: str, surface: Surface) -> list[str]:
-    """Return a note on the faces of a file that its mesh leaves out, if any."""
+    """Return a note on what is left out of a file, if anything."""
+    if surface.turned:
+        return [f"{where}: calls another axis than z up, which is passed over, as in ROS"]
     if not surface.beyond:
         return []
     what = "of an OBJ file the first object is read for mass and shape, as in MuJoCo"
@@ -189,6 +196,41 @@ def _joined(corners: NDArray[Any]) -> Surface:
     number = np.empty(len(appear), np.int64)
     number[appear] = np.arange(len(appear))
     return Surface(places[first[appear]], number[group].reshape(-1, 3))
+
+
+def dae(data: bytes) -> Surface:
+    """Return the surface of a COLLADA file, in metres: all geometries of its scene, one mesh.
+
+    The axis that the file calls up is passed over, as MoveIt and RViz do: ROS, for which such files
+    are made, has z up.
+    """
+    import collada
+
+    broken = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
+    try:
+        with warnings.catch_warnings():
+            # It has matrices of numpy's old kind.
+            warnings.simplefilter("ignore")
+            content = collada.Collada(io.BytesIO(data), ignore=broken)
+            bound = content.scene.objects("geometry") if content.scene is not None else ()
+            parts = [part for geometry in bound for part in geometry.primitives()]
+            parts = [part.triangleset() if hasattr(part, "triangleset") else part for part in parts]
+            scale = float(content.assetInfo.unitmeter or 1.0)
+            turned = content.assetInfo.upaxis != "Z_UP"
+            corners = [
+                scale * np.asarray(part.vertex, float)[part.vertex_index].reshape(-1, 3)
+                for part in parts
+                # Lines have no triangles.
+                if isinstance(part, collada.triangleset.BoundTriangleSet)
+                and part.vertex is not None
+            ]
+    except Exception as error:  # whatever the parser meets in a damaged file
+        raise ValueError(f"{type(error).__name__}: {checks.one_line(error)}") from None
+    if not sum(map(len, corners)):
+        raise ValueError("it has no faces")
+    if not all(np.isfinite(places).all() for places in corners):
+        raise ValueError("a coordinate is not a finite number")
+    return _joined(np.concatenate(corners))._replace(turned=turned)
 
 
 def obj(data: bytes) -> Surface:

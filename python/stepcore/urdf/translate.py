@@ -64,7 +64,7 @@ FOREIGN = ("concave",)
 PASTED = ("compiler", "contact", "default", "equality", "exclude", "keyframe", "option")
 # The program xacro may leave these elements in its output; they have no effect.
 XACRO_ONLY = ("xacro:property", "xacro:arg")
-MESHES = (".stl", ".obj", ".msh")
+MESHES = (".stl", ".obj", ".msh", ".dae")
 
 
 def child_of(node: Node, tag: str) -> Node | None:
