@@ -43,6 +43,17 @@ def test_joints_with_an_effort_get_motors_where_a_motion_moves_them():
     assert sc.run(scene, "move", horizon=0.1).sim.model.nu == 2
 
 
+def test_where_no_effort_is_bounded_joints_with_a_range_get_motors_without_bounds():
+    """Many files have effort="0", which bounds nothing; another model is left as it is."""
+    text = ARM.replace('effort="40"', 'effort="0"').replace('effort="20"', 'effort="0"')
+    scene = sc.loads(text.replace('effort="5"', 'effort="0"'))
+    model = Study(scene).model
+    assert model.actuator_names == ("shoulder", "elbow", "loose")
+    assert "because the file bounds no effort: shoulder, elbow, loose" in model.scene.notes[0]
+    assert np.isinf(np.abs(model.actuator_forcerange)).all()
+    assert Study(sc.loads(scene.to_mjcf())).model.nu == 0
+
+
 def test_both_engines_say_how_wrong_the_moved_robot_is():
     pytest.importorskip("mujoco")
     errors = [

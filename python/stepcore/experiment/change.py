@@ -221,20 +221,24 @@ def _with_servos(model: Model, servos: Iterable[Servo]) -> Model:
 def powered(model: Model) -> Model:
     """Return a model without actuators with motors on the joints whose effort it bounds.
 
-    A URDF does not name its motors, but says what they can do. What follows another joint has none.
+    A URDF does not name its motors, but says what they can do. Where it bounds no effort (many have
+    0, which bounds none), joints with a range have motors without bounds. What follows another
+    joint has none.
     """
     if model.nu:
         return model
+    source, layout = model.scene._source, Layout(model.scene)
     led = [one.joint1 for one in model.scene.equalities if one.type == "joint" and one.active]
-    joints = [
-        index
-        for index, joint in enumerate(Layout(model.scene).joints)
-        if joint.actuatorfrcrange is not None and not any(joint is one for one in led)
-    ]
+    free = [k for k, joint in enumerate(layout.joints) if not any(joint is one for one in led)]
+    joints = [k for k in free if layout.joints[k].actuatorfrcrange is not None]
+    why = "the joints whose effort is bounded"
+    if not joints and source is not None and source.urdf:
+        joints = [k for k in free if layout.joints[k].range is not None]
+        why = "joints with a range, without bounds, because the file bounds no effort"
     if not joints:
         return model
     made, names = with_motors(model, joints), listed(model.called("joint")[k] for k in joints)
-    made.scene.notes.insert(0, f"motors were made for the joints whose effort is bounded: {names}")
+    made.scene.notes.insert(0, f"motors were made for {why}: {names}")
     return made
 
 

@@ -91,9 +91,9 @@ class Motion:
     kind: the controls without `ctrl` and `control`. None chooses them from the model; see
         `stepcore.experiment.default_motion` for the rules. "move": servos and motors move joints
         point to point, within their forces and limits; "hold": they hold the start. (A URDF has no
-        actuators: for these two, joints whose effort it bounds get motors.) "sines": every control
-        is a sum of random sines within its range; "random": new random controls in every
-        control period; "fall": all controls are 0. A measurement also takes the kind in place of a
+        actuators: for these two, joints whose effort it bounds get motors, or all with a range.)
+        "sines": every control is a sum of random sines within its range; "random": new random
+        controls in every control period; "fall": all controls are 0. A measurement also takes the kind in place of a
         Motion: ``trade(model, "hold")``.
     follow: recorded positions of joints, followed in place of `ctrl`: a `Log`, or what one is read
         from. The motion starts at the first row. Each position servo gets as its control what makes
