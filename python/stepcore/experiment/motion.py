@@ -93,8 +93,8 @@ class Motion:
         point to point, within their forces and limits; "hold": they hold the start. (A URDF has no
         actuators: for these two, joints whose effort it bounds get motors, or all with a range.)
         "sines": every control is a sum of random sines within its range; "random": new random
-        controls in every control period; "fall": all controls are 0. A measurement also takes the kind in place of a
-        Motion: ``trade(model, "hold")``.
+        controls in every control period; "fall": all controls are 0. A measurement also takes the
+        kind in place of a Motion: ``trade(model, "hold")``.
     follow: recorded positions of joints, followed in place of `ctrl`: a `Log`, or what one is read
         from. The motion starts at the first row. Each position servo gets as its control what makes
         its force zero in the recorded position; motors get position servos in their place, and a
