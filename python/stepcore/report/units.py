@@ -16,7 +16,7 @@ Units = Sequence[tuple[str, float]]
 # Units of each quantity, largest first, with their size in the unit used in computations.
 TIMES: Units = (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9))
 LENGTHS: Units = (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9), ("pm", 1e-12))
-FORCES: Units = (("kN", 1e3), ("N", 1.0), ("mN", 1e-3), ("µN", 1e-6), ("nN", 1e-9))
+FORCES: Units = (("MN", 1e6), ("kN", 1e3), ("N", 1.0), ("mN", 1e-3), ("µN", 1e-6), ("nN", 1e-9))
 TORQUES: Units = tuple((f"{unit}·m", size) for unit, size in FORCES)
 ENERGIES: Units = (("kJ", 1e3), ("J", 1.0), ("mJ", 1e-3), ("µJ", 1e-6), ("nJ", 1e-9))
 ANGLES: Units = (("rad", 1.0), ("mrad", 1e-3), ("µrad", 1e-6), ("nrad", 1e-9))

@@ -14,7 +14,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.report.units import FREQUENCIES, Units, metres, quantity, seconds
+from stepcore.report.units import FORCES, FREQUENCIES, Units, metres, quantity, seconds
 
 # A goal is reached within this share of it. Corrections end at a quarter of it, or after so many.
 WITHIN, ROUNDS = 0.1, 5
@@ -25,7 +25,6 @@ SETTLED = 0.02
 FEWEST = 100
 STIFFNESSES: Units = (("MN/m", 1e6), ("kN/m", 1e3), ("N/m", 1.0))
 SHIPPED = Change()
-NOISES: Units = (("kN", 1e3), ("N", 1.0), ("mN", 1e-3), ("µN", 1e-6), ("nN", 1e-9))
 
 
 def settles() -> float:
@@ -51,7 +50,7 @@ class Goal(NamedTuple):
         if self.name in ("settling", "depth"):
             return seconds(value) if self.name == "settling" else metres(value)
         sags: Units = ((unit, 1.0), (f"m{unit}", 1e-3), (f"µ{unit}", 1e-6))
-        units = {"bandwidth": FREQUENCIES, "sag": sags, "stiffness": STIFFNESSES, "noise": NOISES}
+        units = {"bandwidth": FREQUENCIES, "sag": sags, "stiffness": STIFFNESSES, "noise": FORCES}
         return quantity(value, units[self.name])
 
     def near(self, value: float, share: float = WITHIN) -> bool:
