@@ -149,17 +149,11 @@ class Engine(ABC):
 
     @abstractmethod
     def follow(
-        self,
-        change: Change,
-        schedule: Schedule,
-        starts: Sequence[int],
-        first: int = 1,
-        most: float = math.inf,
+        self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
     ) -> Tracks:
         """Run a change from some starts. A run that fails, or is refused, is one of `failures`.
 
-        first: 0 for tracks that have the start itself before the samples of the schedule. most: the
-        evaluations of the forces after which steps within an accuracy have failed.
+        first: 0 for tracks that have the start itself before the samples of the schedule.
         """
 
     @abstractmethod
@@ -219,16 +213,11 @@ class Stepcore(Engine):
         return change.with_settings(self._models[physics])
 
     def follow(
-        self,
-        change: Change,
-        schedule: Schedule,
-        starts: Sequence[int],
-        first: int = 1,
-        most: float = math.inf,
+        self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
     ) -> Tracks:
         try:
             model = self.of(change)
-            ran = run(model, schedule, starts, bound=self.farthest(schedule), most=most)
+            ran = run(model, schedule, starts, bound=self.farthest(schedule))
         except ControlError:
             raise
         except (ValueError, SimulationError) as error:
@@ -336,7 +325,6 @@ def run(
     starts: Sequence[int],
     record: Sequence[str] = ("xpos", "xquat"),
     bound: float = math.inf,
-    most: float = math.inf,
     threads: int = 1,
 ) -> Followed:
     """Run a schedule under a model's settings, from some of its starts; see `follow`.
@@ -346,7 +334,8 @@ def run(
     dt, model = model.settings.dt, schedule.on(model)
     count = schedule.steps(dt)
     begin = [schedule.starts[k] for k in starts]
-    how: dict[str, Any] = {"record": record, "bound": bound, "most": most, "threads": threads}
+    how: dict[str, Any] = {"record": record, "bound": bound, "threads": threads}
+    how["most"] = schedule.most
     steps, every = schedule.periods * count, schedule.every * count
     if schedule.control is not None:
         return follow(model, begin, steps, every, control=schedule.control, hold=count, **how)

@@ -235,12 +235,7 @@ class MuJoCo(Engine):
             del self._free[:-KEPT]
 
     def follow(
-        self,
-        change: Change,
-        schedule: Schedule,
-        starts: Sequence[int],
-        first: int = 1,
-        most: float = math.inf,
+        self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
     ) -> Tracks:
         shape = (len(starts), len(schedule.times) + 1 - first, self.scene.nbody)
         xpos, xquat = np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan)

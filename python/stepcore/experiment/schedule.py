@@ -55,6 +55,7 @@ class Schedule:
     every: the number of periods between two samples.
     starts: the initial states.
     controls: what drives the motion.
+    most: evaluations of the forces after which steps within an accuracy have failed.
     """
 
     period: float
@@ -62,6 +63,7 @@ class Schedule:
     every: int
     starts: tuple[Start, ...]
     controls: Controls
+    most: float = math.inf
 
     @property
     def horizon(self) -> float:

@@ -334,7 +334,7 @@ _Job = tuple[Change, list[int], float]
 
 def _followed(engine: Engine, schedule: Schedule, job: _Job) -> Any:
     change, starts, most = job
-    return engine.follow(change, schedule, starts, most=most)
+    return engine.follow(change, dataclasses.replace(schedule, most=most), starts)
 
 
 def _share(tracks: Tracks) -> float:
