@@ -153,10 +153,6 @@ def stl(data: bytes) -> Surface:
         raise ValueError(
             f"its head says {count} faces, which take {size} bytes; it has {len(data)}"
         )
-    if not np.isfinite(corners).all():
-        raise ValueError("a coordinate is not a finite number")
-    if not len(corners):
-        raise ValueError("it has no faces")
     return _joined(corners.reshape(-1, 3))
 
 
@@ -183,6 +179,10 @@ def _text_corners(data: bytes) -> NDArray[Any]:
 
 def _joined(corners: NDArray[Any]) -> Surface:
     """Return the surface with distinct vertices, in the order of their first appearance."""
+    if not np.isfinite(corners).all():
+        raise ValueError("a coordinate is not a finite number")
+    if not len(corners):
+        raise ValueError("it has no faces")
     # Adding 0 turns −0 into 0, so that both are equal.
     places = corners + 0.0
     order = np.lexsort(places.T)
@@ -226,11 +226,7 @@ def dae(data: bytes) -> Surface:
             ]
     except Exception as error:  # whatever the parser meets in a damaged file
         raise ValueError(f"{type(error).__name__}: {checks.one_line(error)}") from None
-    if not sum(map(len, corners)):
-        raise ValueError("it has no faces")
-    if not all(np.isfinite(places).all() for places in corners):
-        raise ValueError("a coordinate is not a finite number")
-    return _joined(np.concatenate(corners))._replace(turned=turned)
+    return _joined(np.concatenate([np.zeros((0, 3)), *corners]))._replace(turned=turned)
 
 
 def obj(data: bytes) -> Surface:
