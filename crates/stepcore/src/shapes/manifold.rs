@@ -120,7 +120,7 @@ impl<R: Real> ContactPatch<'_, R> {
             }
             if strays {
                 let low = points.low().map(|low| points.list[low]);
-                deepest = self.on_both(deepest, [low, self.crossing(&one, &two, &deepest)]);
+                deepest = self.on_both(deepest, low, [&one, &two]);
             }
         }
         chosen(&mut points, deepest, BORDER * self.size, most)
@@ -169,15 +169,20 @@ impl<R: Real> ContactPatch<'_, R> {
     }
 
     /// The deepest place of those that may be it, at either core's corner or where faces and edges
-    /// overlap: the one that lies on both cores.
+    /// overlap: the one that lies on both cores. Where none does, sides of what meets may cross there.
     #[inline(never)]
-    fn on_both(&self, deepest: Point<R>, others: [Option<Point<R>>; 2]) -> Point<R> {
+    fn on_both(
+        &self,
+        deepest: Point<R>,
+        low: Option<Point<R>>,
+        [one, two]: [&Feature<R>; 2],
+    ) -> Point<R> {
         let n = &self.normal;
         let half = n * (R::of(0.5) * deepest.apart);
         let at_one = Point { at: self.one.support(n).0 + half, ..deepest };
         let at_two = Point { at: self.between + self.two.support(&-n).0 - half, ..deepest };
         let rise = |low: &Point<R>| low.apart.lane(0) - deepest.apart.lane(0);
-        let even = others.into_iter().flatten().filter(|low| rise(low) < EVEN * self.size);
+        let even = low.filter(|low| rise(low) < EVEN * self.size);
         let mut best = (self.outside(&deepest), deepest);
         for point in [at_one, at_two].into_iter().chain(even) {
             let outside = self.outside(&point);
@@ -185,33 +190,41 @@ impl<R: Real> ContactPatch<'_, R> {
                 best = (outside, point);
             }
         }
+        if best.0 > BORDER * self.size {
+            best = self.crossing(one, two, &deepest, best);
+        }
         best.1
     }
 
     /// Where sides of what meets cross, seen along the normal: of faces so narrow that no corner of
-    /// one lies over the other, as of two crossed bars.
+    /// one lies over the other, as of two crossed bars. Or the best so far, if it lies less outside.
     #[inline(never)]
-    fn crossing(&self, one: &Feature<R>, two: &Feature<R>, deepest: &Point<R>) -> Option<Point<R>> {
-        let mut best: Option<(f64, Point<R>)> = None;
+    fn crossing(
+        &self,
+        one: &Feature<R>,
+        two: &Feature<R>,
+        deepest: &Point<R>,
+        mut best: (f64, Point<R>),
+    ) -> (f64, Point<R>) {
         for [a, b] in sides(one) {
             for [c, d] in sides(two) {
                 let (e, f) = (b - a, d - c);
                 let (over, under) = (f.cross(&self.normal), e.cross(&self.normal));
-                let (along, across) = (e.dot(&over), f.dot(&under));
-                if along.lane(0) == 0.0 || across.lane(0) == 0.0 {
+                let s = (c - a).dot(&over) / e.dot(&over);
+                let t = (a - c).dot(&under) / f.dot(&under);
+                let within = |share: R| (share.lane(0) - 0.5).abs() <= 0.5 + EVEN;
+                // Sides that are parallel give numbers that are none, and are not within.
+                if !(within(s) && within(t)) {
                     continue;
                 }
-                let s = ((c - a).dot(&over) / along).clamp(R::zero(), R::one());
-                let t = ((a - c).dot(&under) / across).clamp(R::zero(), R::one());
-                let at = (a + e * s + c + f * t) * R::of(0.5);
-                let point = Point { at, ..*deepest };
+                let point = Point { at: (a + e * s + c + f * t) * R::of(0.5), ..*deepest };
                 let outside = self.outside(&point);
-                if best.is_none_or(|best| outside < best.0) {
-                    best = Some((outside, point));
+                if outside < best.0 {
+                    best = (outside, point);
                 }
             }
         }
-        best.map(|best| best.1)
+        best
     }
 
     /// How far a contact's places on the two cores lie outside of them.
@@ -311,6 +324,7 @@ impl<R: Real> ContactPatch<'_, R> {
 
     /// The overlap of two faces: the second cut by each side of the first (Sutherland and Hodgman
     /// 1974). A corner is named by the sides that cross there.
+    #[inline(never)]
     fn faces(&self, one: &Polygon<R>, two: &Polygon<R>, out: &mut Points<R>) {
         /// A corner, and the side that leaves it: of one (true) or two, by its number.
         #[derive(Clone, Copy)]
@@ -320,15 +334,23 @@ impl<R: Real> ContactPatch<'_, R> {
         }
         let border = -BORDER * self.size;
         let blank = Cut { at: V3::zeros(), side: (false, 0) };
-        let mut list = [blank; ROOM];
+        let (mut cut, mut other) = ([blank; ROOM], [blank; ROOM]);
+        let (mut list, mut next) = (&mut cut, &mut other);
         for k in 0..two.count {
             list[k] = Cut { at: two.corners[k].at, side: (false, k) };
         }
-        let mut next = list;
-        let mut count = two.count;
+        let (mut count, mut heights) = (two.count, [R::zero(); ROOM]);
         let turn = self.turn(one);
         for k in 0..one.count {
             let (inward, offset) = self.side(one, k, turn);
+            let mut all_inside = true;
+            for (cut, height) in list[..count].iter().zip(&mut heights) {
+                *height = inward.dot(&cut.at) - offset;
+                all_inside &= height.lane(0) >= border;
+            }
+            if all_inside {
+                continue;
+            }
             let mut kept = 0;
             let mut push = |cut: Cut<R>| {
                 if kept < ROOM {
@@ -337,11 +359,12 @@ impl<R: Real> ContactPatch<'_, R> {
                 }
             };
             for i in 0..count {
-                let (here, there) = (list[i], list[(i + 1) % count]);
-                let (a, b) = (inward.dot(&here.at) - offset, inward.dot(&there.at) - offset);
+                let after = if i + 1 == count { 0 } else { i + 1 };
+                let (here, there) = (&list[i], &list[after]);
+                let (a, b) = (heights[i], heights[after]);
                 let (inside, inside_next) = (a.lane(0) >= border, b.lane(0) >= border);
                 if inside {
-                    push(here);
+                    push(*here);
                 }
                 if inside != inside_next {
                     let at = here.at + (there.at - here.at) * (a / (a - b));
