@@ -6,6 +6,7 @@ import pytest
 import stepcore as sc
 from stepcore.experiment import Change, Study
 from stepcore.experiment.change import Servo
+from stepcore.measure.monitors import Finding, Next
 
 LINK = """<link name="{0}"><inertial><origin xyz=".15 0 0"/><mass value="1"/>
 <inertia ixx=".001" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
@@ -52,6 +53,22 @@ def test_where_no_effort_is_bounded_joints_with_a_range_get_motors_without_bound
     assert "because the file bounds no effort: shoulder, elbow, loose" in model.scene.notes[0]
     assert np.isinf(np.abs(model.actuator_forcerange)).all()
     assert Study(sc.loads(scene.to_mjcf())).model.nu == 0
+
+
+def test_check_runs_the_pose_that_motors_hold():
+    """At zero torque an arm falls onto whatever is below it, and every finding is about that."""
+    path = "/a/b.urdf"
+    result = sc.check(sc.loads(ARM), progress=False)
+    assert "a PD controller holds the start" in result.ran
+    assert result.motion.kind is None
+    result.file = path
+    result.findings.append(Finding("creep", "warning", "", commands=(Next("run", "it"),)))
+    said = [command for command, _ in result.commands]
+    assert f"stepcore run {path} --motion hold" in said
+    assert f"stepcore trade {path} --error 1mm" in said
+    own = sc.loads(ARM)
+    own.add_actuator("elbow")
+    assert "motors are held at zero" in sc.check(own, progress=False).ran
 
 
 def test_both_engines_say_how_wrong_the_moved_robot_is():

@@ -238,6 +238,7 @@ def powered(model: Model) -> Model:
     if not joints:
         return model
     made, names = with_motors(model, joints), listed(model.called("joint")[k] for k in joints)
+    made.scene._powered = True
     made.scene.notes.insert(0, f"motors were made for {why}: {names}")
     return made
 

@@ -156,6 +156,7 @@ class Scene(checks.KnownNames):
         self.fused: dict[str, str] = {}
         # The MJCF source text, so that saving can keep it.
         self._source: Source | None = None
+        self._powered = False  # whether motors were made that its file does not have
         # The last compiled model and the hash of its scene: a cache of `Model`.
         self._compiled: tuple[bytes, _core.Model] | None = None
         # An index of each list: building a large scene needs no linear searches.

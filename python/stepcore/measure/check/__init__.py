@@ -63,6 +63,7 @@ class Check(Result):
         reason.
     file: the file argument of the commands, with the options that change how the file is read.
     options: the options of the motion for the commands, by the field of `Motion`.
+    holding: those that only `run` has besides, for the motion of this run.
     """
 
     kind = "check"
@@ -74,6 +75,7 @@ class Check(Result):
     diagnosis: Diagnosis | None
     file: str = "FILE"
     options: Mapping[str, str] = field(default_factory=dict)
+    holding: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def commands(self) -> list[tuple[str, str]]:
@@ -81,7 +83,9 @@ class Check(Result):
         said: dict[str, str] = {}
         for following in self._following():
             takes = TAKEN.get(following.command, MOTION)
-            motion = [(takes[name], value) for name, value in self.options.items() if takes[name]]
+            own = self.holding if following.command == "run" else {}
+            options = {**self.options, **own}.items()
+            motion = [(takes[name], value) for name, value in options if takes[name]]
             words = map(shlex.quote, [*following.arguments, *itertools.chain(*motion)])
             said[" ".join(["stepcore", following.command, self.file, *words])] = following.why
         return list(said.items())[:3]
@@ -209,9 +213,10 @@ def check(
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: the `Motion` that is run; or write its fields as arguments, except `starts`, because
         there is one start; or a kind of motion. Without one, this run holds the controls of the
-        keyframe (zero without a keyframe), and the time step is diagnosed along the motion of
-        `diagnose`. The run goes on until the motion has come to rest,
-        repeats, or has lasted 10 s; see `stepcore.experiment.horizon`. The diagnosis covers 1 s.
+        keyframe (zero without a keyframe; motors made for a URDF hold its pose), and the time step
+        is diagnosed along the motion of `diagnose`. The run goes on until the motion has come to
+        rest, repeats, or has lasted 10 s; see `stepcore.experiment.horizon`. The diagnosis covers
+        1 s.
     depth: the wanted depth of resting contacts, a length such as 1e-4 or "0.1mm". For contacts
         that rest deeper, the result names the solref that gives this depth.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
@@ -238,7 +243,8 @@ def check(
     deadline.so_far(_first(read, "the file alone"))
     dt = compiled.settings.dt
     horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
-    far = horizon_of(compiled, _held(compiled, motion), horizon)
+    holds = _held(compiled, motion)
+    far = horizon_of(compiled, holds, horizon)
     schedule = _schedule(compiled, motion, far.length)
     failure, seen, judged = list[Finding](), list[Finding](), motion
     # Half of the time is the diagnosis'.
@@ -247,10 +253,9 @@ def check(
         deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
     if failure:
         # The step is judged on the very motion that failed.
-        judged, horizon = _held(compiled, motion), schedule.horizon
+        judged, horizon = holds, schedule.horizon
     with deadline.stage("runs of the cures that the scene alone suggests", HALF):
         read = verified(read, compiled)
-    driven = motion.is_users or motion.kind is not None
     diagnosis, notes = _diagnosis(setup, dataclasses.replace(judged, horizon=horizon))
     merged = list(_merged(read, seen))
     found = [*(_caused(finding, diagnosis) for finding in failure), *merged]
@@ -264,13 +269,14 @@ def check(
         findings=ordered(found),
         diagnosis=diagnosis,
         ran=far.after(
-            motion_in_words(compiled, motion, schedule)
-            if driven
+            motion_in_words(compiled, holds, schedule)
+            if motion.is_users or holds.kind
             else held_motion_in_words(compiled, motion.key, schedule.horizon, held)
         ),
         notes=[*notes, *compiled.scene.notes],
         file=_file(model, compiled),
         options=_options(motion),
+        holding={"kind": holds.kind} if holds.kind and not motion.kind else {},
     )
 
 
@@ -295,9 +301,14 @@ def _first(findings: list[Finding], where: str) -> str:
 
 
 def _held(model: Model, motion: Motion) -> Motion:
-    """Return the motion, with the keyframe's controls held constant if the user gives none."""
+    """Return the motion, with the keyframe's controls held constant if the user gives none.
+
+    Motors that were made, of which the file says no controls, hold the pose.
+    """
     if motion.is_users or motion.kind or not model.nu:
         return motion
+    if model.scene._powered and not model.keys:
+        return dataclasses.replace(motion, kind="hold")
     return dataclasses.replace(motion, ctrl=home(model, motion.key)[1][None, :])
 
 
