@@ -8,6 +8,7 @@ import pytest
 from covering import every_pair
 
 from stepcore import Sim, load, loads
+from stepcore.experiment.mujoco_engine import MuJoCo
 from stepcore.mjcf.nodes import MJCFError
 
 REPLICATED = {
@@ -422,3 +423,22 @@ def test_what_an_attach_tears_apart_is_left_out_with_a_note(tmp_path):
     told = [note for note in scene.notes if "leaves out" in note]
     assert len(told) == 1
     assert told[0].endswith("m.xml:2: <attach> leaves out rope")
+
+
+def test_mujoco_writes_no_warnings_while_it_expands(tmp_path, monkeypatch, capfd):
+    """Its C code wrote them to stderr and into MUJOCO_LOG.TXT, beside the note that is kept."""
+    monkeypatch.chdir(tmp_path)
+    body = '<body name="b"><joint/><geom size="1"/></body>'
+    (tmp_path / "part.xml").write_text(
+        f'<mujoco model="part"><option timestep=".01"/><worldbody>{body}</worldbody></mujoco>'
+    )
+    (tmp_path / "whole.xml").write_text(
+        '<mujoco model="whole"><asset><model name="part" file="part.xml"/></asset><worldbody>'
+        '<attach model="part" body="b" prefix=""/></worldbody></mujoco>'
+    )
+    scene = load(tmp_path / "whole.xml")
+    MuJoCo(tmp_path / "whole.xml")
+    (said,) = [note for note in scene.notes if "MuJoCo: " in note]
+    assert "timestep: parent has 0.002 (default), child has 0.01, keeping parent value" in said
+    assert capfd.readouterr().err == ""
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["part.xml", "whole.xml"]

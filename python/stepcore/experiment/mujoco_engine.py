@@ -50,6 +50,7 @@ from stepcore.experiment.schedule import (
 from stepcore.experiment.sizes import scene_size
 from stepcore.loading import find_asset, find_model, find_scene
 from stepcore.mjcf.reader import read_text
+from stepcore.mjcf.through_mujoco import quiet
 from stepcore.scene.scene import Scene
 from stepcore.scene.softness import UNKNOWN
 
@@ -228,7 +229,7 @@ class MuJoCo(Engine):
             world = self._free.pop(own[-1]) if own else None
         world = world or _World(physics, _changed(self.scene, physics))
         self.settings(change).put(world.model.opt)
-        with _quiet():
+        with quiet():
             yield world
         with self._lock:
             self._free.append(world)
@@ -480,7 +481,7 @@ def mujoco() -> Any:
 def load(source: Any) -> Any:
     """Return MuJoCo's model of a source; see `MuJoCo`."""
     mj = mujoco()
-    with _quiet():
+    with quiet():
         if isinstance(source, mj.MjModel):
             return copy.copy(source)
         if isinstance(source, mj.MjSpec):
@@ -619,29 +620,6 @@ def _coordinates(scene: Any) -> Coordinates:
     firsts = [scene.body_dofadr[own[scene.body_dofnum[own] == 3]] for own in bodies]
     made.flexes = [first[:, None] + np.arange(3) for first in firsts if len(first)]
     return made
-
-
-_quiets, _handlers = threading.Lock(), list[Any]()
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep MuJoCo from writing its warnings to a file and from timing its stages."""
-    mj = mujoco()
-    with _quiets:
-        _handlers.append((mj.get_mju_user_warning(), mj.get_mjcb_time()))
-        if len(_handlers) == 1:
-            mj.set_mju_user_warning(lambda text: None)
-            mj.set_mjcb_time(None)
-    try:
-        yield
-    finally:
-        with _quiets:
-            # The last of several threads puts back what the first one found.
-            warning, timer = _handlers.pop()
-            if not _handlers:
-                mj.set_mju_user_warning(warning)
-                mj.set_mjcb_time(timer)
 
 
 # --- the schedule from MuJoCo's model alone -------------------------------------------------------

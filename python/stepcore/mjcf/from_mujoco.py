@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stepcore.mjcf.reader import read_text
-from stepcore.mjcf.through_mujoco import difference, exact_numbers, xml_of
+from stepcore.mjcf.through_mujoco import difference, exact_numbers, quiet, xml_of
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
@@ -28,7 +28,7 @@ def read_mujoco(
 ) -> None:
     """Fill an empty scene from an MjModel or an MjSpec; see `stepcore.load`."""
     name = type(source).__name__
-    with exact_numbers(), tempfile.TemporaryDirectory() as folder:
+    with exact_numbers(), quiet(), tempfile.TemporaryDirectory() as folder:
         if name == "MjModel":
             text, base = _saved(source, os.path.join(folder, "model.xml"))
         else:

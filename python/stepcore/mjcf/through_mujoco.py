@@ -14,6 +14,7 @@ import os
 import re
 import sys
 import tempfile
+import threading
 import warnings
 from bisect import bisect
 from collections.abc import Callable, Iterator, Mapping, Set
@@ -117,7 +118,8 @@ class Expansion:
         except ImportError:
             how = f"MuJoCo, which is not installed: {installing('mujoco')}"
             raise cause.error(f"<{cause.tag}> is expanded by {how}") from None
-        with tempfile.TemporaryDirectory() as self._folder, _warnings() as warned:
+        heard = warnings.catch_warnings(record=True, action="always")
+        with tempfile.TemporaryDirectory() as self._folder, quiet(), heard as warned:
             models = self._models(self.root, self.compiler, [self.root.file])
             _size(self.root, models)
             lines = _lines(self.root, self.compiler)
@@ -127,7 +129,9 @@ class Expansion:
                 raise self._located(error, lines, cause) from None
         made = parse(text, self.root.file)
         said = dict.fromkeys(" ".join(str(warning.message).split()) for warning in warned)
-        self.notes += [f"{cause.file}:{cause.line}: MuJoCo: {line}" for line in said]
+        # What an empty prefix may prevent is saving, which is not done.
+        told = (line for line in said if "empty prefix" not in line)
+        self.notes += [f"{cause.file}:{cause.line}: MuJoCo: {line}" for line in told]
         self.notes += _left_out(self.root, models, made)
         return _placed(made, self.root, cause)
 
@@ -209,11 +213,28 @@ def _name_classes(root: Node, prefix: str, known: Set[str]) -> None:
                 node.attrs[name] = prefix + node.attrs[name]
 
 
+_quiets, _handlers = threading.Lock(), list[Any]()
+
+
 @contextlib.contextmanager
-def _warnings() -> Iterator[list[warnings.WarningMessage]]:
-    with warnings.catch_warnings(record=True) as warned:
-        warnings.simplefilter("always")
-        yield warned
+def quiet() -> Iterator[None]:
+    """Keep MuJoCo from writing warnings to stderr and into a file, and from timing its stages."""
+    import mujoco as mj  # type: ignore[import-untyped,unused-ignore]
+
+    with _quiets:
+        _handlers.append((mj.get_mju_user_warning(), mj.get_mjcb_time()))
+        if len(_handlers) == 1:
+            mj.set_mju_user_warning(lambda text: None)
+            mj.set_mjcb_time(None)
+    try:
+        yield
+    finally:
+        with _quiets:
+            # The last of several threads puts back what the first one found.
+            warning, timer = _handlers.pop()
+            if not _handlers:
+                mj.set_mju_user_warning(warning)
+                mj.set_mjcb_time(timer)
 
 
 def _lines(root: Node, compiler: Compiler) -> list[Line]:
