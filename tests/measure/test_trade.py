@@ -87,6 +87,16 @@ def test_a_constant_force_is_held_exactly():
     assert by(result, integrator="rk4", dt=0.01, sweeps=1).error < 1e-9
 
 
+def test_cheaper_settings_that_take_longer_here_say_how_work_is_counted():
+    result = few(lesson.spring(), dts=[0.02, 0.01], integrators=["semi-implicit"], starts=1)
+    coarse = min(result.rows, key=lambda row: row.cost)
+    for here, told in ((0.5, False), (1.5, True)):
+        result.times = {result.shipped.change: 100.0, coarse.change: 100.0 * here}
+        said = result._priced_beside(coarse)
+        assert f"{here:.2f}× as measured here" in said
+        assert ("work is counted along the shipped motion" in said) == told
+
+
 def test_controls_are_the_same_for_every_step():
     seen = {}
 

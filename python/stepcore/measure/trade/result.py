@@ -487,6 +487,8 @@ class Trade(Result):
         if here is None or not shipped:
             return f"{beside} by counted work"
         measured = f"{here / shipped:.2f}× as measured here: {self._priced(row)}"
+        if row.cost < self.shipped.cost and here > shipped:
+            measured += "; work is counted along the shipped motion, which may take less"
         return f"{beside} by counted work ({measured})"
 
     def _priced(self, row: Trial) -> str:
