@@ -393,6 +393,17 @@ def test_geoms_that_joints_hold_in_each_other_are_to_be_left_out():
     assert '<exclude body1="a" body2="b"/>' in one.text
 
 
+HUB = """<mujoco><worldbody><geom name="base" type="box" size=".1 .1 .1"/><body name="wheel"
+pos=".05 0 0"><joint/><geom name="rim" size=".06" pos="0 1e-8 0" mass="1"/></body>
+</worldbody></mujoco>"""
+
+
+def test_a_force_without_end_is_no_number():
+    """A wheel that the rounding of a file alone lets move is pushed with 1e15 N."""
+    one = the(watched(sc.loads(HUB))[1], "overlap")
+    assert "as their joints hold them, and no joint can move them apart" in one.text
+
+
 def test_a_start_at_the_depth_of_rest_is_not_told():
     depth = yielding((0.05, 1), SOLIMP, G, 0.002)
     scene = ball(0.03, "0.05 1", height=0.03 - depth)

@@ -78,7 +78,10 @@ def contact_findings(run: Recording) -> Iterator[Finding]:
     jammed = _jammed(run, starts, {at.pair: at for at in late if at.settled})
     if jammed:
         held = list(jammed.values())
-        force = f"push each other with {newtons(held[0].force)} all the time"
+        force = "no joint can move them apart"
+        # Across what moves, but for the rounding of a file, there is no end to a force.
+        if held[0].force < 1e9:
+            force = f"push each other with {newtons(held[0].force)} all the time"
         becomes = f", as their joints hold them, and {force}"
         yield _overlapping(run, "overlap", "warning", held, "", becomes)
     late = [at for at in late if at.pair not in jammed]
