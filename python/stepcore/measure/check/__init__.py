@@ -245,7 +245,7 @@ def check(
     horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
     holds = _held(compiled, motion)
     far = horizon_of(compiled, holds, horizon)
-    schedule = _schedule(compiled, motion, far.length)
+    schedule = _schedule(compiled, holds, far.length)
     failure, seen, judged = list[Finding](), list[Finding](), motion
     # Half of the time is the diagnosis'.
     with deadline.stage(AS_SHIPPED, HALF):
@@ -314,7 +314,7 @@ def _held(model: Model, motion: Motion) -> Motion:
 
 def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
     """Return the schedule of the motion that is run."""
-    motion, dt = _held(model, motion), model.settings.dt
+    dt = model.settings.dt
     period = motion.period(dt) or dt * max(1, min(round(horizon / (2 * SAMPLES) / dt), STEPS))
     return scheduled(motion, model, min(period, max(horizon, dt)), starts=1, horizon=horizon)
 
