@@ -180,7 +180,7 @@ pub(crate) fn advance<R: Real>(
         out[k] = model.actuators[index].next(act[k], rates[k], seconds);
     }
     // What is left out rests, within its bounds.
-    for (index, k) in model.alone(|actuator| !actuator.enabled) {
+    for (index, k) in (0..model.actuators.len()).filter_map(|index| model.place(index, false)) {
         out[k] = model.actuators[index].within(act[k]);
     }
 }
@@ -273,26 +273,21 @@ pub(crate) fn unwind<R: Real>(model: &Model<R::Value>, centres: &[R], act: &mut 
 impl<N: Constant> Model<N> {
     /// Those of servos on circles.
     fn on_circles(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
-        let active = self.active().filter(|_| self.features.actuation);
-        active.filter(|(index, _)| self.circles[*index] != 0.0)
+        let circles = self.circles.iter().enumerate().filter(|(_, circle)| **circle != 0.0);
+        let acting = circles.filter(|_| self.features.actuation);
+        acting.filter_map(|(index, _)| self.place(index, true))
     }
 
     /// Actuators with one activation, and its place; not those of controllers.
     fn active(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
-        self.alone(|actuator| actuator.enabled)
+        (0..self.actuators.len()).filter_map(|index| self.place(index, true))
     }
 
-    /// The same of those that `of` picks.
-    fn alone(
-        &self,
-        of: fn(&scene::Actuator<N>) -> bool,
-    ) -> impl Iterator<Item = (usize, usize)> + '_ {
-        let all = self.activations.iter().enumerate();
-        let own = |(index, span): (usize, &Span)| span.range().map(move |k| (index, k));
-        let plain = move |index: usize| {
-            of(&self.actuators[index]) && self.actuators[index].controller.is_none()
-        };
-        all.filter(move |(index, _)| plain(*index)).flat_map(own)
+    /// The one activation of an actuator that is `enabled` or is not; not that of a controller.
+    fn place(&self, index: usize, enabled: bool) -> Option<(usize, usize)> {
+        let (span, actuator) = (self.activations[index], &self.actuators[index]);
+        let plain = actuator.enabled == enabled && actuator.controller.is_none();
+        (span.len > 0 && plain).then_some((index, span.start))
     }
 
     /// Actuators with a controller that remembers something.

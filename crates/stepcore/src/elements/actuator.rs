@@ -367,15 +367,15 @@ pub(crate) fn power_beyond<R: Real>(
     now: &Moment<R>,
     index: usize,
     stores: bool,
-    velocity: &impl Fn(usize) -> R,
+    velocity: &[R],
 ) -> R {
-    let (mut usual, mut whole) = (R::zero(), R::zero());
+    let mut usual = R::zero();
     if !stores {
         Actuator::power(now, &index, velocity, &mut |part| usual += part);
     }
-    let tension = now.frames.tension[index];
     let (along, pulls) = (now.model.along[index], now.frames.pulls);
-    along.arms(now.model, now.qpos, pulls, |dof, arm: R| whole += tension * (arm * velocity(dof)));
+    let rate = along.velocity(now.model, now.qpos, velocity, pulls);
+    let whole = now.frames.tension[index] * rate;
     whole.max(R::zero()) + (-usual).max(R::zero())
 }
 
@@ -451,8 +451,7 @@ impl Forces for Actuator {
     #[inline(always)]
     fn sloped<N: Constant>(model: &Model<N>, &index: &usize, each: &mut impl FnMut(usize)) {
         if model.drives[index].feeds_back {
-            let dofs = model.along[index].dofs(model);
-            dofs.of(&model.dof_lists).iter().for_each(|dof| each(*dof));
+            model.along[index].movers(model, each);
         }
     }
 
@@ -468,12 +467,7 @@ impl Forces for Actuator {
         add(stored_under(now.model, index, now.qpos, pulls, now.act, ctrl));
     }
 
-    fn power<R: Real>(
-        now: &Moment<R>,
-        &index: &usize,
-        velocity: &impl Fn(usize) -> R,
-        add: &mut impl FnMut(R),
-    ) {
+    fn power<R: Real>(now: &Moment<R>, &index: &usize, velocity: &[R], add: &mut impl FnMut(R)) {
         let (model, actuator) = (now.model, &now.model.actuators[index]);
         let own = &model.drives[index];
         let force = match own.drive {
@@ -487,7 +481,6 @@ impl Forces for Actuator {
                 within(asked(model, index, none, u) + actuator.bias[0].get(), &own.bounds)
             }
         };
-        let mut work = |dof, arm: R| add(force * (arm * velocity(dof)));
-        model.along[index].arms(model, now.qpos, now.frames.pulls, &mut work);
+        add(force * model.along[index].velocity(model, now.qpos, velocity, now.frames.pulls));
     }
 }

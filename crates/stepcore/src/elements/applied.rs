@@ -46,10 +46,10 @@ impl Forces for JointForce {
     fn power<R: Real>(
         now: &Moment<R>,
         dofs: &(usize, usize),
-        velocity: &impl Fn(usize) -> R,
+        velocity: &[R],
         add: &mut impl FnMut(R),
     ) {
-        Self::force(now, dofs, &mut |k, force| add(force * velocity(k)));
+        Self::force(now, dofs, &mut |k, force| add(force * velocity[k]));
     }
 }
 
@@ -104,13 +104,8 @@ impl Forces for BodyForce {
         now.inputs.applied()
     }
 
-    fn power<R: Real>(
-        now: &Moment<R>,
-        body: &usize,
-        velocity: &impl Fn(usize) -> R,
-        add: &mut impl FnMut(R),
-    ) {
-        Self::force(now, body, &mut |k, force| add(force * velocity(k)));
+    fn power<R: Real>(now: &Moment<R>, body: &usize, velocity: &[R], add: &mut impl FnMut(R)) {
+        Self::force(now, body, &mut |k, force| add(force * velocity[k]));
     }
 
     /// Of the force alone, on the body alone.

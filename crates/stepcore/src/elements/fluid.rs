@@ -111,13 +111,8 @@ impl Forces for Fluid {
         !now.model.fluid.parts.is_empty() && now.model.fluid.wind.norm_squared() > 0.0
     }
 
-    fn power<R: Real>(
-        now: &Moment<R>,
-        body: &usize,
-        velocity: &impl Fn(usize) -> R,
-        add: &mut impl FnMut(R),
-    ) {
-        Self::force(now, body, &mut |k, force| add(force * velocity(k)));
+    fn power<R: Real>(now: &Moment<R>, body: &usize, velocity: &[R], add: &mut impl FnMut(R)) {
+        Self::force(now, body, &mut |k, force| add(force * velocity[k]));
     }
 }
 

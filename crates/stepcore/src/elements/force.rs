@@ -172,7 +172,7 @@ pub(crate) trait Forces {
     fn power<R: Real>(
         _: &Moment<R>,
         _at: &Self::At<R::Value>,
-        _velocity: &impl Fn(usize) -> R,
+        _velocity: &[R],
         _add: &mut impl FnMut(R),
     ) {
     }

@@ -149,11 +149,11 @@ macro_rules! forces {
         }
 
         /// Power that comes from outside while dofs move at `velocity` [W].
-        pub(crate) fn power<R: Real>(now: &Moment<R>, velocity: impl Fn(usize) -> R) -> R {
+        pub(crate) fn power<R: Real>(now: &Moment<R>, velocity: &[R]) -> R {
             let mut power = R::zero();
             $(if $kind::powers(now) {
                 for Acts { at, .. } in &now.model.acting.$list {
-                    $kind::power(now, at, &velocity, &mut |part| power += part);
+                    $kind::power(now, at, velocity, &mut |part| power += part);
                 }
             })+
             power

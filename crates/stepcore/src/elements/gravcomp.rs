@@ -108,12 +108,12 @@ impl Forces for DrivenCompensation {
     fn power<R: Real>(
         now: &Moment<R>,
         at: &MassAt<R::Value>,
-        velocity: &impl Fn(usize) -> R,
+        velocity: &[R],
         add: &mut impl FnMut(R),
     ) {
         whole(now, at, true, &mut |dof, force| {
             if let Some(part) = given(now, dof) {
-                add((part - R::one()) * force * velocity(dof));
+                add((part - R::one()) * force * velocity[dof]);
             }
         });
     }

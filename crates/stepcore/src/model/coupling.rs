@@ -83,7 +83,7 @@ pub(super) fn close(model: &mut Model) {
         model.pairs[pair].dofs = lists.closed(model, model.pairs[pair].dofs);
     }
     for tendon in 0..model.tendons.len() {
-        model.tendons[tendon].closed = lists.closed(model, model.tendons[tendon].dofs);
+        model.tendons[tendon].closed = lists.closed(model, model.tendons[tendon].closed);
     }
     for equality in 0..model.equalities.len() {
         model.equalities[equality].dofs = lists.closed(model, model.equalities[equality].dofs);

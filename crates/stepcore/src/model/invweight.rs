@@ -110,7 +110,10 @@ pub fn weigh(scene: &Scene, model: &mut Model, aligned: &[bool]) -> Result<()> {
     };
     let mut dofs: Vec<f64> = (0..model.nv).map(own).collect();
     let along = |tendon: &Tendon| {
-        factors.weight(tendon.dofs.of(&model.dof_lists), |at, _| tendon.arms0[at])
+        let own = tendon.dofs.of(&model.dof_lists);
+        factors.weight(tendon.closed.of(&model.dof_lists), |_, k| {
+            own.binary_search(&k).map_or(0.0, |at| tendon.arms0[at])
+        })
     };
     let tendons: Vec<f64> = model.tendons.iter().map(along).collect();
     let pull = |row: Vec<f64>| {

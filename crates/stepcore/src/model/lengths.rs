@@ -75,14 +75,14 @@ pub struct Round {
     pub side: Option<Point>,
 }
 
-/// A dof that moves the ends of a stretch or its geom against each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mover {
-    pub dof: usize,
-    /// Its place among the tendon's dofs.
-    pub at: usize,
-    /// It moves the first end, the geom, the second end.
+/// The dofs of a tree that move the ends of a stretch and its geom alike, and against each other.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Movers {
+    pub tree: usize,
+    /// They move the first end, the geom, the second end.
     pub moves: [bool; 3],
+    /// Each dof, and its place among the tendon's.
+    pub dofs: Vec<(usize, usize)>,
 }
 
 /// The path between two sites that follow each other.
@@ -92,7 +92,7 @@ pub struct Stretch {
     pub round: Option<Round>,
     /// One over the divisor of its branch.
     pub share: f64,
-    pub movers: Vec<Mover>,
+    pub movers: Vec<Movers>,
 }
 
 /// How its length comes about.
@@ -108,9 +108,10 @@ pub enum Course {
 pub struct Tendon<N = f64> {
     pub name: String,
     pub course: Course,
-    /// Into `Model::dof_lists`: every dof that moves a body it passes, ascending, with all ancestors.
+    /// Into `Model::dof_lists`: the dofs that can change its length, ascending.
     pub dofs: Span,
-    /// The same, with the dofs that the metric of `discrete` couples to these: those of its rows.
+    /// Every dof that moves a body it passes, with all ancestors and those that the metric of
+    /// `discrete` couples to these: the dofs of its rows.
     pub closed: Span,
     /// Into `Placed::tendon_arms`: one entry for each of `dofs`.
     pub arms: Span,

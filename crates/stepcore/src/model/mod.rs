@@ -45,7 +45,7 @@ pub(crate) use by_world::ByLane;
 pub use by_world::SideBySide;
 pub(crate) use dynamic_pairs::MANY as MANY_TREES;
 pub use lengths::{
-    Coupling, Course, Ends, Equality, Linkage, Moved, Mover, Point, Round, Stretch, Tendon, Tie,
+    Coupling, Course, Ends, Equality, Linkage, Moved, Movers, Point, Round, Stretch, Tendon, Tie,
     Transmission,
 };
 use lengths::{Limited, Rubbing};

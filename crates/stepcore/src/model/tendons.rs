@@ -1,23 +1,24 @@
 //! Tendons compiled: their stretches, the dofs that move them, and what they are at qpos0.
 
-use super::{Course, Model, Mover, Point, Round, Span, Stretch, Tendon};
+use super::{Course, Model, Movers, Point, Round, Span, Stretch, Tendon};
 use crate::real::Constant;
 use crate::scene::{self, GeomType, Scene, Stop, Target};
 
 /// Compiles the tendons, all but what they are at qpos0 and their inverse weights.
 pub fn compile(scene: &Scene, model: &mut Model) {
     for source in &scene.tendons {
-        let dofs = dofs(model, source);
+        let closed = dofs_passed(model, source);
+        let (course, dofs) = course(model, source, closed);
         let start = model.tendons.last().map_or(0, |last| last.arms.start + last.arms.len);
         let mut trees: Vec<usize> =
-            dofs.of(&model.dof_lists).iter().map(|dof| model.dofs[*dof].tree).collect();
+            closed.of(&model.dof_lists).iter().map(|dof| model.dofs[*dof].tree).collect();
         trees.dedup();
         let features = &scene.features;
         let tendon = Tendon {
             name: source.name.clone(),
-            course: course(model, source, dofs),
+            course,
             dofs,
-            closed: dofs,
+            closed,
             arms: Span { start, len: dofs.len },
             used: false,
             range: source.range,
@@ -59,7 +60,7 @@ pub(super) fn body(model: &Model, stop: &Stop) -> Option<usize> {
 }
 
 /// The union of what moves its stops, as a list of its own.
-fn dofs(model: &mut Model, source: &scene::Tendon) -> Span {
+fn dofs_passed(model: &mut Model, source: &scene::Tendon) -> Span {
     let mut union = vec![];
     for stop in &source.path {
         match *stop {
@@ -74,21 +75,42 @@ fn dofs(model: &mut Model, source: &scene::Tendon) -> Span {
             }
         }
     }
-    union.sort_unstable();
-    union.dedup();
-    let span = Span { start: model.dof_lists.len(), len: union.len() };
-    model.dof_lists.extend(union);
+    list(model, union)
+}
+
+/// These dofs, ascending, as a list of their own.
+fn list(model: &mut Model, mut dofs: Vec<usize>) -> Span {
+    dofs.sort_unstable();
+    dofs.dedup();
+    let span = Span { start: model.dof_lists.len(), len: dofs.len() };
+    model.dof_lists.extend(dofs);
     span
 }
 
-fn course(model: &Model, source: &scene::Tendon, dofs: Span) -> Course {
+/// Its course, and those of the dofs of its stops that can change its length.
+fn course(model: &mut Model, source: &scene::Tendon, closed: Span) -> (Course, Span) {
     if let Some(Stop::Joint { .. }) = source.path.first() {
         let part = |stop: &Stop| match *stop {
             Stop::Joint { joint, coef } => Some((joint, coef)),
             _ => None,
         };
-        return Course::Fixed(source.path.iter().filter_map(part).collect());
+        let parts: Vec<_> = source.path.iter().filter_map(part).collect();
+        let dofs = parts.iter().map(|(joint, _)| model.joints[*joint].dof).collect();
+        return (Course::Fixed(parts), list(model, dofs));
     }
+    let mut stretches = stretches(model, source, closed);
+    let moved = stretches.iter().flat_map(|stretch| &stretch.movers).flat_map(|own| &own.dofs);
+    let dofs = moved.map(|(dof, _)| *dof).collect();
+    let dofs = list(model, dofs);
+    let own = dofs.of(&model.dof_lists);
+    let movers = stretches.iter_mut().flat_map(|stretch| &mut stretch.movers);
+    for (dof, at) in movers.flat_map(|movers| &mut movers.dofs) {
+        *at = own.partition_point(|own| own < dof);
+    }
+    (Course::Spatial(stretches), dofs)
+}
+
+fn stretches(model: &Model, source: &scene::Tendon, closed: Span) -> Vec<Stretch> {
     let point = |site: usize| Point { body: model.sites[site].body, pos: model.sites[site].pos };
     let (mut stretches, mut last, mut round, mut share) = (vec![], None, None, 1.0);
     for stop in &source.path {
@@ -104,7 +126,7 @@ fn course(model: &Model, source: &scene::Tendon, dofs: Span) -> Course {
                 let end = point(site);
                 if let Some(first) = last {
                     let ends = [first, end];
-                    let movers = movers(model, ends, round, dofs.of(&model.dof_lists));
+                    let movers = movers(model, ends, round, closed.of(&model.dof_lists));
                     stretches.push(Stretch { ends, round, share, movers });
                 }
                 (last, round) = (Some(end), None);
@@ -112,23 +134,29 @@ fn course(model: &Model, source: &scene::Tendon, dofs: Span) -> Course {
             Stop::Joint { .. } => {}
         }
     }
-    Course::Spatial(stretches)
+    stretches
 }
 
-/// The dofs that move some, but not all, of what a stretch hangs on.
-fn movers(model: &Model, ends: [Point; 2], round: Option<Round>, dofs: &[usize]) -> Vec<Mover> {
+/// The dofs that move some, but not all, of what a stretch hangs on; their places are not known yet.
+fn movers(model: &Model, ends: [Point; 2], round: Option<Round>, dofs: &[usize]) -> Vec<Movers> {
     let carries = |body: usize, dof: usize| {
         model.bodies[body].chain.of(&model.dof_lists).binary_search(&dof).is_ok()
     };
     let geom = round.map(|round| model.geoms[round.geom].body);
-    let mover = |(at, &dof): (usize, &usize)| {
+    let mut all: Vec<Movers> = vec![];
+    for &dof in dofs {
         let [first, second] = ends.map(|end| carries(end.body, dof));
         let middle = geom.map(|body| carries(body, dof));
-        let all = first && second && middle.unwrap_or(true);
-        let moves = [first, middle.unwrap_or(false), second];
-        (moves.contains(&true) && !all).then_some(Mover { dof, at, moves })
-    };
-    dofs.iter().enumerate().filter_map(mover).collect()
+        let (tree, moves) = (model.dofs[dof].tree, [first, middle.unwrap_or(false), second]);
+        if !moves.contains(&true) || first && second && middle.unwrap_or(true) {
+            continue;
+        }
+        match all.iter_mut().find(|own| (own.tree, own.moves) == (tree, moves)) {
+            Some(own) => own.dofs.push((dof, 0)),
+            None => all.push(Movers { tree, moves, dofs: vec![(dof, 0)] }),
+        }
+    }
+    all
 }
 
 impl<N: Constant> Model<N> {
@@ -136,23 +164,11 @@ impl<N: Constant> Model<N> {
     /// `place/tendon_inertia.rs`.
     pub fn armature_beyond_the_tree(&self) -> Vec<bool> {
         let beyond = |tendon: &Tendon<N>| {
-            let dofs = tendon.dofs.of(&self.dof_lists);
-            let moved: Vec<usize> =
-                (dofs.iter().copied()).filter(|dof| self.moved_by(tendon, *dof)).collect();
+            let moved = tendon.dofs.of(&self.dof_lists);
             let apart = |i: &usize| moved.iter().any(|j| self.entry(*i, *j).is_none());
             !tendon.armature.vanishes() && moved.iter().any(apart)
         };
         self.tendons.iter().map(beyond).collect()
-    }
-
-    /// A dof can change the length of a tendon.
-    fn moved_by(&self, tendon: &Tendon<N>, dof: usize) -> bool {
-        match &tendon.course {
-            Course::Fixed(parts) => parts.iter().any(|(joint, _)| self.joints[*joint].dof == dof),
-            Course::Spatial(stretches) => {
-                stretches.iter().any(|stretch| stretch.movers.iter().any(|m| m.dof == dof))
-            }
-        }
     }
 
     /// By tree: the armature of a spatial tendon is part of its mass matrix.
@@ -168,7 +184,7 @@ impl<N: Constant> Model<N> {
     fn trees_of_tendons(&self, which: impl Fn(&Tendon<N>) -> bool) -> Vec<bool> {
         let mut found = vec![false; self.trees.len()];
         for tendon in self.tendons.iter().filter(|tendon| which(tendon) && tendon.spatial()) {
-            for dof in tendon.dofs.of(&self.dof_lists) {
+            for dof in tendon.closed.of(&self.dof_lists) {
                 found[self.dofs[*dof].tree] = true;
             }
         }

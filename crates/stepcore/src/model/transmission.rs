@@ -43,7 +43,7 @@ impl Transmission {
                 let joint = &model.joints[joint];
                 model.chain_of_dof(joint.dof + joint.dofs() - 1)
             }
-            Self::Tendon(tendon, _) => model.tendons[tendon].dofs,
+            Self::Tendon(tendon, _) => model.tendons[tendon].closed,
             Self::Linkage(linkage) => model.linkages[linkage].dofs,
             Self::Dof(k) => model.chain_of_dof(k),
         }
@@ -160,7 +160,9 @@ impl Transmission {
                 let joint = &model.joints[joint];
                 (joint.dof..joint.dof + joint.dofs()).for_each(each);
             }
-            Self::Tendon(..) => self.dofs(model).of(&model.dof_lists).iter().for_each(|k| each(*k)),
+            Self::Tendon(tendon, _) => {
+                model.tendons[tendon].dofs.of(&model.dof_lists).iter().for_each(|k| each(*k));
+            }
             Self::Dof(k) => each(k),
             Self::Linkage(linkage) => {
                 model.linkages[linkage].movers.iter().for_each(|moved| each(moved.dof));

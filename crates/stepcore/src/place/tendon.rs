@@ -6,7 +6,7 @@
 
 use super::wrap::{wrap, Obstacle};
 use super::Placed;
-use crate::model::{Course, Model, Point, Round, Stretch, Tendon};
+use crate::model::{Course, Model, Movers, Point, Round, Stretch, Tendon};
 use crate::real::{Mask, Real};
 use crate::spatial::{rotate, splat, Force, Pose, Quat, V3};
 
@@ -31,18 +31,12 @@ struct Felt<R: Real> {
     points: R,
 }
 
-impl<R: Real> Felt<R> {
-    fn nothing() -> Self {
-        let wrench = Force { ang: V3::zeros(), lin: V3::zeros() };
-        Self { wrench, reach: R::zero(), points: R::zero() }
-    }
-}
-
 impl<R: Real> Pull<R> {
     /// Of the first end, the geom and the second end where these move.
     #[inline(never)]
     fn felt(&self, origin: &V3<R>, [first, middle, second]: [bool; 3]) -> Felt<R> {
-        let mut felt = Felt::nothing();
+        let wrench = Force { ang: V3::zeros(), lin: V3::zeros() };
+        let mut felt = Felt { wrench, reach: R::zero(), points: R::zero() };
         let [one, two] = &self.ends;
         let [on, off] = &self.geom;
         for (moves, (at, along)) in [(first, one), (middle, on), (middle, off), (second, two)] {
@@ -112,25 +106,27 @@ impl<R: Real> Placed<R> {
     ) -> R {
         let pull = self.pull_of(model, stretch);
         let share = R::of(stretch.share);
-        let mut last = (usize::MAX, [false; 3]);
-        let mut felt = Felt::nothing();
-        for mover in &stretch.movers {
-            let (dof, motion) = (&model.dofs[mover.dof], &self.motion[mover.dof]);
-            if last != (dof.tree, mover.moves) {
-                last = (dof.tree, mover.moves);
-                felt = pull.felt(&self.origin[dof.tree], mover.moves);
+        for Movers { tree, moves, dofs } in &stretch.movers {
+            // Both ends of a straight line move as one: what is left are roundings.
+            let [first, _, second] = *moves;
+            let bends = first && second;
+            if bends && pull.bent.none() {
+                continue;
             }
-            let mut arm = motion.dot(&felt.wrench);
-            let size = span(&motion.ang) * felt.reach + span(&motion.lin) * felt.points;
-            let [first, _, second] = mover.moves;
-            // What is left are roundings where both ends of a straight line move as one, and where a
-            // sphere turns about its centre; and a row of roundings alone has any force.
-            if first && second {
-                arm = R::select(pull.bent, arm, R::zero());
+            let Felt { wrench, reach, points } = pull.felt(&self.origin[*tree], *moves);
+            for (dof, at) in dofs {
+                let motion = &self.motion[*dof];
+                let mut arm = motion.dot(&wrench);
+                if bends {
+                    arm = R::select(pull.bent, arm, R::zero());
+                }
+                // So it is where a sphere turns about its centre; and a row of roundings alone has any
+                // force.
+                let size = span(&motion.ang) * reach + span(&motion.lin) * points;
+                let rounding = arm.abs().le(R::of(ROUNDING * R::epsilon()) * size);
+                arm = R::select(rounding, R::zero(), arm);
+                self.tendon_arms[tendon.arms.start + at] += share * arm;
             }
-            let rounding = arm.abs().le(R::of(ROUNDING * R::epsilon()) * size);
-            arm = R::select(rounding, R::zero(), arm);
-            self.tendon_arms[tendon.arms.start + mover.at] += share * arm;
         }
         share * pull.length
     }

@@ -149,29 +149,28 @@ impl<R: Real> Rows<R> {
         sides: &[Option<Side<R, N>>; 2],
         (start, count): (usize, usize),
     ) -> Sums<R, N> {
-        let place = self.lift_sides(now, list, sides);
+        self.lift_sides(now, list, sides);
         let mut sums = Sums::none();
-        let own = &mut self.y[start..start + count * list.len()];
-        for (at, &k) in list.iter().enumerate() {
-            let mut y = [R::zero(); N];
-            y.copy_from_slice(&self.scratch[place(at, k) * N..][..N]);
-            sums.add(&y, now.placed.metric.inv_d[k], now.placed.u[k]);
-            for (i, y) in y.iter().enumerate().take(count) {
-                own[i * list.len() + at] = *y;
-            }
+        let lifted = || self.scratch.chunks_exact(N);
+        for (&k, y) in list.iter().zip(lifted()) {
+            let Some(y) = y.first_chunk() else { break };
+            sums.add(y, now.placed.metric.inv_d[k], now.placed.u[k]);
+        }
+        let rows = self.y[start..start + count * list.len()].chunks_exact_mut(list.len().max(1));
+        for (i, row) in rows.enumerate() {
+            row.iter_mut().zip(lifted()).for_each(|(out, y)| *out = y[i]);
         }
         sums
     }
 
-    /// Sets the first of `scratch`, N numbers a dof, to y of all directions. Returns the place of a
-    /// dof, of which its own in the list and that among all are given.
+    /// Sets the first of `scratch`, N numbers for each dof of the list, to y of all directions.
     #[inline(always)]
     fn lift_sides<const N: usize>(
         &mut self,
         now: &Situation<R>,
         list: &[usize],
         sides: &[Option<Side<R, N>>; 2],
-    ) -> impl Fn(usize, usize) -> usize {
+    ) {
         let (metric, scratch) = (&now.placed.metric, &mut self.scratch);
         let one = match sides {
             [Some(side), None] | [None, Some(side)] => Some(side),
@@ -198,9 +197,11 @@ impl<R: Real> Rows<R> {
                 }
             }
             metric.lift_each::<N>(list, scratch);
+            // Lists ascend: no place is read after it was written.
+            for (at, k) in list.iter().enumerate() {
+                scratch.copy_within(k * N..(k + 1) * N, at * N);
+            }
         }
-        let in_order = path.is_some();
-        move |at, k| if in_order { at } else { k }
     }
 
     /// Makes the y of the four edges J_n ± μ J_t of a contact: where they begin, A and J v of its
@@ -219,22 +220,22 @@ impl<R: Real> Rows<R> {
             Side::of(now, bodies[1], &at[1], along),
         ];
         let (list, start) = (pair.dofs.of(now.dof_lists), self.y.len());
-        let place = self.lift_sides(now, list, &sides);
+        self.lift_sides(now, list, &sides);
         self.y.resize(start + 4 * list.len(), R::zero());
-        let own = &mut self.y[start..];
+        let (one, two) = self.y[start..].split_at_mut(2 * list.len());
+        let (up, down) = one.split_at_mut(list.len());
+        let (left, right) = two.split_at_mut(list.len());
+        let out = up.iter_mut().zip(down).zip(left.iter_mut().zip(right));
         let (mut ways, mut edges) = (Sums::<R, 4>::none(), Sums::<R, 4>::none());
-        for (at, &k) in list.iter().enumerate() {
-            let mut y = [R::zero(); 4];
-            y.copy_from_slice(&self.scratch[place(at, k) * 4..][..4]);
-            let [n, a, b, _] = y;
+        for ((&k, y), out) in list.iter().zip(self.scratch.chunks_exact(4)).zip(out) {
+            let Some(y @ &[n, a, b, _]) = y.first_chunk() else { break };
             let (inv_d, u) = (now.placed.metric.inv_d[k], now.placed.u[k]);
-            ways.add(&y, inv_d, u);
+            ways.add(y, inv_d, u);
             let (p, q) = (mu * a, mu * b);
             let line = [n + p, n - p, n + q, n - q];
             edges.add(&line, inv_d, u);
-            for i in 0..4 {
-                own[i * list.len() + at] = line[i];
-            }
+            let ((up, down), (left, right)) = out;
+            [*up, *down, *left, *right] = line;
         }
         if ways.a[..3].iter().any(|a| suspect(*a, pair.mass).any()) {
             self.y.truncate(start);

@@ -15,6 +15,8 @@ use crate::state::Inputs;
 /// Work of motors, applied forces and surfaces [J], by lane.
 pub(super) struct Work<R: Real> {
     pub done: R,
+    /// The mean of both velocities of a step, by dof.
+    mean: Vec<R>,
     /// Something can do work at all.
     pub counts: bool,
     /// Surfaces move.
@@ -22,13 +24,14 @@ pub(super) struct Work<R: Real> {
     /// Servos, by actuator, of which all the force counts as driving, and which store nothing in the
     /// account; and whether they are springs.
     driving: Vec<(usize, bool)>,
-    /// The servos that store.
+    /// The servos that store; and those that store whose activation or late control moves.
     springs: Vec<usize>,
+    remembering: Vec<usize>,
     /// Some element has a power of its own, beside applied forces.
     powers: bool,
 }
 
-room!(Work<R>: done, counts, belts, driving, springs, powers);
+room!(Work<R>: done, mean, counts, belts, driving, springs, remembering, powers);
 
 impl<R: Real> Work<R> {
     pub fn new(model: &Model<R::Value>, driving: Vec<usize>) -> Self {
@@ -37,12 +40,17 @@ impl<R: Real> Work<R> {
         let springs = (0..model.actuators.len())
             .filter(|index| stores(model, *index) && !driving.contains(index))
             .collect();
+        let remembers = |index: &usize| {
+            stores(model, *index) && model.activations[*index].len + model.histories[*index].len > 0
+        };
         Self {
             done: R::zero(),
+            mean: vec![R::zero(); model.nv],
             counts: false,
             belts,
             driving: driving.into_iter().map(|index| (index, stores(model, index))).collect(),
             springs,
+            remembering: (0..model.actuators.len()).filter(remembers).collect(),
             powers: motors || model.compensates || !model.fluid.parts.is_empty(),
         }
     }
@@ -66,6 +74,10 @@ impl<R: Real> Observer<R> for Work<R> {
 
     fn committing(&mut self, sim: &Sim<R>) {
         if self.counts {
+            let both = sim.state.qvel.iter().zip(&sim.next.qvel);
+            for (mean, (old, new)) in self.mean.iter_mut().zip(both) {
+                *mean = R::of(0.5) * (*old + *new);
+            }
             self.done += sim.driven(self);
             if self.belts {
                 self.done += sim.clock.dt * sim.power_of_surfaces();
@@ -95,35 +107,28 @@ impl<R: Real> Sim<R> {
     /// Work of motors, applied forces and some servos in the step from `state` to `next`: what
     /// they did on the mean of both velocities.
     fn driven(&self, work: &Work<R>) -> R {
-        let (now, half) = (self.moment(At::State), R::of(0.5));
-        let mean = |k: usize| half * (self.state.qvel[k] + self.next.qvel[k]);
+        let now = self.moment(At::State);
         let mut sum = R::zero();
         if work.powers || self.inputs.applied() {
-            sum += power(&now, mean);
+            sum += power(&now, &work.mean);
         }
         for (index, stores) in &work.driving {
-            sum += power_beyond(&now, *index, *stores, &mean);
+            sum += power_beyond(&now, *index, *stores, &work.mean);
         }
-        self.clock.dt * sum + self.driven_by_activations(&now)
+        self.clock.dt * sum + self.driven_by_activations(&now, work)
     }
 
     /// What activations and late controls put into the springs of their servos as they moved.
-    fn driven_by_activations(&self, now: &Moment<R>) -> R {
+    fn driven_by_activations(&self, now: &Moment<R>, work: &Work<R>) -> R {
         let mut sum = R::zero();
-        if self.model.na == 0 && self.model.nhistory == 0 {
-            return sum;
-        }
         let (act, history) = (&self.next.act, &self.next.ctrl_history);
         let after = Activations { act, history, ..now.act };
-        let memories = self.model.activations.iter().zip(&self.model.histories);
-        for (index, (span, history)) in memories.enumerate() {
-            if span.len + history.len > 0 {
-                let stored = |act: Activations<R>| {
-                    let ctrl = act.ctrl(&self.model, index, now.inputs);
-                    stored_under(&self.model, index, now.qpos, now.frames.pulls, act, ctrl)
-                };
-                sum += stored(after) + -stored(now.act);
-            }
+        for &index in &work.remembering {
+            let stored = |act: Activations<R>| {
+                let ctrl = act.ctrl(&self.model, index, now.inputs);
+                stored_under(&self.model, index, now.qpos, now.frames.pulls, act, ctrl)
+            };
+            sum += stored(after) + -stored(now.act);
         }
         sum
     }
