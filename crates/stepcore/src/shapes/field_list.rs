@@ -24,8 +24,7 @@ const AROUND: [(f64, f64); 8] = [
     (0.92, -0.38),
 ];
 
-/// Room for a few contacts, or for all that are looked at at once.
-#[expect(clippy::large_enum_variant, reason = "a step allocates nothing")]
+/// Room for a few contacts, or for all that are looked at at once: a step allocates nothing.
 enum Slots<R: Real> {
     Few([Touch<R>; FEW]),
     Many([Touch<R>; ROOM]),
@@ -87,6 +86,7 @@ impl<R: Real> List<R> {
         }
     }
 
+    #[inline(never)]
     fn add(&mut self, touch: Touch<R>, same: f64) {
         match &self.slots {
             Slots::Few(few) if self.count == FEW => {

@@ -249,9 +249,7 @@ impl Stretch {
         self.0.into_iter().flat_map(move |[rows, columns]| {
             (rows.0..=rows.1).flat_map(move |row| {
                 (columns.0..=columns.1).flat_map(move |col| {
-                    let cell = move |upper: &bool| near.meets(row, col, *upper);
-                    let own = [false, true].into_iter().filter(cell);
-                    own.map(move |upper| near.field.prism(row, col, upper))
+                    [false, true].into_iter().filter_map(move |upper| near.prism(row, col, upper))
                 })
             })
         })
@@ -290,22 +288,22 @@ impl<'a> Near<'a> {
         }
     }
 
-    /// A prism of a cell may have contacts: they are not all proven to be farther.
+    /// A prism of a cell, unless all of its contacts are proven to be farther.
     ///
     /// The two places of a contact are `dist` apart along its normal. One whose normal is the top's
     /// is as far as the shape lies above the top's plane or farther, and the shape's place stands
     /// aside from the prism by no more than its depth times the slope of the normal; any other one
     /// is the shortest way between the two.
-    fn meets(&self, row: usize, col: usize, upper: bool) -> bool {
+    fn prism(&self, row: usize, col: usize, upper: bool) -> Option<Prism> {
         let Self { field, pose, body, bounds, centre, within } = *self;
         if within.is_infinite() {
-            return true;
+            return Some(field.prism(row, col, upper));
         }
         let third = if upper { (row + 1, col) } else { (row, col + 1) };
         let height = |(r, c): (usize, usize)| field.heights[r * field.ncol + c];
         let top = height((row, col)).max(height(third)).max(height((row + 1, col + 1)));
         if bounds.low.z > top + within {
-            return false;
+            return None;
         }
         let prism = field.prism(row, col, upper);
         let within = within + SAME * prism_size(&prism);
@@ -320,7 +318,7 @@ impl<'a> Near<'a> {
         let aside = within.max(-above * (up.x * up.x + up.y * up.y).sqrt());
         let gap = |i: usize| (a[i].min(c[i]) - bounds.high[i]).max(bounds.low[i] - a[i].max(c[i]));
         if above > within || gap(0) > aside || gap(1) > aside {
-            return false;
+            return None;
         }
         // The side that the two prisms share.
         let way = if upper {
@@ -329,7 +327,7 @@ impl<'a> Near<'a> {
             V3::new(a.y - c.y, c.x - a.x, 0.0)
         };
         let across = beyond(&(way * (1.0 / way.dot(&way).sqrt())), &a);
-        across <= aside
+        (across <= aside).then_some(prism)
     }
 }
 

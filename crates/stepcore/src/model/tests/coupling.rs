@@ -1,7 +1,7 @@
 //! The pattern of the metric of `discrete`, where tendons couple branches and trees.
 
 use super::{ball, joint, Build};
-use crate::scene::{Geom, Joint, JointType, Stop, Tendon};
+use crate::scene::{Geom, GeomType, Joint, JointType, Site, Stop, Tendon};
 
 fn hinge() -> [Joint; 1] {
     [joint(JointType::Hinge, [0.0, 1.0, 0.0])]
@@ -64,4 +64,23 @@ fn coupled_trees_are_one_island() {
     let build = apart(&[&[2, 4]]);
     assert_eq!(build.model().islands(), [0, 0]);
     assert_eq!(closed(&build), [vec![0], vec![0, 1], vec![0, 2], vec![0, 2, 3], vec![0, 2, 3, 4]]);
+}
+
+/// What moves the trunk moves both ends of a tendon between its arms, and not its length.
+#[test]
+fn a_tendon_knows_the_dofs_that_change_its_length() {
+    let mut build = trees(&[&[2]], 1.0);
+    let (pos, quat, kind) = ([0.5, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], GeomType::Sphere);
+    let name = String::new;
+    let site = |body| Site { name: name(), body, pos, quat, kind, size: [0.1; 3] };
+    build.0.sites.extend([2, 3].map(site));
+    let path = vec![Stop::Site { site: 0 }, Stop::Site { site: 1 }];
+    build.0.tendons.push(Tendon { path, ..Tendon::default() });
+    let model = build.model();
+    let lists = |tendon: usize| {
+        let own = &model.tendons[tendon];
+        [own.dofs, own.closed].map(|dofs| dofs.of(&model.dof_lists).to_vec())
+    };
+    assert_eq!(lists(0), [vec![2], vec![0, 2]]);
+    assert_eq!(lists(1), [vec![1, 2], vec![0, 1, 2]]);
 }
