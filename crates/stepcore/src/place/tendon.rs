@@ -107,7 +107,7 @@ impl<R: Real> Placed<R> {
         let pull = self.pull_of(model, stretch);
         let share = R::of(stretch.share);
         for Movers { tree, moves, dofs } in &stretch.movers {
-            // Both ends of a straight line move as one: what is left are roundings.
+            // What moves both ends of a straight line leaves its length as it is.
             let [first, _, second] = *moves;
             let bends = first && second;
             if bends && pull.bent.none() {
@@ -120,8 +120,8 @@ impl<R: Real> Placed<R> {
                 if bends {
                     arm = R::select(pull.bent, arm, R::zero());
                 }
-                // So it is where a sphere turns about its centre; and a row of roundings alone has any
-                // force.
+                // What a sphere that turns about its centre leaves is rounding too: a row of roundings
+                // alone would have any force.
                 let size = span(&motion.ang) * reach + span(&motion.lin) * points;
                 let rounding = arm.abs().le(R::of(ROUNDING * R::epsilon()) * size);
                 arm = R::select(rounding, R::zero(), arm);

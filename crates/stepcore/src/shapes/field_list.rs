@@ -10,8 +10,6 @@ use crate::spatial::V3;
 /// Contacts that are looked at at once; of more, `KEPT` that are far from each other go on.
 const ROOM: usize = 256;
 const KEPT: usize = 64;
-/// As many as most shapes have: the whole room is 20 kB that would be written for each of them.
-const FEW: usize = 16;
 /// Directions in the field's plane, none of them along a side or a diagonal of its cells.
 const AROUND: [(f64, f64); 8] = [
     (0.92, 0.38),
@@ -24,31 +22,9 @@ const AROUND: [(f64, f64); 8] = [
     (0.92, -0.38),
 ];
 
-/// Room for a few contacts, or for all that are looked at at once: a step allocates nothing.
-enum Slots<R: Real> {
-    Few([Touch<R>; FEW]),
-    Many([Touch<R>; ROOM]),
-}
-
-impl<R: Real> Slots<R> {
-    fn all(&mut self) -> &mut [Touch<R>] {
-        match self {
-            Self::Few(slots) => slots,
-            Self::Many(slots) => slots,
-        }
-    }
-
-    fn first(&self, count: usize) -> &[Touch<R>] {
-        match self {
-            Self::Few(slots) => &slots[..count],
-            Self::Many(slots) => &slots[..count],
-        }
-    }
-}
-
 /// Contacts found so far.
 pub(super) struct List<R: Real> {
-    slots: Slots<R>,
+    touches: [Touch<R>; ROOM],
     count: usize,
     /// The field's x and y axes.
     axes: [V3<f64>; 2],
@@ -59,7 +35,7 @@ pub(super) struct List<R: Real> {
 
 impl<R: Real> List<R> {
     pub fn new(axes: [V3<f64>; 2]) -> Self {
-        Self { slots: Slots::Few([empty(); FEW]), count: 0, axes, sunk: None }
+        Self { touches: [empty(); ROOM], count: 0, axes, sunk: None }
     }
 
     /// A prism whose way out leads into another one.
@@ -86,34 +62,29 @@ impl<R: Real> List<R> {
         }
     }
 
-    #[inline(never)]
     fn add(&mut self, touch: Touch<R>, same: f64) {
-        match &self.slots {
-            Slots::Few(few) if self.count == FEW => {
-                let mut slots = [empty(); ROOM];
-                slots[..FEW].copy_from_slice(few);
-                self.slots = Slots::Many(slots);
-            }
-            Slots::Many(_) if self.count == ROOM => self.thin(same),
-            _ => {}
+        if self.count == ROOM {
+            self.thin(same);
         }
-        self.slots.all()[self.count] = touch;
+        self.touches[self.count] = touch;
         self.count += 1;
     }
 
     /// The least distance [m]; infinite of none.
     pub fn least(&self) -> f64 {
-        let all = self.slots.first(self.count).iter();
+        let all = self.touches[..self.count].iter();
         all.fold(f64::INFINITY, |least, touch| least.min(touch.dist.lane(0)))
     }
 
     /// Makes room: `KEPT` of the contacts stay.
     fn thin(&mut self, same: f64) {
         let picked = self.spread(KEPT, same);
-        let (slots, mut kept) = (self.slots.all(), 0);
-        for i in (0..self.count).filter(|i| picked[*i]) {
-            slots[kept] = slots[i];
-            kept += 1;
+        let mut kept = 0;
+        for i in 0..self.count {
+            if picked[i] {
+                self.touches[kept] = self.touches[i];
+                kept += 1;
+            }
         }
         self.count = kept;
     }
@@ -122,7 +93,7 @@ impl<R: Real> List<R> {
     pub fn chosen(&self, same: f64) -> Touches<R, MOST> {
         let mut out = [empty(); MOST];
         let picked = self.spread(MOST, same);
-        let listed = self.slots.first(self.count).iter().zip(picked).filter(|(_, picked)| *picked);
+        let listed = self.touches[..self.count].iter().zip(picked).filter(|(_, picked)| *picked);
         for (to, (touch, _)) in out.iter_mut().zip(listed) {
             *to = *touch;
         }
@@ -131,7 +102,7 @@ impl<R: Real> List<R> {
 
     /// Which of the contacts stay, at most `most`.
     fn spread(&self, most: usize, same: f64) -> [bool; ROOM] {
-        let all = self.slots.first(self.count);
+        let all = &self.touches[..self.count];
         let mut picked = [false; ROOM];
         let depth = |i: usize| all[i].dist.lane(0);
         let Some(deepest) = (0..all.len()).min_by(|i, j| depth(*i).total_cmp(&depth(*j))) else {
