@@ -217,6 +217,26 @@ def test_a_pulley_halves():
     assert forces["tendon spring"] == pytest.approx([0.5 * 100 * 0.5])
 
 
+PULLED = f"""<mujoco><option tolerance="0"/><worldbody><geom type="plane" size="4 4 1"/>
+  <site name="post" pos="3 0 .15"/>
+  <body pos="0 0 3"><joint axis="0 1 0"/><geom size=".1" pos=".3 0 0" {INERT}/>
+    <site name="a"/><site name="b" pos=".3 0 0"/></body>
+  <body pos="2 0 .099"><freejoint/><geom size=".1"/><site name="c" pos="0 0 .1"/></body></worldbody>
+  <tendon><spatial limited="true" range="0 1.2" frictionloss=".1"><site site="a"/><site site="b"/>
+    <pulley divisor="1"/><site site="post"/><site site="c"/></spatial></tendon></mujoco>"""
+
+
+def test_a_rope_along_one_body_and_to_another_pulls_with_its_contacts():
+    """The first branch never changes; the row belongs with the contact of what the second pulls."""
+    model = mujoco.MjModel.from_xml_string(PULLED)
+    data, sim = mujoco.MjData(model), sc.Sim(sc.loads(PULLED))
+    for _ in range(100):
+        mujoco.mj_step(model, data)
+    sim.step(100)
+    assert data.qpos[1] > 2.01
+    assert sim.qpos == pytest.approx(data.qpos, abs=1e-11)
+
+
 def test_friction_holds_up_to_its_loss():
     """Below the friction loss the load hangs; above it falls with what is left."""
     for loss, left in ((30.0, 0.0), (10.0, -9.81 + 10 / 2)):

@@ -253,7 +253,7 @@ impl<N: Constant> Model<N> {
                 island.join(a, b);
             }
         }
-        let tendons = self.tendons.iter().filter(|tendon| tendon.used).map(|tendon| tendon.dofs);
+        let tendons = self.tendons.iter().filter(|tendon| tendon.used).map(|tendon| tendon.closed);
         for dofs in self.equalities.iter().map(|equality| equality.dofs).chain(tendons) {
             for two in dofs.of(&self.dof_lists).windows(2) {
                 island.join(self.dofs[two[0]].tree, self.dofs[two[1]].tree);

@@ -59,8 +59,8 @@ impl<N: Constant> Model<N> {
         let moved =
             |dofs: Span| dofs.of(&self.dof_lists).first().map_or(NONE, |dof| self.dofs[*dof].tree);
         let ties = self.equalities.iter().map(|equality| moved(equality.dofs));
-        let tendon_losses = self.tendons.iter().map(|tendon| moved(tendon.dofs));
-        let tendon_limits = self.tendons.iter().flat_map(|t| [moved(t.dofs); SIDES]);
+        let tendon_losses = self.tendons.iter().map(|tendon| moved(tendon.closed));
+        let tendon_limits = self.tendons.iter().flat_map(|t| [moved(t.closed); SIDES]);
         let contacts = self.pairs.iter().flat_map(|p| {
             let tree = either(self.geoms[p.geom1].body, self.geoms[p.geom2].body);
             std::iter::repeat_n(tree, p.test.most_touches())

@@ -66,13 +66,15 @@ fn coupled_trees_are_one_island() {
     assert_eq!(closed(&build), [vec![0], vec![0, 1], vec![0, 2], vec![0, 2, 3], vec![0, 2, 3, 4]]);
 }
 
+fn site(body: usize) -> Site {
+    let (pos, quat) = ([0.5, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]);
+    Site { name: String::new(), body, pos, quat, kind: GeomType::Sphere, size: [0.1; 3] }
+}
+
 /// What moves the trunk moves both ends of a tendon between its arms, and not its length.
 #[test]
 fn a_tendon_knows_the_dofs_that_change_its_length() {
     let mut build = trees(&[&[2]], 1.0);
-    let (pos, quat, kind) = ([0.5, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], GeomType::Sphere);
-    let name = String::new;
-    let site = |body| Site { name: name(), body, pos, quat, kind, size: [0.1; 3] };
     build.0.sites.extend([2, 3].map(site));
     let path = vec![Stop::Site { site: 0 }, Stop::Site { site: 1 }];
     build.0.tendons.push(Tendon { path, ..Tendon::default() });
@@ -83,4 +85,20 @@ fn a_tendon_knows_the_dofs_that_change_its_length() {
     };
     assert_eq!(lists(0), [vec![2], vec![0, 2]]);
     assert_eq!(lists(1), [vec![1, 2], vec![0, 1, 2]]);
+}
+
+/// A branch along one body never changes; its rows touch that tree all the same, and are one island
+/// with it.
+#[test]
+fn a_tendon_is_one_island_with_every_tree_that_it_passes() {
+    let mut build = trees(&[], 1.0);
+    build.0.geoms.iter_mut().for_each(|geom| (geom.contype, geom.conaffinity) = (0, 0));
+    build.0.sites.extend([0, 2, 2, 4].map(site));
+    let stop = |site| Stop::Site { site };
+    let path = vec![stop(1), stop(2), Stop::Pulley { divisor: 1.0 }, stop(0), stop(3)];
+    build.0.tendons.push(Tendon { path, range: Some([0.0, 1.0]), ..Tendon::default() });
+    let model = build.model();
+    assert_eq!(model.tendons[0].dofs.of(&model.dof_lists), [3]);
+    assert_eq!(model.tendons[0].closed.of(&model.dof_lists), [0, 1, 3]);
+    assert_eq!(model.islands(), [0, 0]);
 }
