@@ -39,8 +39,8 @@ pub(crate) struct Pyramids<R: Real, const N: usize> {
 
 impl<R: Real> Rows<R> {
     /// Makes the y of the edges J_n ± μ J_t of how two bodies' points `at` slide, `along` the normal
-    /// and two tangents. Makes nothing of several contacts where the bodies are not free, and where
-    /// a way may be rounding that is to be dropped, which is looked at row by row.
+    /// and two tangents. Makes nothing of several contacts where the bodies are not free, or where
+    /// a way may be rounding that is to be dropped: these are made one by one.
     pub(crate) fn lift_pyramids<const N: usize>(
         &mut self,
         now: &Situation<R>,
@@ -51,7 +51,7 @@ impl<R: Real> Rows<R> {
     ) -> Option<Pyramids<R, N>> {
         match (self.lift_free_pyramids(now, own, at, along, mu), at.as_slice()) {
             (None, [at]) => {
-                let (y, sums, edges) = self.lift_pyramid(now, own, at, along, mu)?;
+                let (y, sums, edges) = self.lift_pyramid(now, own, at, along, mu);
                 let each = |of: R| [of; N];
                 let [ways, velocities] =
                     [sums.a, sums.velocity].map(|[n, a, b, _]| [n, a, b].map(each));

@@ -55,6 +55,41 @@ fn suspect<R: Real>(a: R, mass: R) -> R::Mask {
     (a * mass).lt(R::of(SUSPECT * R::epsilon() * R::epsilon()))
 }
 
+/// The J of a row with this A, the relative velocity of two bodies' points at `at`, is but the
+/// rounding of what cancels in it.
+///
+/// `size` is how large the square of a dof's part could be, from its motion and the arm to `at`.
+/// 1/A of such a row is a number without meaning: where its regulariser is as small, it would ask for
+/// a motion at any speed.
+fn is_rounding<R: Real>(
+    now: &Situation<R>,
+    (bodies, at): ([usize; 2], &V3<R>),
+    (a, mass): (R, R),
+    size: impl Fn(&Motion<R>, &V3<R>) -> R,
+) -> R::Mask {
+    let suspect = suspect(a, mass);
+    if suspect.none() {
+        return suspect;
+    }
+    // What A would be if no term cancelled another.
+    let mut terms = R::zero();
+    for body in bodies.map(|body| &now.model.bodies[body]) {
+        if body.tree == crate::model::NONE {
+            continue;
+        }
+        let arm = at - now.placed.origin[body.tree];
+        for &k in body.chain.of(&now.model.dof_lists) {
+            terms += now.placed.metric.inv_d[k] * size(&now.placed.motion[k], &arm);
+        }
+    }
+    suspect.and(a.le(R::of(ROUNDED * R::epsilon() * R::epsilon()) * terms))
+}
+
+/// Zero in these lanes; slopes stay.
+fn without<R: Real>(none: R::Mask, x: R) -> R {
+    R::select(none, R::zero(), x).with_slopes_of(none, || x)
+}
+
 impl<R: Real> Rows<R> {
     /// The Jacobian of the next row is zero on these dofs.
     #[inline(always)]
@@ -64,45 +99,26 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Makes a row one that nothing moves (J = 0) where its J, the relative velocity of two bodies'
-    /// points at `at`, is but the rounding of what cancels in it.
-    ///
-    /// `size` is how large the square of a dof's part could be, from its motion and the arm to `at`.
-    /// 1/A of such a row is a number without meaning: where its regulariser is as small, it
-    /// would ask for a motion at any speed.
+    /// Makes a row one that nothing moves (J = 0) where its J is but rounding.
     pub(crate) fn drop_rounding_of(
         &mut self,
         index: usize,
         now: &Situation<R>,
-        (bodies, at): ([usize; 2], &V3<R>),
+        own: ([usize; 2], &V3<R>),
         mass: R,
         size: impl Fn(&Motion<R>, &V3<R>) -> R,
     ) {
         let row = &self.rows[index];
-        let suspect = suspect(row.a, mass);
-        if suspect.none() {
+        let none = is_rounding(now, own, (row.a, mass), size);
+        if none.none() {
             return;
         }
-        // What A would be if no term cancelled another.
-        let list = row.dofs.of(now.dof_lists);
-        let (y, mut terms) = (row.y, R::zero());
-        for body in bodies.map(|body| &now.model.bodies[body]) {
-            if body.tree == crate::model::NONE {
-                continue;
-            }
-            let arm = at - now.placed.origin[body.tree];
-            for &k in body.chain.of(&now.model.dof_lists) {
-                terms += now.placed.metric.inv_d[k] * size(&now.placed.motion[k], &arm);
-            }
-        }
-        let none = suspect.and(row.a.le(R::of(ROUNDED * R::epsilon() * R::epsilon()) * terms));
-        for y in &mut self.y[y..y + list.len()] {
-            *y = R::select(none, R::zero(), *y).with_slopes_of(none, || *y);
-        }
         let row = &mut self.rows[index];
+        for y in &mut self.y[row.y..row.y + row.dofs.len] {
+            *y = without(none, *y);
+        }
         row.a = R::select(none, R::zero(), row.a);
-        let velocity = row.velocity;
-        row.velocity = R::select(none, R::zero(), velocity).with_slopes_of(none, || velocity);
+        row.velocity = without(none, row.velocity);
     }
 
     /// Starts every impulse from the last step's, found by slot and feature; but for

@@ -6,7 +6,7 @@
 
 use super::rows::Rows;
 use super::situation::Situation;
-use super::suspect;
+use super::{is_rounding, without};
 use crate::model::{Model, Pair, Span, NONE};
 use crate::place::Metric;
 use crate::real::{Constant, Mask, Real};
@@ -205,7 +205,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// Makes the y of the four edges J_n ± μ J_t of a contact: where they begin, A and J v of its
-    /// normal and two tangents, and A of the edges. None: one of them may be rounding.
+    /// normal and two tangents, and A of the edges.
     pub(super) fn lift_pyramid(
         &mut self,
         now: &Situation<R>,
@@ -213,7 +213,7 @@ impl<R: Real> Rows<R> {
         at: &[V3<R>; 2],
         [n, a, b]: &[V3<R>; 3],
         mu: R,
-    ) -> Option<(usize, Sums<R, 4>, [R; 4])> {
+    ) -> (usize, Sums<R, 4>, [R; 4]) {
         let along = [*n, *a, *b, V3::zeros()];
         let sides = [
             Side::of(now, bodies[0], &at[0], along.map(|d| -d)),
@@ -222,6 +222,32 @@ impl<R: Real> Rows<R> {
         let (list, start) = (pair.dofs.of(now.dof_lists), self.y.len());
         self.lift_sides(now, list, &sides);
         self.y.resize(start + 4 * list.len(), R::zero());
+        let (ways, edges) = self.edges_of_ways(now, list, start, mu);
+        let none = crate::real::array::from_fn::<_, 3>(|i| {
+            let most =
+                |motion: &Motion<R>, arm: &V3<R>| motion.most_at(arm) * along[i].dot(&along[i]);
+            is_rounding(now, (bodies, &at[0]), (ways.a[i], pair.mass), most)
+        });
+        if !none.iter().any(|none| none.any()) {
+            return (start, ways, edges);
+        }
+        for y in self.scratch.chunks_exact_mut(4).take(list.len()) {
+            y.iter_mut().zip(none).for_each(|(y, none)| *y = without(none, *y));
+        }
+        let (ways, edges) = self.edges_of_ways(now, list, start, mu);
+        (start, ways, edges)
+    }
+
+    /// Writes edges from `start` on, of the normal and two tangents whose y stand side by side in
+    /// `scratch`; what these sum up to, and A of the edges.
+    #[inline(always)]
+    fn edges_of_ways(
+        &mut self,
+        now: &Situation<R>,
+        list: &[usize],
+        start: usize,
+        mu: R,
+    ) -> (Sums<R, 4>, [R; 4]) {
         let (one, two) = self.y[start..].split_at_mut(2 * list.len());
         let (up, down) = one.split_at_mut(list.len());
         let (left, right) = two.split_at_mut(list.len());
@@ -237,11 +263,7 @@ impl<R: Real> Rows<R> {
             let ((up, down), (left, right)) = out;
             [*up, *down, *left, *right] = line;
         }
-        if ways.a[..3].iter().any(|a| suspect(*a, pair.mass).any()) {
-            self.y.truncate(start);
-            return None;
-        }
-        Some((start, ways, edges.a))
+        (ways, edges.a)
     }
 
     /// The same of free bodies.
