@@ -59,12 +59,12 @@ pub struct Polytope {
 /// What one growth of the polytope lists.
 #[derive(Default)]
 struct Growth {
-    /// By face: the new point sees it.
+    /// By face: the new point sees it; and those that it sees.
     seen: Vec<bool>,
-    waiting: Vec<u16>,
+    visible: Vec<u16>,
     /// Edges of the rim: the face outside, and which of its edges.
     rim: Vec<(u16, u16)>,
-    /// By point the rim's edge that leaves it; by face its place once the gaps are closed.
+    /// By point the rim's edge that leaves it.
     places: Vec<u16>,
 }
 
@@ -244,37 +244,62 @@ impl Polytope {
         self.points.push(w);
         self.grown = true;
         self.size = self.size.max(w.at.dot(&w.at).sqrt());
-        let first = self.faces.len() as u16;
-        for (i, at) in (first..).zip(0..edges) {
-            let (outside, k) = self.growth.rim[at];
+        // New faces stand where those stood that go.
+        let mut visible = std::mem::take(&mut self.growth.visible);
+        for _ in visible.len()..edges {
+            visible.push(self.faces.len() as u16);
+            self.faces.push(self.faces[seed]);
+        }
+        for (&here, &(outside, k)) in visible.iter().zip(&self.growth.rim) {
             let (from, to) = self.ends((outside, k));
-            let mut face = self.face([from, to, point]);
-            face.across = [outside, first + self.growth.places[usize::from(to)], 0];
-            self.faces.push(face);
-            self.faces[usize::from(outside)].across[usize::from(k)] = i;
+            let after = visible[usize::from(self.growth.places[usize::from(to)])];
+            self.faces[usize::from(here)] =
+                Face { across: [outside, after, 0], ..self.face([from, to, point]) };
+            self.faces[usize::from(outside)].across[usize::from(k)] = here;
         }
-        for i in first..first + edges as u16 {
-            let after = self.faces[usize::from(i)].across[1];
-            self.faces[usize::from(after)].across[2] = i;
+        for here in &visible[..edges] {
+            let after = self.faces[usize::from(*here)].across[1];
+            self.faces[usize::from(after)].across[2] = *here;
         }
-        self.compact();
+        self.close_gaps(&mut visible[edges..]);
+        self.growth.visible = visible;
         true
+    }
+
+    /// Takes these faces out, which none is beside: the last ones come to their places.
+    fn close_gaps(&mut self, gaps: &mut [u16]) {
+        gaps.sort_unstable();
+        for gap in gaps.iter().rev() {
+            self.faces.swap_remove(usize::from(*gap));
+            let last = self.faces.len() as u16;
+            if *gap == last {
+                continue;
+            }
+            for beside in self.faces[usize::from(*gap)].across {
+                for across in &mut self.faces[usize::from(beside)].across {
+                    *across = if *across == last { *gap } else { *across };
+                }
+            }
+        }
     }
 
     /// Lists which faces a point sees, from one of them on.
     fn see(&mut self, seed: usize, w: &V3<f64>) {
-        let Growth { seen, waiting, .. } = &mut self.growth;
+        let Growth { seen, visible, .. } = &mut self.growth;
         seen.clear();
         seen.resize(self.faces.len(), false);
         seen[seed] = true;
-        waiting.push(seed as u16);
-        while let Some(here) = waiting.pop() {
+        visible.clear();
+        visible.push(seed as u16);
+        let mut at = 0;
+        while let Some(&here) = visible.get(at) {
+            at += 1;
             for other in self.faces[usize::from(here)].across {
                 let face = &self.faces[usize::from(other)];
                 let over = face.normal.dot(w) - face.height > FLAT * self.size;
                 if over && !seen[usize::from(other)] {
                     seen[usize::from(other)] = true;
-                    waiting.push(other);
+                    visible.push(other);
                 }
             }
         }
@@ -282,9 +307,9 @@ impl Polytope {
 
     /// Lists the edges between what is seen and what is not; false where faces do not know each other.
     fn find_rim(&mut self) -> bool {
-        let Growth { seen, rim, .. } = &mut self.growth;
+        let Growth { seen, visible, rim, .. } = &mut self.growth;
         rim.clear();
-        for here in (0..self.faces.len()).filter(|i| seen[*i]) {
+        for here in visible.iter().map(|here| usize::from(*here)) {
             let Face { across, corners, .. } = self.faces[here];
             for k in (0..3).filter(|k| !seen[usize::from(across[*k])]) {
                 let face = &self.faces[usize::from(across[k])];
@@ -322,26 +347,6 @@ impl Polytope {
     fn ends(&self, (face, k): (u16, u16)) -> (u16, u16) {
         let corners = &self.faces[usize::from(face)].corners;
         (corners[(usize::from(k) + 1) % 3], corners[usize::from(k)])
-    }
-
-    /// Takes out the faces that are seen, and closes the gaps.
-    fn compact(&mut self) {
-        let Growth { seen, places, .. } = &mut self.growth;
-        seen.resize(self.faces.len(), false);
-        places.clear();
-        let mut kept = 0;
-        for seen in &*seen {
-            places.push(kept);
-            kept += u16::from(!seen);
-        }
-        let mut at = 0;
-        self.faces.retain(|_| {
-            at += 1;
-            !seen[at - 1]
-        });
-        for face in &mut self.faces {
-            face.across = face.across.map(|i| places[usize::from(i)]);
-        }
     }
 }
 
