@@ -11,7 +11,8 @@
 //! normal with one of them, Jacobi's method for a definite pair (Veselić 1993), which exists
 //! because Q is positive definite. On the surface (Q − κS)x = −b with κ ≥ 0, in that basis
 //! yₙ = ξₙ/(dₙ − κ), yᵢ = ξᵢ/(dᵢ + κ), ξ = −Vᵀb: one equation for κ. For a Coulomb cone, whose
-//! normal is solved by itself, the ways alone are rotated.
+//! normal is solved by itself, the ways alone are rotated, and that where the friction slides: one that
+//! holds takes a factor of Q.
 //!
 //! A block is solved by iteration and through the axes of a matrix, and differentiated through
 //! the conditions that its solution meets, by one Newton step on them (`Real::implicit`): an
@@ -213,44 +214,110 @@ impl<R: Real, const N: usize> InCone<R, N> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct InBall<R: Real, const N: usize> {
     pub q: Matrix<R, N>,
+    factor: Factor<R, N>,
+    /// Made where a minimiser lies on the rim, or where Q has no sound factor.
+    axes: Option<Axes<R, N>>,
+}
+
+/// Q = LDLᵀ.
+#[derive(Clone, Copy, Debug)]
+struct Factor<R: Real, const N: usize> {
+    l: Matrix<R, N>,
+    inv_d: [R; N],
+    /// Lanes in which no pivot is rounding, but of ways that there are not.
+    sound: R::Mask,
+}
+
+/// Q = V diag(d) Vᵀ.
+#[derive(Clone, Copy, Debug)]
+struct Axes<R: Real, const N: usize> {
     v: Matrix<R, N>,
     d: [R; N],
     inv_d: [R; N],
 }
 
-impl<R: Real, const N: usize> InBall<R, N> {
-    /// Of a positive semi-definite Q, by its lower half.
-    #[inline(never)] // As that of `InCone`.
-    pub fn new(q: Matrix<R, N>) -> Self {
-        let q = symmetric(&q);
+impl<R: Real, const N: usize> Factor<R, N> {
+    #[inline(always)]
+    fn of(q: &Matrix<R, N>) -> Self {
+        let zero = R::zero();
+        let floor = R::of(ROUNDINGS * R::epsilon()) * largest(&from_fn::<R, N>(|i| q[i][i]));
+        let mut l = [[zero; N]; N];
+        let (mut d, mut inv_d, mut sound) = ([zero; N], [zero; N], R::Mask::of(true));
+        for i in 0..N {
+            for j in 0..i {
+                l[i][j] = (0..j).fold(q[i][j], |x, k| x - l[i][k] * l[j][k] * d[k]) * inv_d[j];
+            }
+            d[i] = (0..i).fold(q[i][i], |x, k| x - l[i][k] * l[i][k] * d[k]);
+            inv_d[i] = d[i].recip_or_zero();
+            sound = sound.and(d[i].gt(floor).or(q[i][i].le(zero)));
+        }
+        Self { l, inv_d, sound }
+    }
+
+    /// −Q⁻¹g.
+    #[inline(always)]
+    fn minimiser(&self, g: &[R; N]) -> [R; N] {
+        let mut x = g.map(|g| -g);
+        for i in 0..N {
+            x[i] = (0..i).fold(x[i], |sum, k| sum - self.l[i][k] * x[k]);
+        }
+        for i in (0..N).rev() {
+            x[i] = (i + 1..N).fold(x[i] * self.inv_d[i], |sum, k| sum - self.l[k][i] * x[k]);
+        }
+        x
+    }
+}
+
+impl<R: Real, const N: usize> Axes<R, N> {
+    #[inline(never)] // As `InCone::new`.
+    fn of(q: Matrix<R, N>) -> Self {
         let (v, d) = diagonal(q, false);
         // What rounding leaves of a zero eigenvalue is a direction that nothing moves.
         let floor = R::of(ROUNDINGS * R::epsilon()) * largest(&d);
         let d = d.map(|d| R::select(d.gt(floor), d, R::zero()));
-        Self { q, v, d, inv_d: d.map(R::recip_or_zero) }
+        Self { v, d, inv_d: d.map(R::recip_or_zero) }
+    }
+}
+
+impl<R: Real, const N: usize> InBall<R, N> {
+    /// Of a positive semi-definite Q, by its lower half.
+    pub fn new(q: Matrix<R, N>) -> Self {
+        let q = symmetric(&q);
+        Self { factor: Factor::of(&q), q, axes: None }
+    }
+
+    fn axes(&mut self) -> Axes<R, N> {
+        *self.axes.get_or_insert_with(|| Axes::of(self.q))
     }
 
     /// The minimiser of ½ xᵀQx + g·x over the ball |x| ≤ bound.
-    pub fn least(&self, g: &[R; N], bound: R, mask: R::Mask) -> [R; N] {
-        R::implicit(self.minimiser(g, bound, mask), |x| self.newton_step(g, bound, &x))
+    pub fn least(&mut self, g: &[R; N], bound: R, mask: R::Mask) -> [R; N] {
+        let mut x = self.factor.minimiser(g);
+        let inside = self.factor.sound.and(length(&x).le(bound));
+        let none = bound.le(R::zero());
+        let open = mask.and(inside.or(none).not());
+        if open.any() {
+            x = select::<R, N>(inside, x, self.along_axes(g, bound, open));
+        }
+        x = select::<R, N>(none, [R::zero(); N], x);
+        R::implicit(x, |x| self.newton_step(g, bound, &x))
     }
 
     /// Inside: −Q⁻¹g. Else −(Q + m)⁻¹g with the m ≥ 0 that brings it to the rim: 1/|x(m)| is
     /// increasing and concave, so Newton from the left never overshoots.
-    fn minimiser(&self, g: &[R; N], bound: R, mask: R::Mask) -> [R; N] {
-        let (zero, d) = (R::zero(), &self.d);
-        let along = back(&self.v, g);
+    fn along_axes(&mut self, g: &[R; N], bound: R, mask: R::Mask) -> [R; N] {
+        let (zero, Axes { ref v, d, inv_d }) = (R::zero(), self.axes());
+        let along = back(v, g);
         let g: [R; N] = from_fn(|i| R::select(d[i].gt(zero), along[i], zero));
-        let y: [R; N] = from_fn(|i| -g[i] * self.inv_d[i]);
+        let y: [R; N] = from_fn(|i| -g[i] * inv_d[i]);
         let inside = length(&y).le(bound);
-        let none = bound.le(zero);
-        let free = times(&self.v, &y);
-        let mut live = mask.and(inside.or(none).not());
+        let free = times(v, &y);
+        let mut live = mask.and(inside.not());
         if live.none() {
-            return select::<R, N>(none, [zero; N], free);
+            return free;
         }
         // |x| ≥ |g| / (d_max + m) bounds m from below.
-        let mut m = (length(&g) / bound - largest(d)).max(zero);
+        let mut m = (length(&g) / bound - largest(&d)).max(zero);
         for _ in 0..STEPS {
             let (mut length2, mut slope) = (zero, zero);
             for i in 0..N {
@@ -270,17 +337,17 @@ impl<R: Real, const N: usize> InBall<R, N> {
         let p: [R; N] = from_fn(|i| -g[i] * (d[i] + m).recip_or_zero());
         // On the rim exactly.
         let k = bound * length(&p).recip_or_zero();
-        let rim = times(&self.v, &p.map(|p| k * p));
-        select::<R, N>(none, [zero; N], select::<R, N>(inside, free, rim))
+        let rim = times(v, &p.map(|p| k * p));
+        select::<R, N>(inside, free, rim)
     }
 
     /// One Newton step from x: inside Qx + g = 0; on the rim (Q + m)x + g = 0 and |x| = bound.
-    fn newton_step(&self, g: &[R; N], bound: R, x: &[R; N]) -> [R; N] {
-        let (zero, d) = (R::zero(), &self.d);
+    fn newton_step(&mut self, g: &[R; N], bound: R, x: &[R; N]) -> [R; N] {
+        let (zero, Axes { ref v, d, inv_d }) = (R::zero(), self.axes());
         let turned = times(&self.q, x);
         let inside = length(x).lt(bound * R::of(1.0 - ROUNDINGS * R::epsilon()));
-        let along = back(&self.v, &from_fn(|i| turned[i] + g[i]));
-        let y = back(&self.v, x);
+        let along = back(v, &from_fn(|i| turned[i] + g[i]));
+        let y = back(v, x);
         let length2 = sum::<R, N>(|i| y[i] * y[i]);
         let m = -sum::<R, N>(|i| along[i] * y[i]) * length2.recip_or_zero();
         let m = m.max(zero);
@@ -290,9 +357,9 @@ impl<R: Real, const N: usize> InBall<R, N> {
         let out = R::of(0.5) * (bound * bound - length2);
         let change = -(out + pull) * give.recip_or_zero();
         let step = times(
-            &self.v,
+            v,
             &from_fn(|i| {
-                let free = -along[i] * self.inv_d[i];
+                let free = -along[i] * inv_d[i];
                 R::select(inside, free, -(rho[i] + y[i] * change) * inv[i])
             }),
         );

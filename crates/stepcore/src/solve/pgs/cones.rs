@@ -54,14 +54,21 @@ impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
     /// The ways' impulses of a Coulomb cone that minimise its part within their bound, with their
     /// slope where they are x.
     #[inline(always)]
-    pub fn friction(&self, tie: Tie, slope: [R; W], x: &[R; W], bound: R, mask: R::Mask) -> [R; W] {
+    pub fn friction(
+        &mut self,
+        tie: Tie,
+        slope: [R; W],
+        x: &[R; W],
+        bound: R,
+        mask: R::Mask,
+    ) -> [R; W] {
         let at_zero = |q: &Matrix<R, W>| {
             let held = times(q, x);
             from_fn(|i| slope[i] - held[i])
         };
         match tie {
             Tie::Disc(at) => {
-                let ball = &self.disc[at as usize];
+                let ball = &mut self.disc[at as usize];
                 ball.least(&at_zero(&ball.q), bound, mask)
             }
             Tie::Square(at) => {

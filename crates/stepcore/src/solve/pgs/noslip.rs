@@ -219,7 +219,7 @@ impl<R: Real> Hard<'_, R> {
         own: &mut [Row<R>],
         mu: R,
         tie: Tie,
-        cones: &Cones<R, N, W>,
+        cones: &mut Cones<R, N, W>,
     ) {
         let Some((normal, ways)) = own.split_first_mut() else { return };
         let (mut slope, mut x) = ([R::zero(); W], [R::zero(); W]);

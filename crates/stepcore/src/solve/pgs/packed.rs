@@ -132,7 +132,7 @@ impl<R: Real> Packed<R> {
     pub fn update<const GAIN: bool>(
         &mut self,
         rows: &mut [Row<R>],
-        cones: &Narrow<R>,
+        cones: &mut Narrow<R>,
         to: &mut Target<R>,
     ) -> Updated<R> {
         if GAIN {
@@ -199,7 +199,7 @@ impl<R: Real> Packed<R> {
 
     /// The normal as an interval, then the tangents within its friction bound.
     #[inline(always)]
-    fn coulomb(&mut self, cones: &Narrow<R>, to: &mut Target<R>) -> Updated<R> {
+    fn coulomb(&mut self, cones: &mut Narrow<R>, to: &mut Target<R>) -> Updated<R> {
         let (zero, q, x) = (R::zero(), self.whole(), self.point.impulse);
         let velocity = self.velocity(to.u);
         let short: [R; NARROW] = from_fn(|i| self.point.short(i, velocity[i]));

@@ -211,7 +211,7 @@ impl<R: Real> Sweeps<R> {
                 }
                 let own = if GAIN { &mut rows[blocks[*at].rows.range()] } else { &mut [][..] };
                 let mut to = Target { inv_d, u, mask };
-                let done = packed.update::<GAIN>(own, &self.cones, &mut to);
+                let done = packed.update::<GAIN>(own, &mut self.cones, &mut to);
                 largest = largest.max(done.change);
                 if GAIN {
                     gain = R::select(mask, gain + done.gain, gain);
@@ -226,7 +226,7 @@ impl<R: Real> Sweeps<R> {
             let own = block.rows.range();
             let mut sweep = Update::<R, GAIN> { dof_lists, y, z: &self.z, u, mask, gain, largest };
             let weight = &self.weight[own.clone()];
-            sweep.block(&mut rows[own], block, weight, how, &self.cones, &self.wide);
+            sweep.block(&mut rows[own], block, weight, how, &mut self.cones, &mut self.wide);
             (gain, largest) = (sweep.gain, sweep.largest);
         }
         Swept { change: largest, gain }
@@ -252,8 +252,8 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         block: &Block<R>,
         weight: &[R],
         how: How,
-        cones: &Narrow<R>,
-        wide: &Wide<R>,
+        cones: &mut Narrow<R>,
+        wide: &mut Wide<R>,
     ) {
         match how {
             How::Rows | How::Packed(_) => {
@@ -274,7 +274,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         block: &Block<R>,
         weight: &[R],
         tie: Tie,
-        cones: &Cones<R, N, W>,
+        cones: &mut Cones<R, N, W>,
     ) {
         let change = match tie {
             Tie::Convex(at) => self.convex(own, &cones.convex[at as usize]),
@@ -346,7 +346,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         own: &mut [Row<R>],
         mu: R,
         tie: Tie,
-        cones: &Cones<R, N, W>,
+        cones: &mut Cones<R, N, W>,
     ) -> [R; N] {
         let mut change = [R::zero(); N];
         let Some((normal, ways)) = own.split_first_mut() else { return change };

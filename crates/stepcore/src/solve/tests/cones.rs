@@ -87,7 +87,7 @@ fn coulomb_tangents_are_the_minimum() {
         let g = [random.next(), random.next()];
         let bound = [0.05, 0.4, 3.0][case % 3];
         let ways = [[q[1][1], q[1][2]], [q[2][1], q[2][2]]];
-        let (round, square) = (InBall::new(ways), Square::new(ways));
+        let (mut round, square) = (InBall::new(ways), Square::new(ways));
         let ball = |x: [f64; 3]| {
             let k = (bound / (x[1] * x[1] + x[2] * x[2]).sqrt()).min(1.0);
             [0.0, k * x[1], k * x[2]]
@@ -107,14 +107,14 @@ fn coulomb_tangents_are_the_minimum() {
 #[test]
 fn tangents_that_nothing_moves_stay_zero() {
     let q = [[2.0, 0.0], [0.0, 0.0]];
-    let one = InBall::new(q);
+    let mut one = InBall::new(q);
     assert_eq!(one.least(&[1.0, 0.0], 9.0, true), [-0.5, 0.0]);
     assert_eq!(Square::new(q).least(&[1.0, 0.0], 0.25, &[0.0; 2], true), [-0.25, 0.0]);
     assert_eq!(one.least(&[1.0, 0.0], 0.25, true), [-0.25, 0.0]);
     assert_eq!(one.least(&[1.0, 0.0], 0.0, true), [0.0, 0.0]);
     assert_eq!(InBall::new([[0.0; 2]; 2]).least(&[0.0; 2], 1.0, true), [0.0, 0.0]);
     // Two copies of one direction share it.
-    let twin = InBall::new([[1.0; 2]; 2]);
+    let mut twin = InBall::new([[1.0; 2]; 2]);
     let x = twin.least(&[1.0, 1.0], 9.0, true);
     close(x[0] + x[1], -1.0, 1e-15);
 }
