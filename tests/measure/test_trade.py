@@ -330,7 +330,7 @@ def test_a_budget_buys_the_least_error_it_can():
 def test_what_cannot_be_verified_is_said():
     result = sc.trade(lesson.drop(), error=1e-12, starts=2, further=2, effort=1e5, **COUNTED)
     assert result.recommended is None
-    known = "1 pm cannot be verified: the converged motion was known to "
+    known = "1 pm cannot be verified: the converged motion is known to "
     assert result.sentences[0].startswith(known) and result.reference.error > 1e-12
     # It says what can be verified instead, and the settings for that.
     assert result.verified >= result.reference.error
@@ -351,6 +351,14 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     lost.unsure = np.inf
     said = "100 µm cannot be verified: from some start no run converges."
     assert next(lost._answer()).startswith(said) and compact(np.inf) == "inf"
+
+
+def test_what_finer_runs_of_the_search_have_shown_to_be_unknown_is_said(ball):
+    """A robot that falls: known to 309 µm when the search began, and to 1.3 mm at its end."""
+    found, surer = copy.copy(ball), copy.copy(ball)
+    found.reference, surer.unsure = replace(ball.reference, unsure=np.full(8, 1.3e-3)), 2e-4
+    assert "cannot be verified: the converged motion is known to 1.3 mm" in next(found._answer())
+    assert "cannot be verified: the converged motion was known to 200 µm" in next(surer._answer())
 
 
 def test_a_start_from_which_no_run_converges_has_no_error_in_kilometres(ball):

@@ -319,10 +319,13 @@ class Trade(Result):
             )
 
     def _answer(self) -> Iterator[str]:
-        target, unsure, row = self.target, self.unsure, self.chosen
+        target, row = self.target, self.chosen
+        # Finer runs of the search may have shown that less is known.
+        unsure = float(np.fmax(self.unsure, self.reference.error))
         if target is not None and unsure > (UNSURE if self.verified else 1.0) * target:
             well = "" if unsure > target else " well"
-            known = f"the converged motion was known to {metres(unsure)} in the worst start"
+            known = "was" if unsure > self.reference.error else "is"
+            known = f"the converged motion {known} known to {metres(unsure)} in the worst start"
             if not math.isfinite(unsure):
                 known = "from some start no run converges"
             yield f"{metres(target)} cannot be verified{well}: {known}. {self._surer()}"
@@ -372,10 +375,8 @@ class Trade(Result):
         better = self.next_better()
         if better is None:
             return "No setting tried halves that error."
-        return (
-            f"Half that error or less comes at {self._multiple(better)}: {self.label(better)}, "
-            f"with an error of {metres(better.error)}."
-        )
+        cost = f"{self._multiple(better)}: {self.label(better)}"
+        return f"Half that error or less comes at {cost}, with an error of {metres(better.error)}."
 
     def _as_shipped(self) -> str:
         """Describe the error of the shipped settings, in the worst and in the median start."""
@@ -437,10 +438,8 @@ class Trade(Result):
         if row is not None and row.change != SHIPPED:
             within = f"an error of at most {metres(other.asked)}"
             own = None if self.chosen is None else self.chosen.change
-            yield (
-                f"Its cheapest settings for {within} are {other.label(row)}, with "
-                f"{metres(row.error)}{self._times(row.change, own)}."
-            )
+            said = f"Its cheapest settings for {within} are {other.label(row)}"
+            yield f"{said}, with {metres(row.error)}{self._times(row.change, own)}."
         elif self.target is not None and row is None:
             yield f"None of its settings has an error of at most {metres(other.asked)}."
 
