@@ -192,11 +192,26 @@ def test_a_robot_on_a_free_base_hangs_while_its_servos_are_tuned():
 
 def test_what_dry_friction_holds_is_said_of_its_servo_alone():
     """The pose rests; the knee sticks. The hip, damped enough by its joint, needs a kv of 0."""
-    sticky = ARM.replace('damping="0.2"', 'frictionloss="5"')
+    hard = 'frictionloss="5" solreffriction="0.004 1" solimpfriction="0.99 0.999"'
+    sticky = ARM.replace('damping="0.2"', hard)
     sticky = sticky.replace('name="hip" axis="0 1 0"', 'name="hip" axis="0 1 0" damping="60"')
     hip, knee = sc.tune(sc.loads(sticky), bandwidth=1.0).found
     assert hip.reached and re.search(r'kp="[\d.]+" kv="0"/>', *hip.lines)
     assert not knee.reached and "is no sine, even where ten times less" in knee.why
+
+
+@pytest.mark.parametrize(
+    ("goal", "kp"), [({"bandwidth": 5.0}, 0.1 * 2 * np.pi * 5), ({"settling": 0.2}, 19.56 * 0.1)]
+)
+def test_servos_on_light_joints_with_much_damping_are_lags(goal, kp):
+    """Of kp/c, where inertia counts for nothing: -3 dB at kp/c, settled after ln 50 times c/kp."""
+    roll = """<mujoco><worldbody><body><joint name="roll" axis="1 0 0" damping="0.1"/>
+      <geom type="box" size=".02 .01 .01" mass=".02"/></body></worldbody>
+      <actuator><position name="roll" joint="roll" kp="25"/></actuator></mujoco>"""
+    (found,) = sc.tune(sc.loads(roll), **goal).found
+    assert found.reached and float(re.search(r'kp="([\d.]+)" kv="0"/>', *found.lines)[1]) == (
+        pytest.approx(kp, rel=0.03)
+    )
 
 
 def test_quiet_contacts_are_left_as_they_are():

@@ -226,13 +226,28 @@ class Servos:
         self.units = ["m" if joint.type == "slide" else "rad" for joint in own]
 
     def omegas(self, goal: str, asked: np.ndarray) -> np.ndarray:
-        """Return the frequencies at which the closed form has these values of a goal [rad/s]."""
+        """Return the frequencies at which the closed form has these values of a goal [rad/s].
+
+        Where the damping of the joint alone is more than critical, the servo is a lag: its gain is
+        1/√2 at the bandwidth, and its slow pole decays to 0.02 in the settling time.
+        """
         if goal == "sag":
             return np.sqrt(np.abs(self.load * self.gear) / (asked * self.inertia))
-        return 2 * np.pi * asked / PASSES if goal == "bandwidth" else SETTLES / asked
+        passes = goal == "bandwidth"
+        rate = 2 * np.pi * asked if passes else -math.log(SETTLED) / asked
+        critical = rate / PASSES if passes else SETTLES / asked
+        weight, drag = self.inertia * rate**2, self.damping * rate
+        stiff = np.hypot(math.sqrt(2) * weight, drag) if passes else drag
+        over = self.damping > 2 * self.inertia * critical
+        return np.where(over, np.sqrt(np.abs(stiff - weight) / self.inertia), critical)
+
+    def slowest(self, omegas: np.ndarray) -> float:
+        """Return the rate of the slowest pole of servos of these frequencies [rad/s]."""
+        half = np.maximum(self.damping / self.inertia / 2, omegas)
+        return float((omegas**2 / (half + np.sqrt(half**2 - omegas**2))).min())
 
     def gains(self, omegas: np.ndarray) -> list[tuple[float, float]]:
-        """Return kp and kv of critically damped servos."""
+        """Return kp and kv of servos that are damped critically, or more by their joints alone."""
         kp = self.inertia * omegas**2 / self.gear**2
         kv = np.maximum(0.0, 2 * self.inertia * omegas - self.damping) / self.gear**2
         return [(rounded(p), rounded(v)) for p, v in zip(kp, kv, strict=True)]
@@ -259,7 +274,7 @@ class Servos:
         omegas, values = self.omegas(goal.name, asked), dict[str, Any]()
         for k, gains in enumerate(self.gains(omegas)):
             values |= gained(self.model, self.drives[k].index, *gains)
-        model, slowest = Change(values, **settings).of(self.model), float(omegas.min())
+        model, slowest = Change(values, **settings).of(self.model), self.slowest(omegas)
         found, self.off, self.widths = self.shown(model, goal, slowest)
         if np.isfinite(found).any() and self.margin.any():
             found[self.margin & ~self.hold_longer(model, goal, slowest)] = math.nan
