@@ -7,6 +7,7 @@ import pytest
 
 import stepcore as sc
 from stepcore.cli import main
+from stepcore.measure.tune.goal import Goal
 
 ARM = """<mujoco model="arm"><option timestep="0.002"/><worldbody>
 <body><joint name="hip" axis="0 1 0"/>
@@ -212,6 +213,15 @@ def test_servos_on_light_joints_with_much_damping_are_lags(goal, kp):
     assert found.reached and float(re.search(r'kp="([\d.]+)" kv="0"/>', *found.lines)[1]) == (
         pytest.approx(kp, rel=0.03)
     )
+
+
+def test_of_what_jumps_the_nearest_round_is_taken():
+    """Friction lets go between two gains: what was near stays, though the last round is off."""
+    shown, seen = iter([0.14, 0.095, 0.14, 0.096, 0.05]), {}
+    goal = Goal("settling", 0.1)
+    run = lambda asked: np.array([seen.setdefault(float(asked[0]), next(shown, np.nan))])  # noqa: E731
+    asked, settled = goal.corrected(1, run)
+    assert settled == 0.096 == seen[float(asked[0])]
 
 
 def test_quiet_contacts_are_left_as_they_are():

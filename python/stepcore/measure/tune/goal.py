@@ -73,11 +73,14 @@ class Goal(NamedTuple):
         """
         goal, power, before = math.log(self.value), np.ones(count), None
         x = np.full(count, goal) if first is None else np.log(first)
-        held = x
+        held, most, best = x, -1, x
         for last in reversed(range(ROUNDS)):
             shown = run(np.exp(x))
             held = np.where(shown > 0, x, held)
             off = np.log(np.where(shown > 0, shown, self.value)) - goal
+            near = sum(map(self.near, shown))
+            if near >= most:
+                most, best = near, x
             if not last or np.abs(off).max() <= WITHIN / 4:
                 break
             if before is not None:
@@ -87,7 +90,8 @@ class Goal(NamedTuple):
             before = x, off
             # What shows nothing was asked too much: half of the way back to what showed something.
             x = np.where(shown > 0, x - np.clip(off / power, -1.0, 1.0), (x + held) / 2)
-        return np.exp(x), shown
+        # What is shown may jump, as friction lets go: the last round with the most that are near.
+        return np.exp(best), shown if best is x else run(np.exp(best))
 
 
 @dataclass
