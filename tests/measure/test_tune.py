@@ -1,5 +1,6 @@
 """Proposals of `tune` do what they promise when they are pasted into the file and run."""
 
+import functools
 import re
 
 import numpy as np
@@ -217,11 +218,10 @@ def test_servos_on_light_joints_with_much_damping_are_lags(goal, kp):
 
 def test_of_what_jumps_the_nearest_round_is_taken():
     """Friction lets go between two gains: what was near stays, though the last round is off."""
-    shown, seen = iter([0.14, 0.095, 0.14, 0.096, 0.05]), {}
-    goal = Goal("settling", 0.1)
-    run = lambda asked: np.array([seen.setdefault(float(asked[0]), next(shown, np.nan))])  # noqa: E731
-    asked, settled = goal.corrected(1, run)
-    assert settled == 0.096 == seen[float(asked[0])]
+    rounds = iter([0.14, 0.095, 0.14, 0.096, 0.05])
+    shown = functools.cache(lambda asked: next(rounds))
+    asked, settled = Goal("settling", 0.1).corrected(1, np.vectorize(shown, otypes=[float]))
+    assert settled == 0.096 == shown(asked[0])
 
 
 def test_quiet_contacts_are_left_as_they_are():

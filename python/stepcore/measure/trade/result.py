@@ -324,8 +324,8 @@ class Trade(Result):
         unsure = float(np.fmax(self.unsure, self.reference.error))
         if target is not None and unsure > (UNSURE if self.verified else 1.0) * target:
             well = "" if unsure > target else " well"
-            known = "was" if unsure > self.reference.error else "is"
-            known = f"the converged motion {known} known to {metres(unsure)} in the worst start"
+            verb = "was" if unsure > self.reference.error else "is"
+            known = f"the converged motion {verb} known to {metres(unsure)} in the worst start"
             if not math.isfinite(unsure):
                 known = "from some start no run converges"
             yield f"{metres(target)} cannot be verified{well}: {known}. {self._surer()}"

@@ -266,7 +266,7 @@ class Servos:
         """Which servos settle in longer steps as shipped. Other elements may leave no margin, which
         gains do not give back."""
         own = np.array([drive.stiffness for drive in self.drives]) / self.inertia
-        slowest = math.sqrt(own.min())
+        slowest = self.slowest(np.sqrt(own))
         return self.hold_longer(self.model, Goal("settling", SETTLES / slowest), slowest)
 
     def run(self, goal: Goal, asked: np.ndarray, **settings: Any) -> np.ndarray:
