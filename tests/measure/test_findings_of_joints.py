@@ -254,6 +254,36 @@ def test_a_servo_beyond_its_bandwidth_is_told_with_the_share_that_passes():
     )
 
 
+@pytest.mark.parametrize("damping", [1.0, 20.0])
+def test_a_servo_on_a_joint_with_much_damping_is_told_and_has_the_gains_of_a_lag(damping):
+    """Of kp / (kp + iωc), 1/√2 is left at kp = ωc, with as much error; a quarter of it at 4ωc.
+
+    As it is, its error is less than that of a servo that stands still.
+    """
+    damped = LEG.replace('120"/>', f'120" damping="{damping}"/>').format(axis="0 0 1", kp=2, kv=0)
+
+    def sine(time, sim):
+        return [0.2 * math.sin(2 * math.pi * time)]
+
+    (one,) = watched(sc.loads(damped), time=6.0, control=sine)[1]
+    assert "because its bandwidth is" in one.text
+    kp, kv = map(float, re.search(r"kp (\S+) and kv (\S+) leaves", one.text).groups())
+    assert kv == 0 and kp == pytest.approx(4 * 2 * math.pi * damping, rel=0.02)
+
+
+def test_dry_friction_that_holds_a_servo_is_the_reason_that_it_does_not_follow():
+    """It never puts more on the servo than its own bound, and most of that half of the time."""
+    hard = 'frictionloss="0.3" solreffriction="0.004 1" solimpfriction="0.999 0.999"'
+    scene = sc.loads(LEG.replace('120"/>', f'120" {hard}/>').format(axis="0 0 1", kp=2, kv=0.1))
+
+    def sine(time, sim):
+        return [0.2 * math.sin(2 * math.pi * time)]
+
+    (one,) = watched(scene, time=6.0, control=sine)[1]
+    held = float(re.search(r"dry friction hold it with (\d+) mN·m: kp", one.text)[1])
+    assert 200 < held <= 300
+
+
 @pytest.mark.parametrize("force", [5, 100])
 def test_a_servo_that_grips_is_neither_weak_nor_saturated(force):
     """It asks for more than the thing between its pads lets it have: so it holds it."""

@@ -200,6 +200,8 @@ def test_what_dry_friction_holds_is_said_of_its_servo_alone():
     hip, knee = sc.tune(sc.loads(sticky), bandwidth=1.0).found
     assert hip.reached and re.search(r'kp="[\d.]+" kv="0"/>', *hip.lines)
     assert not knee.reached and "is no sine, even where ten times less" in knee.why
+    knee, hip = sc.tune(sc.loads(ARM.replace('damping="0.2"', hard)), sag=0.01).found
+    assert hip.reached and "Dry friction (5 N·m) bears its load" in knee.why and not knee.lines
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -132,6 +133,20 @@ def loads(sim: Sim) -> Floats:
         sim.qvel[:] = speeds
         sim.forward()
     return need
+
+
+def passing_stiffness(
+    omega: Floats | float, inertia: Floats | float, damping: Floats | float
+) -> Floats:
+    """Return the stiffness of servos whose gain falls to 1/√2 at a frequency [rad/s].
+
+    They are damped critically, or more by the damping of their joints alone.
+    """
+    weight = inertia * omega**2
+    critical = weight / (math.sqrt(2) - 1)
+    lag = np.hypot(math.sqrt(2) * weight, damping * omega) - weight
+    stiff: Floats = np.where(damping**2 > 4 * inertia * critical, lag, critical)
+    return stiff
 
 
 def _actuator(model: Model, layout: Layout, k: int) -> Actuator:

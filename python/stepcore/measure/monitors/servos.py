@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stepcore.engine.actuator import SERVO, Actuator, actuators, loads
+from stepcore.engine.actuator import SERVO, Actuator, actuators, loads, passing_stiffness
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import rotated
 from stepcore.engine.element import Element
@@ -56,8 +56,8 @@ def actuator_findings(run: Recording) -> Iterator[Finding]:
     # A servo that presses against an object or a limit does so on purpose, and may be saturated.
     presses = {at.actuator.index for at in still if not at.loaded}
     rests = {at.actuator.index for at in still}
-    behind = worst(following(run, rests, full), lambda at: at.error / at.width)
-    behind = [at for at in behind if _reason(model, at)]
+    behind = [at for at in following(run, rests, full) if at.fails and _reason(model, at)]
+    behind.sort(key=lambda at: at.error / at.width, reverse=True)
     if behind:
         yield _behind(run, behind)
         full = {k: full[k] for k in full if k not in {at.actuator.index for at in behind}}
@@ -93,7 +93,8 @@ class Following(NamedTuple):
     error: RMS from its target. width: RMS of the target's motion, or, of one that is held, the sag
     that is a warning. hertz: the frequency that has most of the motion; 0 without one. share, lag:
     of its amplitude [1], and behind it [rad]. full: the share of the time at an end of its force.
-    load: the largest that it has to hold [N·m or N]. need: that of the motion asked for.
+    load: the largest that it has to hold [N·m or N]. rows: what contacts, limits and dry friction
+    put on it, the median. need: the force of the motion asked for.
     damping: at the joint, its own and the joint's [N·m·s/rad or N·s/m].
     """
 
@@ -105,6 +106,7 @@ class Following(NamedTuple):
     lag: float
     full: float
     load: float
+    rows: float
     need: float
     damping: float
 
@@ -134,6 +136,11 @@ class Following(NamedTuple):
         """Whether it follows one frequency, with a delay."""
         return self.hertz > 0 and self.lag >= 0 and not self.weak
 
+    @property
+    def fails(self) -> bool:
+        """Whether it is further off than one that stands still, or loses 3 dB of a frequency."""
+        return self.error > self.width or (self.hertz > 0 and self.share < 1 / math.sqrt(2))
+
 
 def _reason(model: Model, at: Following) -> str:
     """Return why a servo is behind, in words; "" if none of these shows it."""
@@ -146,6 +153,8 @@ def _reason(model: Model, at: Following) -> str:
         said = f"its kp {of.kp:.3g} is too small for its load of {say(at.load)}"
     elif 0 < at.passes < at.hertz:
         said = f"its bandwidth is {at.passes:.3g} Hz with kp {of.kp:.3g} and kv {of.kv:.3g}"
+    elif at.rows > HALF * at.error * of.kp:
+        said = f"contacts, limits or dry friction hold it with {say(at.rows)}"
     ratio = at.damping / 2 / at.omega / of.inertia
     rings = f"its kv {of.kv:.3g} damps nothing (damping ratio {ratio:.2g})" * at.rings
     return " and ".join(filter(None, (said, rings)))
@@ -160,7 +169,8 @@ def following(
     if run.late < 0:
         return
     some = np.unique(np.linspace(0, len(run) - 1, FEWEST).astype(int)).tolist()
-    held = np.max([np.abs(loads(run.at(k))) for k in some], axis=0)
+    forces = [np.abs([sim.qfrc_constraint, loads(sim)]) for sim in map(run.at, some)]
+    rows, held = np.median(forces, axis=0)[0], np.max(forces, axis=0)[1]
     joints = Layout(model.scene).joints
     for of in _servos(model):
         asked = of.target(np.clip(run["ctrl"][:, of.index], *of.ctrlrange))
@@ -180,8 +190,8 @@ def following(
         need = of.inertia / of.gear**2 * (2 * np.pi * hertz) ** 2 * size + load
         width = float(np.std(asked)) if moves else FEW / SEEN * _notable(model, of)
         damping = of.damping + float(np.ravel(joints[of.joint or 0].damping)[0])
-        forced = full.get(of.index, 0.0)
-        yield Following(of, error, width, hertz, share, lag, forced, load, need, damping)
+        forced, stuck = full.get(of.index, 0.0), float(rows[of.dof]) / abs(of.gear)
+        yield Following(of, error, width, hertz, share, lag, forced, load, stuck, need, damping)
 
 
 def _wave(
@@ -236,14 +246,17 @@ def _behind(run: Recording, found: list[Following]) -> Finding:
 
 
 def _gained(model: Model, found: Sequence[Following], part: int, bound: bool) -> Cure:
-    """Return critically damped gains that should follow; bound: with the forces that this needs."""
+    """Return gains that should follow, damped critically or more by the joints alone.
+
+    bound: with the forces that this needs.
+    """
     values, words = dict[str, Any](), list[str]()
     for at in found:
-        of, inertia = at.actuator, at.actuator.inertia / at.actuator.gear**2
-        # At this frequency a critically damped servo has 1/√2 of the amplitude.
-        least = inertia * (2 * math.pi * at.hertz) ** 2 / (math.sqrt(2) - 1)
-        kp = rounded(part**2 * max(of.kp, least, at.load / (LEFT * at.width)))
-        kv = rounded(2 * math.sqrt(kp * inertia))
+        of, gear = at.actuator, at.actuator.gear**2
+        inertia, own = of.inertia / gear, (at.damping - of.damping) / gear
+        least = passing_stiffness(2 * math.pi * at.hertz, inertia, own)
+        kp = rounded(part**2 * max(of.kp, float(least), at.load / (LEFT * at.width)))
+        kv = rounded(max(0.0, 2 * math.sqrt(kp * inertia) - own))
         values |= gained(model, of.index, kp, kv)
         words.append(f"kp {kp:g} and kv {kv:g}")
         if bound:

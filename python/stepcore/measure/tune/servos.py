@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from stepcore.deadline import Deadline
-from stepcore.engine.actuator import MOTOR, SERVO, Actuator, actuators, loads
+from stepcore.engine.actuator import MOTOR, SERVO, Actuator, actuators, loads, passing_stiffness
 from stepcore.engine.follow import follow
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change, Servo
 from stepcore.experiment.choose import least
 from stepcore.experiment.moves import moves_about, roots
-from stepcore.measure.monitors.servos import gained
+from stepcore.measure.monitors.servos import gained, strength
 from stepcore.measure.tune.goal import (
     FEWEST,
     PASSES,
@@ -209,7 +209,8 @@ class Servos:
     """Position servos that are changed together, and their runs.
 
     drives: the servos. inertia: that each moves while the other joints are held. damping: of its
-    joint. load: its force that the pose needs at rest [N or N·m].
+    joint. friction: the dry friction of its joint. load: its force that the pose needs at rest
+    [N or N·m].
     off, widths: of the last run; see `shown`.
     """
 
@@ -222,24 +223,25 @@ class Servos:
         self.gear = np.array([drive.gear for drive in drives])
         self.inertia = sim.mass_matrix()[dofs, dofs]
         self.damping = np.array([float(np.ravel(joint.damping)[0]) for joint in own])
+        rubs = model.scene.features.constraint and model.scene.features.frictionloss
+        self.friction = np.array([joint.frictionloss if rubs else 0.0 for joint in own])
         self.load = loads(sim)[dofs] / self.gear
         self.units = ["m" if joint.type == "slide" else "rad" for joint in own]
 
     def omegas(self, goal: str, asked: np.ndarray) -> np.ndarray:
         """Return the frequencies at which the closed form has these values of a goal [rad/s].
 
-        Where the damping of the joint alone is more than critical, the servo is a lag: its gain is
-        1/√2 at the bandwidth, and its slow pole decays to 0.02 in the settling time.
+        Where the damping of the joint alone is more than critical, the servo is a lag, whose slow
+        pole decays to 0.02 in the settling time.
         """
         if goal == "sag":
             return np.sqrt(np.abs(self.load * self.gear) / (asked * self.inertia))
-        passes = goal == "bandwidth"
-        rate = 2 * np.pi * asked if passes else -math.log(SETTLED) / asked
-        critical = rate / PASSES if passes else SETTLES / asked
-        weight, drag = self.inertia * rate**2, self.damping * rate
-        stiff = np.hypot(math.sqrt(2) * weight, drag) if passes else drag
-        over = self.damping > 2 * self.inertia * critical
-        return np.where(over, np.sqrt(np.abs(stiff - weight) / self.inertia), critical)
+        if goal == "bandwidth":
+            stiff = passing_stiffness(2 * np.pi * asked, self.inertia, self.damping)
+            return np.sqrt(stiff / self.inertia)
+        rate, critical = -math.log(SETTLED) / asked, SETTLES / asked
+        lag = np.sqrt(np.abs(self.damping / self.inertia * rate - rate**2))
+        return np.where(self.damping > 2 * self.inertia * critical, lag, critical)
 
     def slowest(self, omegas: np.ndarray) -> float:
         """Return the rate of the slowest pole of servos of these frequencies [rad/s]."""
@@ -330,12 +332,14 @@ def tuned_servos(
     called, servos, idle = model.called("actuator"), Servos(model, at, drives), list[Tuned]()
     if goal.name == "sag":
         # A thousandth of the largest load is none.
-        bears = np.abs(servos.load) > 1e-3 * np.abs(servos.load).max()
-        why = "It carries no load in this pose; its gains are left as they are"
-        idle = [
-            Tuned("servo", called[drives[k].index], goal, servos.units[k], why=why)
-            for k in np.flatnonzero(~bears).tolist()
-        ]
+        load = np.abs(servos.load * servos.gear)
+        bears = load > np.maximum(servos.friction, 1e-3 * load.max())
+        for k in np.flatnonzero(~bears).tolist():
+            why = "It carries no load in this pose; its gains are left as they are"
+            if load[k] > 1e-3 * load.max():
+                held = strength(model, drives[k].index, float(servos.friction[k]))
+                why = f"Dry friction ({held}) bears its load in this pose; its gains are left"
+            idle.append(Tuned("servo", called[drives[k].index], goal, servos.units[k], why=why))
         servos = Servos(model, at, [drives[k] for k in np.flatnonzero(bears).tolist()])
         if not servos.drives:
             return idle
