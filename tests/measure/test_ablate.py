@@ -14,6 +14,7 @@ import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
 from stepcore.engine.features import MotionUsage, RemovableFeatures, without
+from stepcore.experiment.change import Change
 from stepcore.report.terminal import WIDTH
 
 # A block that slides on the floor, a pendulum that neither meets it nor its own limit, and a
@@ -173,7 +174,33 @@ def test_every_feature_is_found_and_removed() -> None:
         assert scene != model.scene
         assert scene.compile().nq == model.nq
         assert sc.loads(scene.to_mjcf()) == scene
+        # The change that measurements run is this scene.
+        changed = Change(without=[removal]).of(model)
+        assert changed.settings == scene.compile().settings and changed.scene == scene
     assert without(model.scene, []) == model.scene
+
+
+SLIDING = """<mujoco><option timestep="0.005" cone="elliptic" iterations="2" solver="PGS"/>
+  <worldbody>
+  <geom type="plane" size="5 5 .1" friction=".5"/>
+  <body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1" mass="1"/></body>
+</worldbody><keyframe><key qpos="0 0 .1 1 0 0 0" qvel="1 .7 0 0 0 2"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [("cone", {"cone": "pyramidal"}), ("warm start", {"warm_start": False})],
+)
+def test_a_setting_that_is_left_out_is_left_out_of_the_run(kind: str, settings: dict) -> None:
+    """It adds what a plain loop shows, of the place and of some arcs. Once it added nothing."""
+    scene, places = sc.loads(SLIDING), []
+    for own in (scene, scene.with_settings(**settings)):
+        sim = sc.Sim(own)
+        sim.reset(key=0)
+        places.append(sim.run(0.4, record="xpos")["xpos"][1:, 1])
+    apart = np.linalg.norm(places[0] - places[1], axis=1)
+    result = sc.ablate(scene, horizon=0.4, starts=1, further=0, progress=False)
+    assert row(result, kind).trial.error == pytest.approx(np.sqrt(np.mean(apart**2)), rel=0.2)
 
 
 @pytest.mark.parametrize("kind", ["armature", "joint damping", "velocity forces", "limits"])

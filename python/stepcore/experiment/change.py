@@ -131,7 +131,10 @@ class Change:
         Raises ValueError for what the model does not have, and for values outside their limits.
         """
         if self.without:
-            model = Model(without(model.scene, self.without), model.settings)
+            # What is left out may be a setting, as warm start.
+            edits = [edit for removal in self.without for edit in removal.edits]
+            own = dict(one for edit, fields in edits if edit == "settings" for one in fields)
+            model = Model(without(model.scene, self.without), model.settings.replace(**own))
         if self.values:
             model = model.with_values(dict(self.values))
         if self.servos:
