@@ -302,7 +302,8 @@ class Convergence(Result):
         better = [trial for trial in tried if trial.error <= 0.6 * self.shipped.error]
         if better:
             best = max(better, key=lambda trial: trial.dt)
-            return f"; a dt of {seconds(best.dt)} leaves {metres(best.error)}"
+            most = "" if self._told(best) else "at most "
+            return f"; a dt of {seconds(best.dt)} leaves {most}{metres(best.error)}"
         if not tried or self.shipped.error <= 2 * self.reference.error:
             return ""
         least = min(tried, key=lambda trial: trial.dt)
