@@ -24,9 +24,12 @@ if TYPE_CHECKING:
     from stepcore.signatures import SettingsFields
 
 
-# Settings that change what is modelled: they move the limit dt → 0. (Another law does too, and is a
-# scene of its own; sleep and f32 are errors of the numbers.)
-MODELLING = ("cone", "impratio", "stiction", "softness", "beta", "restitution", "slop")
+# Settings that change what is modelled: they move the limit dt → 0. (Sleep and f32 are errors of
+# the numbers; refsafe, which softens contacts at long steps, is none at short ones.)
+MODELLING = (
+    *("law", "softness", "beta", "restitution", "slop", "max_recovery_speed", "penalty_stiffness"),
+    *("penalty_damping_ratio", "cone", "impratio", "stiction", "noslip_iterations"),
+)
 
 
 class Servo(NamedTuple):

@@ -1,0 +1,37 @@
+"""A `Study` tells what steps do wrong from what another model does: beside plain loops."""
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore.experiment import Change, Study
+
+DROP = """<mujoco><option timestep="0.004" gravity="0 0 -9.81"/><worldbody>
+  <geom type="plane" size="5 5 .1" condim="1"/>
+  <body pos="0 0 .13"><joint type="slide" axis="0 0 1"/><geom size=".1" mass="1"/></body>
+  </worldbody></mujoco>"""
+
+
+def heights(scene: sc.Scene, dt: float) -> np.ndarray:
+    """Of a plain loop, every 4 ms."""
+    sim = sc.Sim(scene.with_settings(dt=dt))
+    return sim.run(0.4, record="qpos")["qpos"][round(0.004 / dt) :: round(0.004 / dt), 0]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"law": "penalty"}, {"law": "penalty", "penalty_stiffness": 2e3}, {"cone": "elliptic"}],
+)
+def test_another_law_has_a_numerical_and_a_modelling_error(settings: dict) -> None:
+    """A law is a model, with a limit dt → 0 of its own. A ball has the same in either cone."""
+    scene = sc.loads(DROP)
+    other = scene.with_settings(**settings)
+    (trial,) = Study(scene, sc.Motion(horizon=0.4, starts=1)).run([Change(**settings)], error=1e-4)
+    exact, own, fine = heights(scene, 2e-5), heights(other, 2e-5), heights(other, 4e-3)
+
+    def rms(gap: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(gap**2)))
+
+    sure = {"rel": 0.05, "abs": 5e-5}
+    assert trial.error == pytest.approx(rms(fine - own), **sure)
+    assert trial.modelled[0] == pytest.approx(rms(own - exact), **sure)
