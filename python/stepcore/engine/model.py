@@ -452,7 +452,7 @@ class Model:
     ) -> Model:
         """Return this model with other settings, without compiling it again."""
         refuse_unknown_settings(self.with_settings, fields)
-        _ = self.asked
+        _ = self.asked, self.around
         other = copy.copy(self)
         other._settings = _merged(self._scene, self._settings, settings, fields)
         return other
@@ -461,6 +461,11 @@ class Model:
     def asked(self) -> set[tuple[Any, ...]]:
         """The settings whose pitfalls were told; copies with other settings share it."""
         return set()
+
+    @functools.cached_property
+    def around(self) -> dict[str, list[_core.Model]]:
+        """The compiled models around the value of each parameter; copies as above share them."""
+        return {}
 
     @functools.cached_property
     def _pickled(self) -> bytes:

@@ -428,7 +428,7 @@ def models_around(model: Model, by: Sequence[Column]) -> list[list[_core.Model]]
             "looks for them in every step, which is not differentiated by values: exclude "
             "what never meets, until 2000 are left"
         )
-    kept: dict[str, list[_core.Model]] = model.__dict__.setdefault("_around", {})
+    kept = model.around
     new = [column for column in by if column.label not in kept]
     if new:
         variation = ModelVariation(model, dict.fromkeys(column.path for column in new))

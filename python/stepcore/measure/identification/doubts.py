@@ -122,6 +122,12 @@ def _velocity_doubts(
         enough = 5 * math.sqrt(float(off @ off) / len(off) / max(float(slope @ slope), 1e-300))
         delays = any(label.startswith(f"{DELAY}/") for label in searched)
         if not delays and abs(late) > max(enough, float(np.median(np.diff(times)))):
+            # A shift by it takes at least half of what it should: rows that miss swings lose none.
+            whole = np.isfinite(qvel[:, model.jnt_dofadr[joint]])
+            told = np.interp(middle + late, clock[whole], qvel[whole, model.jnt_dofadr[joint]])
+            less = float(off @ off - np.sum((rates[:, k] - told) ** 2))
+            if less < late * float(off @ slope) / 2:
+                continue
             word, array = ("velocity", "qvel") if late > 0 else ("position", "qpos")
             what = f"its {word} is {seconds(abs(late))} late"
             yield "delay", [joint], what, f'search "delay/{array}" too'

@@ -74,10 +74,21 @@ class MeasuredLog:
         controls = replace(self.controls, times=self.controls.times - begin)
         return replace(self, measured=cut, controls=controls)
 
-    def cut(self, model: Model, length: float) -> list[MeasuredLog]:
-        """Return pieces of a length [s], each from a row with a whole qpos on."""
+    @property
+    def begins(self) -> np.ndarray:
+        """The times of rows that have all positions that are measured at all [s]."""
         times, qpos = self.measured["qpos"]
-        whole = times[np.isfinite(qpos).all(axis=1)]
+        known = np.isfinite(qpos)
+        return times[known[:, known.any(axis=0)].all(axis=1)]
+
+    def cut(self, model: Model, length: float) -> list[MeasuredLog]:
+        """Return pieces of a length [s], each from one of `begins` on.
+
+        Raises ValueError if there is none.
+        """
+        whole = self.begins
+        if not len(whole):
+            raise ValueError(f"pieces: {self.name} has no row with all positions that it measures")
         marks = np.arange(length, self.duration - length / 2, length)
         begins = np.unique(whole[np.searchsorted(whole, marks).clip(max=len(whole) - 1)])
         ends = np.nextafter([*begins, np.inf], 0.0)

@@ -41,8 +41,6 @@ from stepcore.scene.layout import Layout
 
 # The width of the motion with which gains are tried [rad or m]; of a range, the same share.
 WIDTH = 0.1
-# Gains hold at this multiple of the time step too: the margin without a warning at load.
-MARGIN = 2.0
 # The armature of a base that is held, in masses of the scene.
 HEAVY = 1e6
 
@@ -259,8 +257,8 @@ class Servos:
         return shown(model, self.at, [drive.index for drive in self.drives], goal, omega)
 
     def hold_longer(self, model: Model, goal: Goal, omega: float) -> np.ndarray:
-        """Return which servos have a value of the goal in longer time steps."""
-        longer = Change(dt=MARGIN * model.settings.dt).of(model)
+        """Return which servos have a value of the goal in steps twice as long, their margin."""
+        longer = Change(dt=2 * model.settings.dt).of(model)
         return np.isfinite(self.shown(longer, goal, omega)[0])
 
     @cached_property
