@@ -60,8 +60,8 @@ ROUGH = {"xtol": 1e-3, "ftol": 1e-4, "gtol": 1e-8}
 FINE = {"xtol": 1e-7, "ftol": 1e-14, "gtol": 1e-14}
 # From a poor guess a fit may end far from the best one. So many pieces, spread over the logs, are
 # fitted then, each from a first state of its own: of half as many rows, and of ever twice as many
-# from the values of those. Of five logs (servos at the end of their force in turn) all so led to the
-# hidden values; with twice as many rows at first none did to all digits, and one not at all.
+# from the values of those. Of five logs (servos at the end of their force in turn) all were so led
+# to the hidden values; with twice as many rows at first none was to all digits, and one not at all.
 PIECES = 20
 FROM = "the fit began with the values of fits of short pieces, because it was bad from those given"
 CUT = "the logs were cut into pieces of {}, because they can be predicted for about {} (--pieces)"
