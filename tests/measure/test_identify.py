@@ -171,7 +171,7 @@ def test_a_log_that_leaves_out_a_body_is_cut_into_pieces():
     columns = {"j.position": ran["qpos"][:, 0], "m.control": ran["ctrl"][:, 0]}
     log = sc.Log({"time": 0.005 * np.arange(201)} | columns)
     found = sc.identify(scene, log, {"joint/j/damping": (0.001, 0.1)}, pieces=0.2)
-    assert found.logs == 5 and found.values["joint/j/damping"] == pytest.approx(0.03, rel=1e-3)
+    assert found.logs == 5 and found.values["joint/j/damping"] == pytest.approx(0.03, rel=0.05)
 
 
 def test_several_entries_and_pieces_of_a_log():

@@ -150,28 +150,31 @@ def identify(
 
     try:
         result = fitted(length)
-        # In a quarter of the time in which errors grow a thousand times, they grow six times.
-        end = rounded(min(result.predictable) / 4, 1)
-        known = end < np.inf and end > ENOUGH * compiled.settings.dt
-        cut = all(len(log.begins) for log in whole)
-        if length is None and cut and end == np.inf and result.quality.verdict == "bad":
-            with workers.deadline.stage("a fit that begins with short pieces"):
-                found = _from_pieces(compiled, whole, bounds, result, workers, most)
-                again = result if found is None else fitted(None, found)
-                if again.quality.off < result.quality.off:
-                    again.notes.append(FROM)
-                    result = again
-        if length is None and known and not findings and result.quality.verdict != "noise":
-            with workers.deadline.stage(f"the fit of pieces of {units.seconds(end)}"):
-                again = fitted(end)
-                if again.quality.verdict != "bad":
-                    again.notes.append(CUT.format(units.seconds(end), units.seconds(4 * end)))
-                    return again
     except SimulationError as error:
         limit = "must be values with which the logs can be run"
         said = " ".join(["", *(finding.text for finding in findings)])
         raise ValueError(f"model: {checks.one_line(error)}: {limit}.{said}") from None
-    return result
+    if length is not None or not all(len(log.begins) for log in whole):
+        return result
+    # In a quarter of the time in which errors grow a thousand times, they grow six times.
+    end, verdict = rounded(min(result.predictable) / 4, 1), result.quality.verdict
+    again, note = None, FROM
+    try:
+        if end == np.inf and verdict == "bad":
+            with workers.deadline.stage("a fit that begins with short pieces"):
+                near = _from_pieces(compiled, whole, bounds, result, workers, most)
+                again = None if near is None else fitted(None, near)
+        elif ENOUGH * compiled.settings.dt < end < np.inf and not findings and verdict != "noise":
+            note = CUT.format(units.seconds(end), units.seconds(4 * end))
+            with workers.deadline.stage(f"the fit of pieces of {units.seconds(end)}"):
+                again = fitted(end)
+    except (SimulationError, ValueError):
+        # Pieces that cannot be run leave the fit of the whole.
+        return result
+    if again is None or again.quality.verdict == "bad":
+        return result
+    again.notes.append(note)
+    return again
 
 
 def _from_pieces(
