@@ -62,6 +62,7 @@ FINE = {"xtol": 1e-7, "ftol": 1e-14, "gtol": 1e-14}
 # fitted then, each from a first state of its own: of half as many rows, and of ever twice as many
 # from the values of those. Of five logs (servos at the end of their force in turn) all were so led
 # to the hidden values; with twice as many rows at first none was to all digits, and one not at all.
+# As many iterations are enough for that.
 PIECES = 20
 FROM = "the fit began with the values of fits of short pieces, because it was bad from those given"
 CUT = "the logs were cut into pieces of {}, because they can be predicted for about {} (--pieces)"
@@ -197,9 +198,12 @@ def _from_pieces(
             parts += log.cut(model, rows * spacing)
         some = [within(model, part, bounds) for part in parts[:: math.ceil(len(parts) / PIECES)]]
         fit = Predictions(model, some, list(bounds), threads=workers.threads)
-        x = Search(fit, bounds, values, workers, most).x
-        found = misfits(fit, fit.predicted(x), dict.fromkeys(fit.quantities, 0.0))
-        if Quality(found, None).off >= bad.quality.off:
+        x = Search(fit, bounds, values, workers, min(most, PIECES)).x
+        off = fit.rms(fit.measured, fit.predicted(x))
+        both = [(off[label], own.residual) for label, own in bad.quality.misfits.items()]
+        sizes = np.array([fit.scales[label] for label in bad.quality.misfits])
+        mine, its = np.linalg.norm(np.array(both).T / sizes, axis=1)
+        if mine >= its:
             return None
         values, rows = x[: len(values)].tolist(), 2 * rows
     return values

@@ -162,11 +162,6 @@ class Quality:
         return max(self.misfits, key=lambda label: self.misfits[label].severity)
 
     @property
-    def off(self) -> float:
-        """How many times its noise the worst quantity is unexplained."""
-        return self.misfits[self.worst].severity
-
-    @property
     def verdict(self) -> str:
         """What the residual is: "noise", "step", "unexplained", or "bad" if more than the noise."""
         worst, lacks = self.misfits[self.worst], self.missing
