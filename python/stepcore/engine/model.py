@@ -452,7 +452,7 @@ class Model:
     ) -> Model:
         """Return this model with other settings, without compiling it again."""
         refuse_unknown_settings(self.with_settings, fields)
-        _ = self.asked, self.around
+        _ = self.asked
         other = copy.copy(self)
         other._settings = _merged(self._scene, self._settings, settings, fields)
         return other
@@ -464,7 +464,7 @@ class Model:
 
     @functools.cached_property
     def around(self) -> dict[str, list[_core.Model]]:
-        """The compiled models around the value of each parameter; copies as above share them."""
+        """The compiled models around the value of each parameter; later copies share them."""
         return {}
 
     @functools.cached_property

@@ -169,7 +169,7 @@ def identify(
             note = CUT.format(units.seconds(end), units.seconds(4 * end))
             with workers.deadline.stage(f"the fit of pieces of {units.seconds(end)}"):
                 again = fitted(end)
-    except (SimulationError, ValueError):
+    except SimulationError:
         # Pieces that cannot be run leave the fit of the whole.
         return result
     if again is None or again.quality.verdict == "bad":
@@ -199,10 +199,10 @@ def _from_pieces(
         some = [within(model, part, bounds) for part in parts[:: math.ceil(len(parts) / PIECES)]]
         fit = Predictions(model, some, list(bounds), threads=workers.threads)
         x = Search(fit, bounds, values, workers, min(most, PIECES)).x
+        # What is seldom measured may be in no piece.
         off = fit.rms(fit.measured, fit.predicted(x))
-        both = [(off[label], own.residual) for label, own in bad.quality.misfits.items()]
-        sizes = np.array([fit.scales[label] for label in bad.quality.misfits])
-        mine, its = np.linalg.norm(np.array(both).T / sizes, axis=1)
+        both = np.array([(off[q], bad.residuals[q]) for q in off]).T
+        mine, its = np.linalg.norm(both / [fit.scales[q] for q in off], axis=1)
         if mine >= its:
             return None
         values, rows = x[: len(values)].tolist(), 2 * rows
@@ -313,6 +313,8 @@ class Search:
     def _solve(self, part: Predictions, begin: np.ndarray, when: Mapping[str, float]) -> bool:
         """Find the values that fit a part of the logs best; return whether they are settled."""
         least_squares = need("scipy.optimize", "identify", "identify").least_squares
+        # A first run that fails is told as what it is.
+        part.runs(begin)
         low, high = self._ends
         first = np.clip((begin - self._origin) / self._units, low + 1e-9, high - 1e-9)
 

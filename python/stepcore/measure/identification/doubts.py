@@ -88,12 +88,14 @@ def _velocity_doubts(
     middle = (times[1:] + times[:-1]) / 2
     rates = (np.diff(qpos, axis=0) / np.diff(times)[:, None])[:, model.jnt_qposadr[joints]]
     speeds, changes = np.zeros((2, *rates.shape))
-    for k, column in enumerate(qvel[:, model.jnt_dofadr[joints]].T):
-        known = np.isfinite(column)
-        if known.sum() > 2:
-            speeds[:, k] = np.interp(middle, clock[known], column[known])
-            slope = np.gradient(column[known], clock[known])
-            changes[:, k] = np.interp(middle, clock[known], slope)
+    every = qvel[:, model.jnt_dofadr[joints]].T
+    told = [
+        (clock[known], own[known]) for own, known in zip(every, np.isfinite(every), strict=True)
+    ]
+    for k, (at, own) in enumerate(told):
+        if len(at) > 2:
+            speeds[:, k] = np.interp(middle, at, own)
+            changes[:, k] = np.interp(middle, at, np.gradient(own, at))
     rates = np.nan_to_num(rates)
     lengths = np.linalg.norm(rates, axis=0)[:, None] * np.linalg.norm(speeds, axis=0)
     alike = np.divide(rates.T @ speeds, lengths, out=np.zeros_like(lengths), where=lengths > 0)
@@ -123,9 +125,8 @@ def _velocity_doubts(
         delays = any(label.startswith(f"{DELAY}/") for label in searched)
         if not delays and abs(late) > max(enough, float(np.median(np.diff(times)))):
             # A shift by it takes at least half of what it should: rows that miss swings lose none.
-            whole = np.isfinite(qvel[:, model.jnt_dofadr[joint]])
-            told = np.interp(middle + late, clock[whole], qvel[whole, model.jnt_dofadr[joint]])
-            less = float(off @ off - np.sum((rates[:, k] - told) ** 2))
+            shifted = rates[:, k] - np.interp(middle + late, *told[k])
+            less = float(off @ off - shifted @ shifted)
             if less < late * float(off @ slope) / 2:
                 continue
             word, array = ("velocity", "qvel") if late > 0 else ("position", "qpos")

@@ -100,6 +100,8 @@ class Predictions:
     def _made(self, x: np.ndarray, finer: int = 1) -> list[Run]:
         model = self.model(x)
         short = Change(dt=model.settings.dt / finer).of(model)
+        # Its batches, one for each log, are of copies that share these models.
+        _ = short.around
         runs = []
         for nth in range(len(self.logs)):
             checkpoint()
