@@ -134,10 +134,9 @@ class Change:
         Raises ValueError for what the model does not have, and for values outside their limits.
         """
         if self.without:
-            # What is left out may be a setting, as warm start.
-            edits = [edit for removal in self.without for edit in removal.edits]
-            own = dict(one for edit, fields in edits if edit == "settings" for one in fields)
-            model = Model(without(model.scene, self.without), model.settings.replace(**own))
+            # What is left out may be one of the settings, as warm start.
+            own = model.scene.with_settings(model.settings)
+            model = without(own, self.without).compile()
         if self.values:
             model = model.with_values(dict(self.values))
         if self.servos:

@@ -331,10 +331,11 @@ def tuned_servos(
     if goal.name == "sag":
         # A thousandth of the largest load is none.
         load = np.abs(servos.load * servos.gear)
-        bears = load > np.maximum(servos.friction, 1e-3 * load.max())
+        carries = load > 1e-3 * load.max()
+        bears = carries & (load > servos.friction)
         for k in np.flatnonzero(~bears).tolist():
             why = "It carries no load in this pose; its gains are left as they are"
-            if load[k] > 1e-3 * load.max():
+            if carries[k]:
                 held = strength(model, drives[k].index, float(servos.friction[k]))
                 why = f"Dry friction ({held}) bears its load in this pose; its gains are left"
             idle.append(Tuned("servo", called[drives[k].index], goal, servos.units[k], why=why))
