@@ -128,3 +128,19 @@ def test_a_damper_between_the_legs_of_a_loop_is_told(integrator, ratio, told):
 def test_solref_is_not_warned_of():
     _, said = warned(lambda: sc.Sim(sc.loads(LOOP.format(50, 0.001, 150)), integrator="euler"))
     assert not said
+
+
+CART = """
+<mujoco><worldbody><geom type="plane" size="2 2 1"/>
+  <body pos="0 0 .05"><joint type="slide" axis="0 0 1"/><joint type="slide" axis="1 0 0"/>
+    <geom type="box" size=".1 .05 .01" pos="0 0 .04" mass="1"/>
+    <body><joint name="wheel" axis="0 1 0" armature=".01" frictionloss=".1"/>
+      <geom type="cylinder" quat="1 1 0 0" size=".05 .01" mass=".1" friction="1.5"/></body>
+  </body>
+</worldbody><actuator><velocity joint="wheel" kv="5"/></actuator></mujoco>"""
+
+
+def test_of_what_a_measurement_tries_nothing_is_told():
+    """Which element limits the step is found by softening each: then this wheel sinks."""
+    diagnosis, said = warned(lambda: sc.diagnose(sc.loads(CART)))
+    assert diagnosis.limit("euler") < 0.02 and not said

@@ -292,6 +292,24 @@ def test_a_legged_robot_stands_and_shifts(actuator):
         assert sim.qpos[2] > 0.25 and abs(sim.qpos[3]) > 0.98 and len(sim.contacts) >= 4
 
 
+def test_a_cart_turns_its_wheels_where_a_castor_must_slide():
+    wheels = "".join(
+        f'<body pos="0 {y} .03" quat="1 1 0 0"><joint name="{name}" axis="0 0 -1" damping=".1"/>'
+        '<geom type="cylinder" size=".03 .01" mass=".1"/></body>'
+        for name, y in (("left", 0.1), ("right", -0.1))
+    )
+    castors = "".join(f'<geom size=".01" pos="{x} 0 .01" mass=".1"/>' for x in (-0.08, 0.08))
+    model = scene(
+        f'{FLOOR}<body><freejoint/><geom type="box" size=".1 .07 .02" pos="0 0 .05" mass="1"/>'
+        f"{castors}{wheels}</body>",
+        '<velocity joint="left" kv="2"/><velocity joint="right" kv="2"/>',
+    )
+    schedule, words = planned(model)
+    assert "servos move point to point" in words
+    turned = np.array([np.ptp(watched(model, schedule, k)[0][:, -2:], axis=0) for k in range(8)])
+    assert (turned > 0.05).all() and turned.max() < 0.5
+
+
 # --- seeds, processes, batches --------------------------------------------------------------------
 
 

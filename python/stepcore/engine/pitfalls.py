@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.tables import ContactPair
+    from stepcore.signatures import SettingsFields
 
 # Two light slides in a closed loop hold where an integrator that damps after the rows takes up to 5
 # times what it leaves of a velocity, and diverge at 10 (`tests/engine/test_pitfalls.py`).
@@ -58,8 +59,7 @@ def warn_of_pitfalls(model: Model, stacklevel: int = 3) -> None:
 
     stacklevel: as of `warnings.warn`, counted from this function.
     """
-    settings = model.settings
-    asked = (settings.cone, settings.law, settings.integrator, settings.dt)
+    asked = _asked(model)
     if asked in model.asked:
         return
     model.asked.add(asked)
@@ -68,6 +68,20 @@ def warn_of_pitfalls(model: Model, stacklevel: int = 3) -> None:
             continue
         _said.add(text)
         warnings.warn(ModelWarning(escapes.printable(text)), stacklevel=stacklevel)
+
+
+def tried(model: Model, **fields: Unpack[SettingsFields]) -> Model:
+    """Return a model with settings that a measurement tries: of their pitfalls nothing is told."""
+    other = model.with_settings(**fields)
+    if _asked(other) != _asked(model):
+        other.asked.add(_asked(other))
+    return other
+
+
+def _asked(model: Model) -> tuple[Any, ...]:
+    """Return the settings that pitfalls depend on."""
+    settings = model.settings
+    return settings.cone, settings.law, settings.integrator, settings.dt
 
 
 def soft_pyramids(model: Model) -> Iterator[str]:

@@ -183,23 +183,37 @@ class Moves:
         weights[self.dofs] = np.minimum(far, SHARE * (high - low))
         change = rng.uniform(0.5, 1.0, model.nv) * rng.choice([-1.0, 1.0], model.nv) * weights
         low, high = np.minimum(q, low), np.maximum(q, high)
-        if len(self.kept):
-            spread = (self.kept * weights**2).T
-            back = np.linalg.pinv(self.kept @ spread, 1e-6) @ self.kept @ change
-            change = change - spread @ back
-            # A random change has little in common with those that keep contacts, so joints that
-            # move contacts go as far as a share allows.
-            moved = (np.abs(self.kept).max(axis=0) > 1e-9) & (weights > 0)
-            most = float((np.abs(change[moved]) / weights[moved]).max(initial=0.0))
-            if most > 1e-6:
-                change[moved] *= rng.uniform(0.5, 1.0) / most
-        else:
+        kept = self._keeping(change, weights, rng) if len(self.kept) else None
+        if kept is None:
             # A joint near a limit turns round.
             d = change[self.dofs]
             change[self.dofs] = np.where((q + d < low) | (q + d > high), -d, d)
+        else:
+            change = kept
         joints = np.zeros(model.nv)
         joints[self.dofs] = np.clip(q + change[self.dofs], low, high) - q
         return joints
+
+    def _keeping(
+        self, change: np.ndarray, weights: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray | None:
+        """Return the part of a change that keeps the places of contacts.
+
+        None if a robot that moves about has none: its castor must slide for its wheels to turn.
+        """
+        spread = (self.kept * weights**2).T
+        change = change - spread @ np.linalg.pinv(self.kept @ spread, 1e-6) @ self.kept @ change
+        moved = (np.abs(self.kept).max(axis=0) > 1e-9) & (weights > 0)
+        most = float((np.abs(change[moved]) / weights[moved]).max(initial=0.0))
+        if most > 1e-6:
+            # A random change has little in common with those that keep contacts, so joints that
+            # move contacts go as far as a share allows.
+            change[moved] *= rng.uniform(0.5, 1.0) / most
+        elif moved.any():
+            if self.about:
+                return None
+            change[moved] = 0.0
+        return change
 
     def _toward(self, change: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the spans and the rates of the controls for a change of the pose.

@@ -41,9 +41,13 @@ fn dot<R: Real>(a: Flat<R>, b: Flat<R>) -> R {
     a[0] * b[0] + a[1] * b[1]
 }
 
+fn cross<R: Real>(a: Flat<R>, b: Flat<R>) -> R {
+    a[0] * b[1] - a[1] * b[0]
+}
+
 /// The angle from a to b, counter-clockwise.
 fn angle<R: Real>(a: Flat<R>, b: Flat<R>) -> R {
-    (a[0] * b[1] - a[1] * b[0]).atan2(dot(a, b))
+    cross(a, b).atan2(dot(a, b))
 }
 
 /// Two points of the circle, and the way along it from one to the other.
@@ -60,11 +64,17 @@ pub fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
     let axes = if sphere { plane_of(&p, &q) } else { [V3::x(), V3::y()] };
     let flat = |v: &V3<R>| [axes[0].dot(v), axes[1].dot(v)];
     let (a, b) = (flat(&p), flat(&q));
+    let none = || Wrap { touches: R::Mask::of(false), points: [V3::zeros(); 2], length: R::zero() };
+    let free = misses(a, b, radius);
     let touch = match side.map(local) {
+        None if free.all() => return none(),
         None => outside(a, b, angle(a, b), radius),
         Some(s) => {
             let within = s.dot(&s).sqrt().lt(radius);
             let past = flat(&s);
+            if within.none() && free.and(on_short_way(a, past, b)).all() {
+                return none();
+            }
             let around = outside(a, b, angle(a, past) + angle(past, b), radius);
             if within.none() {
                 around
@@ -74,7 +84,7 @@ pub fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
         }
     };
     if touch.mask.none() {
-        return Wrap { touches: touch.mask, points: [V3::zeros(); 2], length: R::zero() };
+        return none();
     }
     let [mut first, mut second] = touch.points.map(|[x, y]| axes[0] * x + axes[1] * y);
     let mut length = touch.arc;
@@ -93,6 +103,26 @@ pub fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
     }
     let points = [first, second].map(|v| pose.pos + pose.to_world(&v));
     Wrap { touches: touch.mask, points, length }
+}
+
+/// By how much of r² the square of a distance is certainly larger than it.
+const CLEAR: f64 = 1e-4;
+
+/// The straight line clearly passes beside the circle: it needs no angles.
+fn misses<R: Real>(a: Flat<R>, b: Flat<R>, radius: R) -> R::Mask {
+    let apart = [b[0] - a[0], b[1] - a[1]];
+    let share = -dot(apart, a) * dot(apart, apart).recip_or_zero();
+    let share = share.max(R::zero()).min(R::one());
+    let near = [a[0] + share * apart[0], a[1] + share * apart[1]];
+    dot(near, near).gt(R::of(1.0 + CLEAR) * radius * radius)
+}
+
+/// The way a → s → b is certainly no more than half a turn.
+fn on_short_way<R: Real>(a: Flat<R>, s: Flat<R>, b: Flat<R>) -> R::Mask {
+    let [first, second, whole] = [cross(a, s), cross(s, b), cross(a, b)];
+    let zero = R::zero();
+    let back = (first * second).lt(zero);
+    back.or((first * whole).gt(zero).and((second * whole).gt(zero)))
 }
 
 fn choose<R: Real>(mask: R::Mask, yes: &Touch<R>, no: &Touch<R>) -> Touch<R> {
