@@ -115,6 +115,27 @@ def test_growth_at_every_step_is_physical_and_named():
     assert any("two fine steps agree" in note for note in d.notes)
 
 
+@pytest.mark.parametrize(("damping", "told"), [(0.0, True), (0.5, False)])
+def test_growth_that_is_lost_again_is_not_told(damping, told):
+    """A pendulum that falls over hangs in the end, with damping, wherever it began."""
+    scene = sc.loads(f"""<mujoco><option integrator="implicitfast"/><worldbody><body>
+      <joint axis="0 1 0" damping="{damping}"/><geom type="capsule" fromto="0 0 0 0 0 .5" size=".02"
+        mass="1"/></body></worldbody><keyframe><key qpos=".1"/></keyframe></mujoco>""")
+    d = diagnosed(scene, dt=2e-3, horizon=5.0)
+    assert d.physical > 1
+    assert any("nearby motions diverge" in note for note in d.notes) == told
+
+
+def test_friction_loss_has_no_frequency():
+    scene = sc.loads("""<mujoco><option integrator="implicitfast"/><worldbody><body>
+      <joint name="j" axis="0 0 1" frictionloss=".1" armature=".01"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".5"/></body></worldbody>
+      <actuator><position joint="j" kp="50" kv="5"/></actuator>
+      <keyframe><key qvel="1"/></keyframe></mujoco>""")
+    row = diagnosed(scene).element("friction loss of joint `j`")
+    assert row is None or row.omega == 0
+
+
 # --- elements that act later --------------------------------------------------------------------
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import stepcore as sc
+from stepcore.engine.actuator import actuators
 from stepcore.experiment import Change, Study
 from stepcore.experiment.change import Servo
 from stepcore.measure.monitors import Finding, Next
@@ -50,9 +51,19 @@ def test_where_no_effort_is_bounded_joints_with_a_range_get_motors_without_bound
     scene = sc.loads(text.replace('effort="5"', 'effort="0"'))
     model = Study(scene).model
     assert model.actuator_names == ("shoulder", "elbow", "loose")
-    assert "because the file bounds no effort: shoulder, elbow, loose" in model.scene.notes[0]
+    assert "because the file bounds none: shoulder, elbow, loose" in model.scene.notes[0]
     assert np.isinf(np.abs(model.actuator_forcerange)).all()
     assert Study(sc.loads(scene.to_mjcf())).model.nu == 0
+
+
+def test_a_limit_that_nobody_filled_in_does_not_let_the_arm_fall():
+    """RM75's file has 0 for the effort and the velocity of six of its seven joints."""
+    text = ARM.replace('effort="40" velocity="3"', 'effort="0" velocity="0"')
+    model = Study(sc.loads(text)).model
+    assert model.actuator_names == ("shoulder", "elbow")
+    assert [drive.bound for drive in actuators(model)] == [np.inf, 20]
+    assert "bounded: elbow; for joints" in model.scene.notes[0]
+    assert model.scene.notes[0].endswith("because the file bounds none: shoulder")
 
 
 def test_check_runs_the_pose_that_motors_hold():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
@@ -227,25 +228,43 @@ def powered(model: Model) -> Model:
     """Return a model without actuators with motors on the joints whose effort it bounds.
 
     A URDF does not name its motors, but says what they can do. Where it bounds no effort (many have
-    0, which bounds none), joints with a range have motors without bounds. What follows another
-    joint has none.
+    0, which bounds none), joints with a range have motors without bounds; where it bounds some, so
+    have those whose limit nobody filled in. What follows another joint has none.
     """
     if model.nu:
         return model
-    source, layout = model.scene._source, Layout(model.scene)
+    source, joints = model.scene._source, Layout(model.scene).joints
     led = [one.joint1 for one in model.scene.equalities if one.type == "joint" and one.active]
-    free = [k for k, joint in enumerate(layout.joints) if not any(joint is one for one in led)]
-    joints = [k for k in free if layout.joints[k].actuatorfrcrange is not None]
-    why = "the joints whose effort is bounded"
-    if not joints and source is not None and source.urdf:
-        joints = [k for k in free if layout.joints[k].range is not None]
-        why = "joints with a range, without bounds, because the file bounds no effort"
-    if not joints:
+    free = [k for k, joint in enumerate(joints) if not any(joint is one for one in led)]
+    bounded = [k for k in free if joints[k].actuatorfrcrange is not None]
+    ranged = [k for k in free if joints[k].range is not None and k not in bounded]
+    if source is None or not source.urdf:
+        ranged = []
+    elif bounded:
+        ranged = [k for k in ranged if joints[k].name in _unfilled(source.urdf)]
+    if not bounded and not ranged:
         return model
-    made, names = with_motors(model, joints), listed(model.called("joint")[k] for k in joints)
+    called, why = model.called("joint"), list[str]()
+    if bounded:
+        named = listed(called[k] for k in bounded)
+        why.append(f"the joints whose effort is bounded: {named}")
+    if ranged:
+        named = listed(called[k] for k in ranged)
+        why.append(f"joints with a range, without bounds, because the file bounds none: {named}")
+    made = with_motors(model, sorted(bounded + ranged))
     made.scene._powered = True
-    made.scene.notes.insert(0, f"motors were made for {why}: {names}")
+    made.scene.notes.insert(0, f"motors were made for {'; for '.join(why)}")
     return made
+
+
+def _unfilled(urdf: bytes) -> set[str | None]:
+    """Return the joints whose limit has 0 for effort and velocity, as exporters leave it."""
+    zero = {joint.get("name"): joint.find("limit") for joint in ET.fromstring(urdf).iter("joint")}
+    return {
+        name
+        for name, limit in zero.items()
+        if limit is not None and not any(float(limit.get(k, 0)) for k in ("effort", "velocity"))
+    }
 
 
 def with_motors(model: Model, joints: Sequence[int], others: Sequence[int] = ()) -> Model:

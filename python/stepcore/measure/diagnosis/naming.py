@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stepcore._core import SimulationError
-from stepcore.engine.element import OVERRIDE, ROWS, Element, SceneField
+from stepcore.engine.element import FRICTION_LOSSES, OVERRIDE, ROWS, Element, SceneField
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.measure.diagnosis.limits import FAILS
@@ -290,6 +290,9 @@ def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict
         if element.kind == "spin":
             # A gyroscopic torque turns what moves: its rate is that of the nutation.
             omega = float(np.abs(np.linalg.eigvals(damp)).max())
+        elif element.kind in FRICTION_LOSSES:
+            # What is left of its stiffness is rounding.
+            omega = 0.0
         elif omega > 0:
             ratio = float(vectors[:, -1] @ damp @ vectors[:, -1]) / (2 * omega)
             if ratio < 0 and element.kind in ROWS:

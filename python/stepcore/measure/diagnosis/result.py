@@ -153,8 +153,12 @@ class Diagnosis(Result):
 
     @property
     def _grows(self) -> bool:
-        """Whether nearby motions diverge within the converged motion."""
-        return self.physical * self.covered.reached > 1
+        """Whether nearby motions diverge within the converged motion, and still are apart at its
+        end: what grows at a state for a while may be lost again.
+        """
+        apart = self.covered.apart
+        calm = self.runaway is None and apart[-1] <= math.e * apart[0]
+        return self.physical * self.covered.reached > 1 and not calm
 
     def _limiters(self, integrator: str | None) -> tuple[Element, ...]:
         name = self._known(integrator)

@@ -67,7 +67,8 @@ class Tuning(Result):
         """The proposals, each with what the run shows; what is not reached, by its reason."""
         if not self.found:
             return [
-                "There is nothing to tune: no servo or motor of a joint, and nothing that rests."
+                "There is nothing to tune: no position servo or motor of a joint, and nothing that "
+                "rests."
             ]
         reached = sum(tuned.reached for tuned in self.found)
         said = [f"{reached} of {len(self.found)} reached, each run as it is printed:"]
