@@ -214,6 +214,16 @@ def test_velocity_servos_get_the_velocity_of_the_profile():
     assert schedule.ctrl[0, -1] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_what_servos_of_a_site_move_is_not_said_to_be_held():
+    bodies = f'<body><joint type="slide" axis="1 0 0"/><site name="tip" pos=".3 0 0"/>{LINK}</body>'
+    servo = '<velocity site="tip" kv="50" gear="1 0 0 0 0 0"/>'
+    model = scene(bodies, servo, gravity="0 0 0")
+    schedule, words = planned(model, starts=1)
+    most = float(np.abs(schedule.rows([0], 0.002)[0]).max())
+    assert most > 1e-3 and np.ptp(watched(model, schedule, 0)[0]) > 1e-3
+    assert f"servos move point to point over 800 ms under controls up to {most:.2g} and" in words
+
+
 def test_controls_of_zero_hold_the_pose_of_the_keyframe():
     model = arm(key='<key qpos="0.7"/>', gravity="0 0 0")
     schedule, _ = planned(model)

@@ -36,7 +36,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.control_table import ControlLog, Controls, PositionTable
-from stepcore.experiment.moves import HELD, MOVE, Chosen, Moves, moves_about, resting
+from stepcore.experiment.moves import HELD, MOVE, Chosen, Moves, moves_about, profile, resting
 from stepcore.report.units import counted, metres, percent, radians, seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
@@ -113,7 +113,7 @@ def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
     far, motors = _far(moves, chosen), bool(moves.servos)
     if far:
         who = "a PD controller drives the joints" if motors else "servos move"
-        how = f"point to point over {seconds(MOVE)} to poses {far} away and back (minimum jerk)"
+        how = f"point to point over {seconds(MOVE)} {far} and back (minimum jerk)"
         yield f"test motion: {who} {how}"
     else:
         yield f"test motion: {'a PD controller holds' if motors else 'servos hold'} the start"
@@ -133,14 +133,17 @@ def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
 
 
 def _far(moves: Moves, chosen: Chosen) -> str:
-    """Return how far joints go: "up to 0.35 rad and 5 mm", or "" if none moves."""
+    """Return how far the moves go: "to poses up to 0.35 rad and 5 mm away"; "" if nothing moves."""
     slides = np.array([moves.model.jnt_type[joint] == "slide" for joint in moves.joints], bool)
     ends = (radians, chosen.far[~slides]), (metres, chosen.far[slides])
     parts = [said(float(far.max())) for said, far in ends if far.max(initial=0.0) > 1e-6]
     most = float(np.abs(chosen.spans).max(initial=0.0))
     if not parts and most > 1e-6:
         parts = [f"{most:.2g} of control"]
-    return f"up to {' and '.join(parts)}" if parts else ""
+    speed = float(np.abs(chosen.rates).max(initial=0.0)) * profile(np.array([MOVE / 2]))[1][0]
+    if not parts and speed > 1e-6:
+        return f"under controls up to {speed:.2g}"
+    return f"to poses up to {' and '.join(parts)} away" if parts else ""
 
 
 def _loads(moves: Moves, chosen: Chosen) -> Iterator[str]:

@@ -382,7 +382,8 @@ class Chosen:
     @property
     def still(self) -> int:
         """The number of starts that only hold their pose."""
-        return int((~self.spans.any(axis=1) & ~self.rates.any(axis=1)).sum())
+        moved = np.maximum(np.abs(self.spans), np.abs(self.rates)).max(axis=1, initial=0.0)
+        return int((moved <= 1e-9).sum())
 
 
 def roots(model: Model, drives: Sequence[Actuator]) -> set[int]:
