@@ -378,3 +378,23 @@ def test_rungs_that_damp_a_fast_swing_do_not_pass_for_converged():
     assert truth.error < 0.02
     (damped,) = study.run([Change(integrator="discrete", dt=0.01)], error=0.2)
     assert damped.error == pytest.approx(1 / np.sqrt(2), rel=0.3)
+
+
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+def test_what_friction_alone_holds_is_said(friction):
+    """kv/I is 500/s: an explicit step of more than 4 ms is unstable once the wheel turns."""
+    scene = sc.loads(f"""<mujoco><option gravity="0 0 0" integrator="Euler"/><worldbody><body>
+      <joint name="wheel" axis="0 0 1" frictionloss="{friction}"/>
+      <inertial pos="0 0 0" mass="1" diaginertia=".01 .01 .01"/></body></worldbody><actuator>
+      <velocity name="v" joint="wheel" kv="5"/></actuator><keyframe><key ctrl=".01"/></keyframe>
+      </mujoco>""")
+    steps = {"values": [5.0], "dts": [0.002, 0.02]}
+    found = sc.stability_map(scene, path="actuator/v/kv", integrators="euler", **steps)
+    short, long = (cell.state for cell in found.rows)
+    assert short == "accurate" and long == ("accurate" if friction else "exploded")
+    said = any(text.startswith("1 of the accurate runs") for text in found.sentences)
+    assert said == bool(friction)
+    moving = sc.Sim(scene, integrator="euler", dt=0.02)
+    moving.qvel[:] = 1.0
+    with pytest.raises(sc.SimulationError):
+        moving.step(2000)

@@ -172,6 +172,12 @@ class StabilityMap(Result):
             count = Counter(cell.state for cell in panel.cells)
             states = ", ".join(f"{count[state]} {state}" for state in SYMBOLS if count[state])
             sentences.append(f"{panel.label}: of {counted(len(panel.cells), 'run')}, {states}.")
+            if held := self._held(panel):
+                sentences.append(
+                    f"{held} of the accurate runs have steps of more than twice the {SPRINGS}: "
+                    "friction, contacts or bounds of forces hold this motion there, and another "
+                    "may explode."
+                )
             if worst := [cell for cell in panel.cells if math.isfinite(cell.over)]:
                 cell = max(worst, key=lambda cell: cell.over)
                 sentences.append(
@@ -179,6 +185,14 @@ class StabilityMap(Result):
                     f"{metres(cell.asked or 0.0)} were."
                 )
         return sentences
+
+    def _held(self, panel: MapPanel) -> int:
+        """Return how many accurate runs have steps that their springs alone do not bear."""
+        if panel.beyond != SPRINGS or self.accuracies:
+            return 0
+        limits = dict(zip(self.values, panel.boundary or [], strict=False))
+        good = [cell for cell in panel.cells if cell.state == ACCURATE]
+        return sum(cell.dt > 2 * limits.get(cell.value, math.inf) for cell in good)
 
     @property
     def rows(self) -> list[MapCell]:
