@@ -5,7 +5,7 @@ import pytest
 from covering import every_pair
 
 import stepcore as sc
-from stepcore.engine.parameters import own_value, split_entry
+from stepcore.engine.parameters import named_columns, own_value, split_entry
 
 # Of the first derivative, to the eighth power of the distance (Fornberg 1988).
 WEIGHTS = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
@@ -156,6 +156,14 @@ def test_muscles_whose_force_and_range_follow_from_inertia():
         sim = pulled(batch.model_of(world))
         sim.step(20)
         assert np.array_equal(sim.qpos, batch.qpos[world])
+
+
+def test_all_joints_are_those_that_turn_or_slide():
+    free = '<body pos="3 0 0"><joint name="base" type="free"/><geom size=".1"/></body></worldbody>'
+    text = ARM.format(integrator="Euler").replace("</worldbody>", free)
+    found = named_columns(sc.loads(text).compile(), ["joint/*/damping", "joint/b*/damping"])
+    joints = ["shoulder", "elbow", "base"]
+    assert [column.label for column in found] == [f"joint/{joint}/damping" for joint in joints]
 
 
 def test_patterns_and_labels():

@@ -395,6 +395,10 @@ def _expanded(model: Model, name: str) -> list[str]:
     # The world has no mass.
     named = model.names.get(kind, ())[kind == "body" :]
     known = fnmatch.filter(filter(None, named), pattern)
+    if kind == "joint":
+        # A free joint has no friction, damping or armature that anybody means by "all joints".
+        held = [one for one in known if model.jnt_type[model.index("joint", one)] != "free"]
+        known = held or known
     if not known:
         raise ValueError(f"parameters: no {kind} is named {checks.quoted(pattern)}")
     return [f"{kind}/{one}/{field}" for one in known]

@@ -88,8 +88,8 @@ def identify(
         its own: {"qpos": "log.mcap:/joint_states", "ctrl": "log.mcap:/commands"}. NaN is not
         measured. Torques are played by motors, which are made where a model has no actuators.
     parameters: the range (low, high) of each value, without 0, by path as in `Sim.linearize`.
-        "joint/*/damping" gives each joint's damping this range. A value that is 0 in the model
-        begins at √(low·high). "delay" is the time by which controls act later than their rows say
+        "joint/*/damping" gives the damping of each joint that is not free this range. A value that
+        is 0 in the model begins at √(low·high). "delay" is the time by which controls act later than their rows say
         [s]; it begins at the low end. "delay/qpos", "delay/qvel", "delay/sensordata" and
         "delay/NAME" of a sensor are how much later the log has a measured number than it was true
         [s]; they begin at 0, and rows earlier than the high end are left out.

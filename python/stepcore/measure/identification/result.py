@@ -180,7 +180,7 @@ class Identification(Result):
             low, high = self.intervals[path]
             known = np.isfinite(high - low)
             interval = f"95 %: {low:.6g} to {high:.6g}" if known else "no interval"
-            yield f"{path} = {value:.6g} ({interval}; it was {self.start[path]:.6g})."
+            yield f"{path} = {value:.6g} ({interval}; begun at {self.start[path]:.6g})."
 
     def _doubts(self) -> Iterator[str]:
         for paths in self.alike:
