@@ -89,10 +89,11 @@ def identify(
         measured. Torques are played by motors, which are made where a model has no actuators.
     parameters: the range (low, high) of each value, without 0, by path as in `Sim.linearize`.
         "joint/*/damping" gives the damping of each joint that is not free this range. A value that
-        is 0 in the model begins at √(low·high). "delay" is the time by which controls act later than their rows say
-        [s]; it begins at the low end. "delay/qpos", "delay/qvel", "delay/sensordata" and
-        "delay/NAME" of a sensor are how much later the log has a measured number than it was true
-        [s]; they begin at 0, and rows earlier than the high end are left out.
+        is 0 in the model begins at √(low·high). "delay" is the time by which controls act later
+        than their rows say [s]; it begins at the low end. "delay/qpos", "delay/qvel",
+        "delay/sensordata" and "delay/NAME" of a sensor are how much later the log has a measured
+        number than it was true [s]; they begin at 0, and rows earlier than the high end are left
+        out.
     pieces: cut each log into pieces of this length, a time [s] or a text such as "0.5s". Each piece
         has a first state of its own, which keeps errors from growing over a long or unstable
         motion. By default logs are cut only if the fit is bad without and not in pieces.
