@@ -175,8 +175,8 @@ class StabilityMap(Result):
             if held := self._held(panel):
                 sentences.append(
                     f"{held} of the accurate runs have steps of more than twice the {SPRINGS}: "
-                    "friction, contacts or bounds of forces hold this motion there, and another "
-                    "may explode."
+                    "friction, contacts, bounds of forces or the end of the motion keep them from "
+                    "exploding, and another motion may explode there."
                 )
             if worst := [cell for cell in panel.cells if math.isfinite(cell.over)]:
                 cell = max(worst, key=lambda cell: cell.over)
@@ -192,7 +192,7 @@ class StabilityMap(Result):
             return 0
         limits = dict(zip(self.values, panel.boundary or [], strict=False))
         good = [cell for cell in panel.cells if cell.state == ACCURATE]
-        return sum(cell.dt > 2 * limits.get(cell.value, math.inf) for cell in good)
+        return sum(0 < 2 * limits.get(cell.value, math.inf) < cell.dt for cell in good)
 
     @property
     def rows(self) -> list[MapCell]:

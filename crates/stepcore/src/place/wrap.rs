@@ -65,17 +65,18 @@ pub fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
     let flat = |v: &V3<R>| [axes[0].dot(v), axes[1].dot(v)];
     let (a, b) = (flat(&p), flat(&q));
     let none = || Wrap { touches: R::Mask::of(false), points: [V3::zeros(); 2], length: R::zero() };
-    let free = misses(a, b, radius);
-    let touch = match side.map(local) {
-        None if free.all() => return none(),
+    let past = side.map(local).map(|s| (s.dot(&s).sqrt().lt(radius), flat(&s)));
+    let mut clear = misses(a, b, radius);
+    if let Some((within, s)) = past {
+        clear = clear.and(within.not()).and(on_short_way(a, s, b));
+    }
+    if clear.all() {
+        return none();
+    }
+    let touch = match past {
         None => outside(a, b, angle(a, b), radius),
-        Some(s) => {
-            let within = s.dot(&s).sqrt().lt(radius);
-            let past = flat(&s);
-            if within.none() && free.and(on_short_way(a, past, b)).all() {
-                return none();
-            }
-            let around = outside(a, b, angle(a, past) + angle(past, b), radius);
+        Some((within, s)) => {
+            let around = outside(a, b, angle(a, s) + angle(s, b), radius);
             if within.none() {
                 around
             } else {
@@ -83,7 +84,8 @@ pub fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
             }
         }
     };
-    if touch.mask.none() {
+    let touches = touch.mask.and(clear.not());
+    if touches.none() {
         return none();
     }
     let [mut first, mut second] = touch.points.map(|[x, y]| axes[0] * x + axes[1] * y);
@@ -102,7 +104,7 @@ pub fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
         length = (touch.arc * touch.arc + rise * rise).sqrt();
     }
     let points = [first, second].map(|v| pose.pos + pose.to_world(&v));
-    Wrap { touches: touch.mask, points, length }
+    Wrap { touches, points, length }
 }
 
 /// By how much of r² the square of a distance is certainly larger than it.
