@@ -1,6 +1,7 @@
 """`diagnose` judges the motion itself: saturated servos, slow growth, fast rotation, contacts that
 are not there at the start; each against the real step, run here on its own."""
 
+import dataclasses
 import functools
 import math
 
@@ -45,6 +46,15 @@ def test_a_servo_that_the_motion_saturates_fails_the_step():
     _, d = kicked()
     assert d.fails and d.limit() < 2e-3 and d.stiffest() == "servo `wrist`"
     assert d.held() > 0.1 and "Runs show" in d.sentences[1]
+
+
+def test_a_step_that_holds_where_shorter_ones_fail_is_not_said_to_fail():
+    """Runs hold by luck, as where a body tumbles and comes to rest earlier."""
+    _, d = kicked()
+    lucky = dataclasses.replace(d, observed=dataclasses.replace(d.observed, kind="holds"))
+    assert lucky.sentences[0].startswith(
+        "A step of 2 ms holds in this run under implicitfast, but "
+    )
 
 
 def test_a_servo_without_force_range_or_with_inertia_does_not_chatter():

@@ -244,6 +244,8 @@ class Diagnosis(Result):
         cause = f"{name}{traits} {_verb(elements, 'limit')} dt to {seconds(limit.dt)}"
         if not limit.ran:
             return f"{cause[0].upper()}{cause[1:]} under {own}, {judged}."
+        if self.fails and self.observed is not None and self.observed.holds:
+            return f"{step} holds in this run under {own}, but shorter ones fail: {cause}."
         if self.fails:
             return f"{step} {self._failure(elements)} under {own}: {cause}."
         over = f"over {seconds(self.horizon)}"
