@@ -59,6 +59,8 @@ def test_where_no_effort_is_bounded_joints_with_a_range_get_motors_without_bound
 def test_a_limit_that_nobody_filled_in_does_not_let_the_arm_fall():
     """RM75's file has 0 for the effort and the velocity of six of its seven joints."""
     text = ARM.replace('effort="40" velocity="3"', 'effort="0" velocity="0"')
+    driven = '<transmission name="t"><joint name="shoulder"/></transmission></robot>'
+    text = text.replace("</robot>", driven)
     model = Study(sc.loads(text)).model
     assert model.actuator_names == ("shoulder", "elbow")
     assert [drive.bound for drive in actuators(model)] == [np.inf, 20]

@@ -259,10 +259,10 @@ def powered(model: Model) -> Model:
 
 def _unfilled(urdf: bytes) -> set[str | None]:
     """Return the joints whose limit has 0 for effort and velocity, as exporters leave it."""
-    zero = {joint.get("name"): joint.find("limit") for joint in ET.fromstring(urdf).iter("joint")}
+    limits = {one.get("name"): one.find("limit") for one in ET.fromstring(urdf).findall("joint")}
     return {
         name
-        for name, limit in zero.items()
+        for name, limit in limits.items()
         if limit is not None and not any(float(limit.get(k, 0)) for k in ("effort", "velocity"))
     }
 
