@@ -144,3 +144,5 @@ def test_of_what_a_measurement_tries_nothing_is_told():
     """Which element limits the step is found by softening each: then this wheel sinks."""
     diagnosis, said = warned(lambda: sc.diagnose(sc.loads(CART)))
     assert diagnosis.limit("euler") < 0.02 and not said
+    _, said = warned(lambda: sc.diagnose(resting("box", ".05 .05 .05", 7, "pyramidal")))
+    assert len(said) == 1

@@ -51,7 +51,7 @@ def test_where_no_effort_is_bounded_joints_with_a_range_get_motors_without_bound
     scene = sc.loads(text.replace('effort="5"', 'effort="0"'))
     model = Study(scene).model
     assert model.actuator_names == ("shoulder", "elbow", "loose")
-    assert "because the file bounds none: shoulder, elbow, loose" in model.scene.notes[0]
+    assert "because the file bounds no effort: shoulder, elbow, loose" in model.scene.notes[0]
     assert np.isinf(np.abs(model.actuator_forcerange)).all()
     assert Study(sc.loads(scene.to_mjcf())).model.nu == 0
 
@@ -65,7 +65,7 @@ def test_a_limit_that_nobody_filled_in_does_not_let_the_arm_fall():
     assert model.actuator_names == ("shoulder", "elbow")
     assert [drive.bound for drive in actuators(model)] == [np.inf, 20]
     assert "bounded: elbow; for joints" in model.scene.notes[0]
-    assert model.scene.notes[0].endswith("because the file bounds none: shoulder")
+    assert model.scene.notes[0].endswith("because the file bounds no effort of theirs: shoulder")
 
 
 def test_check_runs_the_pose_that_motors_hold():

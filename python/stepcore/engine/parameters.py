@@ -397,8 +397,8 @@ def _expanded(model: Model, name: str) -> list[str]:
     known = fnmatch.filter(filter(None, named), pattern)
     if kind == "joint":
         # A free joint has no friction, damping or armature that anybody means by "all joints".
-        held = [one for one in known if model.jnt_type[model.index("joint", one)] != "free"]
-        known = held or known
+        kinds = dict(zip(named, model.jnt_type, strict=True))
+        known = [one for one in known if kinds[one] != "free"] or known
     if not known:
         raise ValueError(f"parameters: no {kind} is named {checks.quoted(pattern)}")
     return [f"{kind}/{one}/{field}" for one in known]

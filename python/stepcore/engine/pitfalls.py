@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.tables import ContactPair
-    from stepcore.signatures import SettingsFields
 
 # Two light slides in a closed loop hold where an integrator that damps after the rows takes up to 5
 # times what it leaves of a velocity, and diverge at 10 (`tests/engine/test_pitfalls.py`).
@@ -70,12 +69,10 @@ def warn_of_pitfalls(model: Model, stacklevel: int = 3) -> None:
         warnings.warn(ModelWarning(escapes.printable(text)), stacklevel=stacklevel)
 
 
-def tried(model: Model, **fields: Unpack[SettingsFields]) -> Model:
-    """Return a model with settings that a measurement tries: of their pitfalls nothing is told."""
-    other = model.with_settings(**fields)
-    if _asked(other) != _asked(model):
-        other.asked.add(_asked(other))
-    return other
+def unwarned(model: Model) -> Model:
+    """Tell nothing of the pitfalls of a model that a measurement tries, and return the model."""
+    model.asked.add(_asked(model))
+    return model
 
 
 def _asked(model: Model) -> tuple[Any, ...]:

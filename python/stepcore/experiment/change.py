@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
@@ -241,7 +240,7 @@ def powered(model: Model) -> Model:
     if source is None or not source.urdf:
         ranged = []
     elif bounded:
-        ranged = [k for k in ranged if joints[k].name in _unfilled(source.urdf)]
+        ranged = [k for k in ranged if joints[k].name in source.unfilled]
     if not bounded and not ranged:
         return model
     called, why = model.called("joint"), list[str]()
@@ -250,21 +249,12 @@ def powered(model: Model) -> Model:
         why.append(f"the joints whose effort is bounded: {named}")
     if ranged:
         named = listed(called[k] for k in ranged)
-        why.append(f"joints with a range, without bounds, because the file bounds none: {named}")
+        none = "no effort of theirs" if bounded else "no effort"
+        why.append(f"joints with a range, without bounds, because the file bounds {none}: {named}")
     made = with_motors(model, sorted(bounded + ranged))
     made.scene._powered = True
     made.scene.notes.insert(0, f"motors were made for {'; for '.join(why)}")
     return made
-
-
-def _unfilled(urdf: bytes) -> set[str | None]:
-    """Return the joints whose limit has 0 for effort and velocity, as exporters leave it."""
-    limits = {one.get("name"): one.find("limit") for one in ET.fromstring(urdf).findall("joint")}
-    return {
-        name
-        for name, limit in limits.items()
-        if limit is not None and not any(float(limit.get(k, 0)) for k in ("effort", "velocity"))
-    }
 
 
 def with_motors(model: Model, joints: Sequence[int], others: Sequence[int] = ()) -> Model:

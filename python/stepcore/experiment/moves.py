@@ -383,7 +383,7 @@ class Chosen:
     def still(self) -> int:
         """The number of starts that only hold their pose."""
         moved = np.maximum(np.abs(self.spans), np.abs(self.rates)).max(axis=1, initial=0.0)
-        return int((moved <= 1e-9).sum())
+        return int((moved <= 1e-6).sum())
 
 
 def roots(model: Model, drives: Sequence[Actuator]) -> set[int]:

@@ -190,9 +190,13 @@ class StabilityMap(Result):
         """Return how many accurate runs have steps that their springs alone do not bear."""
         if panel.beyond != SPRINGS or self.accuracies:
             return 0
-        limits = dict(zip(self.values, panel.boundary or [], strict=False))
+        limits = self._limits(panel)
         good = [cell for cell in panel.cells if cell.state == ACCURATE]
         return sum(0 < 2 * limits.get(cell.value, math.inf) < cell.dt for cell in good)
+
+    def _limits(self, panel: MapPanel) -> dict[float, float]:
+        """Return the theoretical limit of dt of each value [s]; empty without a theory."""
+        return dict(zip(self.values, panel.boundary or [], strict=False))
 
     @property
     def rows(self) -> list[MapCell]:
@@ -204,7 +208,7 @@ class StabilityMap(Result):
         """One row for each cell; theory: the largest stable dt of the cell's value [s]."""
         rows: list[dict[str, Any]] = []
         for panel in self.panels:
-            theory = dict(zip(self.values, panel.boundary or [], strict=False))
+            theory = self._limits(panel)
             for cell in panel.cells:
                 row = {"setting": panel.label, "value": cell.value, "dt": cell.dt}
                 row |= {"state": cell.state, "error": cell.error, "theory": theory.get(cell.value)}

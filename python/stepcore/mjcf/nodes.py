@@ -77,7 +77,8 @@ class Source:
 
     data: the MJCF text; empty for a URDF.
     directory: the folder of the main file, in which includes are found.
-    urdf: the text of a URDF.
+    urdf: the text of a URDF. unfilled: its joints whose limit has 0 for effort and velocity, as
+        exporters leave it.
     fuse: the argument `fuse` of `stepcore.load`.
     files: the files that were read, the main file first.
     unread: files that the text names only for drawing; the reader does not open them.
@@ -89,6 +90,7 @@ class Source:
     data: bytes
     directory: str | None
     urdf: bytes = b""
+    unfilled: tuple[str, ...] = ()
     fuse: bool | None = None
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()

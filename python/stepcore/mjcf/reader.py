@@ -137,7 +137,7 @@ def _fill(scene: Scene, root: Node, source: Source, without: Iterable[str]) -> N
         scene.ignored += urdf.ignored
         scene.notes += urdf.notes()
         # A URDF text cannot be kept when the scene is saved as MJCF.
-        source = replace(source, data=b"", urdf=source.data)
+        source = replace(source, data=b"", urdf=source.data, unfilled=tuple(urdf.unfilled))
     scene.name = root.attrs.get("model", "")
     refusals, exclusions = Refusals(), Exclusions(without)
     try:

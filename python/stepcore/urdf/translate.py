@@ -234,6 +234,7 @@ class Robot:
         # Data for the notes: velocity limits, joints with an empty range, and so on.
         self.with_velocity = 0
         self.unlimited: list[str] = []
+        self.unfilled: list[str] = []
         self.unfollowed: list[str] = []
         self.unnamed: list[str] = []
         self.shape_names: set[str] = set()
@@ -357,6 +358,8 @@ class Robot:
             self.unlimited.append(joint.values["name"])
         # As in MuJoCo, a negative effort counts by its absolute value.
         effort = abs(limit.values.get("effort", 0.0))
+        if not effort and not limit.values.get("velocity"):
+            self.unfilled.append(joint.values["name"])
         if effort > 0:
             attrs["actuatorfrcrange"] = _written((-effort, effort))
         return attrs

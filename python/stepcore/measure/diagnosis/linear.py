@@ -23,7 +23,6 @@ from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.element import EQUALITIES, FRICTION_LOSSES, ROWS, Element
 from stepcore.engine.model import Model
-from stepcore.engine.pitfalls import tried
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.stiffness import slack_lengths
 from stepcore.executors import checkpoint
@@ -117,7 +116,7 @@ def step_matrix(model: Model, state: State, integrator: str, dt: float) -> Float
         # Nothing is left of the angles of a state that blew up, and this would take minutes.
         return None
     try:
-        sim = state.sim(tried(model, integrator=integrator, dt=dt))
+        sim = state.sim(model.with_settings(integrator=integrator, dt=dt))
         matrix = sim.linearize().A[:n, :n]
     except (SimulationError, ValueError, ArithmeticError, np.linalg.LinAlgError):
         return None
@@ -200,7 +199,7 @@ class Held:
         """
         if dt <= self.softened:
             return self.state, self.rates
-        sim = self.state.sim(tried(self.model, integrator=integrator, dt=dt))
+        sim = self.state.sim(self.model.with_settings(integrator=integrator, dt=dt))
         try:
             sim.step(SETTLING)
             sim.forward()
@@ -284,7 +283,7 @@ def shares(held: Held, integrator: str, dt: float) -> dict[Element, float]:
     left_values, lefts = np.linalg.eig(matrix.T)
     left = lefts[:, int(np.abs(left_values - values[k]).argmin())]
     x, v = vectors[:n, k], vectors[n:, k]
-    sim = held.state.sim(tried(held.model, integrator=integrator, dt=dt))
+    sim = held.state.sim(held.model.with_settings(integrator=integrator, dt=dt))
     sim.forward()
     try:
         felt = np.linalg.solve(np.array(sim.mass_matrix()), left[n:])

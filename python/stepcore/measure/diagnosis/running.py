@@ -29,6 +29,7 @@ from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.element import Element
 from stepcore.engine.follow import Followed, follow
 from stepcore.engine.model import Model
+from stepcore.engine.pitfalls import unwarned
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
@@ -144,7 +145,7 @@ class State:
         return cls(label, time, qpos, qvel, ctrl, act)
 
     def sim(self, model: Model) -> Sim:
-        sim = unwatched(Sim(model))
+        sim = unwatched(Sim(unwarned(model)))
         sim.qpos[:], sim.qvel[:], sim.ctrl[:] = self.qpos, self.qvel, self.ctrl
         sim.act[:] = self.act
         return sim
