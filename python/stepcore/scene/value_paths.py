@@ -71,8 +71,8 @@ def find(scene: Scene, path: object) -> tuple[Element, str]:
     rows = table(type(element)).values()
     known = [row.name for row in rows if row.name not in ("name", "file") and not row.type.refers]
     if field not in known:
-        near = checks.nearest(field, known)
-        raise ValueError(f"{shown}: a {kind} has no value {checks.quoted(field)}{near}")
+        near, n = checks.nearest(field, known), "n" * (kind[0] in "aeiou")
+        raise ValueError(f"{shown}: a{n} {kind} has no value {checks.quoted(field)}{near}")
     return element, field
 
 
