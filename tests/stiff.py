@@ -121,6 +121,32 @@ def stays(model: sc.Model, integrator: str, dt: float, steps: int = 4000, grown=
     return max(size[1:]) < grown * size[0]
 
 
+def twins(model: sc.Model, integrator: str, dt: float, seconds: float) -> np.ndarray:
+    """The largest kinetic energy [J] of a motion, and how far one from a start moved by 1e-6 is
+    from it, in velocities: at most, and in the last quarter; inf if one does not stay finite."""
+    pair = [unwatched(sc.Sim(model, integrator=integrator, dt=dt)) for _ in range(2)]
+    for sim in pair if model.keys else ():
+        sim.reset(key=0)
+    pair[1].qvel[:] += np.random.default_rng(2).choice([-1e-6, 1e-6], model.nv)
+    count, energy, apart = math.ceil(seconds / dt), 1e-6, list[float]()
+    for _ in range(count):
+        try:
+            for sim in pair:
+                sim.step()
+        except sc.SimulationError:
+            return np.full(3, np.inf)
+        energy = max(energy, *(sim.energy.kinetic for sim in pair))
+        apart.append(float(np.abs(pair[0].qvel - pair[1].qvel).max()))
+    return np.array([energy, max(apart), max(apart[3 * count // 4 :])])
+
+
+def goes_wrong(model: sc.Model, integrator: str, dt: float, true: np.ndarray, seconds: float):
+    """Whether a motion has thirty times the energy, or ends thirty times as far from its neighbour,
+    as in the `true` twins: what `diagnose` calls a failure, from steps alone."""
+    energy, _, late = twins(model, integrator, dt, seconds)
+    return energy > 30 * true[0] or late > 30 * true[1]
+
+
 def diagnosed(scene, integrators=(), **options):
     """`diagnose` in one thread, under the scene's own integrator and these alone."""
     options = {"threads": 1, "progress": False, "integrators": tuple(integrators)} | options

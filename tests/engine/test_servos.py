@@ -177,6 +177,23 @@ def test_midpoint_takes_any_stiffness():
     assert energy == pytest.approx(0.5e12, rel=1e-9)
 
 
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+@pytest.mark.parametrize(("kp", "kv"), [(9953, 826), (1e4, 500), (17284, 1417), (1000, 50)])
+def test_midpoint_holds_a_servo_that_has_come_to_rest(kp, kv, precision):
+    """Law: it stays where load and servo balance, at every step: what is left there is rounding of
+    both forces, far larger than the velocity."""
+    scene = sc.Scene()
+    rod = scene.add_body("rod", pos=(0, 0, 1))
+    scene.add_joint(rod, "hinge", name="j", axis=(0, 1, 0))
+    scene.add_geom(rod, "capsule", 0.02, fromto=(0, 0, 0, 0.3, 0, 0), mass=1.0)
+    scene.add_actuator("j", "position", kp=kp, kv=kv)
+    for dt in (5e-4, 2e-3, 1e-2):
+        sim = sc.Sim(scene, integrator="midpoint", dt=dt, precision=precision)
+        sim.step(round(6 / dt))
+        balance = 9.81 * 0.15 / kp
+        assert sim.qpos[0] == pytest.approx(balance, rel=1e-3 if precision == "f32" else 1e-5)
+
+
 @pytest.mark.parametrize("integrator", ("explicit", "semi-implicit", "midpoint", "rk4"))
 def test_rust_is_numpy(integrator):
     """A hinged arm with three servos, one at its bounds: the engine is the reference to 1e-11."""

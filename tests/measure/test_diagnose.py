@@ -150,12 +150,13 @@ def rattles(model, integrator, dt, depth):
 
 @first(1, solref=[(-1e6, -1000.0), (-1e6, -200.0), (-1e5, -1500.0)])
 def test_a_stiff_contact_in_direct_form(solref):
-    """Within 20 % of where the ball begins to bounce on the real step."""
+    """Held, within 20 % of where the ball at rest begins to bounce on the real step; a motion that
+    begins with a fall of one step bounces before, and never comes to rest."""
     scene = stiff.pad(solref, dt=5e-3, integrator="euler")
     d = diagnosed(scene)
     assert d.stiffest("euler") == "contact `floor`/`ball`"
-    model = scene.compile()
-    limit = d.limit("euler")
+    model, limit = scene.compile(), d.held("euler")
+    assert d.limit("euler") < 1.2 * limit
     # At rest R carries a share 1 - d, here 0.1, of the weight: k·d·r + g·(1 - d) = g.
     depth = 1.01 * 9.81 * 0.1 * 0.95**2 / (0.9**2 * solref[0])
     real = stiff.bisected(lambda dt: not rattles(model, "euler", dt, depth), 0.3 * limit, 3 * limit)
@@ -335,7 +336,7 @@ def test_a_stiff_table(cone):
     """Four feet on the floor: within 20 % of where it begins to bounce."""
     scene = stiff.table((-1e5, -500.0), dt=5e-3, integrator="euler", cone=cone)
     d = diagnosed(scene, horizon=0.5)
-    assert d.stiffest("euler").startswith("contact `floor`/`foot")
+    assert all(name.startswith("contact `floor`/`foot") for name in d.together("euler"))
     model, rest = scene.compile(), d.states[-1]
 
     def stays(dt):

@@ -68,14 +68,19 @@ impl<R: Real> Sim<R> {
                 _ => Choice::Frozen,
             };
             self.accelerate(At::Trial, inside, 1.0, choice)?;
-            let miss = self.correct_midpoint(&model, dt, open, inside == Inside::All);
+            let (miss, moves) = self.correct_midpoint(&model, dt, open, inside == Inside::All);
             // Rounding: the correction is below it, or has stopped to shrink.
             let small = miss.le(R::of(4.0 * R::epsilon()));
-            let rounding = if iteration < LONG { 1e4 * R::epsilon() } else { coarse };
-            let stalled = miss.le(R::of(rounding)).and(last.le(miss));
+            let least = R::epsilon();
+            let (fine, unmoved) =
+                if iteration < LONG { (1e4 * least, 4.0 * least) } else { (coarse, 1e4 * least) };
+            let stalled = miss.le(R::of(fine)).and(last.le(miss));
+            // What a servo holds rounds with its forces, however slow it is: a correction that moves
+            // nothing, and hardly shrinks, is as small as it gets.
+            let still = moves.le(R::of(unmoved)).and((half * last).le(miss));
             let unmeasured = miss.is_finite().not();
             last = R::select(open, miss, last);
-            open = open.and(small.or(stalled).or(unmeasured).not());
+            open = open.and(small.or(stalled).or(still).or(unmeasured).not());
             if open.none() {
                 let before = std::mem::replace(&mut slope, self.last_slope());
                 if slope <= 16.0 * R::epsilon() || (slope <= coarse && before <= slope) {
@@ -124,13 +129,19 @@ impl<R: Real> Sim<R> {
         free.fold(R::zero(), |most, (guess, u)| most.max((*guess - *u).abs()))
     }
 
-    /// v⁺ += (M + dt/2·D + dt²/4·K)⁻¹ M (v + dt·a − v⁺); returns the correction's
-    /// size beside the velocities of the step.
-    fn correct_midpoint(&mut self, model: &Model<R::Value>, dt: R, open: R::Mask, rows: bool) -> R {
+    /// v⁺ += (M + dt/2·D + dt²/4·K)⁻¹ M (v + dt·a − v⁺); returns the correction's size beside the
+    /// velocities of the step, and how far it moves the largest coordinate, beside that.
+    fn correct_midpoint(
+        &mut self,
+        model: &Model<R::Value>,
+        dt: R,
+        open: R::Mask,
+        rows: bool,
+    ) -> (R, R) {
         let mut scale = if rows { self.smooth_gain() } else { R::zero() };
         let Next { iteration, trial, start, qvel, ahead, .. } = &mut self.next;
         let Some(Iteration { metric, places, slopes: own, change, correction }) = iteration else {
-            return R::zero();
+            return (R::zero(), R::zero());
         };
         for k in 0..model.nv {
             let gained = dt * self.qacc[k];
@@ -187,6 +198,8 @@ impl<R: Real> Sim<R> {
         }
         // Below this, rounding is no longer in proportion.
         let least = R::of(if R::epsilon() > f64::EPSILON { 1e-30 } else { 1e-290 });
-        R::select(scale.gt(R::zero()), miss / scale.max(least), miss)
+        let far = trial.qpos.iter().fold(R::zero(), |far, q| far.max(q.abs()));
+        let moves = dt * miss / far.max(least);
+        (R::select(scale.gt(R::zero()), miss / scale.max(least), miss), moves)
     }
 }
