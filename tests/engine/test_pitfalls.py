@@ -42,6 +42,12 @@ def test_the_depth_that_is_told_is_that_of_the_run():
     assert "sinks by about 60.1 mm" in text
 
 
+@pytest.mark.parametrize("friction", ["1e155", "1e308"])
+def test_a_friction_beyond_all_squares_sinks_without_end(friction):
+    _, (text,) = warned(lambda: sc.Sim(resting("box", ".05 .05 .05", friction, "pyramidal")))
+    assert "sinks without end" in text
+
+
 STEEP = 'friction="20"'
 GIVEN = {
     "a pair": ("", "", '<contact><pair geom1="f" geom2="b" friction="20 20"/></contact>', True),

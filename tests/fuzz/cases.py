@@ -210,7 +210,7 @@ def _calls(value: object, other: object) -> list[object]:
         lambda: sc.Motion(horizon=value, starts=other),
         lambda: sc.Motion(control=value, control_dt=other),
         lambda: sc.diagnose(sc.lesson.spring(), horizon=value),
-        lambda: sc.diagnose(scene, dt=value, horizon=0.01),
+        lambda: sc.diagnose(scene, dt=value, horizon=0.01, seconds=5),
         lambda: sc.plan(value),
         lambda: sc.replay(value),
     ]

@@ -256,6 +256,11 @@ def test_the_default_horizon_is_a_whole_number_of_samples():
     assert default_horizon(0.08) == pytest.approx(0.96)
 
 
+def test_an_error_beyond_all_numbers_is_an_answer_and_no_exception():
+    traded = sc.trade(sc.lesson.spring(), horizon=0.1, error=1e308, progress=False)
+    assert traded.recommended.bound < 1e308
+
+
 def test_a_recommendation_keeps_to_the_error_and_says_what_less_would_cost(ball):
     row = ball.recommended
     assert row.bound <= 0.9e-4 and row.settings == ball.best() == ball.best(1e-4)

@@ -243,6 +243,9 @@ def test_an_unknown_name_lists_the_nearest() -> None:
         scene.add_geom("b3")
     with pytest.raises(ValueError, match='nearest: "j_b2"'):
         scene.joint("jb2")
+    for add in (scene.add_joint, scene.add_geom, scene.add_site):
+        with pytest.raises(ValueError, match="body = None: must be a Body"):
+            add(None)
     with pytest.raises(ValueError, match="must be a name or a Body"):
         scene.body(3)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="not a body of this scene"):

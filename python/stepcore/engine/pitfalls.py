@@ -104,10 +104,13 @@ def soft_pyramids(model: Model) -> Iterator[str]:
         if moving[index]
     }
     for index, friction, (time, ratio) in pressed:
-        size, geom, d = sizes[index], geoms[index], geoms[index].solimp[1]
-        stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
-        soft = friction**2 * (1 + friction**2) / 2 / CONTACTS.get(geom.type, FACE)
-        depth = soft * (1 - d) * gravity / (stiffness * d**2)
+        size, geom, d = sizes[index], geoms[index], np.float64(geoms[index].solimp[1])
+        # As numpy's numbers, which overflow to infinity.
+        slope, time = np.float64(friction), np.float64(time)
+        with np.errstate(all="ignore"):
+            stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
+            soft = slope**2 * (1 + slope**2) / 2 / CONTACTS.get(geom.type, FACE)
+            depth = soft * (1 - d) * gravity / (stiffness * d**2)
         thin = size[size > 0].min(initial=np.inf)
         if depth > thin:
             found.append((depth / thin, depth, friction, index))

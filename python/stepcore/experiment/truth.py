@@ -285,8 +285,9 @@ class Converging:
         if not starts:
             return
         assert self.goal is not None
-        coarser = int(math.log2(max(1.0, goal / self.goal))) if self.goal > 0 else 0
-        study, first = self.study, max(1, self.rung - coarser)
+        study, ratio = self.study, goal / self.goal if self.goal > 0 else 1.0
+        coarser = math.log2(min(max(1.0, ratio), 2.0**self.rung))
+        first = max(1, self.rung - int(coarser))
         # Two rungs, of which the finer one costs about twice the other.
         while first > 1 and not study.affords(self.at(first), 3 * len(starts) // 2):
             first -= 1

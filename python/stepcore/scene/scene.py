@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import dataclasses
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
@@ -578,11 +579,11 @@ class Scene(checks.KnownNames):
         self.excludes.append((self.body(body1), self.body(body2)))
 
     def _resolved(self, kind: type[Element], fields: Mapping[str, Any]) -> dict[str, Any]:
-        """Return fields with the elements for the names of references; None is left out there."""
+        """Return fields with the elements for the names of references; None is a default."""
         rows, found = table(kind), dict(fields)
         for field, value in fields.items():
             refers = rows[field].type.refers if field in rows else ()
-            if refers and value is None:
+            if refers and value is None and rows[field].default is not dataclasses.MISSING:
                 del found[field]
             elif len(refers) == 1 and isinstance(value, str):
                 found[field] = getattr(self, refers[0].lower())(value)
