@@ -81,6 +81,8 @@ def test_with_values_changes_a_copy(model):
         ({"geom/tip/condim": 2}, "condim = 2: must be one of"),
         ({"gravity": (0, 0)}, "gravity"),
         ({"mass": 1.0}, "kind/name/field"),
+        ({"lower": 1.0}, 'nearest: "body/lower/field"'),
+        ({"lower/mass": 1.0}, 'nearest: "body/lower/mass"'),
         ("gravity", "must be a dict"),
     ],
 )

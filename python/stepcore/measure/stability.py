@@ -586,7 +586,9 @@ def _case(
     """Return the map of a scene over a parameter, with one panel for each integrator."""
     engine, key = setup.engine, setup.motion.key
     if path is None:
-        raise ValueError('path = None: must name the value to vary, as "joint/knee/stiffness"')
+        joints = [joint.name for joint in setup.model.scene.joints] if engine.known else []
+        own = next(filter(None, joints), "knee")
+        raise ValueError(f'path = None: must name the value to vary, as "joint/{own}/damping"')
     names = names or [str(engine.settings(SHIPPED).integrator)]
     model, present = None, None
     if engine.known:

@@ -58,7 +58,12 @@ def find(scene: Scene, path: object) -> tuple[Element, str]:
     shown = checks.cut(str(path), 80)
     if len(parts) < 3:
         words = ", ".join(f'"{word}"' for word in WHOLE)
-        raise ValueError(f'{checks.shown(path)}: must be {words} or "kind/name/field"')
+        text = f'{checks.shown(path)}: must be {words} or "kind/name/field"'
+        name, field = [*parts, "field"][:2] if parts else ("", "")
+        layout = Layout(scene)
+        kinds = [k for k in LISTS if name in [getattr(e, "name", 0) for e in layout.elements(k)]]
+        near = ", ".join(checks.quoted(f"{kind}/{name}/{field}") for kind in kinds if name)
+        raise ValueError(f"{text}; nearest: {near}" if near else text)
     # Names may contain slashes.
     kind, name, field = parts[0], "/".join(parts[1:-1]), parts[-1]
     if kind not in LISTS:

@@ -208,8 +208,11 @@ def _wave(
     if not len(sizes) or sizes.max() < HALF * sizes.sum() or made.mean() < HALF * speeds.mean():
         return 0.0, 0.0, 0.0, 0.0
     k = int(sizes.argmax())
+    # A sine between two of the frequencies shows in both, by its distance from them.
+    sides = np.sqrt(np.pad(sizes, 1)[[k, k + 2]] / sizes[k])
+    away = float(sides.max() / (1 + sides.max())) * (1 if sides[1] >= sides[0] else -1)
     passed = complex(np.fft.rfft(length - length.mean())[1 + k] / power[k])
-    hertz = (k + 1) / (len(run) * run.spacing)
+    hertz = (k + 1 + away) / (len(run) * run.spacing)
     return hertz, abs(passed), -math.atan2(passed.imag, passed.real), math.sqrt(2) * asked.std()
 
 
