@@ -204,15 +204,16 @@ def _wave(
     speeds = abs(of.gear) * np.abs(run["qvel"][:, of.dof])
     made = np.abs(np.diff(length)) / (run.spacing or 1.0)
     power = np.fft.rfft(asked - asked.mean())[1:]
-    sizes = np.abs(power) ** 2
-    if not len(sizes) or sizes.max() < HALF * sizes.sum() or made.mean() < HALF * speeds.mean():
-        return 0.0, 0.0, 0.0, 0.0
+    sizes = np.pad(np.abs(power) ** 2, 1)
     k = int(sizes.argmax())
     # A sine between two of the frequencies shows in both, by its distance from them.
-    sides = np.sqrt(np.pad(sizes, 1)[[k, k + 2]] / sizes[k])
-    away = float(sides.max() / (1 + sides.max())) * (1 if sides[1] >= sides[0] else -1)
-    passed = complex(np.fft.rfft(length - length.mean())[1 + k] / power[k])
-    hertz = (k + 1 + away) / (len(run) * run.spacing)
+    beside = k + 1 if k + 1 < len(sizes) and sizes[k + 1] >= sizes[k - 1] else k - 1
+    most = sizes[k] + sizes[beside]
+    if not most or most < HALF * sizes.sum() or made.mean() < HALF * speeds.mean():
+        return 0.0, 0.0, 0.0, 0.0
+    away = (beside - k) * math.sqrt(sizes[beside]) / np.sqrt(sizes[[k, beside]]).sum()
+    passed = complex(np.fft.rfft(length - length.mean())[k] / power[k - 1])
+    hertz = float(k + away) / (len(run) * run.spacing)
     return hertz, abs(passed), -math.atan2(passed.imag, passed.real), math.sqrt(2) * asked.std()
 
 
@@ -229,7 +230,7 @@ def _behind(run: Recording, found: list[Following]) -> Finding:
     does = f"is {say(first.error)} from its target"
     if first.late:
         late = f"{math.degrees(first.lag):.0f}° late"
-        does = f"follows {first.hertz:.2g} Hz with {percent(first.share)} of the amplitude, {late}"
+        does = f"follows {first.hertz:.3g} Hz with {percent(first.share)} of the amplitude, {late}"
         does += f" ({say(first.error)} of error)"
     problem = f"{listed(elements, 'servo')} {does}, because {_reason(model, first)}"
     ways = [tuple(_gained(model, found, part, False) for part in PARTS)]
