@@ -35,3 +35,15 @@ def test_another_law_has_a_numerical_and_a_modelling_error(settings: dict) -> No
     sure = {"rel": 0.05, "abs": 5e-5}
     assert trial.error == pytest.approx(rms(fine - own), **sure)
     assert trial.modelled[0] == pytest.approx(rms(own - exact), **sure)
+
+
+def test_measured_times_are_of_all_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps within an accuracy are short at impacts, which the first start may not have."""
+    study = Study(sc.loads(DROP), sc.Motion(horizon=0.4, starts=4))
+    change = Change(accuracy=1e-3)
+    study.run([change, Change()], error=1e-2)
+    monkeypatch.setattr(study.engine, "seconds", lambda change, schedule: 0.4)
+    made = [study._tracks[change, k].evaluations[0] for k in study.schedule.indices]
+    assert len(set(made)) > 1
+    told = {Change(): 1e6, change: pytest.approx(1e6 * np.mean(made) / made[0])}
+    assert study.times([change, Change()]) == told

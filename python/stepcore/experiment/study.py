@@ -154,20 +154,24 @@ class Study:
         counted = self.engine.work(change, self.schedule)
         if self.engine.settings(change).accuracy is None:
             return counted
-        runs = (self._tracks.get((change, start)) for start in self.schedule.indices)
-        # Of one that was given up, as many more as there was left of it.
-        made = [
-            float(run.evaluations[0]) / max(_share(run), 1e-2)
-            for run in runs
-            if run is not None and run.evaluations is not None
-            if not run.failures or change in self._given_up
-        ]
+        made = self._evaluations(change)
         if not made:
             return counted * self._dearer
         one = self.engine.evaluation(change, self.schedule)
         work = one * float(np.mean(made)) / self.schedule.horizon
         self._dearer = max(self._dearer, work / counted)
         return work
+
+    def _evaluations(self, change: Change) -> list[float]:
+        """Return the evaluations of the forces of runs within an accuracy, by start."""
+        runs = (self._tracks.get((change, start)) for start in self.schedule.indices)
+        # Of one that was given up, as many more as there was left of it.
+        return [
+            float(run.evaluations[0]) / max(_share(run), 1e-2)
+            for run in runs
+            if run is not None and run.evaluations is not None
+            if not run.failures or change in self._given_up
+        ]
 
     def cost(self, change: Change) -> float:
         """Return the cost of a change: µs by counted work, or operations, per simulated second."""
@@ -303,7 +307,8 @@ class Study:
         """Measure the computing time of changes from the first start [µs per simulated second].
 
         The runs of all changes take turns, so that other load on the machine affects all alike; the
-        least of several times is kept. A change that fails has none.
+        least of several times is kept. A change that fails has none. Steps within an accuracy take
+        as much longer from all starts as they evaluate the forces more often there.
         """
         times = dict[Change, float]()
         for _ in range(5):
@@ -311,7 +316,10 @@ class Study:
                 spent = self.engine.seconds(change, self.schedule)
                 if math.isfinite(spent):
                     times[change] = min(times.get(change, math.inf), spent)
-        return {change: 1e6 * spent / self.schedule.horizon for change, spent in times.items()}
+        for change in times:
+            made = self._evaluations(change) or [1.0]
+            times[change] *= 1e6 / self.schedule.horizon * float(np.mean(made)) / made[0]
+        return times
 
     def tell(self, wrong: float, moved: float, goal: float, needs: float) -> None:
         """Say how far a search for the converged motion has come.
