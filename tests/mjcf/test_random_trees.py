@@ -132,7 +132,8 @@ def both(seed: int) -> None:
     try:
         scene = loads(text)
     except MJCFError as error:
-        assert "not built yet" in str(error), text
+        # Fused bodies of replicas may come in another order when MuJoCo writes them.
+        assert "not built yet" in str(error) or "written without a change of" in str(error), text
         return
     compiled.compare(scene, theirs)
     compiled.compare(loads(scene.to_mjcf()), theirs)
