@@ -258,3 +258,18 @@ def test_a_weld_that_nothing_moves_leaves_others_their_digits():
         cold.step()
         assert peers.apart(warm.qvel, cold.qvel) < 1e-12
         assert warm.residual < 1e-9
+
+
+@pytest.mark.parametrize("first", ["", "<e_potential/>", "<e_kinetic/>"])
+def test_a_sensor_of_energy_leaves_the_forces_that_others_read(first):
+    """An adhesion that pulls through contacts is among the forces of a joint's actuators."""
+    text = f"""<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body name="b" pos="0 0 .09">
+      <joint name="z" type="slide" axis="0 0 1"/><geom size=".1" mass="1"/></body></worldbody>
+      <actuator><adhesion body="b" ctrlrange="0 1" gain="5"/></actuator>
+      <sensor>{first}<jointactuatorfrc joint="z"/></sensor></mujoco>"""
+    model, data, sim = pair(text)
+    sim.ctrl[0] = data.ctrl[0] = 0.6
+    mujoco.mj_forward(model, data)
+    sim.forward()
+    assert sim.sensordata[-1] == data.sensordata[-1] == -3.0
+    assert sim.sensordata == pytest.approx(data.sensordata, rel=1e-12)

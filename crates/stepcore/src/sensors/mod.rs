@@ -163,7 +163,7 @@ impl<'a, R: Real> Reading<'a, R> {
                 let potential = self.sim.potential_of_springs_and_weight();
                 out.push(potential.lane(self.lane));
             }
-            T::KineticEnergy => out.push(self.sim.energy().kinetic.lane(self.lane)),
+            T::KineticEnergy => out.push(self.sim.kinetic().lane(self.lane)),
             _ => self.of_joint(sensor, out),
         }
     }

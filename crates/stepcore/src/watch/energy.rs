@@ -29,9 +29,8 @@ impl<R: Real> Sim<R> {
     }
 
     /// What springs and weight hold [J]: the potential without that of gravity compensation, which
-    /// MuJoCo's sensor leaves out.
-    pub(crate) fn potential_of_springs_and_weight(&mut self) -> R {
-        self.refresh();
+    /// MuJoCo's sensor leaves out; of the forces at hand.
+    pub(crate) fn potential_of_springs_and_weight(&self) -> R {
         let now = self.moment(At::State);
         let mut potential = R::zero();
         let mut add = |element: Element, energy| {
