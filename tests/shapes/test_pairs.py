@@ -65,6 +65,18 @@ def test_meshes_of_many_faces_deep_in_each_other():
     assert better.max() < missed.PRECISE
 
 
+def test_round_shapes_on_nearly_one_centre():
+    """A sphere and an ellipsoid about as large: many ways out are nearly as short, more than the
+    search has points for."""
+    shapes = Convex("sphere", size=(0.3524, 0, 0)), Convex("ellipsoid", size=(0.257, 0.342, 0.2401))
+    rng = np.random.default_rng(7)
+    poses = np.tile([0.0, 0, 0, 1, 0, 0, 0], (400, 2))
+    poses[:, 7:10], turn = rng.normal(0, 5e-4, (400, 3)), rng.normal(size=(400, 4))
+    poses[:, 10:] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+    verdict = judge(Trial("deep", shapes, poses), searched=400)
+    assert np.abs(verdict.dist).max() < TOLERANCE
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("pair", BUILT, ids="-".join)
 def test_a_hundred_thousand_poses(pair):
