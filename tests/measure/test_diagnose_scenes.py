@@ -111,8 +111,9 @@ def test_the_limit_is_where_the_motion_goes_wrong(make, name):
     limits dt is of the kind that was made stiff."""
     made = make()
     model, integrator = made.compile(), made.settings.integrator
-    held = [{}, {"ctrl": np.tile(made.keys[0].ctrl if made.keys else np.zeros(2), (2, 1))}]
-    d = sc.diagnose(made, **held[model.nu > 0], threads=1, progress=False)
+    ctrl = made.keys[0].ctrl if made.keys else np.zeros(model.nu)
+    held = {"ctrl": np.tile(ctrl, (2, 1))} if model.nu else {}
+    d = sc.diagnose(made, **held, threads=1, progress=False)
     limit = d.limits[integrator]
     time = max(1.0, 1000 * limit.dt, limit.time)
     true = stiff.twins(model, "rk4", d.covered.dt / 2, time)
