@@ -125,8 +125,8 @@ impl Pairing<'_> {
             out.tied |= ended
                 && (way.reach - depth).abs() <= clear * self.size
                 && out.best.is_some_and(other);
-            // Without room for more points a face that is lower may hide a better answer.
-            if ended && (way.reach < depth || polytope.full) {
+            // Without room for more points a lower face of a bent set may hide a better answer.
+            if ended && (way.reach < depth || self.smooth && polytope.full) {
                 let found = self.refine_once(&-way.normal, self.near());
                 if found.apart > -depth {
                     out.best = Some(found);
