@@ -7,6 +7,7 @@ use super::facets;
 use super::grid::{Grid, Point, NOISE};
 use super::quickhull::{surface, Flat, Surface};
 use crate::error::{Error, Result};
+use crate::real::array::from_fn;
 use nalgebra::{Matrix3, Vector3};
 
 /// From this many vertices on the support function climbs instead of looking at every vertex.
@@ -34,6 +35,10 @@ pub struct Hull {
     /// Ends of triangles' edges: vertex v's neighbours are `adjacent[starts[v]..starts[v + 1]]`.
     starts: Vec<usize>,
     adjacent: Vec<usize>,
+    /// The same with their places, side by side: those of vertex v are
+    /// `around[first_four[v]..first_four[v + 1]]`.
+    first_four: Vec<usize>,
+    around: Vec<Four>,
     /// The same without lines inside of level faces.
     folds: Vec<Vec<usize>>,
     /// By cell of directions the vertex furthest along the middle of the cell, from which the others
@@ -44,6 +49,29 @@ pub struct Hull {
     faces_along: ByDirection,
     /// Distance of the furthest vertex from the origin [m].
     reach: f64,
+}
+
+/// Four neighbours of a vertex; where there are fewer, the first stands again.
+#[derive(Clone, Debug, PartialEq)]
+struct Four {
+    vertices: [u32; 4],
+    /// By coordinate.
+    at: [[f64; 4]; 3],
+}
+
+impl Four {
+    /// How far the furthest along a direction is, and which that is: the first of several.
+    #[inline(always)]
+    fn furthest(&self, direction: &Vector3<f64>) -> (f64, u32) {
+        let [x, y, z] = &self.at;
+        let along: [(f64, u32); 4] =
+            from_fn(|i| (Vector3::new(x[i], y[i], z[i]).dot(direction), self.vertices[i]));
+        // Nobody can tell beforehand: choices, and no branches to be taken wrongly.
+        let further = |a: (f64, u32), b: (f64, u32)| {
+            (if b.0 > a.0 { b.0 } else { a.0 }, if b.0 > a.0 { b.1 } else { a.1 })
+        };
+        further(further(along[0], along[1]), further(along[2], along[3]))
+    }
 }
 
 impl Hull {
@@ -88,7 +116,7 @@ impl Hull {
     pub fn block(half: [f64; 3]) -> Result<Self> {
         let sign =
             |i: usize, axis: usize| if i >> axis & 1 == 1 { half[axis] } else { -half[axis] };
-        let corner = |i: usize| crate::real::array::from_fn(|axis| sign(i, axis));
+        let corner = |i: usize| from_fn(|axis| sign(i, axis));
         Self::of(&(0..8).map(corner).collect::<Vec<_>>())
     }
 
@@ -122,11 +150,14 @@ impl Hull {
             edges,
             starts,
             adjacent,
+            first_four: Vec::new(),
+            around: Vec::new(),
             folds: Vec::new(),
             nearby: Vec::new(),
             faces_along: ByDirection::default(),
             reach,
         };
+        hull.find_around();
         for i in 0..hull.faces.len() {
             let normal = hull.faces[i].normal;
             let furthest = hull.support_from(hull.faces[i].corners[0], &normal);
@@ -138,6 +169,20 @@ impl Hull {
         hull.find_folds();
         hull.find_nearby();
         hull
+    }
+
+    fn find_around(&mut self) {
+        self.around.clear();
+        self.first_four = vec![0];
+        for vertex in 0..self.vertices.len() {
+            let own = &self.adjacent[self.starts[vertex]..self.starts[vertex + 1]];
+            self.around.extend(own.chunks(4).map(|few| {
+                let vertices = from_fn(|i| *few.get(i).unwrap_or(&few[0]));
+                let at = from_fn(|k| vertices.map(|other: usize| self.vertices[other][k]));
+                Four { vertices: vertices.map(|other| other as u32), at }
+            }));
+            self.first_four.push(self.around.len());
+        }
     }
 
     fn find_folds(&mut self) {
@@ -224,12 +269,10 @@ impl Hull {
         let (mut best, mut most) = (start, self.vertices[start].dot(direction));
         loop {
             let (mut next, mut second) = (best, f64::NEG_INFINITY);
-            for &vertex in self.neighbours(best) {
-                let along = self.vertices[vertex].dot(direction);
-                // Nobody can tell beforehand: two choices, and no branch to be taken wrongly.
-                let further = along > second;
-                next = if further { vertex } else { next };
-                second = if further { along } else { second };
+            for four in &self.around[self.first_four[best]..self.first_four[best + 1]] {
+                let (along, vertex) = four.furthest(direction);
+                next = if along > second { vertex as usize } else { next };
+                second = if along > second { along } else { second };
             }
             if second > most {
                 (best, most) = (next, second);
@@ -249,6 +292,7 @@ impl Hull {
             face.offset += face.normal.dot(shift);
         }
         self.reach = furthest(&self.vertices);
+        self.find_around();
         self.find_nearby();
         if self.faces.len() >= LISTED {
             let normals: Vec<Vector3<f64>> = self.faces.iter().map(|face| face.normal).collect();

@@ -5,6 +5,8 @@ use super::peak::peak;
 use super::separation::{across, across_both, Cause, Pairing, Separation, ROUNDING};
 use super::solid::{Core, Solid};
 use super::touch::unit;
+use crate::real::array::from_fn;
+use crate::real::Real;
 use crate::spatial::V3;
 
 /// Sines of the angle from a rough direction within which faces and edges are tried: of polytopes
@@ -29,28 +31,46 @@ const KEPT: usize = 8;
 /// Points of two minus one. Along no direction are the two further apart than these are, so that
 /// directions that gain nothing are known without asking for their furthest points.
 struct Seen {
-    points: [V3<f64>; KEPT],
+    first: V3<f64>,
+    /// By coordinate, so that the products of all points are made at once.
+    points: [[f64; KEPT]; 3],
     next: usize,
 }
 
 impl Seen {
+    fn new(first: V3<f64>) -> Self {
+        Self { first, points: from_fn(|k| [first[k]; KEPT]), next: 1 }
+    }
+
     fn add(&mut self, point: V3<f64>) {
-        self.points[self.next % KEPT] = point;
+        for (k, of) in self.points.iter_mut().enumerate() {
+            of[self.next % KEPT] = point[k];
+        }
         self.next += 1;
     }
 
+    fn least(&self, of: impl Fn(V3<f64>) -> f64) -> f64 {
+        let [x, y, z] = &self.points;
+        let mut all: [f64; KEPT] = from_fn(|i| of(V3::new(x[i], y[i], z[i])));
+        for half in [KEPT / 2, KEPT / 4, KEPT / 8] {
+            for i in 0..half {
+                all[i] = Real::min(all[i], all[i + half]);
+            }
+        }
+        all[0]
+    }
+
     fn apart_at_most(&self, normal: &V3<f64>) -> f64 {
-        self.points.iter().map(|point| normal.dot(point)).fold(f64::INFINITY, f64::min)
+        self.least(|point| normal.dot(&point))
     }
 
     /// The same along whatever direction, and along one across an edge: positive numbers.
     fn reach(&self) -> f64 {
-        self.points.iter().map(|point| point.dot(point)).fold(f64::INFINITY, f64::min).sqrt()
+        self.least(|point| point.dot(&point)).sqrt()
     }
 
     fn reach_across(&self, edge: &V3<f64>) -> f64 {
-        let square = |point: &V3<f64>| point.dot(point) - edge.dot(point) * edge.dot(point);
-        self.points.iter().map(square).fold(f64::INFINITY, f64::min).max(0.0).sqrt()
+        self.least(|p| p.dot(&p) - edge.dot(&p) * edge.dot(&p)).max(0.0).sqrt()
     }
 }
 
@@ -137,7 +157,7 @@ impl Pairing<'_> {
 
     pub(super) fn refine_once(&self, rough: &V3<f64>, near: f64) -> Separation {
         let mut seen = self.seen(rough);
-        let start = rough.dot(&seen.points[0]);
+        let start = rough.dot(&seen.first);
         let level = (1.0 - near * near).sqrt();
         let facing = self.facing(rough, level);
         let mut best = self.best_of(&facing).unwrap_or(Separation {
@@ -213,7 +233,7 @@ impl Pairing<'_> {
 
     /// What a search from a direction sees first.
     fn seen(&self, rough: &V3<f64>) -> Seen {
-        Seen { points: [self.furthest(&-rough); KEPT], next: 1 }
+        Seen::new(self.furthest(&-rough))
     }
 
     /// Newton's method for the largest separation near a direction; with an edge, across it.
