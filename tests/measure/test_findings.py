@@ -350,15 +350,8 @@ def test_parts_of_a_machine_that_is_fixed_to_the_world_are_left_out():
     found = watched(sc.loads(STOOL))[1]
     (one,) = [one for one in found if "`base`" in one.text]
     assert '<exclude body1="turret" body2="world"/>' in one.text
-    assert not watched(
-        sc.loads(
-            STOOL.replace(
-                "</mujoco>",
-                """<contact>
-<exclude body1="world" body2="turret"/></contact></mujoco>""",
-            )
-        )
-    )[1]
+    out = '<contact><exclude body1="world" body2="turret"/></contact></mujoco>'
+    assert not watched(sc.loads(STOOL.replace("</mujoco>", out)))[1]
 
 
 LIMBS = """<mujoco><worldbody>
@@ -402,6 +395,12 @@ def test_a_force_without_end_is_no_number():
     """A wheel that the rounding of a file alone lets move is pushed with 1e15 N."""
     one = the(watched(sc.loads(HUB))[1], "overlap")
     assert "as their joints hold them, and no joint can move them apart" in one.text
+
+
+def test_what_leaves_out_two_bodies_is_told_once_for_all_of_their_geoms():
+    also = '<geom size=".065" pos=".11 0 0" mass="1"/></body>'
+    found = watched(sc.loads(HUB.replace("</body>", also)))[1]
+    assert len([one for one in found if "overlap" in one.text]) == 1
 
 
 def test_a_start_at_the_depth_of_rest_is_not_told():

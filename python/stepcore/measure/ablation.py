@@ -354,7 +354,9 @@ def ablate(
         every = [SHIPPED, *(trial.change for trial in choice.alone.values()), choice.best.change]
         times = study.times([*every, twin])
     if cut := sum(len(one.starts) < len(choice.starts) for one in choice.alone.values()):
-        notes.append(_screened(cut, len(choice.starts)))
+        text = f"{counted(cut, 'feature')} above the tolerance in the first {SCREENED} of "
+        text += f"{len(choice.starts)} starts: not run from the others, errors there are of these"
+        notes.append(text)
 
     def effect(removal: Removal, trial: Trial) -> FeatureEffect:
         off = None if truth is None else choice.off(trial.change, truth)
@@ -540,12 +542,3 @@ def usage_of(study: Study, starts: Sequence[int]) -> MotionUsage:
         for noun, kind in (("joint", "limit"), ("tendon", "tendon limit")):
             limited |= {(noun, index) for index in rows["index"][rows["kind"] == kind].tolist()}
     return MotionUsage(frozenset(touched), frozenset(limited))
-
-
-def _screened(cut: int, starts: int) -> str:
-    """Return a note on features that ran from few starts."""
-    exceeds, were = ("exceeds", "was") if cut == 1 else ("exceed", "were")
-    return (
-        f"{units.counted(cut, 'feature')} {exceeds} the tolerance in the first {SCREENED} of "
-        f"{starts} starts and {were} not run from the others: errors there are of {SCREENED} starts"
-    )

@@ -76,22 +76,25 @@ def contact_findings(run: Recording) -> Iterator[Finding]:
         return
     late = list(resting(run))
     jammed = _jammed(run, starts, {at.pair: at for at in late if at.settled})
+    # What leaves out the contacts of two bodies does so for all of their geoms.
+    apart = [_bodies(run.model, pair) for pair in jammed]
+    held = {at.pair for at in (*starts, *late) if _bodies(run.model, at.pair) in apart}
     if jammed:
-        held = list(jammed.values())
+        stuck = list(jammed.values())
         force = "no joint can move them apart"
         # Across what moves, but for the rounding of a file, there is no end to a force.
-        if held[0].force < 1e9:
-            force = f"push each other with {newtons(held[0].force)} all the time"
+        if stuck[0].force < 1e9:
+            force = f"push each other with {newtons(stuck[0].force)} all the time"
         becomes = f", as their joints hold them, and {force}"
-        yield _overlapping(run, "overlap", "warning", held, "", becomes)
-    late = [at for at in late if at.pair not in jammed]
+        yield _overlapping(run, "overlap", "warning", stuck, "", becomes)
+    late = [at for at in late if at.pair not in held]
     rest = sorted((at for at in late if at.settled), key=lambda at: at.depth)
-    starts = [at for at in starts if at.pair not in jammed]
+    starts = [at for at in starts if at.pair not in held]
     yield from _overlaps(run, starts, {at.pair: at.depth for at in rest})
     if run.model.settings.law == "solref":
         yield from _depths(run, late)
         known = {at.pair for at in (*starts, *late) if at.depth > DEEP * run.thick(at.pair)}
-        yield from _impacts(run, {*known, *jammed})
+        yield from _impacts(run, known | held)
     yield from _slides(run, rest)
 
 
@@ -155,11 +158,9 @@ def _jammed(
     the world and of the world.
     """
     jammed: dict[int, Contact] = {}
-    for start in starts:
-        at, geoms = at_rest.get(start.pair), run.model.contact_pair(start.pair).geoms
-        if at is None:
-            continue
-        roots = set(run.roots[run.model.geom_body[list(geoms)]].tolist())
+    for start in (start for start in starts if start.pair in at_rest):
+        at, bodies = at_rest[start.pair], list(_bodies(run.model, start.pair))
+        roots = set(run.roots[bodies].tolist())
         fixed = 0 in roots and not roots & free_bodies(run.model)
         share = DEEP if len(roots) == 1 else 1.0 if fixed else math.inf
         if min(start.depth, at.depth) > share * run.thick(start.pair):
@@ -225,6 +226,10 @@ def _overlapping(
         cure = f"{pose}leave them out with {lines[0]}{more}, or make the geoms smaller"
     what = problem, cure, contacts, of.depth, "m", TEST_CONTACTS
     return Finding(kind, severity, *what, lines=lines[len(lines) == 1 :])
+
+
+def _bodies(model: Model, pair: int) -> set[int]:
+    return set(model.geom_body[list(model.contact_pair(pair).geoms)].tolist())
 
 
 def _exclude(model: Model, pair: int) -> str:
