@@ -340,12 +340,12 @@ class Trade(Result):
                 choice = f"No setting tried has {within} in every start. The fewest exceed it with "
                 choice += self.label(row)
             worst = f"{self._wrong(row)} in the worst of {counted(len(row.starts), 'start')}"
-            priced = self._priced_beside(row)
-            yield f"{choice}. Its RMS position error is {worst}, for {priced}."
+            yield f"{choice}. Its RMS position error is {worst}, for {self._priced_beside(row)}."
             if self.proof is not None:
                 yield self.proof.words
             elif target is not None:
-                yield "It was not tried on untouched starts."
+                also = ", and may miss the error from others" * (len(row.starts) < self.starts)
+                yield f"It was not tried on untouched starts{also}."
             if self.engine == "mujoco" and row.change.settings:
                 yield f"In the file: {row.change.mjcf}"
             yield self._halved()
