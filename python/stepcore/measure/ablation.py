@@ -354,9 +354,8 @@ def ablate(
         every = [SHIPPED, *(trial.change for trial in choice.alone.values()), choice.best.change]
         times = study.times([*every, twin])
     if cut := sum(len(one.starts) < len(choice.starts) for one in choice.alone.values()):
-        text = f"{counted(cut, 'feature')} above the tolerance in the first {SCREENED} of "
-        text += f"{len(choice.starts)} starts: not run from the others, errors there are of these"
-        notes.append(text)
+        few = f"in the first {SCREENED} of {len(choice.starts)} starts exceeds the tolerance"
+        notes.append(f"{counted(cut, 'feature')} did not run from the others: the error {few}")
 
     def effect(removal: Removal, trial: Trial) -> FeatureEffect:
         off = None if truth is None else choice.off(trial.change, truth)

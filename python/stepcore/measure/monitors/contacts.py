@@ -76,9 +76,10 @@ def contact_findings(run: Recording) -> Iterator[Finding]:
         return
     late = list(resting(run))
     jammed = _jammed(run, starts, {at.pair: at for at in late if at.settled})
-    # What leaves out the contacts of two bodies does so for all of their geoms.
+    # What leaves out two bodies' contacts does so for all of their geoms that none can move apart.
     apart = [_bodies(run.model, pair) for pair in jammed]
-    held = {at.pair for at in (*starts, *late) if _bodies(run.model, at.pair) in apart}
+    fixed = (at.pair for at in starts if not at.movable)
+    held = {*jammed, *(pair for pair in fixed if _bodies(run.model, pair) in apart)}
     if jammed:
         stuck = list(jammed.values())
         force = "no joint can move them apart"
