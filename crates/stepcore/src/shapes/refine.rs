@@ -31,7 +31,6 @@ const KEPT: usize = 8;
 /// Points of two minus one. Along no direction are the two further apart than these are, so that
 /// directions that gain nothing are known without asking for their furthest points.
 struct Seen {
-    first: V3<f64>,
     /// By coordinate, so that the products of all points are made at once.
     points: [[f64; KEPT]; 3],
     next: usize,
@@ -39,7 +38,7 @@ struct Seen {
 
 impl Seen {
     fn new(first: V3<f64>) -> Self {
-        Self { first, points: from_fn(|k| [first[k]; KEPT]), next: 1 }
+        Self { points: from_fn(|k| [first[k]; KEPT]), next: 1 }
     }
 
     fn add(&mut self, point: V3<f64>) {
@@ -108,7 +107,7 @@ impl Pairing<'_> {
             return found;
         }
         let top = peak(self, &found.normal);
-        let mut seen = self.seen(&top);
+        let mut seen = Seen::new(self.furthest(&-top));
         let (normal, apart) = self.climb(&top, None, &mut seen);
         let free = Separation { normal, apart, cause: Cause::Free };
         let mut best = found;
@@ -156,8 +155,8 @@ impl Pairing<'_> {
     }
 
     pub(super) fn refine_once(&self, rough: &V3<f64>, near: f64) -> Separation {
-        let mut seen = self.seen(rough);
-        let start = rough.dot(&seen.first);
+        let first = self.furthest(&-rough);
+        let (start, mut seen) = (rough.dot(&first), Seen::new(first));
         let level = (1.0 - near * near).sqrt();
         let facing = self.facing(rough, level);
         let mut best = self.best_of(&facing).unwrap_or(Separation {
@@ -229,11 +228,6 @@ impl Pairing<'_> {
         let (cap, ..) = self.two.face(&-rough).filter(|face| face.1 > CAP)?;
         let there = self.one.support(&-cap).0 - self.between;
         self.two.over_rim(&cap, &there, self.size).map(|n| -n)
-    }
-
-    /// What a search from a direction sees first.
-    fn seen(&self, rough: &V3<f64>) -> Seen {
-        Seen::new(self.furthest(&-rough))
     }
 
     /// Newton's method for the largest separation near a direction; with an edge, across it.

@@ -77,9 +77,9 @@ def contact_findings(run: Recording) -> Iterator[Finding]:
     late = list(resting(run))
     jammed = _jammed(run, starts, {at.pair: at for at in late if at.settled})
     # What leaves out two bodies' contacts does so for all of their geoms that none can move apart.
-    apart = [_bodies(run.model, pair) for pair in jammed]
+    apart = [set(_bodies(run.model, pair)) for pair in jammed]
     fixed = (at.pair for at in starts if not at.movable)
-    held = {*jammed, *(pair for pair in fixed if _bodies(run.model, pair) in apart)}
+    held = {*jammed, *(pair for pair in fixed if set(_bodies(run.model, pair)) in apart)}
     if jammed:
         stuck = list(jammed.values())
         force = "no joint can move them apart"
@@ -160,8 +160,7 @@ def _jammed(
     """
     jammed: dict[int, Contact] = {}
     for start in (start for start in starts if start.pair in at_rest):
-        at, bodies = at_rest[start.pair], list(_bodies(run.model, start.pair))
-        roots = set(run.roots[bodies].tolist())
+        at, roots = at_rest[start.pair], set(run.roots[_bodies(run.model, start.pair)].tolist())
         fixed = 0 in roots and not roots & free_bodies(run.model)
         share = DEEP if len(roots) == 1 else 1.0 if fixed else math.inf
         if min(start.depth, at.depth) > share * run.thick(start.pair):
@@ -208,7 +207,7 @@ def _overlapping(
         both = " and ".join(model.element_name("geom", geom) for geom in geoms)
     also = others(contacts[1:], "pair")
     problem = f"{both} overlap by {metres(of.depth)}{by}{also}{becomes}"
-    bodies = model.geom_body[list(geoms)].tolist()
+    bodies = _bodies(model, of.pair)
     roots = run.roots[bodies].tolist()
     free = {*roots} & free_bodies(model)
     # A base that is part of the world is no floor.
@@ -229,14 +228,14 @@ def _overlapping(
     return Finding(kind, severity, *what, lines=lines[len(lines) == 1 :])
 
 
-def _bodies(model: Model, pair: int) -> set[int]:
-    return set(model.geom_body[list(model.contact_pair(pair).geoms)].tolist())
+def _bodies(model: Model, pair: int) -> list[int]:
+    bodies: list[int] = model.geom_body[list(model.contact_pair(pair).geoms)].tolist()
+    return bodies
 
 
 def _exclude(model: Model, pair: int) -> str:
     """Return the element that leaves out a pair of geoms, with all others of their bodies."""
-    bodies = model.geom_body[list(model.contact_pair(pair).geoms)].tolist()
-    first, second = (model.body_names[body] or "…" for body in bodies)
+    first, second = (model.body_names[body] or "…" for body in _bodies(model, pair))
     return f'<exclude body1="{first}" body2="{second}"/>'
 
 
@@ -355,7 +354,7 @@ def _slides(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
 def _carries(run: Recording, at: Contact) -> bool:
     """Return whether a contact carries a tenth of the weight of a free tree."""
     model = run.model
-    roots = run.roots[model.geom_body[list(model.contact_pair(at.pair).geoms)]].tolist()
+    roots = run.roots[_bodies(model, at.pair)].tolist()
     free = [root for root in roots if root in free_bodies(model)]
     masses = [model.body_mass[run.roots == root].sum() for root in free]
     weights = [_gravity(model) * float(mass) for mass in masses]
