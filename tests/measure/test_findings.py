@@ -403,6 +403,15 @@ def test_what_leaves_out_two_bodies_is_told_once_for_all_of_their_geoms():
     assert len([one for one in found if "overlap" in one.text]) == 1
 
 
+def test_two_bodies_are_left_out_once_whichever_geom_comes_first():
+    """A pair of geoms begins with the simpler type, whose body may be either."""
+    other = '<geom name="hub" type="capsule" size=".05 .1" pos=".02 0 0"/><body name="wheel"'
+    also = '<geom type="box" size=".06 .06 .06" pos=".02 .05 0" mass="1"/></body>'
+    scene = HUB.replace('<body name="wheel"', other).replace("</body>", also)
+    one = the(watched(sc.loads(scene))[1], "overlap")
+    assert '<exclude body1="wheel" body2="world"/>' in one.text and not one.lines
+
+
 def test_a_start_at_the_depth_of_rest_is_not_told():
     depth = yielding((0.05, 1), SOLIMP, G, 0.002)
     scene = ball(0.03, "0.05 1", height=0.03 - depth)

@@ -220,7 +220,7 @@ def _overlapping(
     cure = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
     lines = tuple[str, ...]()
     if kind == "overlap" or machine or (roots[0] == roots[1] and roots[0]):
-        lines = tuple(dict.fromkeys(_exclude(model, at.pair) for at in found))
+        lines = _excludes(model, found)
         pose = "start from another pose, or " if of.movable and kind != "overlap" else ""
         more = f" and {len(lines) - 1} more (`stepcore check` lists them)" if lines[1:] else ""
         cure = f"{pose}leave them out with {lines[0]}{more}, or make the geoms smaller"
@@ -233,10 +233,13 @@ def _bodies(model: Model, pair: int) -> list[int]:
     return bodies
 
 
-def _exclude(model: Model, pair: int) -> str:
-    """Return the element that leaves out a pair of geoms, with all others of their bodies."""
-    first, second = (model.body_names[body] or "…" for body in _bodies(model, pair))
-    return f'<exclude body1="{first}" body2="{second}"/>'
+def _excludes(model: Model, found: list[Contact]) -> tuple[str, ...]:
+    """Return what leaves out pairs of geoms, with all others of their bodies: one of two bodies."""
+    apart = dict[frozenset[int], str]()
+    for bodies in (_bodies(model, at.pair) for at in found):
+        first, second = (model.body_names[body] or "…" for body in bodies)
+        apart.setdefault(frozenset(bodies), f'<exclude body1="{first}" body2="{second}"/>')
+    return tuple(apart.values())
 
 
 # Depths.
