@@ -365,6 +365,17 @@ def test_what_finer_runs_of_the_search_have_shown_to_be_unknown_is_said(ball):
     found.reference, surer.unsure = replace(ball.reference, unsure=np.full(8, 1.3e-3)), 2e-4
     assert "cannot be verified: the converged motion is known to 1.3 mm" in next(found._answer())
     assert "cannot be verified: the converged motion was known to 200 µm" in next(surer._answer())
+    # From other starts enough is known for the choice.
+    found.reference = replace(ball.reference, unsure=np.array([1e-6] * 7 + [1.3e-3]))
+    assert "100 µm cannot be verified from 1 of 8 starts: the con" in next(found._answer())
+
+
+def test_why_settings_that_seem_better_are_not_chosen_is_said(ball):
+    assert "or miss it from other starts" not in ball.tables(True)[0].legend
+    other = copy.copy(ball)
+    cost = 2 * max(row.cost for row in ball.rows)
+    other.chosen = replace(ball.chosen, cost=cost)
+    assert "or miss it from other starts" in other.tables(True)[0].legend
 
 
 def test_a_start_from_which_no_run_converges_has_no_error_in_kilometres(ball):

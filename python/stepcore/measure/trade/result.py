@@ -324,6 +324,10 @@ class Trade(Result):
         unsure = float(np.fmax(self.unsure, self.reference.error))
         if target is not None and unsure > (UNSURE if self.verified else 1.0) * target:
             well = "" if unsure > target else " well"
+            lost = self.reference.unsure > target
+            if row is not None and self.unsure <= target and not lost.all():
+                # The choice holds where the motion is known: from starts that joined it may not be.
+                well = f" from {lost.sum()} of {counted(len(lost), 'start')}"
             verb = "was" if unsure > self.reference.error else "is"
             known = f"the converged motion {verb} known to {metres(unsure)} in the worst start"
             if not math.isfinite(unsure):
@@ -548,6 +552,12 @@ class Trade(Result):
             "rotations included as arcs; median: of the median start; max: the largest of any body "
             "at any time."
         )
+        chosen = self.chosen if self.budget is None else None
+        if any(chosen and row.cost < chosen.cost and row.within(self.asked) for row in shown):
+            legend += (
+                " Cheaper settings within the error that was asked for come within a tenth of it, "
+                "or miss it from other starts."
+            )
         if len(shown) < len(self.rows):
             legend += f" {not_shown(counted(len(self.rows) - len(shown), 'setting'))}"
         numbers = dict.fromkeys(("dt", "cost", "measured", "error", "median", "max"), "")
