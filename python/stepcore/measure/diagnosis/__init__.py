@@ -71,8 +71,9 @@ def diagnose(
 
     The limit of an integrator is what runs of the motion show: the motion, then its last control
     held, for at least 1000 steps in all, beside a run from a start that is moved by 1e-6 of the
-    scene's size. At 0.98 of the limit the run holds; at 1.03 of it, it diverges, gains energy, or
-    lets the perturbation grow without end. Both were run. `Diagnosis.held` has what the linearised
+    scene's size. At 0.98 of the limit the run holds; at 1.03 of it, it diverges, gains energy,
+    lets the perturbation grow without end, or chatters between bounds of forces where the motion
+    rests. Both were run. `Diagnosis.held` has what the linearised
     step (`Sim.linearize`) bears where the motion ends and is held.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").

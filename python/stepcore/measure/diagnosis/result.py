@@ -281,7 +281,8 @@ class Diagnosis(Result):
 
     def _failure(self, elements: Sequence[Element]) -> str:
         seen, kinds = self.observed, {element.kind for element in elements}
-        if self.saturated or kinds & {*FRICTION_LOSSES}:
+        chatters = seen is not None and seen.kind == "chatters"
+        if chatters or self.saturated or kinds & {*FRICTION_LOSSES}:
             # The force is bounded, so the motion stays finite.
             return "chatters"
         if seen is not None and seen.kind == "grows" and kinds & {*OPEN, *EQUALITIES}:

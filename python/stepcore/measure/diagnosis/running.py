@@ -6,7 +6,9 @@ runs the same motion from a start that is moved by 1e-6 of the scene's size. A s
 - a run does not stay finite, or has `LARGE` times the kinetic energy of the converged motion;
 - the perturbation grows without end: towards the end of the run it is `GROWN` times as large as it
   ever was in the converged motion. Growth of the motion itself (chaos, a fall) is there in the
-  converged motion, too, and is no limit.
+  converged motion, too, and is no limit;
+- it never rests where the converged motion does, as the forces of actuators swing between their
+  bounds: such chatter has a size of its own, and no perturbation grows in it.
 
 The converged motion is such a pair of runs at a short step, which a shorter one confirms. Where a
 run lasts longer than that, its energy and its perturbation are continued by a power of time.
@@ -52,6 +54,9 @@ LEAST, SAMPLES = 1000, 100
 GROWN = 30.0
 # A run that grew by less than this is made so many times as long, to see whether that has an end.
 CLEAR, LONGER = 1e3, 4
+# The part of a run after which growth counts, and motion that should rest; and the jump of a force
+# from sample to sample, over its range in all of the motion, that is chatter.
+CALM, JUMPS = 0.75, 0.25
 # The kinetic energy over that of the converged motion. Below its limit, a step makes that of a
 # spring that swings at most 1/(1 − 0.98²) = 25 times as large.
 LARGE = 50.0
@@ -206,7 +211,7 @@ def continued(times: Floats, values: Floats, until: Floats) -> Floats:
 class Outcome:
     """What a motion does at a step.
 
-    kind: "holds", "diverges" (not finite), "gains energy" or "grows" (the perturbation).
+    kind: "holds", "diverges" (not finite), "gains energy", "grows" (the perturbation) or "chatters".
     time: when it failed, or how far the run went [s].
     energy, growth: the largest kinetic energy, and the perturbation towards the end, over those of
         the converged motion. early: the energy in the first half.
@@ -331,14 +336,31 @@ class Motions:
     def saturated(self, change: Change, dt: float) -> np.ndarray:
         """Return which actuators are at an end of their force range in a tenth of a run, (nu,)."""
         model = self.of(change).with_settings(dt=dt, **dict(change.settings))
-        count, low, high = self.steps(dt), *model.actuator_forcerange.T
+        count = self.steps(dt)
         how = self._driven(dt, count, None)
         ran = follow(model, self.starts[:1], count, record=("actuator_force",), **how)
-        force = ran["actuator_force"][0]
-        with np.errstate(invalid="ignore"):
-            full = (force <= low) | (force >= high)
-        often: np.ndarray = full.mean(axis=0) > 0.1
+        often: np.ndarray = self.ends(ran["actuator_force"][0]).mean(axis=0) > 0.1
         return often
+
+    def ends(self, force: Floats) -> np.ndarray:
+        """Return where forces of actuators are at an end of their ranges."""
+        low, high = self.driven.actuator_forcerange.T
+        with np.errstate(invalid="ignore"):
+            full: np.ndarray = (force <= low) | (force >= high)
+        return full
+
+    def swings(self, pair: Pair) -> bool:
+        """Return whether actuators drive the end of a run by forces that their bounds alone end.
+
+        They are at the ends of their ranges, or jump as widely as in all of the motion, as a user's
+        function may bound them.
+        """
+        late = pair.times >= CALM * pair.times[-1]
+        if pair.ran is None or pair.failure or pair.energy[late].min() < self.floor / GROWN**2:
+            return False
+        force = pair.ran["actuator_force"][0]
+        jumps = np.abs(np.diff(force[late], axis=0)).mean(axis=0)
+        return bool((self.ends(force[late]).any(axis=0) | (jumps > JUMPS * np.ptp(force, 0))).any())
 
     def changed(self, change: Change) -> Motions:
         model = change.of(self.model)
@@ -363,7 +385,7 @@ class Motions:
         # Odd, so that no sample misses a force that jumps from step to step.
         every = max(1, wanted // samples) | 1
         count = every * math.ceil(wanted / every)
-        names = ("qpos", "qvel", "act", "ctrl", "energy")
+        names = ("qpos", "qvel", "act", "ctrl", "energy", "actuator_force")
         try:
             model = self.of(change).with_settings(dt=dt, **dict(change.settings))
             how = self._driven(dt, count, loop)
@@ -507,6 +529,8 @@ class Judge:
                 if gains and longer.holds and longer.energy > SAME * max(found.energy, SAME):
                     longer = replace(longer, kind="gains energy")
                 found = longer
+            if found.holds and self._chatters(change, loop, pair):
+                found = replace(found, kind="chatters")
             self._known[key] = found
         return self._known[key]
 
@@ -566,7 +590,7 @@ class Judge:
             growth = pair.apart / known
         # Two runs that never part, and a motion whose own growth has no bound.
         growth[np.isnan(growth)] = 0.0
-        late = float(growth[times >= 0.75 * times[-1]].max())
+        late = float(growth[times >= CALM * times[-1]].max())
         most = float(energy.max())
         over = times[energy > LARGE]
         if len(over):
@@ -575,6 +599,26 @@ class Judge:
             return Outcome("grows", float(times[growth > GROWN][0]), most, late)
         early = float(energy[times <= 0.5 * times[-1]].max())
         return Outcome("holds", pair.reached, most, late, early)
+
+    def _chatters(self, change: Change, loop: Loop | None, pair: Pair) -> bool:
+        """Return whether forces of actuators keep a run moving where the converged motion rests.
+
+        Where it does not rest within the run, both go on for as long as the motion took.
+        """
+        motions, dt = self.motions, pair.dt
+        if not motions.swings(pair):
+            return False
+        steps = math.ceil(2 * motions.horizon / dt)
+        if steps > motions.steps(dt):
+            pair = motions.pair(change, dt, steps, loop)
+            if not motions.swings(pair):
+                return False
+        end = float(pair.times[-1])
+        self._cover(end)
+        known = self.long or self.fine
+        calm = known.times >= CALM * min(known.times[-1], end)
+        late = pair.times >= CALM * end
+        return float(pair.energy[late].min()) > GROWN * float(known.energy[calm].max())
 
 
 def _runaway(coarse: Pair, fine: Pair, floor: float) -> Runaway | None:
