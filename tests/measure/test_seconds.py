@@ -221,3 +221,10 @@ def test_long_measurements_say_what_they_know_so_far(capsys, clock, command, wor
     assert re.search(f"^stepcore: so far: {words}", err, re.MULTILINE) and "so far" not in out
     told = err.splitlines()
     assert len(told) == len(set(told))
+
+
+def test_a_longer_time_is_longer_than_what_was_spent():
+    """Work that cannot end between two checks took 36 s of 15."""
+    limit = Deadline(15.0)
+    limit.begun -= 36
+    assert limit.longer == 2 * 37

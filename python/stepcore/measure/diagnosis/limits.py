@@ -39,8 +39,7 @@ class Limit:
     held: what the linearised step bears where the motion ends and is held [s]; inf and 0 as above,
         NaN if the time was over before.
     state: the index of the state whose linearised step has this limit, too; -1 if none has.
-    outcome: how the run fails beyond dt: "diverges", "gains energy", "grows" or "chatters"; "" if it does
-        not.
+    outcome: how the run fails beyond dt: the `Outcome.kind`; "" if it does not.
     time: when it does [s].
     """
 

@@ -279,10 +279,14 @@ def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict
     for element, slopes in sim.element_slopes().items():
         if element in known:
             continue
+        both = np.array([slopes.stiffness, slopes.damping])
+        dofs = np.flatnonzero(both.any(axis=(0, 1)) | both.any(axis=(0, 2)))
+        # The eigenvalues of half·m·halfᵀ are those over the element's own dofs, and zeros.
+        own = np.linalg.qr(half[:, dofs]).R
         with np.errstate(all="ignore"):
-            stiff, damp = (half @ m @ half.T for m in (slopes.stiffness, slopes.damping))
+            stiff, damp = (own @ m[np.ix_(dofs, dofs)] @ own.T for m in both)
         finite = np.isfinite(stiff).all() and np.isfinite(damp).all()
-        if element.kind not in NAMED or not finite:
+        if element.kind not in NAMED or not finite or not len(dofs):
             continue
         values, vectors = np.linalg.eigh((stiff + stiff.T) / 2)
         rate = max(float(np.linalg.eigvalsh((damp + damp.T) / 2)[-1]), 0.0)

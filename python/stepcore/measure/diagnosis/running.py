@@ -52,11 +52,10 @@ LEAST, SAMPLES = 1000, 100
 # the swing of a spring at most 1/√(1 − 0.98²) = 5 times as wide; above it, 1000 steps make it grow
 # by orders of magnitude, until contacts open or servos saturate.
 GROWN = 30.0
-# A run that grew by less than this is made so many times as long, to see whether that has an end.
-CLEAR, LONGER = 1e3, 4
-# The part of a run after which growth counts, and motion that should rest; and the jump of a force
-# from sample to sample, over its range in all of the motion, that is chatter.
-CALM, JUMPS = 0.75, 0.25
+# A run that grew by less than GROWN² is made so many times as long, to see whether that has an end.
+LONGER = 4
+# The part of a run after which growth counts, and motion that should rest.
+CALM = 0.75
 # The kinetic energy over that of the converged motion. Below its limit, a step makes that of a
 # spring that swings at most 1/(1 − 0.98²) = 25 times as large.
 LARGE = 50.0
@@ -211,7 +210,7 @@ def continued(times: Floats, values: Floats, until: Floats) -> Floats:
 class Outcome:
     """What a motion does at a step.
 
-    kind: "holds", "diverges" (not finite), "gains energy", "grows" (the perturbation) or "chatters".
+    kind: "holds", "diverges" (not finite), "gains energy", "grows" (the perturbation), "chatters".
     time: when it failed, or how far the run went [s].
     energy, growth: the largest kinetic energy, and the perturbation towards the end, over those of
         the converged motion. early: the energy in the first half.
@@ -335,10 +334,9 @@ class Motions:
 
     def saturated(self, change: Change, dt: float) -> np.ndarray:
         """Return which actuators are at an end of their force range in a tenth of a run, (nu,)."""
-        model = self.of(change).with_settings(dt=dt, **dict(change.settings))
-        count = self.steps(dt)
-        how = self._driven(dt, count, None)
-        ran = follow(model, self.starts[:1], count, record=("actuator_force",), **how)
+        ran = self.pair(change, dt).ran
+        if ran is None:
+            return np.zeros(self.driven.nu, bool)
         often: np.ndarray = self.ends(ran["actuator_force"][0]).mean(axis=0) > 0.1
         return often
 
@@ -360,7 +358,9 @@ class Motions:
             return False
         force = pair.ran["actuator_force"][0]
         jumps = np.abs(np.diff(force[late], axis=0)).mean(axis=0)
-        return bool((self.ends(force[late]).any(axis=0) | (jumps > JUMPS * np.ptp(force, 0))).any())
+        return bool(
+            (self.ends(force[late]).any(axis=0) | (jumps > np.ptp(force, axis=0) / 2)).any()
+        )
 
     def changed(self, change: Change) -> Motions:
         model = change.of(self.model)
@@ -573,7 +573,7 @@ class Judge:
     def clear(self) -> float:
         """The growth that needs no longer run: more where the motion itself makes it grow."""
         apart = self.fine.apart
-        return max(CLEAR, GROWN * float(np.nanmax(apart)) / max(float(apart[0]), 1e-300))
+        return max(GROWN**2, GROWN * float(np.nanmax(apart)) / max(float(apart[0]), 1e-300))
 
     def judged(self, pair: Pair) -> Outcome:
         if pair.failure:
@@ -584,7 +584,7 @@ class Judge:
             known = self.usual("apart", times)
             # Where the motion itself has grown apart by then, what falls may fall earlier: there
             # only energy counts that nothing has lost.
-            lost = known > CLEAR * self.fine.apart[0]
+            lost = known > GROWN**2 * self.fine.apart[0]
             energy = np.where(lost, np.minimum(pair.energy, pair.gained), pair.energy)
             energy /= np.maximum(usual, least)
             growth = pair.apart / known
