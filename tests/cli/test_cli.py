@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.cli import COMMANDS, main
+from stepcore.cli import COMMANDS, main, parser
 from stepcore.cli.arguments import OPTIONS
 from stepcore.loading import find_asset
 
@@ -226,6 +226,8 @@ def test_the_help_of_a_command(capsys, command):
     assert out.startswith(f"usage: stepcore {command} ")
     assert f"example:\n  stepcore {command} " in out
     assert "None" not in out and "SUPPRESS" not in out
+    choices = next(a.choices for a in parser([command])._actions if a.choices)
+    assert all(re.match(r"[\w(\"=]", action.help) for action in choices[command]._actions)
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"]])

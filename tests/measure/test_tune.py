@@ -271,3 +271,25 @@ def test_the_command_prints_what_to_paste(capsys, tmp_path):
     assert main(["tune", str(file), "--depth", "0.1mm"]) == 0
     assert "nothing to tune" in " ".join(capsys.readouterr().out.split())
     assert main(["tune", str(file)]) == 2
+
+
+RUBBING = """<mujoco><option timestep=".002" gravity="0 0 0"/><worldbody>
+<geom name="base" type="cylinder" size=".04 .06" pos="0 0 .06"/><body pos="0 0 .11">
+<joint name="j" axis="{}"/><geom name="hub" type="capsule" size=".01" fromto="0 0 0 .3 0 0"
+mass="1"/></body></worldbody><actuator><position name="s" joint="j" kp="50"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "axis, words",
+    [
+        ("0 0 1", "by the closed form, which leaves out contact `hub`/`base`"),
+        ("0 1 0", "try another keyframe; contact `hub`/`base` acts there."),
+    ],
+)
+def test_contacts_that_take_most_of_a_gain_are_named(axis, words):
+    """A link turns in its base, 10 mm deep: the run shows half of what the closed form does."""
+    scene = RUBBING.format(axis)
+    said = " ".join(sc.tune(sc.loads(scene), bandwidth=5.0, progress=False).text().split())
+    assert words in said
+    free = scene.replace('<geom name="base"', '<geom name="base" contype="0" conaffinity="0"')
+    assert "`hub`" not in sc.tune(sc.loads(free), bandwidth=5.0, progress=False).text()

@@ -19,6 +19,7 @@ from stepcore.cli.arguments import (
     add_motion,
     add_options,
     documented,
+    frequency,
     key_of,
     length,
     model_of,
@@ -293,7 +294,8 @@ MEASUREMENTS = {
         "tune",
         "arm.xml --bandwidth 5",
         {
-            **{"bandwidth": "HZ", "settling": "S", "sag": "X", "stiffness": "N/M"},
+            "bandwidth": {"type": frequency, "metavar": "HZ"},
+            **{"settling": "S", "sag": "X", "stiffness": "N/M"},
             **{"depth": "LENGTH", "noise": "N", "servo": NAMES, "geom": NAMES, "dt": "S"},
         },
         excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),

@@ -169,6 +169,11 @@ def length_of(text: str) -> float | None:
     return _in_units(text, (*LENGTHS, CENTIMETRES))
 
 
+def frequency_of(text: str) -> float | None:
+    """Parse a frequency [Hz] such as "8" or "8Hz"; return None for other text."""
+    return _in_units(text, FREQUENCIES)
+
+
 def _in_units(text: str, units: Units, plain: bool = True) -> float | None:
     """Parse a number with one of these units, "us" as well as "µs"; plain: or without."""
     if plain:

@@ -120,11 +120,11 @@ def tune(
     run shows stands beside the wanted one and that of the closed form. What cannot be reached at
     this time step is said, with the most that can.
 
-    model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     Where motors drive joints, servos stand in their place, which are the PD controllers that such
     robots have: kp and kv are its gains. A URDF, which has no actuators, gets motors on the joints
     whose effort it bounds.
 
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     bandwidth: of servos, the frequency at which the response falls to 1/√2 [Hz].
     settling: the time until a step of the target (or, of contacts, of the load) stays within 2 %
         [s], or a text such as "200ms".

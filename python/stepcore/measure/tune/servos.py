@@ -22,6 +22,7 @@ from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change, Servo
 from stepcore.experiment.choose import least
 from stepcore.experiment.moves import moves_about, roots
+from stepcore.measure.monitors.finding import listed, named
 from stepcore.measure.monitors.servos import gained, strength
 from stepcore.measure.tune.goal import (
     FEWEST,
@@ -385,6 +386,10 @@ def tuned_servos(
             )
         elif goal.name != "sag" and widths[k] < full:
             also = f", of a motion of {width}, for which half of the force is left"
+        if k in limits or not 0.5 < values[k] / asked[k] < 2:
+            rubs = touched(model, at, drive)
+            why += f"; {rubs} acts there" * bool(rubs)
+            also = f", which leaves out {rubs}" * bool(rubs) + also
         found.append(
             Tuned(
                 *("servo", called[drive.index], goal, unit if goal.name == "sag" else "", change),
@@ -399,3 +404,19 @@ def tuned_servos(
             )
         )
     return [*idle, *found]
+
+
+def touched(model: Model, at: At, drive: Actuator) -> str:
+    """Return the contacts, in the pose, of what a servo moves with what it does not move."""
+    own, pairs = model.jnt_body[drive.joint], list[int]()
+
+    def moved(body: int) -> bool:
+        while body and body != own:
+            body = int(model.body_parent[body])
+        return body > 0
+
+    for contact in at.contacts(Sim(model), at.start):
+        if len({moved(int(model.geom_body[contact[geom]])) for geom in ("geom1", "geom2")}) == 2:
+            pairs.append(int(contact["index"]))
+    contacts = named(model, "contact", pairs)
+    return listed(contacts, "contact") if contacts else ""
