@@ -254,16 +254,27 @@ def test_chatter_within_a_force_range_is_no_step_that_holds(integrator, times):
     assert found.limit(integrator) == pytest.approx(times / POLE, rel=0.03)
 
 
-def test_chatter_within_the_bounds_of_a_user_s_function_is_no_step_that_holds():
-    def control(time, sim):
-        target = 0.3 * math.sin(4 * time) if time < 1 else 0.0
-        force = 330 * (target - sim.qpos[0]) - 66 * sim.qvel[0]
-        return [min(max(force, -56.0), 56.0)]
+def clipped(time, sim):
+    target = 0.3 * math.sin(4 * time) if time < 1 else 0.0
+    force = 330 * (target - sim.qpos[0]) - 66 * sim.qvel[0]
+    return [min(max(force, -56.0), 56.0)]
 
-    scene = sc.loads(CHATTERING.format('<motor name="s" joint="j"/>'))
-    found = diagnosed(scene, ["rk4"], control=control, horizon=1.0)
+
+@pytest.mark.parametrize("dt", ["0.001", "0.004"])
+def test_chatter_within_the_bounds_of_a_user_s_function_is_no_step_that_holds(dt):
+    """In the shipped step, too, where it would be the converged motion."""
+    text = CHATTERING.format('<motor name="s" joint="j"/>').replace("0.001", dt)
+    found = diagnosed(sc.loads(text), ["rk4"], control=clipped, horizon=1.0)
     # What is held during a step acts as in euler.
     assert found.limit("rk4") == pytest.approx(2 / POLE, rel=0.03)
+
+
+def test_a_control_period_in_which_a_function_chatters_is_told():
+    scene = sc.loads(CHATTERING.format('<motor name="s" joint="j"/>'))
+    found = diagnosed(scene, ["euler"], control=clipped, control_dt=0.004, horizon=1.0)
+    assert "the control function is sampled too rarely" in found.sentences[0]
+    # Of whole steps.
+    assert found.longest_period == pytest.approx(0.003)
 
 
 # --- activations ----------------------------------------------------------------------------------

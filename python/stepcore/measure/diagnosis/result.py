@@ -224,7 +224,7 @@ class Diagnosis(Result):
         limit, step = self.own, f"A step of {seconds(self.wanted)}"
         elements, own = self._limiters(None), limit.integrator
         name = Elements(elements).together or "the motion as a whole"
-        traits = self._traits(elements)
+        traits, fails = self._traits(elements), self._failure(elements)
         judged = f"judged over {seconds(self.horizon)} of motion"
         if not limit.ran:
             judged = "by the linearised step"
@@ -237,17 +237,17 @@ class Diagnosis(Result):
                 return f"{held}; {step[0].lower()}{step[1:]} {does}. {more}"
             return f"No element limits dt below {below} under {own}, {judged}."
         if limit.dt <= 0 and self.longest_period:
-            return f"{step} explodes under {own}: the control function is sampled too rarely."
+            return f"{step} {fails} under {own}: the control function is sampled too rarely."
         if limit.dt <= 0:
             tried = f"every step tried unstable, down to {seconds(limit.shortest)}"
-            return f"{step} explodes under {own}: {name}{traits} {_verb(elements, 'make')} {tried}."
+            return f"{step} {fails} under {own}: {name}{traits} {_verb(elements, 'make')} {tried}."
         cause = f"{name}{traits} {_verb(elements, 'limit')} dt to {seconds(limit.dt)}"
         if not limit.ran:
             return f"{cause[0].upper()}{cause[1:]} under {own}, {judged}."
         if self.fails and self.observed is not None and self.observed.holds:
             return f"{step} holds in this run under {own}, but shorter ones fail: {cause}."
         if self.fails:
-            return f"{step} {self._failure(elements)} under {own}: {cause}."
+            return f"{step} {fails} under {own}: {cause}."
         over = f"over {seconds(self.horizon)}"
         margin = limit.dt / self.wanted
         holds = f"{step} is stable under {own} {over}, with a stability margin of {times(margin)}"

@@ -7,8 +7,9 @@ runs the same motion from a start that is moved by 1e-6 of the scene's size. A s
 - the perturbation grows without end: towards the end of the run it is `GROWN` times as large as it
   ever was in the converged motion. Growth of the motion itself (chaos, a fall) is there in the
   converged motion, too, and is no limit;
-- it never rests where the converged motion does, as the forces of actuators swing between their
-  bounds: such chatter has a size of its own, and no perturbation grows in it.
+- it chatters: forces of actuators jump between their bounds, as in the converged motion they do
+  not, or stand at the ends of their ranges where that rests. Bounds give chatter a size of its own,
+  and no perturbation grows in it.
 
 The converged motion is such a pair of runs at a short step, which a shorter one confirms. Where a
 run lasts longer than that, its energy and its perturbation are continued by a power of time.
@@ -174,6 +175,12 @@ class Pair:
     failure: str
     reached: float
     ran: Followed | None
+
+    @property
+    def late(self) -> np.ndarray:
+        """The samples of motion that should rest."""
+        mask: np.ndarray = self.times >= CALM * self.times[-1]
+        return mask
 
     def blows_up(self, floor: float) -> float:
         """Return when it has blown up [s]; inf if it has not. floor: the energy of slow motion."""
@@ -347,20 +354,28 @@ class Motions:
             full: np.ndarray = (force <= low) | (force >= high)
         return full
 
-    def swings(self, pair: Pair) -> bool:
-        """Return whether actuators drive the end of a run by forces that their bounds alone end.
+    def jumps(self, pair: Pair) -> bool:
+        """Return whether a run moves at its end by forces of actuators that jump between bounds.
 
-        They are at the ends of their ranges, or jump as widely as in all of the motion, as a user's
-        function may bound them.
+        From sample to sample, or from call to call of a user's function, they change as much as in
+        all of the motion.
         """
-        late = pair.times >= CALM * pair.times[-1]
-        if pair.ran is None or pair.failure or pair.energy[late].min() < self.floor / GROWN**2:
+        if self.rests(pair) or pair.ran is None or len(pair.times) < 2:
             return False
-        force = pair.ran["actuator_force"][0]
-        jumps = np.abs(np.diff(force[late], axis=0)).mean(axis=0)
-        return bool(
-            (self.ends(force[late]).any(axis=0) | (jumps > np.ptp(force, axis=0) / 2)).any()
-        )
+        force, call = pair.ran["actuator_force"][0], (self.period or 0.0) / pair.times[1]
+        late = force[pair.late][:: max(1, round(call))]
+        jumps = np.abs(np.diff(late, axis=0)).sum(axis=0) / max(1, len(late) - 1)
+        return bool((jumps > np.ptp(force, axis=0) / 2).any())
+
+    def presses(self, pair: Pair) -> bool:
+        """Return whether a run moves at its end, where actuators are at ends of their ranges."""
+        if self.rests(pair) or pair.ran is None:
+            return False
+        return bool(self.ends(pair.ran["actuator_force"][0, pair.late]).any())
+
+    def rests(self, pair: Pair) -> bool:
+        """Return whether a run fails, or comes to rest: at some sample near its end it is slow."""
+        return bool(pair.failure) or bool(pair.energy[pair.late].min() < self.floor / GROWN**2)
 
     def changed(self, change: Change) -> Motions:
         model = change.of(self.model)
@@ -472,7 +487,8 @@ class Judge:
                 break
             runs.append(motions.pair(FINE, part * dt, loop=loop, samples=LEAST))
             motions.count(runs[-1])
-            if len(runs) > 1 and _same(runs[-2], runs[-1], floor):
+            alike = len(runs) > 1 and motions.jumps(runs[-2]) == motions.jumps(runs[-1])
+            if alike and _same(runs[-2], runs[-1], floor):
                 longer = max(runs[-2:], key=lambda run: round(run.reached, 9))
                 return cls(motions, longer, True, loop=loop)._ended()
         usable = [run for run in runs if math.isinf(run.blows_up(floor))]
@@ -493,6 +509,7 @@ class Judge:
             return own
         most = LARGE * max(float(np.nanmax(closed.fine.energy)), motions.floor)
         flutters = own.runaway is not None or float(np.nanmax(own.fine.energy)) > most
+        flutters |= motions.jumps(own.fine) and not motions.jumps(closed.fine)
         return closed if flutters else own
 
     def _ended(self) -> Judge:
@@ -601,24 +618,25 @@ class Judge:
         return Outcome("holds", pair.reached, most, late, early)
 
     def _chatters(self, change: Change, loop: Loop | None, pair: Pair) -> bool:
-        """Return whether forces of actuators keep a run moving where the converged motion rests.
+        """Return whether forces of actuators keep a run moving as they do not the converged motion.
 
-        Where it does not rest within the run, both go on for as long as the motion took.
+        They jump, or are at the ends of their ranges where the converged motion rests; both go on
+        for as long as the motion took.
         """
         motions, dt = self.motions, pair.dt
-        if not motions.swings(pair):
-            return False
         steps = math.ceil(2 * motions.horizon / dt)
-        if steps > motions.steps(dt):
+        jumps, presses = motions.jumps(pair), motions.presses(pair)
+        if (jumps or presses) and steps > motions.steps(dt):
             pair = motions.pair(change, dt, steps, loop)
-            if not motions.swings(pair):
-                return False
-        end = float(pair.times[-1])
-        self._cover(end)
+            jumps, presses = motions.jumps(pair), motions.presses(pair)
+        if not (jumps or presses):
+            return False
+        self._cover(float(pair.times[-1]))
         known = self.long or self.fine
-        calm = known.times >= CALM * min(known.times[-1], end)
-        late = pair.times >= CALM * end
-        return float(pair.energy[late].min()) > GROWN * float(known.energy[calm].max())
+        if jumps and not motions.jumps(known):
+            return True
+        calm = known.times >= CALM * min(known.times[-1], pair.times[-1])
+        return float(pair.energy[pair.late].min()) > GROWN * float(known.energy[calm].max())
 
 
 def _runaway(coarse: Pair, fine: Pair, floor: float) -> Runaway | None:
