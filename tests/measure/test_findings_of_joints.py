@@ -357,3 +357,41 @@ def test_a_servo_of_a_standing_thing_sags_under_its_weight():
     )
     one = the(watched(scene, time=3.0)[1], "servo sags")
     assert one.value == pytest.approx(5 * G / 500, rel=1e-3)
+
+
+# Chatter.
+
+SERVO = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body><joint name="j"/>
+<geom size=".01" mass="1e-6"/></body></worldbody><default><joint armature=".1"/></default>
+<actuator><position name="s" joint="j" kp="330" kv="66" forcerange="-56 56"/></actuator>
+<keyframe><key qvel="1"/></keyframe></mujoco>"""
+SPRING = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body><joint name="j"
+type="slide" stiffness="{}"/><geom size=".01" mass="1"/></body></worldbody>
+<keyframe><key qvel="1"/></keyframe></mujoco>"""
+
+
+def test_a_joint_that_moves_to_and_fro_from_step_to_step_chatters():
+    """Beyond 2/p of the servo's fast pole p; its force throws the joint at 56 N·m · dt / I a step,
+    from one side of rest to the other."""
+    one = the(watched(sc.loads(SERVO), key=0, dt=0.004)[1], "chatter")
+    assert one.value == pytest.approx(56 * 0.004 / 0.1 / 2, rel=0.01) and one.unit == "rad/s"
+    assert watched(sc.loads(SERVO), key=0, dt=0.002)[1] == []
+
+
+def test_settings_that_let_a_joint_chatter_are_not_recommended_without_a_word():
+    """An error of positions alone: the servo is at most 10 mrad away."""
+    given = {"dts": [0.004], "integrators": ["euler"], "error": 0.1, "by": "flops"}
+    result = sc.trade(sc.loads(SERVO), starts=2, progress=False, **given)
+    assert result.recommended.dt == 0.004
+    assert "Under these settings joint `j` chatters: it moves to and fro" in result.text()
+    assert result.to_dict()["chatter"][0]["kind"] == "chatter"
+
+
+def test_a_vibration_is_no_chatter():
+    """Not even where readings, five steps apart, see it at one phase: it has a period of ten."""
+    steps = 2 * math.pi / 0.01
+    # Where semi-implicit steps turn by 2π/10 each.
+    omega = 2 * math.sin(math.pi / 10) / 0.001
+    for rate in (steps, omega):
+        found = watched(sc.loads(SPRING.format(rate**2)), key=0)[1]
+        assert [one for one in found if one.kind == "chatter"] == []

@@ -20,6 +20,7 @@ from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
+from stepcore.experiment.schedule import SPEED, SPIN
 from stepcore.measure.monitors.finding import (
     DEEP,
     FEW,
@@ -36,11 +37,14 @@ from stepcore.measure.monitors.finding import (
     named,
     worst,
 )
-from stepcore.measure.monitors.recording import Recording, settled
+from stepcore.measure.monitors.recording import FEWEST, Recording, settled
 from stepcore.measure.monitors.soft_rows import stiffened
 from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
 from stepcore.scene.layout import QPOS, Layout
 
+# The speeds of a slow motion [m/s, rad/s]: chatter below a tenth of them is rounding, or noise.
+SLOW = {"m": SPEED, "rad": SPIN}
+LIMITS = (Next("diagnose", "which element limits dt"),)
 # Elements that only resist motion cannot push a joint beyond its limit. An equality that holds the
 # joint within its range has damping that points outwards, too (backlash.xml).
 RESISTS = ("damper", "friction loss", "joint equality")
@@ -50,8 +54,43 @@ def joint_findings(run: Recording) -> Iterator[Finding]:
     """Yield the findings on connections, limits and backlash."""
     if run.model.settings.law == "solref":
         yield from _gaps(run)
+    yield from chatter_findings(run)
     yield from _overpowered(run)
     yield from _played(run)
+
+
+def chatter_findings(run: Recording) -> Iterator[Finding]:
+    """Yield joints that move to and fro from step to step at the end of a run."""
+    model = run.model
+    if len(run) <= FEWEST or model.settings.accuracy is not None:
+        return
+    speeds = _to_and_fro(run.between(len(run) - 1 - FEWEST, len(run) - 1))
+    joints = sorted(speeds, key=lambda k: -speeds[k])
+    if joints:
+        elements, speed = named(model, "joint", joints), speeds[joints[0]]
+        unit = f"{unit_of(model, joints[0])}/s"
+        who = f"{listed(elements, 'joint')} chatters"
+        problem = f"{who}: it moves to and fro from step to step, at {speed:.3g} {unit}"
+        cure = "take a shorter dt, or lower gains; stepcore diagnose names what limits dt"
+        yield Finding("chatter", "warning", problem, cure, elements, speed, unit, LIMITS)
+
+
+def _to_and_fro(run: Recording) -> dict[int, float]:
+    """Return joints whose velocities lead nowhere, each with its mean speed [rad/s or m/s].
+
+    run: of every step. Beside a steady motion, a vibration of four or more time steps leads at
+    least two mean steps away.
+    """
+    model = run.model
+    joints = [k for k, kind in enumerate(model.jnt_type) if kind in ("hinge", "slide")]
+    places, steps = run["qpos"][:, model.jnt_qposadr[joints]], np.arange(len(run))
+    slope, begin = np.polyfit(steps, places, 1)
+    way = np.ptp(places - begin - slope * steps[:, None], axis=0)
+    dt, speed = model.settings.dt, run["qvel"][:, model.jnt_dofadr[joints]]
+    step = np.abs(speed * dt - slope).mean(axis=0)
+    least = DEEP * dt * np.array([SLOW[unit_of(model, k)] for k in joints])
+    found = (way <= 1.5 * step) & (step > least)
+    return {joints[k]: float(step[k]) / dt for k in np.flatnonzero(found)}
 
 
 # Connections.

@@ -17,6 +17,8 @@ from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.measure.monitors import monitored
+from stepcore.measure.monitors.joints import chatter_findings
+from stepcore.measure.monitors.recording import recorded
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.search import SEARCHING, UNSURE, Search, proven, settled
 from stepcore.report import units
@@ -170,6 +172,9 @@ def _proven_and_timed(result: Trade, search: Search, further: int) -> None:
     if result.engine == "stepcore":
         with deadline.stage("the findings on the shipped settings"):
             result.findings = monitored(study.model, study.schedule)[0]
+            if result.chosen is not None and result.chosen.change != SHIPPED:
+                run = recorded(result.chosen.change.of(study.model), study.schedule)
+                result.chatter = list(chatter_findings(run))
 
 
 def _searched(result: Trade, search: Search, further: int) -> None:

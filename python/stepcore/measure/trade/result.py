@@ -85,6 +85,7 @@ class Trade(Result):
     effort: the most operations of the runs. ended: whether they ended the search.
     runs: the number of runs that the trade made.
     findings: problems of the shipped settings in the first start, such as creep; see `Finding`.
+    chatter: joints that chatter there under the chosen ones.
     beside: the same trade with MuJoCo, if it was asked for.
     parted: how far both engines' converged motions are apart in the worst start [m].
     """
@@ -111,6 +112,7 @@ class Trade(Result):
     runs: int = 0
     moved: float = math.nan
     findings: Sequence[Finding] = ()
+    chatter: Sequence[Finding] = ()
     beside: Trade | None = None
     parted: float = math.nan
     reference: Truth = field(init=False)
@@ -350,6 +352,8 @@ class Trade(Result):
             elif target is not None:
                 also = ", and may miss the error from others" * (len(row.starts) < self.starts)
                 yield f"It was not tried on untouched starts{also}."
+            for finding in self.chatter:
+                yield f"Under these settings {finding.text[0].lower()}{finding.text[1:]}"
             if self.engine == "mujoco" and row.change.settings:
                 yield f"In the file: {row.change.mjcf}"
             yield self._halved()
@@ -593,6 +597,7 @@ class Trade(Result):
             "proof": None if self.proof is None else self.proof.record(),
             "runs": self.runs,
             "findings": [finding.record() for finding in self.findings],
+            "chatter": [finding.record() for finding in self.chatter],
         }
 
     def seen(self, row: Trial | None = None) -> list[Trajectory]:
