@@ -76,7 +76,7 @@ def chatter_findings(run: Recording) -> Iterator[Finding]:
 
 
 def _to_and_fro(run: Recording) -> dict[int, float]:
-    """Return joints whose velocities lead nowhere, each with its mean speed [rad/s or m/s].
+    """Return joints whose velocities lead nowhere, each with its median speed [rad/s or m/s].
 
     run: of every step. Beside a steady motion, a vibration of four or more time steps leads at
     least two mean steps away.
@@ -87,9 +87,11 @@ def _to_and_fro(run: Recording) -> dict[int, float]:
     slope, begin = np.polyfit(steps, places, 1)
     way = np.ptp(places - begin - slope * steps[:, None], axis=0)
     dt, speed = model.settings.dt, run["qvel"][:, model.jnt_dofadr[joints]]
-    step = np.abs(speed * dt - slope).mean(axis=0)
+    moves = np.abs(speed * dt - slope)
+    step = np.median(moves, axis=0)
     least = DEEP * dt * np.array([SLOW[unit_of(model, k)] for k in joints])
-    found = (way <= 1.5 * step) & (step > least)
+    # What explodes grows, and a push comes once.
+    found = (way <= 1.5 * step) & (step > least) & (moves.max(axis=0) < 2 * step)
     return {joints[k]: float(step[k]) / dt for k in np.flatnonzero(found)}
 
 
