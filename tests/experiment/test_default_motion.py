@@ -221,7 +221,7 @@ def test_what_servos_of_a_site_move_is_not_said_to_be_held():
     schedule, words = planned(model, starts=1)
     most = float(np.abs(schedule.rows([0], 0.002)[0]).max())
     assert most > 1e-3 and np.ptp(watched(model, schedule, 0)[0]) > 1e-3
-    assert f"servos move point to point over 800 ms under controls up to {most:.2g} and" in words
+    assert f"servos move point to point over 800 ms under controls up to {most:.2g} (" in words
 
 
 def test_controls_of_zero_hold_the_pose_of_the_keyframe():

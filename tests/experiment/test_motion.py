@@ -78,9 +78,11 @@ def test_the_motion_is_told_in_words():
     scene.add_key("home", qpos=(0.0,), ctrl=(0.0,))
     assert words(scene, short, starts=1) == (
         "100 ms from keyframe `home`; test motion: a PD controller drives the joints point to "
-        "point over 800 ms to poses up to 40.9 mm away and back (minimum jerk); top speed 0.098 "
+        "point over 800 ms to poses up to 40.9 mm away (minimum jerk); top speed 0.098 "
         "m/s (joint 0 of body `cart`), never saturated; law solref"
     )
+    # It rests there for 200 ms, and comes back.
+    assert " away and back (minimum jerk)" in words(scene, Motion(horizon=1.5), starts=1)
     waving = Motion(horizon=0.1, kind="sines")
     assert words(scene, waving, starts=1) == (
         "100 ms from keyframe `home`; motors are held at zero, because nothing gives their range; "

@@ -36,7 +36,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.control_table import ControlLog, Controls, PositionTable
-from stepcore.experiment.moves import HELD, MOVE, Chosen, Moves, moves_about, profile, resting
+from stepcore.experiment.moves import HELD, MOVE, REST, Chosen, Moves, moves_about, profile, resting
 from stepcore.report.units import counted, metres, percent, radians, seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
@@ -90,7 +90,7 @@ def default_motion(model: Model, kind: str | None, asked: Asked) -> Controls:
     chosen = moves.choose(asked.starts, asked.seed)
     parts = 1 if asked.whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
     log = moves.log(chosen.spans, chosen.rates, asked.periods * period, period / parts)
-    said = "; ".join(_said(moves, chosen))
+    said = "; ".join(_said(moves, chosen, asked.periods * period))
     others = [_name(model, "actuator", drive.index) for drive in moves.of(OTHER)]
     remark = "actuators that are no servos, and no motors of a joint, keep their controls: "
     remarks = (remark + listed(others),) if others else ()
@@ -108,12 +108,13 @@ def actuators_in_words(model: Model) -> str:
     return f"{kinds.pop()}s" if len(kinds) == 1 else "motors and servos"
 
 
-def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
+def _said(moves: Moves, chosen: Chosen, horizon: float) -> Iterator[str]:
     """Yield the motion, its loads, and why the machine, or some starts, do not move."""
     far, motors = _far(moves, chosen), bool(moves.servos)
     if far:
         who = "a PD controller drives the joints" if motors else "servos move"
-        how = f"point to point over {seconds(MOVE)} {far} and back (minimum jerk)"
+        back = " and back" * (horizon > MOVE + REST)
+        how = f"point to point over {seconds(MOVE)} {far}{back} (minimum jerk)"
         yield f"test motion: {who} {how}"
     else:
         yield f"test motion: {'a PD controller holds' if motors else 'servos hold'} the start"
