@@ -22,6 +22,18 @@ def slider(k: float, damping: float = 0.0, mass: float = 1.0, **options) -> sc.S
     return scene
 
 
+SERVO = '<position name="s" joint="j" kp="330" kv="66" forcerange="-56 56"/>'
+# Its fast pole [1/s].
+POLE = (66 + math.sqrt(66**2 - 4 * 330 * 0.1)) / 0.2
+
+
+def damped_servo(actuator: str = SERVO, dt: float = 1e-3, key: str = "") -> str:
+    """A joint on a strongly damped servo of limited force, as UR3e's; or on another actuator."""
+    return f"""<mujoco><option timestep="{dt}" gravity="0 0 0"/><worldbody><body>
+      <joint name="j" axis="0 1 0" armature="0.1"/><geom size=".01" mass="1e-6"/></body></worldbody>
+      <actuator>{actuator}</actuator>{key}</mujoco>"""
+
+
 def chain(stiffnesses, damping: float = 0.02, gravity=(0, 0, 0), **options) -> sc.Scene:
     """Links of 0.3 m and 0.5 kg in a row, a spring in every joint."""
     scene = sc.Scene(gravity=gravity, name="chain").with_settings(**options)

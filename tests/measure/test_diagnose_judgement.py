@@ -239,19 +239,14 @@ def test_a_servo_that_friction_would_hold_at_rest_limits_dt_where_it_moves():
     assert speeds[0.9] < 1e-6 and speeds[1.3] > 0.1
 
 
-CHATTERING = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
-  <joint name="j" axis="0 1 0" armature="0.1"/><geom size=".01" mass="1e-6"/></body></worldbody>
-  <actuator>{}</actuator></mujoco>"""
-# The fast pole of kp = 330 and kv = 66, UR3e's by its shape [1/s].
-POLE = (66 + math.sqrt(66**2 - 4 * 330 * 0.1)) / 0.2
-
-
 @pytest.mark.parametrize("integrator, times", [("euler", 2), ("rk4", 2.7853)])
 def test_chatter_within_a_force_range_is_no_step_that_holds(integrator, times):
     """Beyond it a servo swings between its ends, and no perturbation grows."""
-    servo = '<position name="s" joint="j" kp="330" kv="66" forcerange="-56 56"/>'
-    found = diagnosed(sc.loads(CHATTERING.format(servo)), [integrator])
-    assert found.limit(integrator) == pytest.approx(times / POLE, rel=0.03)
+    found = diagnosed(sc.loads(stiff.damped_servo()), [integrator])
+    assert found.limit(integrator) == pytest.approx(times / stiff.POLE, rel=0.03)
+
+
+MOTOR = '<motor name="s" joint="j"/>'
 
 
 def clipped(time, sim):
@@ -260,17 +255,17 @@ def clipped(time, sim):
     return [min(max(force, -56.0), 56.0)]
 
 
-@pytest.mark.parametrize("dt", ["0.001", "0.004"])
+@pytest.mark.parametrize("dt", [0.001, 0.004])
 def test_chatter_within_the_bounds_of_a_user_s_function_is_no_step_that_holds(dt):
     """In the shipped step, too, where it would be the converged motion."""
-    text = CHATTERING.format('<motor name="s" joint="j"/>').replace("0.001", dt)
-    found = diagnosed(sc.loads(text), ["rk4"], control=clipped, horizon=1.0)
+    scene = sc.loads(stiff.damped_servo(MOTOR, dt))
+    found = diagnosed(scene, ["rk4"], control=clipped, horizon=1.0)
     # What is held during a step acts as in euler.
-    assert found.limit("rk4") == pytest.approx(2 / POLE, rel=0.03)
+    assert found.limit("rk4") == pytest.approx(2 / stiff.POLE, rel=0.03)
 
 
 def test_a_control_period_in_which_a_function_chatters_is_told():
-    scene = sc.loads(CHATTERING.format('<motor name="s" joint="j"/>'))
+    scene = sc.loads(stiff.damped_servo(MOTOR))
     found = diagnosed(scene, ["euler"], control=clipped, control_dt=0.004, horizon=1.0)
     assert "the control function is sampled too rarely" in found.sentences[0]
     # Of whole steps.

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+import stiff
 from test_findings import GRIPPER, SOLIMP, G, pair, the, watched
 
 import stepcore as sc
@@ -361,10 +362,7 @@ def test_a_servo_of_a_standing_thing_sags_under_its_weight():
 
 # Chatter.
 
-SERVO = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body><joint name="j"/>
-<geom size=".01" mass="1e-6"/></body></worldbody><default><joint armature=".1"/></default>
-<actuator><position name="s" joint="j" kp="330" kv="66" forcerange="-56 56"/></actuator>
-<keyframe><key qvel="1"/></keyframe></mujoco>"""
+SERVO = stiff.damped_servo(key='<keyframe><key qvel="1"/></keyframe>')
 SPRING = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body><joint name="j"
 type="slide" stiffness="{}"/><geom size=".01" mass="1"/></body></worldbody>
 <keyframe><key qvel="1"/></keyframe></mujoco>"""

@@ -89,8 +89,9 @@ def default_motion(model: Model, kind: str | None, asked: Asked) -> Controls:
     moves = Moves(model, asked.home, asked.held, keep=kind == "hold")
     chosen = moves.choose(asked.starts, asked.seed)
     parts = 1 if asked.whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
-    log = moves.log(chosen.spans, chosen.rates, asked.periods * period, period / parts)
-    said = "; ".join(_said(moves, chosen, asked.periods * period))
+    horizon = asked.periods * period
+    log = moves.log(chosen.spans, chosen.rates, horizon, period / parts)
+    said = "; ".join(_said(moves, chosen, horizon))
     others = [_name(model, "actuator", drive.index) for drive in moves.of(OTHER)]
     remark = "actuators that are no servos, and no motors of a joint, keep their controls: "
     remarks = (remark + listed(others),) if others else ()

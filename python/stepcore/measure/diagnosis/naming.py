@@ -277,7 +277,7 @@ def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict
         return {}
     found = {}
     for element, slopes in sim.element_slopes().items():
-        if element in known:
+        if element in known or element.kind not in NAMED:
             continue
         both = np.array([slopes.stiffness, slopes.damping])
         dofs = np.flatnonzero(both.any(axis=(0, 1)) | both.any(axis=(0, 2)))
@@ -286,7 +286,7 @@ def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict
         with np.errstate(all="ignore"):
             stiff, damp = (own @ m[np.ix_(dofs, dofs)] @ own.T for m in both)
         finite = np.isfinite(stiff).all() and np.isfinite(damp).all()
-        if element.kind not in NAMED or not finite or not len(dofs):
+        if not finite or not len(dofs):
             continue
         values, vectors = np.linalg.eigh((stiff + stiff.T) / 2)
         rate = max(float(np.linalg.eigvalsh((damp + damp.T) / 2)[-1]), 0.0)

@@ -607,7 +607,7 @@ class Judge:
             growth = pair.apart / known
         # Two runs that never part, and a motion whose own growth has no bound.
         growth[np.isnan(growth)] = 0.0
-        late = float(growth[times >= CALM * times[-1]].max())
+        late = float(growth[pair.late].max())
         most = float(energy.max())
         over = times[energy > LARGE]
         if len(over):

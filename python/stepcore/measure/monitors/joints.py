@@ -15,7 +15,7 @@ import numpy as np
 
 from stepcore.engine.actuator import actuators
 from stepcore.engine.arrays import Floats
-from stepcore.engine.coordinates import rotated, turned
+from stepcore.engine.coordinates import Coordinates, rotated, turned
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
@@ -42,9 +42,6 @@ from stepcore.measure.monitors.soft_rows import stiffened
 from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
 from stepcore.scene.layout import QPOS, Layout
 
-# The speeds of a slow motion [m/s, rad/s]: chatter below a tenth of them is rounding, or noise.
-SLOW = {"m": SPEED, "rad": SPIN}
-LIMITS = (Next("diagnose", "which element limits dt"),)
 # Elements that only resist motion cannot push a joint beyond its limit. An equality that holds the
 # joint within its range has damping that points outwards, too (backlash.xml).
 RESISTS = ("damper", "friction loss", "joint equality")
@@ -72,24 +69,26 @@ def chatter_findings(run: Recording) -> Iterator[Finding]:
         who = f"{listed(elements, 'joint')} chatters"
         problem = f"{who}: it moves to and fro from step to step, at {speed:.3g} {unit}"
         cure = "take a shorter dt, or lower gains; stepcore diagnose names what limits dt"
-        yield Finding("chatter", "warning", problem, cure, elements, speed, unit, LIMITS)
+        limits = (Next("diagnose", "which element limits dt"),)
+        yield Finding("chatter", "warning", problem, cure, elements, speed, unit, limits)
 
 
 def _to_and_fro(run: Recording) -> dict[int, float]:
     """Return joints whose velocities lead nowhere, each with its median speed [rad/s or m/s].
 
     run: of every step. Beside a steady motion, a vibration of four or more time steps leads at
-    least two mean steps away.
+    least two median steps away.
     """
     model = run.model
     joints = [k for k, kind in enumerate(model.jnt_type) if kind in ("hinge", "slide")]
+    dofs, dt = model.jnt_dofadr[joints], model.settings.dt
     places, steps = run["qpos"][:, model.jnt_qposadr[joints]], np.arange(len(run))
     slope, begin = np.polyfit(steps, places, 1)
     way = np.ptp(places - begin - slope * steps[:, None], axis=0)
-    dt, speed = model.settings.dt, run["qvel"][:, model.jnt_dofadr[joints]]
-    moves = np.abs(speed * dt - slope)
+    moves = np.abs(run["qvel"][:, dofs] * dt - slope)
     step = np.median(moves, axis=0)
-    least = DEEP * dt * np.array([SLOW[unit_of(model, k)] for k in joints])
+    # Below a tenth of a slow motion it is rounding, or noise.
+    least = DEEP * dt * Coordinates(model).scaled(np.ones(model.nv), SPEED, SPIN)[dofs]
     # What explodes grows, and a push comes once.
     found = (way <= 1.5 * step) & (step > least) & (moves.max(axis=0) < 2 * step)
     return {joints[k]: float(step[k]) / dt for k in np.flatnonzero(found)}

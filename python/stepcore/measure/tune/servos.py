@@ -366,7 +366,7 @@ def tuned_servos(
             placed.append(Servo(named, kp, kv, drive.forcerange))
         else:
             own |= gained(model, drive.index, kp, kv)
-    change = Change(own, servos=placed)
+    change, contacts = Change(own, servos=placed), at.contacts(Sim(model), at.start)
     for k, (drive, unit) in enumerate(zip(servos.drives, servos.units, strict=True)):
         (kp, kv), reached, also = gains[k], goal.near(values[k]), ""
         why = f"The run shows {goal.words(values[k], unit)} with kp={kp:g}"
@@ -387,7 +387,7 @@ def tuned_servos(
         elif goal.name != "sag" and widths[k] < full:
             also = f", of a motion of {width}, for which half of the force is left"
         if k in limits or not 0.5 < values[k] / asked[k] < 2:
-            rubs = touched(model, at, drive)
+            rubs = touched(model, contacts, drive)
             why += f"; {rubs} acts there" * bool(rubs)
             also = f", which leaves out {rubs}" * bool(rubs) + also
         found.append(
@@ -406,8 +406,8 @@ def tuned_servos(
     return [*idle, *found]
 
 
-def touched(model: Model, at: At, drive: Actuator) -> str:
-    """Return the contacts, in the pose, of what a servo moves with what it does not move."""
+def touched(model: Model, contacts: np.ndarray, drive: Actuator) -> str:
+    """Return the contacts of what a servo moves with what it does not move."""
     own, pairs = model.jnt_body[drive.joint], list[int]()
 
     def moved(body: int) -> bool:
@@ -415,8 +415,7 @@ def touched(model: Model, at: At, drive: Actuator) -> str:
             body = int(model.body_parent[body])
         return body > 0
 
-    for contact in at.contacts(Sim(model), at.start):
+    for contact in contacts:
         if len({moved(int(model.geom_body[contact[geom]])) for geom in ("geom1", "geom2")}) == 2:
             pairs.append(int(contact["index"]))
-    contacts = named(model, "contact", pairs)
-    return listed(contacts, "contact") if contacts else ""
+    return listed(named(model, "contact", pairs), "contact") if pairs else ""
