@@ -119,7 +119,9 @@ def instructions(side: str, motion: Path, steps: int) -> dict[str, float]:
     subprocess.run([*tool, sys.executable, __file__, "run", side, str(motion)], check=True)
     annotate = ["callgrind_annotate", "--threshold=100", "--auto=no", str(out)]
     shown = subprocess.run(annotate, capture_output=True, text=True, check=True).stdout
-    found = {calls: float(count.replace(",", "")) / steps for count, calls in LINE.findall(shown)}
+    found: dict[str, float] = {}
+    for count, calls in LINE.findall(shown):  # with line numbers, once for each file of its source
+        found[calls] = found.get(calls, 0.0) + float(count.replace(",", "")) / steps
     if not found:
         raise ValueError(f"no step of {side} was counted: does its library have symbols?")
     return found
