@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import stepcore as sc
+from stepcore import deadline
+from stepcore.engine.norm import Tracks
 from stepcore.experiment import Change, Study
+from stepcore.experiment.schedule import Schedule
 
 DROP = """<mujoco><option timestep="0.004" gravity="0 0 -9.81"/><worldbody>
   <geom type="plane" size="5 5 .1" condim="1"/>
@@ -47,3 +50,26 @@ def test_measured_times_are_of_all_starts(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(set(made)) > 1
     told = {Change(): 1e6, change: pytest.approx(1e6 * np.mean(made) / made[0])}
     assert study.times([change, Change()]) == told
+
+
+def test_where_time_is_short_the_truth_is_from_fewer_starts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A run as shipped takes a second: some of eight starts are known, with the same bits."""
+    whole, study = (Study(sc.loads(DROP), sc.Motion(horizon=0.4, starts=8)) for _ in "ab")
+    exact, now, follow = whole.truth(1e-3), [0.0], study.engine.follow
+
+    def slow(change: Change, schedule: Schedule, starts: list[int], **more: int) -> Tracks:
+        now[0] += study.price(change, len(starts)) / study.price(Change(), 1)
+        return follow(change, schedule, starts, **more)
+
+    monkeypatch.setattr(deadline, "clock", lambda: now[0])
+    monkeypatch.setattr(study.engine, "follow", slow)
+    with deadline.Deadline(60.0).opened() as limit:
+        known = study.truth(1e-3)
+    some = len(known.starts)
+    assert 1 < some < 8 and study.starts == known.starts == tuple(range(some)), some
+    assert limit.left_out[0] == f"{8 - some} of 8 starts"
+    np.testing.assert_array_equal(known.tracks.com, exact.tracks.com[:some])
+    (trial,) = study.run([Change(dt=0.002)])
+    assert trial.starts == known.starts

@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -73,11 +74,19 @@ SOLVED: tuple[dict[str, Any], ...] = (
 )
 # The most steps of one call, after which the deadline is asked; and worlds that wait for a run.
 CHUNK, KEPT = 2000, 16
-# Flags by which features are left out; those of MJCF, as in `Features`.
-FLAGS = (
-    *("constraint", "equality", "frictionloss", "limit", "contact", "spring", "damper", "gravity"),
-    *("clampctrl", "actuation", "filterparent", "eulerdamp"),
-)
+# Flags by which features are left out, those of MJCF, as in `Features`; and which numbers of a
+# model say that it has what they switch.
+FLAGS = {
+    "equality": "neq",
+    "frictionloss": "dof_frictionloss tendon_frictionloss",
+    "limit": "jnt_limited tendon_limited",
+    "contact": "ngeom nflex",
+    "spring": "jnt_stiffness jnt_stiffnesspoly tendon_stiffness tendon_stiffnesspoly nflex nplugin",
+    "damper": "dof_damping dof_dampingpoly tendon_damping tendon_dampingpoly nflex nplugin",
+    "gravity": "opt.gravity",
+    "actuation": "nu",
+    **dict.fromkeys(("constraint", "clampctrl", "filterparent", "eulerdamp"), "nv"),
+}
 # Values that can be changed, by kind of element.
 VALUES = {
     "joint": ("damping", "armature", "frictionloss", "stiffness"),
@@ -339,6 +348,15 @@ class MuJoCo(Engine):
             for fields in (SOLVED if self._rows else [{}])
         ]
         return list(dict.fromkeys([Change(), *made]))
+
+    @property
+    def flags(self) -> list[str]:
+        """The flags that switch something which the scene has."""
+
+        def has(numbers: str) -> bool:
+            return any(np.any(attrgetter(name)(self.scene)) for name in numbers.split())
+
+        return [flag for flag, numbers in FLAGS.items() if has(numbers)]
 
     def has_rows(self, schedule: Schedule) -> bool:
         # Counting the work looks at states of the motion.

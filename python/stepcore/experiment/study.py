@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from stepcore import deadline
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Tracks, apart, largest, rms
 from stepcore.experiment.arguments import Workers
@@ -26,7 +27,7 @@ from stepcore.experiment.price import OPERATION, OVERHEAD, computing_time
 from stepcore.experiment.schedule import STARTS, Schedule, time_steps
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Converging, Truth
-from stepcore.report.units import metres, seconds
+from stepcore.report.units import metres, rounded, seconds
 
 # Starts that run together: the worlds of a vector register.
 TOGETHER = STARTS
@@ -90,6 +91,8 @@ class Study:
         self.starts: tuple[int, ...] = tuple(self.schedule.indices)
         self.workers, self.effort, self.by = workers or Workers(), effort, by
         self.spent, self.runs, self.allowed = 0.0, 0, effort
+        # The time of the runs [s].
+        self._running = 0.0
         self._tracks: dict[tuple[Change, int], Tracks] = {}
         # Of steps within an accuracy that evaluated forces too often.
         self._given_up: set[Change] = set()
@@ -143,6 +146,10 @@ class Study:
     def affords(self, change: Change, starts: int) -> bool:
         """Return whether runs from some starts are within the operations allowed so far."""
         return self.spent + self.price(change, starts) <= self.allowed
+
+    def lasts(self, operations: float) -> float:
+        """Return how long runs of so many operations take, as those until now did [s]."""
+        return operations * (self._running / self.spent if self.spent else 1e-6 * OPERATION)
 
     def work(self, change: Change) -> float:
         """Return the operations of a simulated second.
@@ -208,7 +215,9 @@ class Study:
                 # A run that fails costs its steps until then.
                 self.spent += self.price(change, len(some)) * _share(own)
 
+        begun = deadline.clock()
         self.workers.each(follow, jobs, bar, took=took)
+        self._running += deadline.clock() - begun
         return [self._together(change, starts) for change in changes]
 
     def _most(self, change: Change, starts: Sequence[int]) -> float:
@@ -249,13 +258,18 @@ class Study:
         error: the error in question [m]; by default a tenth of the shipped settings' own.
         starts: by index; by default those of the search. physics: what is modelled differently.
 
+        Where a deadline leaves no time for all of the search's starts, they are fewer from then on.
+
         Raises ValueError if no converged motion can be run.
         """
+        own, goal = starts is None and physics == SHIPPED, None if error is None else SHARE * error
         starts = self.starts if starts is None else starts
-        goal = None if error is None else SHARE * error
         if physics not in self._truths:
             self._truths[physics] = Converging(self, physics, starts[0], goal)
-        return self._truths[physics].upto(starts, goal)
+        truth = self._truths[physics].upto(starts, goal, fewer=own)
+        if own:
+            self.starts = truth.starts
+        return truth
 
     def run(
         self,
@@ -329,7 +343,7 @@ class Study:
         """
         if math.isfinite(wrong):
             said = f"error as shipped {metres(wrong)}, ± {metres(moved)}"
-            wait = seconds(max(1.0, round(1e-6 * OPERATION * needs)))
+            wait = seconds(max(1.0, rounded(self.lasts(needs), 1)))
             self.workers.deadline.so_far(
                 f"{said}: {metres(moved / SHARE)} can be verified now, {metres(goal / SHARE)} in "
                 f"about {wait}"

@@ -27,13 +27,15 @@ from stepcore.experiment.engines import Engine, Way
 from stepcore.experiment.predictable import GROWTH, Growth, settled
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.settings import label
-from stepcore.report.units import metres, seconds
+from stepcore.report.units import counted, metres, seconds
 
 # The converged motion is known to this share of the error in question.
 SHARE = 0.1
 # A rung that leaves more than this share of the last one's change does not converge; after three of
 # them a start is left as it is (two coarse rungs may agree by luck: those that damp a fast swing).
 STALLED, PATIENCE = 0.9, 3
+# The share of a measurement's time that the converged motion may take, beyond what an answer needs.
+KNOWN = 0.5
 # Rungs of a ladder, at most, and rungs after which a method that still fails is given up.
 RUNGS, HOPELESS = 20, 5
 # The share of a study's effort that finding the method may take.
@@ -55,6 +57,7 @@ class Runs(Protocol):
 
     def tracks(self, changes: Sequence[Change], starts: Sequence[int]) -> list[Tracks]: ...
     def price(self, change: Change, starts: int) -> float: ...
+    def lasts(self, operations: float) -> float: ...
     def affords(self, change: Change, starts: int) -> bool: ...
     def tell(self, wrong: float, moved: float, goal: float, needs: float) -> None: ...
 
@@ -136,7 +139,7 @@ def left(gain: float) -> float:
 
 def _half() -> AbstractContextManager[None]:
     """Return a stage that ends at half of the time, for an answer to what is known then."""
-    return (deadline.current() or Deadline()).stage("a surer converged motion", 0.5)
+    return (deadline.current() or Deadline()).stage("a surer converged motion", KNOWN)
 
 
 class Converging:
@@ -157,12 +160,20 @@ class Converging:
         """Return the settings of a rung."""
         return self.physics.also(self.way.at(rung))
 
-    def upto(self, starts: Sequence[int], goal: float | None) -> Truth:
-        """Return the converged motion from some starts, sure to a goal [m] if the effort allows."""
+    def upto(self, starts: Sequence[int], goal: float | None, *, fewer: bool = False) -> Truth:
+        """Return the converged motion from some starts, sure to a goal [m] if the effort allows.
+
+        fewer: whether it may be from fewer starts, where a deadline leaves no time for all.
+        """
         goal = self.goal if goal is None else goal
         assert goal is not None
         surer = nullcontext() if self.known else _half()
-        self._begin([s for s in starts if s not in self.known], goal)
+        new = [s for s in starts if s not in self.known]
+        if not fewer or self.known or self._in_time(len(new)):
+            self._begin(new, goal)
+        else:
+            self._begin_some(new, goal)
+            starts = [s for s in starts if s in self.known]
         with surer:
             self._refine(starts, goal)
             self._witness(starts)
@@ -277,6 +288,28 @@ class Converging:
         text = f"the converged motion fails{self.study.schedule.driven}, at shorter steps than"
         return ValueError(f"{text} {dt} too, so there is nothing to compare with: {why}")
 
+    def _in_time(self, starts: int) -> bool:
+        """Return whether so many new starts can begin in the time that is left."""
+        limit, growing = deadline.current(), next(self._growing(self.rung))
+        runs = [self.at(self.rung - 1), self.at(self.rung), growing, growing]
+        cost = sum(self.study.price(change, starts) for change in runs)
+        return limit is None or self.study.lasts(cost) < limit.left
+
+    def _begin_some(self, starts: Sequence[int], goal: float) -> None:
+        """Run the first of new starts, and as many others as there is time for."""
+        limit = deadline.current() or Deadline()
+        self._begin(starts[:1], goal)
+
+        def missing() -> str:
+            lost = sum(s not in self.known for s in starts)
+            return f"{lost} of {counted(len(starts), 'start')}"
+
+        with limit.stage(missing, KNOWN):
+            while len(self.known) < len(starts):
+                # Beside each other starts take less time each: twice as many as before.
+                done = len(self.known)
+                self._begin(starts[done : 2 * done], goal)
+
     def _begin(self, starts: Sequence[int], goal: float) -> None:
         """Run new starts at the rung that settled the first one, and at the one before.
 
@@ -299,7 +332,8 @@ class Converging:
                 break
         if now.failure:
             raise self._fails(why)
-        if self.grown and max(g.factor.max() for g in self.grown.values()) < math.sqrt(GROWTH):
+        every = all(s in self.grown for s in study.starts)
+        if every and max(g.factor.max() for g in self.grown.values()) < math.sqrt(GROWTH):
             # Where nothing grows half the way from the starts of a search, nothing ends nearby.
             like = next(iter(self.grown.values()))
             self.grown |= dict.fromkeys(starts, like)
@@ -354,19 +388,26 @@ class Converging:
             for other in self.known.values():
                 other.doubt = max(other.doubt, self.doubt)
 
+    def _growing(self, rung: int) -> Iterator[Change]:
+        """Yield the settings under which growth is measured, with steps ever shorter.
+
+        Steps within an accuracy differ from run to run, so these are fixed ones.
+        """
+        way, first = self.way, max(1, rung - 1)
+        if not way.fixed:
+            way, first = self.study.engine.ways(self.study.schedule, 1.0)[0], 2
+        for finer in range(FINER + 1):
+            yield self.physics.also(way.at(first + finer))
+
     def _measure_growth(self, starts: Sequence[int], rung: int) -> None:
         """Measure until when the motion from some starts can be predicted.
 
-        Steps within an accuracy differ from run to run, so growth is measured at fixed ones there.
         Where it ends, finer rungs must show the same end: a coarse motion may be unstable itself.
         """
         study = self.study
-        way = self.way if self.way.fixed else study.engine.ways(study.schedule, 1.0)[0]
-        first = max(1, rung - 1) if self.way.fixed else 2
 
         def changes() -> Iterator[Change]:
-            for finer in range(FINER + 1):
-                change = self.physics.also(way.at(first + finer))
+            for finer, change in enumerate(self._growing(rung)):
                 if finer and not study.affords(change, 2 * len(starts)):
                     return
                 study.spent += study.price(change, 2 * len(starts))

@@ -19,10 +19,10 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.choose import JOIN, ROUNDS, Proof, greedy
 from stepcore.experiment.engines import visits
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.mujoco_engine import FLAGS
+from stepcore.experiment.mujoco_engine import MuJoCo
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.trial import Trial
-from stepcore.experiment.truth import Truth
+from stepcore.experiment.truth import KNOWN, Truth
 from stepcore.measure.monitors import verified
 from stepcore.measure.monitors.recording import recorded
 from stepcore.measure.monitors.scene import resting_findings
@@ -41,8 +41,6 @@ __all__ = ["Ablation", "FeatureEffect", "ablate"]
 SCREENED = 2
 # Flags of MJCF that say how is computed, and not what is modelled.
 METHOD = ("clampctrl", "filterparent", "eulerdamp")
-# The share of the time (`seconds`) at which the converged motion is known.
-CONVERGED = 0.4
 # Kinds of features that a motion may merely not use.
 UNUSED = ("colliders", "collider", "collider group", "self-collision", "limits", "limit")
 # Errors below this share of the tolerance are rounding, amplified by the motion.
@@ -338,7 +336,7 @@ def ablate(
             found = resting_findings(recorded(study.model, study.schedule))
             resting = " ".join(one.text for one in verified(found, study.model))
             time.so_far(resting)
-    with time.stage("the converged motion, and errors against it", CONVERGED):
+    with time.stage("the converged motion, and errors against it", KNOWN):
         truth, notes = _truth(study, tolerance)
     choice, complete, proof = Choice(study, tolerance, truth), False, None
     with time.stage("some of the features, and the search for the smallest model", PROVEN):
@@ -466,8 +464,9 @@ class Choice:
     def removals(self) -> list[Removal]:
         """Return all features, grouped by what the motion from these starts uses."""
         engine = self.study.engine
-        if engine.name == "mujoco":
-            return [Removal(flag, "", (("feature", flag),)) for flag in FLAGS if flag not in METHOD]
+        if isinstance(engine, MuJoCo):
+            known = [flag for flag in engine.flags if flag not in METHOD]
+            return [Removal(flag, "", (("feature", flag),)) for flag in known]
         features = RemovableFeatures(engine.model)
         return features.removals(usage_of(self.study, self.starts), engine.model.settings)
 

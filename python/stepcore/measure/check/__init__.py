@@ -20,7 +20,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.control_table import control_table
-from stepcore.experiment.horizon import STEPS, horizon_of
+from stepcore.experiment.horizon import STEPS, Horizon, horizon_of
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.schedule import HORIZON, SAMPLES, Schedule, home, scheduled
@@ -244,11 +244,12 @@ def check(
     dt = compiled.settings.dt
     horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
     holds = _held(compiled, motion)
-    far = horizon_of(compiled, holds, horizon)
+    far, failure, seen, judged = Horizon(horizon), list[Finding](), list[Finding](), motion
     schedule = _schedule(compiled, holds, far.length)
-    failure, seen, judged = list[Finding](), list[Finding](), motion
     # Half of the time is the diagnosis'.
     with deadline.stage(AS_SHIPPED, HALF):
+        far = horizon_of(compiled, holds, horizon)
+        schedule = _schedule(compiled, holds, far.length)
         failure, seen = _monitored(compiled, schedule, wanted, far.ran)
         deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
     if failure:

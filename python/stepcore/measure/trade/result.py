@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.deadline import SECONDS
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter, apart, rms
 from stepcore.engine.sim import Sim
@@ -20,7 +21,6 @@ from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof, frontier
 from stepcore.experiment.motion import Motion, picklable
-from stepcore.experiment.price import OPERATION
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
@@ -83,6 +83,7 @@ class Trade(Result):
     by: "time" or "flops". times: measured computing times [µs per simulated second], by change.
     size: the size of the scene [m].
     effort: the most operations of the runs. ended: whether they ended the search.
+    pace: how long an operation took here [s].
     runs: the number of runs that the trade made.
     findings: problems of the shipped settings in the first start, such as creep; see `Finding`.
     chatter: joints that chatter there under the chosen ones.
@@ -109,6 +110,7 @@ class Trade(Result):
     times: Mapping[Change, float] = field(default_factory=dict)
     effort: float = EFFORT
     ended: bool = False
+    pace: float = math.nan
     runs: int = 0
     moved: float = math.nan
     findings: Sequence[Finding] = ()
@@ -122,7 +124,7 @@ class Trade(Result):
         """Take over what a search has tried, without the poses of all bodies."""
         search.score_again()
         self.reference, self.schedule = search.truth, search.study.schedule
-        self.moved, self.ended = search.moved, search.ended
+        self.moved, self.ended, self.pace = search.moved, search.ended, search.study.lasts(1.0)
         light = {c: dataclasses.replace(trial, tracks=None) for c, trial in search.trials.items()}
         self.rows = sorted(light.values(), key=lambda trial: (-trial.dt, trial.cost))
         self.shipped = light[SHIPPED]
@@ -345,8 +347,10 @@ class Trade(Result):
             if self.budget is None and row.error > self.asked:
                 choice = f"No setting tried has {within} in every start. The fewest exceed it with "
                 choice += self.label(row)
-            worst = f"{self._wrong(row)} in the worst of {counted(len(row.starts), 'start')}"
-            yield f"{choice}. Its RMS position error is {worst}, for {self._priced_beside(row)}."
+            ran = counted(len(row.starts), "start")
+            where = f"in the worst of {ran}" if len(row.starts) > 1 else "from the one start"
+            wrong = f"{self._wrong(row)} {where}"
+            yield f"{choice}. Its RMS position error is {wrong}, for {self._priced_beside(row)}."
             if self.proof is not None:
                 yield self.proof.words
             elif target is not None:
@@ -376,8 +380,10 @@ class Trade(Result):
         # The search may have made it surer than it was, and spent the effort.
         needs = truth.needs if math.isfinite(truth.needs) else 0.0
         effort = rounded(self.effort + max(needs / KNOWING, 0.01 * self.effort), 1, up=True)
-        spent = seconds(max(1.0, round(1e-6 * OPERATION * effort)))
-        return f"With --effort {effort:.0e} (in Python effort=) it may be: about {spent}."
+        spent = rounded(max(1.0, self.pace * effort), 1)
+        longer = f" --seconds {2 * spent:.0f}" if 2 * spent > SECONDS["trade"] else ""
+        also = f"--effort {effort:.0e}{longer} (in Python effort=)"
+        return f"With {also} it may be: about {seconds(spent)}."
 
     def _halved(self) -> str:
         better = self.next_better()
