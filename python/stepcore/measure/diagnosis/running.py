@@ -55,8 +55,10 @@ LEAST, SAMPLES = 1000, 100
 GROWN = 30.0
 # A run that grew by less than GROWN² is made so many times as long, to see whether that has an end.
 LONGER = 4
-# The part of a run after which growth counts, and motion that should rest.
-CALM = 0.75
+# The part of a run after which growth counts, and motion that should rest; and its last part. What
+# has not grown both before and in that may be a pulse, as where two runs pass a kink in different
+# steps: a longer run tells.
+CALM, LAST = 0.75, 0.9
 # The kinetic energy over that of the converged motion. Below its limit, a step makes that of a
 # spring that swings at most 1/(1 − 0.98²) = 25 times as large.
 LARGE = 50.0
@@ -220,7 +222,8 @@ class Outcome:
     kind: "holds", "diverges" (not finite), "gains energy", "grows" (the perturbation), "chatters".
     time: when it failed, or how far the run went [s].
     energy, growth: the largest kinetic energy, and the perturbation towards the end, over those of
-        the converged motion. early: the energy in the first half.
+        the converged motion. early: the energy in the first half. brief: whether the growth may be
+        a pulse.
     """
 
     kind: str
@@ -228,6 +231,7 @@ class Outcome:
     energy: float = 0.0
     growth: float = 0.0
     early: float = 0.0
+    brief: bool = False
 
     @property
     def holds(self) -> bool:
@@ -538,7 +542,8 @@ class Judge:
             pair = self.motions.pair(change, dt, loop=loop)
             found = self._longer(self.judged(pair), pair)
             gains = found.holds and found.energy > SAME * max(found.early, SAME)
-            if gains or (found.kind == "grows" and found.growth < self.clear):
+            unclear = found.brief or found.growth < self.clear
+            if gains or (found.kind == "grows" and unclear):
                 # Growth without end goes on; what contacts did to a motion dies out.
                 pair = self.motions.pair(change, dt, LONGER * self.motions.steps(dt), loop)
                 self._cover(float(pair.times[-1]))
@@ -607,13 +612,14 @@ class Judge:
             growth = pair.apart / known
         # Two runs that never part, and a motion whose own growth has no bound.
         growth[np.isnan(growth)] = 0.0
-        late = float(growth[pair.late].max())
-        most = float(energy.max())
+        late, most = float(growth[pair.late].max()), float(energy.max())
         over = times[energy > LARGE]
         if len(over):
             return Outcome("gains energy", float(over[0]), most, late)
         if late > GROWN:
-            return Outcome("grows", float(times[growth > GROWN][0]), most, late)
+            wide, last = growth > GROWN, times >= LAST * times[-1]
+            brief = not (wide[pair.late & ~last].any() and wide[last].any())
+            return Outcome("grows", float(times[wide][0]), most, late, brief=brief)
         early = float(energy[times <= 0.5 * times[-1]].max())
         return Outcome("holds", pair.reached, most, late, early)
 
