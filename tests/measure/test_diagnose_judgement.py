@@ -136,7 +136,7 @@ def test_growth_that_is_lost_again_is_not_told(damping, told):
     assert any("nearby motions diverge" in note for note in d.notes) == told
 
 
-# The second crank is too short in most poses, where its servo then has no arm: a kink in the motion.
+# The second crank is too short in most poses, where its servo has no arm then: a kink.
 CRANKS = """<mujoco><default><position ctrlrange="-.1 .1" kp="30"/><joint damping=".1"/>
   <default class="rod"><geom type="capsule" size=".01"/></default></default>
   <worldbody><geom type="plane" size=".5 .5 .01" pos="0 0 -.05"/>
@@ -150,8 +150,8 @@ CRANKS = """<mujoco><default><position ctrlrange="-.1 .1" kp="30"/><joint dampin
 
 
 def test_a_kink_that_two_runs_pass_in_different_steps_is_no_limit():
-    """They are apart for a moment, 2.4 s into a run; a limit of 2.8 ms was told where 1000 steps end
-    then. The dampers bear what is held."""
+    """They are apart for a moment, 2.4 s into a run; where 1000 steps end then, this counted as
+    growth without end. Dampers alone limit dt, as in the held pose."""
     d = diagnosed(sc.loads(CRANKS), ["rk4"])
     assert d.limit("rk4") == pytest.approx(d.held("rk4"), rel=0.02)
 

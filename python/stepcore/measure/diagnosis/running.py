@@ -55,10 +55,8 @@ LEAST, SAMPLES = 1000, 100
 GROWN = 30.0
 # A run that grew by less than GROWN² is made so many times as long, to see whether that has an end.
 LONGER = 4
-# The part of a run after which growth counts, and motion that should rest; and its last part. What
-# has not grown both before and in that may be a pulse, as where two runs pass a kink in different
-# steps: a longer run tells.
-CALM, LAST = 0.75, 0.9
+# The part of a run after which growth counts, and motion that should rest.
+CALM = 0.75
 # The kinetic energy over that of the converged motion. Below its limit, a step makes that of a
 # spring that swings at most 1/(1 − 0.98²) = 25 times as large.
 LARGE = 50.0
@@ -617,8 +615,9 @@ class Judge:
         if len(over):
             return Outcome("gains energy", float(over[0]), most, late)
         if late > GROWN:
-            wide, last = growth > GROWN, times >= LAST * times[-1]
-            brief = not (wide[pair.late & ~last].any() and wide[last].any())
+            wide = growth > GROWN
+            # Two runs that pass a kink in different steps are apart for a moment.
+            brief = not all(half.any() for half in np.array_split(wide[pair.late], 2))
             return Outcome("grows", float(times[wide][0]), most, late, brief=brief)
         early = float(energy[times <= 0.5 * times[-1]].max())
         return Outcome("holds", pair.reached, most, late, early)
