@@ -122,6 +122,7 @@ def trade(
     study = Study(motion=ran, engine=setup.engine, **how)
     target = None if error is None else units.length("trade", "error", error, study.size)
     known = setup.engine.known
+    search_ = Search.of(study, None if full else target, held=held is not None)
     result = Trade(
         name=setup.name,
         motion=ran,
@@ -136,7 +137,6 @@ def trade(
         size=study.size,
         notes=[*study.schedule.notes, *(setup.model.scene.notes if known else ())],
     )
-    search_ = Search.of(study, None if full else target, held=held is not None)
     result.reference, result.shipped = search_.truth, search_.shipped
     workers.deadline.so_far(search_.so_far())
     if full:
