@@ -169,7 +169,7 @@ class Converging:
         assert goal is not None
         surer = nullcontext() if self.known else _half()
         new = [s for s in starts if s not in self.known]
-        if not fewer or self.known or self._in_time(len(new)):
+        if not fewer or self.known or self._in_time(len(new), goal):
             self._begin(new, goal)
         else:
             self._begin_some(new, goal)
@@ -288,10 +288,25 @@ class Converging:
         text = f"the converged motion fails{self.study.schedule.driven}, at shorter steps than"
         return ValueError(f"{text} {dt} too, so there is nothing to compare with: {why}")
 
-    def _in_time(self, starts: int) -> bool:
+    def _first(self, starts: int, goal: float) -> int:
+        """Return the rung at which new starts begin: the one that settled the first of all.
+
+        For a coarser goal it is coarser, by one for each factor of two.
+        """
+        assert self.goal is not None
+        ratio = goal / self.goal if self.goal > 0 else 1.0
+        coarser = math.log2(min(max(1.0, ratio), 2.0**self.rung))
+        first = max(1, self.rung - int(coarser))
+        # Two rungs, of which the finer one costs about twice the other.
+        while first > 1 and not self.study.affords(self.at(first), 3 * starts // 2):
+            first -= 1
+        return first
+
+    def _in_time(self, starts: int, goal: float) -> bool:
         """Return whether so many new starts can begin in the time that is left."""
-        limit, growing = deadline.current(), next(self._growing(self.rung))
-        runs = [self.at(self.rung - 1), self.at(self.rung), growing, growing]
+        limit, rung = deadline.current(), self._first(starts, goal)
+        growing = next(self._growing(rung))
+        runs = [self.at(rung - 1), self.at(rung), growing, growing]
         cost = sum(self.study.price(change, starts) for change in runs)
         return limit is None or self.study.lasts(cost) < limit.left
 
@@ -311,20 +326,10 @@ class Converging:
                 self._begin(starts[done : 2 * done], goal)
 
     def _begin(self, starts: Sequence[int], goal: float) -> None:
-        """Run new starts at the rung that settled the first one, and at the one before.
-
-        For a coarser goal they begin at a coarser rung: one less for each factor of two.
-        """
+        """Run new starts at their first rung, and at the one before."""
         if not starts:
             return
-        assert self.goal is not None
-        study, ratio = self.study, goal / self.goal if self.goal > 0 else 1.0
-        coarser = math.log2(min(max(1.0, ratio), 2.0**self.rung))
-        first = max(1, self.rung - int(coarser))
-        # Two rungs, of which the finer one costs about twice the other.
-        while first > 1 and not study.affords(self.at(first), 3 * len(starts) // 2):
-            first -= 1
-        why = ""
+        study, first, why = self.study, self._first(len(starts), goal), ""
         for rung in range(first, self.rung + PATIENCE + 1):
             before, now = study.tracks([self.at(rung - 1), self.at(rung)], starts)
             why = why or now.failure

@@ -348,7 +348,7 @@ class Trade(Result):
                 choice = f"No setting tried has {within} in every start. The fewest exceed it with "
                 choice += self.label(row)
             ran = counted(len(row.starts), "start")
-            where = f"in the worst of {ran}" if len(row.starts) > 1 else "from the one start"
+            where = f"in the worst of {ran}" if len(row.starts) > 1 else "in the one start that ran"
             wrong = f"{self._wrong(row)} {where}"
             yield f"{choice}. Its RMS position error is {wrong}, for {self._priced_beside(row)}."
             if self.proof is not None:
