@@ -228,3 +228,18 @@ def test_a_longer_time_is_longer_than_what_was_spent():
     limit = Deadline(15.0)
     limit.begun -= 36
     assert limit.longer == 2 * 37
+
+
+def test_a_tenth_of_the_first_start_is_an_answer_of_predict(clock):
+    parts = []
+    for ticks in range(2, 200):
+        try:
+            parts.append(sc.predict(lesson.spring(), horizon=2.0, progress=False, seconds=ticks))
+        except OutOfTime:
+            continue
+        if not parts[-1].unfinished:
+            break
+    first, last = parts[0], parts[-1]
+    assert "what follows 200 ms; 7 of 8 starts" in first.unfinished
+    assert "over all of 200 ms" in first.sentences[0] and len(first.growth.ends) == 1
+    assert last.horizon == pytest.approx(2.0) and len(last.growth.ends) == 8

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, Unpack
@@ -154,32 +155,47 @@ def predict(
     setup = set_up(predict, model, motion, fields, missing="no motion to predict", engine=engine)
     motion = dataclasses.replace(setup.motion, horizon=setup.motion.horizon or HORIZON)
     study = Study(motion=motion, engine=setup.engine, workers=setup.workers)
-    horizon, others = study.schedule.horizon, study.starts[1:]
+    whole, others = study.schedule, study.starts[1:]
     known: list[tuple[Growth, Change] | None] = [None] * len(others)
-    job = partial(grown, study.engine, study.schedule, study.size)
+    deadline, count = setup.workers.deadline, counted(len(study.starts), "start")
+    # A tenth of the first start is an answer already, and then the first start alone.
+    ran = dataclasses.replace(whole, periods=whole.every * max(1, len(whole.times) // 10))
+
+    def left_out() -> str:
+        rest = f"{known.count(None)} of {count}"
+        return rest if ran is whole else f"what follows {seconds(ran.horizon)}; {rest}"
+
     with setup.workers.bar("runs", len(study.starts)) as bar:
-        # The first start alone is an answer already.
-        (first,) = setup.workers.each(job, study.starts[:1], bar)
-        end = first[0].overall
-        over = f"for {seconds(end)}" if math.isfinite(end) else f"over all of {seconds(horizon)}"
-        said = f"from 1 start, the motion can be predicted {over}; others are run now"
-        setup.workers.deadline.so_far(said)
-        left = f"of {counted(len(study.starts), 'start')}"
-        with setup.workers.deadline.stage(lambda: f"{known.count(None)} {left}"):
-            setup.workers.each(job, others, bar, known)
+        (first,) = setup.workers.each(_job(study, ran), study.starts[:1], None)
+        deadline.so_far(f"from 1 start, {_said(first[0], ran.horizon)}; the rest is run now")
+        with deadline.stage(left_out):
+            (first,) = setup.workers.each(_job(study, whole), study.starts[:1], bar)
+            ran = whole
+            deadline.so_far(f"from 1 start, {_said(first[0], ran.horizon)}; others are run now")
+            setup.workers.each(_job(study, whole), others, bar, known)
     every = [first, *(one for one in known if one is not None)]
     finest = min((study.engine.settings(change) for _, change in every), key=lambda s: s.dt)
     return Predictability(
         name=setup.name,
         settings=study.engine.settings(SHIPPED),
         motion=dataclasses.replace(motion, starts=len(study.starts)),
-        horizon=horizon,
+        horizon=ran.horizon,
         dt=finest.dt,
         integrator=finest.integrator,
         growth=Growth.joined([growth for growth, _ in every]),
         nearby=study.engine.nearby,
         ran=study.motion_ran,
     )
+
+
+def _job(study: Study, schedule: Schedule) -> Callable[[int], tuple[Growth, Change]]:
+    return partial(grown, study.engine, schedule, study.size)
+
+
+def _said(growth: Growth, horizon: float) -> str:
+    end = growth.overall
+    over = f"for {seconds(end)}" if math.isfinite(end) else f"over all of {seconds(horizon)}"
+    return f"the motion can be predicted {over}"
 
 
 def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[Growth, Change]:
