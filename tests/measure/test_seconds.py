@@ -242,4 +242,5 @@ def test_a_tenth_of_the_first_start_is_an_answer_of_predict(clock):
     first, last = parts[0], parts[-1]
     assert "what follows 200 ms; 7 of 8 starts" in first.unfinished
     assert "over all of 200 ms" in first.sentences[0] and len(first.growth.ends) == 1
+    assert first.ran.startswith("200 ms from ") and "starts near it" not in first.ran
     assert last.horizon == pytest.approx(2.0) and len(last.growth.ends) == 8

@@ -175,10 +175,11 @@ def predict(
             setup.workers.each(_job(study, whole), others, bar, known)
     every = [first, *(one for one in known if one is not None)]
     finest = min((study.engine.settings(change) for _, change in every), key=lambda s: s.dt)
+    study.schedule, study.starts = ran, study.starts[: len(every)]
     return Predictability(
         name=setup.name,
         settings=study.engine.settings(SHIPPED),
-        motion=dataclasses.replace(motion, starts=len(study.starts)),
+        motion=dataclasses.replace(motion, starts=len(every), horizon=ran.horizon),
         horizon=ran.horizon,
         dt=finest.dt,
         integrator=finest.integrator,
