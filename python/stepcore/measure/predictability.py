@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, Unpack
@@ -156,6 +155,7 @@ def predict(
     motion = dataclasses.replace(setup.motion, horizon=setup.motion.horizon or HORIZON)
     study = Study(motion=motion, engine=setup.engine, workers=setup.workers)
     whole, others = study.schedule, study.starts[1:]
+    job = partial(grown, study.engine, whole, study.size)
     known: list[tuple[Growth, Change] | None] = [None] * len(others)
     deadline, count = setup.workers.deadline, counted(len(study.starts), "start")
     # A tenth of the first start is an answer already, and then the first start alone.
@@ -166,13 +166,13 @@ def predict(
         return rest if ran is whole else f"what follows {seconds(ran.horizon)}; {rest}"
 
     with setup.workers.bar("runs", len(study.starts)) as bar:
-        (first,) = setup.workers.each(_job(study, ran), study.starts[:1], None)
+        first = grown(study.engine, ran, study.size, study.starts[0])
         deadline.so_far(f"from 1 start, {_said(first[0], ran.horizon)}; the rest is run now")
         with deadline.stage(left_out):
-            (first,) = setup.workers.each(_job(study, whole), study.starts[:1], bar)
+            (first,) = setup.workers.each(job, study.starts[:1], bar)
             ran = whole
             deadline.so_far(f"from 1 start, {_said(first[0], ran.horizon)}; others are run now")
-            setup.workers.each(_job(study, whole), others, bar, known)
+            setup.workers.each(job, others, bar, known)
     every = [first, *(one for one in known if one is not None)]
     finest = min((study.engine.settings(change) for _, change in every), key=lambda s: s.dt)
     study.schedule, study.starts = ran, study.starts[: len(every)]
@@ -187,10 +187,6 @@ def predict(
         nearby=study.engine.nearby,
         ran=study.motion_ran,
     )
-
-
-def _job(study: Study, schedule: Schedule) -> Callable[[int], tuple[Growth, Change]]:
-    return partial(grown, study.engine, schedule, study.size)
 
 
 def _said(growth: Growth, horizon: float) -> str:
