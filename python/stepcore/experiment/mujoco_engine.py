@@ -74,8 +74,7 @@ SOLVED: tuple[dict[str, Any], ...] = (
 )
 # The most steps of one call, after which the deadline is asked; and worlds that wait for a run.
 CHUNK, KEPT = 2000, 16
-# Flags by which features are left out, those of MJCF, as in `Features`; and which numbers of a
-# model say that it has what they switch.
+# Flags that leave features out, as in `Features`; which numbers of a model say that it has them.
 FLAGS = {
     "equality": "neq",
     "frictionloss": "dof_frictionloss tendon_frictionloss",
@@ -85,7 +84,9 @@ FLAGS = {
     "damper": "dof_damping dof_dampingpoly tendon_damping tendon_dampingpoly nflex nplugin",
     "gravity": "opt.gravity",
     "actuation": "nu",
-    **dict.fromkeys(("constraint", "clampctrl", "filterparent", "eulerdamp"), "nv"),
+    "constraint": "nv",
+    # How is computed, not what is modelled.
+    **dict.fromkeys(("clampctrl", "filterparent", "eulerdamp"), ""),
 }
 # Values that can be changed, by kind of element.
 VALUES = {
@@ -351,7 +352,7 @@ class MuJoCo(Engine):
 
     @property
     def flags(self) -> list[str]:
-        """The flags that switch something which the scene has."""
+        """The flags of what the scene has, and can be left out."""
 
         def has(numbers: str) -> bool:
             return any(np.any(attrgetter(name)(self.scene)) for name in numbers.split())

@@ -91,8 +91,7 @@ class Study:
         self.starts: tuple[int, ...] = tuple(self.schedule.indices)
         self.workers, self.effort, self.by = workers or Workers(), effort, by
         self.spent, self.runs, self.allowed = 0.0, 0, effort
-        # The time of the runs [s].
-        self._running = 0.0
+        self._running = 0.0  # the time of the runs [s]
         self._tracks: dict[tuple[Change, int], Tracks] = {}
         # Of steps within an accuracy that evaluated forces too often.
         self._given_up: set[Change] = set()

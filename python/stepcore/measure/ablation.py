@@ -39,8 +39,6 @@ __all__ = ["Ablation", "FeatureEffect", "ablate"]
 # Every feature first runs from so many starts; only features within the tolerance run from the
 # others.
 SCREENED = 2
-# Flags of MJCF that say how is computed, and not what is modelled.
-METHOD = ("clampctrl", "filterparent", "eulerdamp")
 # Kinds of features that a motion may merely not use.
 UNUSED = ("colliders", "collider", "collider group", "self-collision", "limits", "limit")
 # Errors below this share of the tolerance are rounding, amplified by the motion.
@@ -465,8 +463,7 @@ class Choice:
         """Return all features, grouped by what the motion from these starts uses."""
         engine = self.study.engine
         if isinstance(engine, MuJoCo):
-            known = [flag for flag in engine.flags if flag not in METHOD]
-            return [Removal(flag, "", (("feature", flag),)) for flag in known]
+            return [Removal(flag, "", (("feature", flag),)) for flag in engine.flags]
         features = RemovableFeatures(engine.model)
         return features.removals(usage_of(self.study, self.starts), engine.model.settings)
 

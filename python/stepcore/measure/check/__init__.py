@@ -245,13 +245,15 @@ def check(
     horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
     holds = _held(compiled, motion)
     far, failure, seen, judged = Horizon(horizon), list[Finding](), list[Finding](), motion
-    schedule = _schedule(compiled, holds, far.length)
+    schedule = None
     # Half of the time is the diagnosis'.
     with deadline.stage(AS_SHIPPED, HALF):
         far = horizon_of(compiled, holds, horizon)
         schedule = _schedule(compiled, holds, far.length)
         failure, seen = _monitored(compiled, schedule, wanted, far.ran)
         deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
+    if schedule is None:
+        schedule = _schedule(compiled, holds, far.length)
     if failure:
         # The step is judged on the very motion that failed.
         judged, horizon = holds, schedule.horizon
