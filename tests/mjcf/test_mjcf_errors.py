@@ -68,7 +68,11 @@ MISTAKES = {
         'lacks the required attribute "mass"',
     ),
     "negative mass": (body('<inertial pos="0 0 0" mass="-1" diaginertia="1 1 1"/>'), 2, ">= 0"),
-    "mass without inertia": (body('<inertial pos="0 0 0" mass="1"/>'), 2, "needs diaginertia"),
+    "mass without inertia": (
+        body('<inertial pos="0 0 0" mass="1"/><joint/>'),
+        2,
+        "needs diaginertia",
+    ),
     "two inertias": (
         body('<inertial pos="0 0 0" mass="1" diaginertia="1 1 1" fullinertia="1 1 1 0 0 0"/>'),
         2,

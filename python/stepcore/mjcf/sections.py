@@ -173,7 +173,9 @@ class WorldReader:
         orientations = [name for name in values if name not in ("pos", "mass", "fullinertia")]
         if "fullinertia" in values and orientations:
             raise node.error(f"<inertial> has both fullinertia and {orientations[0]}")
-        if "fullinertia" not in values and "diaginertia" not in values and values["mass"] > 0:
+        # As in MuJoCo, what has no joint may be a point.
+        moves = {"joint", "freejoint"} & {of.tag for of in self.nodes[id(place.body)].children}
+        if moves and not {"fullinertia", "diaginertia"} & {*values} and values["mass"] > 0:
             raise node.error("<inertial> needs diaginertia or fullinertia")
         if place.body.mass is not None:
             raise node.error("a second <inertial> in the same <body>")
@@ -298,6 +300,9 @@ class WorldReader:
             size, pos, quat = frames.from_to(kind, ends, size[0])
             return size, _within(place.pose, pos, quat)
         used = {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3)
+        if kind == "plane":
+            # MuJoCo draws a plane of negative size as one without end, which it is in any case.
+            size = tuple(max(value, 0.0) for value in size)
         return size[:used], self._pose(node, values, place)
 
     def _site(self, node: Node, place: Place) -> None:
