@@ -381,6 +381,8 @@ class Trade(Result):
         needs = truth.needs if math.isfinite(truth.needs) else 0.0
         effort = rounded(self.effort + max(needs / KNOWING, 0.01 * self.effort), 1, up=True)
         spent = rounded(max(1.0, self.pace * effort), 1)
+        if spent > 3600:
+            return f"That takes about {seconds(spent)} with shorter steps: try a shorter --horizon."
         longer = f" --seconds {2 * spent:.0f}" if 2 * spent > SECONDS["trade"] else ""
         also = f"--effort {effort:.0e}{longer} (in Python effort=)"
         return f"With {also} it may be: about {seconds(spent)}."

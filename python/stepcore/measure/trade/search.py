@@ -284,8 +284,9 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
         over = tried.misses(error)
         if len(over) / len(tried.starts) < fewest:
             chosen, fewest = best, len(over) / len(tried.starts)
-        # A start from which no run converges tells nothing.
-        known = dict(zip(tried.starts, np.isfinite(tried.unsure), strict=True))
+        # A start whose converged motion is not known as well as the search's tells nothing.
+        sure = tried.unsure <= max(UNSURE * error, search.truth.error)
+        known = dict(zip(tried.starts, sure, strict=True))
         new = [s for s in over if known[s] and s not in search.truth.starts][:JOIN]
         if not new:
             break
