@@ -393,3 +393,13 @@ def test_a_vibration_is_no_chatter():
     for rate in (steps, omega):
         found = watched(sc.loads(SPRING.format(rate**2)), key=0)[1]
         assert [one for one in found if one.kind == "chatter"] == []
+
+
+def test_a_ball_that_its_limits_lock_is_looked_at():
+    """Its range has no width; the force of the rod's weight opens the limit a little."""
+    rod = (
+        '<joint type="ball" limited="true"/><geom type="capsule" size=".05" fromto="0 0 0 1 0 0"/>'
+    )
+    scene = sc.loads(f"<mujoco><worldbody><body>{rod}</body></worldbody></mujoco>")
+    run, found = watched(scene)
+    assert [at.joint for at, _ in excesses(run)] == [0] and found == []

@@ -331,7 +331,8 @@ def _outside(
     # Without a limit the range is infinite.
     limited = [k for k in range(len(values)) if np.isfinite(ranges[k]).all()]
     over = {k: max(ranges[k][0] - values[k], values[k] - ranges[k][1]) for k in limited}
-    share = {k: float(over[k] / np.ptp(ranges[k])) for k in limited}
+    # What its limits lock counts as 1 rad or 1 m wide.
+    share = {k: float(over[k] / (np.ptp(ranges[k]) or 1.0)) for k in limited}
     outside = worst(limited, lambda k: share[k] / slack)
     if not outside:
         return None

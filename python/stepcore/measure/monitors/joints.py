@@ -279,8 +279,11 @@ def unit_of(model: Model, joint: int) -> str:
 
 
 def width_of(model: Model, joint: int) -> float:
-    """Return the width of a joint's range [rad or m]; of an angle at most half a turn."""
-    width = float(np.ptp(model.jnt_range[joint]))
+    """Return the width of a joint's range [rad or m]; of an angle at most half a turn.
+
+    A joint that its limits lock counts as 1 rad or 1 m wide.
+    """
+    width = float(np.ptp(model.jnt_range[joint])) or 1.0
     return min(width, math.pi) if unit_of(model, joint) == "rad" else width
 
 
@@ -313,9 +316,8 @@ def _played(run: Recording) -> Iterator[Finding]:
             continue
         aim = float(model.qpos0[model.jnt_qposadr[joint]] + equality.polycoef[0])
         low, high = (float(bound) for bound in model.jnt_range[joint])
-        now = share_used(run, joint)
         # A joint in free play falls onto an end of its range.
-        if low < aim < high and now <= 1 - DEEP:
+        if low < aim < high and (now := share_used(run, joint)) <= 1 - DEEP:
             yield _backlash(model, joint, k, aim, now)
 
 
