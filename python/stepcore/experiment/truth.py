@@ -152,9 +152,9 @@ class Converging:
     def __init__(self, study: Runs, physics: Change, start: int, goal: float | None) -> None:
         self.study, self.physics = study, physics
         self.goal, self.doubt, self._witnessed = goal, 1.0, False
-        self.way, self.rung = self._found(start)
         self.known: dict[int, _Start] = {}
         self.grown: dict[int, Growth] = {}
+        self.way, self.rung = self._found(start)
 
     def at(self, rung: int) -> Change:
         """Return the settings of a rung."""
@@ -225,12 +225,15 @@ class Converging:
         study = self.study
         ways = study.engine.ways(study.schedule, self.goal or 1e-3 * study.size)
         rungs, moved = [0] * len(ways), [math.inf] * len(ways)
+        before: list[Tracks | None] = [None] * len(ways)
         last: list[Tracks | None] = [None] * len(ways)
         (shipped,) = study.tracks([self.physics], [start])
         begun, failure = study.spent, ""
 
-        def off(a: Tracks, b: Tracks) -> float:
-            return float(rms(apart(a, b, study.engine.matter))[0])
+        def off(a: Tracks | None, b: Tracks | None) -> float:
+            if a is None or b is None or a.failure or b.failure:
+                return math.inf
+            return float(self._between(a, b, [start])[0])
 
         while True:
             change = [self.physics.also(way.at(n)) for way, n in zip(ways, rungs, strict=True)]
@@ -252,13 +255,18 @@ class Converging:
                 (now,) = study.tracks([change[k]], [start])
             if now is None:
                 break
-            before, last[k] = last[k], now
+            before[k], last[k] = last[k], now
             rungs[k] += 1
-            failure = failure or now.failure
-            if before is None or before.failure or now.failure:
-                moved[k] = math.inf
+            failure, was = failure or now.failure, moved[k]
+            moved[k] = off(before[k], now)
+            if math.isinf(moved[k]):
                 continue
-            moved[k], wrong = off(before, now), off(shipped, now)
+            if moved[k] > STALLED * was and start not in self.grown:
+                # Where nearby motions part, no rung settles what follows.
+                self.way = ways[k]
+                self._measure_growth([start], rungs[k] - 1)
+                moved = [off(*pair) for pair in zip(before, last, strict=True)]
+            wrong = off(shipped, now)
             asked = SHARE**2 * wrong if 0 < wrong < math.inf else 1e-3 * study.size
             goal = asked if self.goal is None else self.goal
             if moved[k] <= goal:
