@@ -123,16 +123,37 @@ def step_matrix(model: Model, state: State, integrator: str, dt: float) -> Float
     return matrix if np.isfinite(matrix).all() else None
 
 
+def parts(matrix: Floats) -> list[np.ndarray]:
+    """Return the indices of the parts of a matrix between which all entries are 0.
+
+    Robots that do not touch are such parts: the eigenvalues of 100 humanoids take 0.4 s, not 28 s.
+
+    >>> [own.tolist() for own in parts(np.array([[1, 0, 2], [0, 3, 0], [0, 0, 1]]))]
+    [[0, 2], [1]]
+    """
+    joined, free, found = (matrix != 0) | (matrix != 0).T, np.ones(len(matrix), bool), []
+    for first in range(len(matrix)):
+        if free[first]:
+            own = now = np.arange(len(matrix)) == first
+            while now.any():
+                free &= ~now
+                now = joined[now].any(axis=0) & free
+                own = own | now
+            found.append(np.flatnonzero(own))
+    return found
+
+
 def eigenvalues(matrix: Floats | None) -> Floats | None:
     """Return the eigenvalues of a matrix, (n,), complex; None if they cannot be computed."""
     if matrix is None:
         return None
     try:
         with np.errstate(all="ignore"):
-            values = np.linalg.eigvals(matrix).astype(complex)
+            values = [np.linalg.eigvals(matrix[np.ix_(own, own)]) for own in parts(matrix)]
     except np.linalg.LinAlgError:
         return None
-    return values if np.isfinite(values).all() else None
+    joined = np.concatenate([np.zeros(0, complex), *values])
+    return joined if np.isfinite(joined).all() else None
 
 
 @functools.lru_cache(maxsize=8)
