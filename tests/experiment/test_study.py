@@ -14,6 +14,11 @@ DROP = """<mujoco><option timestep="0.004" gravity="0 0 -9.81"/><worldbody>
   <body pos="0 0 .13"><joint type="slide" axis="0 0 1"/><geom size=".1" mass="1"/></body>
   </worldbody></mujoco>"""
 
+LINK = """<joint axis="0 1 0"/>
+  <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" contype="0"/>"""
+PENDULUM = f"""<mujoco><option integrator="RK4"/><worldbody>
+  <body>{LINK}<body pos=".3 0 0">{LINK}</body></body></worldbody></mujoco>"""
+
 
 def heights(scene: sc.Scene, dt: float) -> np.ndarray:
     """Of a plain loop, every 4 ms."""
@@ -52,13 +57,26 @@ def test_measured_times_are_of_all_starts(monkeypatch: pytest.MonkeyPatch) -> No
     assert study.times([change, Change()]) == told
 
 
+def test_work_is_counted_where_a_step_can_be_made() -> None:
+    """A shipped motion that blows up has late states from which no step ends."""
+    study = Study(sc.loads(PENDULUM), sc.Motion(horizon=0.4, starts=1))
+    engine, fine = study.engine, Change(integrator="rk4")
+    study.work(fine)
+    (qpos, qvel, act, ctrl), *_ = engine._looks
+    expected = []
+    for looks in ([engine._looks[0]], [engine._looks[0], (qpos, 1e200 + qvel, act, ctrl)]):
+        engine._looks = looks
+        engine._counts.clear()
+        expected.append(study.work(fine))
+    assert 0 < expected[0] == expected[1] < np.inf
+    engine._looks = engine._looks[1:]
+    engine._counts.clear()
+    assert study.work(fine) == np.inf
+
+
 def test_a_motion_that_parts_is_looked_for_where_it_can_be_predicted() -> None:
     """What follows its 3 to 5 s moves however fine the rungs: it took a quarter of the effort."""
-    link = """<body pos="{} 0 0"><joint axis="0 1 0"/>
-      <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" contype="0"/>"""
-    links = f"{link.format(0)}{link.format(0.3)}</body></body>"
-    text = f"<mujoco><option integrator='RK4'/><worldbody>{links}</worldbody></mujoco>"
-    study = Study(sc.loads(text), sc.Motion(horizon=10.0))
+    study = Study(sc.loads(PENDULUM), sc.Motion(horizon=10.0))
     truth = study.truth(1e-3)
     assert study.spent < 0.04 * study.effort and truth.error < 1e-4
     assert truth.growth.ends.min() > 3 and truth.growth.ends.max() < 6

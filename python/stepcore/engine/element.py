@@ -201,36 +201,53 @@ def listed(names: Iterable[str]) -> str:
 class ElementSlopes:
     """The force and energy of an element at a state, and the derivatives of the force.
 
-    stiffness [N/m or N·m/rad], damping: minus the derivatives of the generalised force by position
-    (in the coordinates of qvel) and velocity, shape (nv, nv) each. force: the generalised force,
-    shape (nv,) [N or N·m]. energy: the stored energy [J].
+    dofs: the dofs on which it depends or acts, (k,). blocks: minus the derivatives of its force on
+    them by position (in the coordinates of qvel) and by velocity, (2, k, k) [N/m or N·m/rad,
+    N·s/m or N·m·s/rad]. force: the generalised force, shape (nv,) [N or N·m]. energy: the stored
+    energy [J].
     """
 
-    stiffness: Floats
-    damping: Floats
+    dofs: np.ndarray
+    blocks: Floats
     force: Floats
     energy: float = 0.0
 
-    @classmethod
-    def of(cls, stiffness: Floats, damping: Floats) -> ElementSlopes:
-        """Create the slopes of an element without force or energy at the state."""
-        return cls(stiffness, damping, np.zeros(len(stiffness)))
+    @property
+    def stiffness(self) -> Floats:
+        """Minus the derivatives of the force by position, shape (nv, nv)."""
+        return self._whole(0)
 
-    def change(self, x: Floats) -> Floats:
-        """Return the force change −K dq − D dv for a block of x = [dq, dv], shape (nv, …)."""
-        n = len(self.stiffness)
-        return -(self.stiffness @ x[:n] + self.damping @ x[n:])
+    @property
+    def damping(self) -> Floats:
+        """Minus the derivatives of the force by velocity, shape (nv, nv)."""
+        return self._whole(1)
+
+    def _whole(self, which: int) -> Floats:
+        whole = np.zeros((len(self.force), len(self.force)))
+        whole[np.ix_(self.dofs, self.dofs)] = self.blocks[which]
+        return whole
+
+    def change(self, x: Floats, v: Floats) -> Floats:
+        """Return the change −K x − D v of the force on its dofs, shape (k,).
+
+        x, v: changes of all positions and velocities, (nv,).
+        """
+        stiffness, damping = self.blocks
+        return -(stiffness @ x[self.dofs] + damping @ v[self.dofs])
 
 
 def element_slopes(model: Model, core: CoreSim) -> dict[Element, ElementSlopes]:
     """Return the slopes of every element active at the state; see `Sim.element_slopes`."""
     ids, forces, energies, entries = core.element_slopes()
-    matrices = np.zeros((len(ids), 2, model.nv, model.nv))
-    nth, i, j = entries[:, :3].astype(int).T
-    matrices[nth, :, i, j] = entries[:, 3:]
-    return {
-        Element.of(model, *element): ElementSlopes(stiffness, damping, force, energy)
-        for element, (stiffness, damping), force, energy in zip(
-            ids, matrices, forces, energies, strict=True
-        )
-    }
+    entries = entries[entries[:, 3:].any(axis=1)]
+    entries = entries[np.argsort(entries[:, 0], kind="stable")]
+    first = np.searchsorted(entries[:, 0], np.arange(len(ids) + 1))
+    found = {}
+    for k, (element, force, energy) in enumerate(zip(ids, forces, energies, strict=True)):
+        own = entries[first[k] : first[k + 1]]
+        dofs, places = np.unique(own[:, 1:3].T.astype(int), return_inverse=True)
+        i, j = places.reshape(2, -1)
+        blocks = np.zeros((2, len(dofs), len(dofs)))
+        blocks[:, i, j] = own[:, 3:].T
+        found[Element.of(model, *element)] = ElementSlopes(dofs, blocks, force, energy)
+    return found

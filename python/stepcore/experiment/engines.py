@@ -6,6 +6,7 @@ own engine; `stepcore.experiment.mujoco_engine` runs MuJoCo.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from abc import ABC, abstractmethod
@@ -38,9 +39,10 @@ FAR = 100.0
 # The integrators that are tried under MuJoCo's law, and under the laws on velocities.
 CONVEX = ("rk4", "implicitfast", "euler", "semi-implicit", "discrete", "midpoint", "implicit")
 ON_VELOCITIES = ("rk4", "semi-implicit", "midpoint", "explicit")
-# The operations of steps within an accuracy are not counted one by one where a run would evaluate
-# forces more often: eight steps of solo12, falling onto its own legs, took 49 s to count.
-DEAR = 4e5
+# Steps within an accuracy are not counted one by one where a run would take more operations: eight
+# steps of solo12, falling onto its own legs, took 49 s to count, those of 22 humanoids 186 s.
+# dm_control's humanoid has 3.5e9.
+DEAR = 5e9
 # Numbers of sweeps that are tried.
 SWEEPS = (2, 8, 30)
 
@@ -247,37 +249,51 @@ class Stepcore(Engine):
             places = spread(seen["qpos"][0])
             self._looks = [tuple(seen[name][0, k] for name in names) for k in places]
         model, once = schedule.on(self.of(change)), change.also(Change(accuracy=None, dt=self.dt))
-        if model.settings.accuracy is not None and (dear := self._dear(model, schedule)):
-            # An evaluation takes about as long within another accuracy.
+        if model.settings.accuracy is not None:
             if once not in self._evaluations:
-                self._counts[once] = self._counted(once, schedule)
-            self._evaluations[change] = self._evaluations[once]
-            return dear * self._evaluations[change]
-        total = evaluations = 0
+                # Whole steps may fail where short ones do not.
+                with contextlib.suppress(SimulationError):
+                    self._counts[once] = self._counted(once, schedule)
+            # An evaluation takes about as long within another accuracy.
+            each = self._evaluations.get(once, 0.0)
+            if each and (dear := self._dear(model, schedule, DEAR / each)):
+                self._evaluations[change] = each
+                return dear * each
+        counts, evaluations, failed = list[int](), 0, None
         sim = unwatched(Sim(model))
         for look in self._looks:
             sim.reset()
             for name, values in zip(names, look, strict=True):
                 getattr(sim, name)[:] = values
             before = sim._core.evaluations
-            # The second step has impulses to begin from.
-            sim.step(1)
-            total += sim.count_flops()
-            if sim.settings.accuracy is not None:
-                before = sim._core.evaluations
+            try:
+                # The second step has impulses to begin from.
                 sim.step(1)
+                count = sim.count_flops()
+                if sim.settings.accuracy is not None:
+                    before = sim._core.evaluations
+                    sim.step(1)
+            except SimulationError as error:
+                # Of a shipped motion that blows up the late states are none to step from.
+                failed = error
+                continue
+            counts.append(count)
             evaluations += sim._core.evaluations - before
-        self._evaluations[change] = self._evaluations[once] = total / max(1, evaluations)
-        return total / len(self._looks)
+        if failed is not None and not counts:
+            raise failed
+        self._evaluations[change] = self._evaluations[once] = sum(counts) / max(1, evaluations)
+        return sum(counts) / len(counts)
 
-    def _dear(self, model: Model, schedule: Schedule) -> float:
+    def _dear(self, model: Model, schedule: Schedule, often: float) -> float:
         """Return how often a step within an accuracy evaluates forces, if that is too often.
 
         It is at least the mean over states of the shipped motion; 0 if operations can be counted.
+
+        often: how often a run may evaluate them.
         """
         starts = [Start(qpos, qvel, act) for qpos, qvel, act, _ in self._looks]
         ctrl = np.array([look[3:] for look in self._looks]) if model.nu else None
-        most = DEAR * model.settings.dt / schedule.horizon
+        most = often * model.settings.dt / schedule.horizon
         ran = follow(model, starts, 1, ctrl=ctrl, record=("qpos",), most=most)
         return float(np.mean(ran.inner)) if ran.failures else 0.0
 

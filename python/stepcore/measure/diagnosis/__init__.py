@@ -11,9 +11,11 @@ from typing import Unpack
 import numpy as np
 
 from stepcore import checks
+from stepcore.deadline import Deadline, current
 from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.engine.stiffness import slack_lengths
+from stepcore.executors import checkpoint
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
@@ -334,8 +336,10 @@ class Case:
         state: the one that decides, whose figures count; -1 for none.
         """
         found: dict[Element, Figures] = {}
-        for k in dict.fromkeys((max(state, 0), len(self.held) - 1, *range(len(self.held)))):
-            found |= figures(self.held[k], k, found)
+        with (current() or Deadline()).stage("the figures of the elements of some states"):
+            for k in dict.fromkeys((max(state, 0), len(self.held) - 1, *range(len(self.held)))):
+                checkpoint()
+                found |= figures(self.held[k], k, found)
         rows = [dataclasses.replace(f, element=next(self._theirs([e]))) for e, f in found.items()]
         order = {element: k for k, element in enumerate(limiting)}
         return sorted(rows, key=lambda f: (order.get(f.element, len(order)), -f.omega, -f.rate))

@@ -311,7 +311,7 @@ def shares(held: Held, integrator: str, dt: float) -> dict[Element, float]:
     except np.linalg.LinAlgError:
         return {}
     moved = {
-        element: float(abs(felt @ (slopes.stiffness @ x + slopes.damping @ v)))
+        element: float(abs(felt[slopes.dofs] @ slopes.change(x, v)))
         for element, slopes in sim.element_slopes().items()
         if element.kind in NAMED
     }

@@ -279,12 +279,11 @@ def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict
     for element, slopes in sim.element_slopes().items():
         if element in known or element.kind not in NAMED:
             continue
-        both = np.array([slopes.stiffness, slopes.damping])
-        dofs = np.flatnonzero(both.any(axis=(0, 1)) | both.any(axis=(0, 2)))
+        dofs = slopes.dofs
         # The eigenvalues of half·m·halfᵀ are those over the element's own dofs, and zeros.
         own = np.linalg.qr(half[:, dofs]).R
         with np.errstate(all="ignore"):
-            stiff, damp = (own @ m[np.ix_(dofs, dofs)] @ own.T for m in both)
+            stiff, damp = own @ slopes.blocks @ own.T
         finite = np.isfinite(stiff).all() and np.isfinite(damp).all()
         if not finite or not len(dofs):
             continue
