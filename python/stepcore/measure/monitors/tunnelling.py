@@ -87,28 +87,29 @@ def _passage(
     Between two readings a geom may go round a wall that is less wide than its way. The readings
     there are then made again at every step; whole: whether these are not.
     """
-    centres, axes = run.geoms
-    seen = np.einsum("nji,nj->ni", axes[:, wall], centres[:, mover] - centres[:, wall])
+    centres, turns = run.geoms
+    seen = np.einsum("nji,nj->ni", turns[:, wall], centres[:, mover] - centres[:, wall])
     halves = np.array(run.sizes.halves[wall])
     outside = np.flatnonzero((np.abs(seen) > halves).any(axis=1))
-    for first, last in zip(outside[:-1].tolist(), outside[1:].tolist(), strict=True):
-        # By which face it enters: that which a straight way crosses last.
-        way = seen[first + 1] - seen[first]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            faces = np.stack([-halves - seen[first], halves - seen[first]]) / way
-        enters, leaves = faces.min(axis=0), faces.max(axis=0).min()
-        axis, side = int(enters.argmax()), float(np.sign(seen[first, enters.argmax()]))
-        meets = 0 <= enters[axis] <= min(leaves, 1.0)
-        # A way that ends on the same side of the middle has not passed.
-        if not meets or side * seen[last, axis] > 0:
-            continue
+    firsts, lasts = outside[:-1], outside[1:]
+    # By which face it enters: that which a straight way crosses last.
+    ways = seen[firsts + 1] - seen[firsts]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        faces = np.stack([-halves - seen[firsts], halves - seen[firsts]]) / ways
+    enters, leaves = faces.min(axis=0), faces.max(axis=0).min(axis=1)
+    axes, each = enters.argmax(axis=1), np.arange(len(firsts))
+    entry, sides = enters[each, axes], np.sign(seen[firsts, axes])
+    # A way that ends on the same side of the middle has not passed.
+    passed = (entry >= 0) & (entry <= np.minimum(leaves, 1.0)) & (sides * seen[lasts, axes] <= 0)
+    for k in np.flatnonzero(passed).tolist():
+        first, last, axis, side, way = firsts[k], lasts[k], axes[k], sides[k], ways[k]
         # Soft contact slows it down.
         arrival = -side * np.diff(seen[max(0, first - FEWEST) : first + 2, axis])
         fast, room = float(arrival.max() / run.spacing), run.sizes.thick[mover] + halves[axis]
         if whole and np.linalg.norm(way) > np.delete(halves, axis).min():
-            each = _passage(run.between(first, last), mover, wall, pair, whole=False)
-            if each is not None:
-                return each._replace(speed=max(each.speed, fast))
+            within = _passage(run.between(first, last), mover, wall, pair, whole=False)
+            if within is not None:
+                return within._replace(speed=max(within.speed, fast))
         elif _hits(run, mover, wall, seen[[first, last]], last):
             time = float(run.times[first + 1])
             return Passage(mover, wall, pair, fast, float(room), time)
