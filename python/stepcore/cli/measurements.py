@@ -45,9 +45,8 @@ class Measurement:
     module: of the function. example: the arguments of an example. options: see `add_options`.
     excluding: mutually exclusive options. full: the description of --all in the help. warn: whether
     to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
-    file: of the argument FILE. horizon: the default horizon in words, if it is no constant. source:
-    whether the function may read the file itself. more: further arguments of the function. done:
-    what follows a call.
+    file: of the argument FILE. horizon: the default horizon in words, if it is no constant. more:
+    further arguments of the function. done: what follows a call.
     """
 
     module: str
@@ -58,7 +57,6 @@ class Measurement:
     warn: bool = True
     file: Mapping[str, Any] = field(default_factory=dict)
     horizon: str = ""
-    source: bool = True
     more: More = lambda args, model: {}
     done: Callable[[Any, argparse.Namespace], object] = lambda result, args: None
 
@@ -125,8 +123,9 @@ def call(args: argparse.Namespace, name: str) -> Result:
     if name in SECONDS:
         given["seconds"] = args.seconds
     given |= measurement.more(args, model)
-    # The measurement can read the file itself, if it is taken as it is.
-    whole = model is None or (measurement.source and not args.without and args.fuse is not False)
+    # MuJoCo reads the file itself, if it is taken as it is.
+    own = getattr(args, "engine", "") == "mujoco" and not args.without and args.fuse is not False
+    whole = model is None or own
     result: Result = function(args.file if whole else model, **given)
     measurement.done(result, args)
     return result
@@ -236,7 +235,6 @@ MEASUREMENTS = {
         {"dt": "S", "integrators": {"flags": ("--integrator",), **NAMES}},
         full="print every element on its own",
         warn=False,
-        source=False,
     ),
     "stability-map": Measurement(
         "stability",
@@ -288,7 +286,6 @@ MEASUREMENTS = {
         },
         more=_logs_and_ranges,
         done=lambda result, args: args.save and result.model.scene.save(args.save),
-        source=False,
     ),
     "tune": Measurement(
         "tune",
@@ -300,7 +297,6 @@ MEASUREMENTS = {
         },
         excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),
         warn=False,
-        source=False,
     ),
     "plan": Measurement(
         "plan",
@@ -308,7 +304,6 @@ MEASUREMENTS = {
         {"time": {}, "key": {"help": f"{WORDS['key']} (default: the first)"}},
         full="print every entry, the names of all its elements",
         more=_sim_at_key,
-        source=False,
     ),
     "ablate": Measurement(
         "ablation",
