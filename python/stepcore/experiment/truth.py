@@ -264,7 +264,8 @@ class Converging:
             if moved[k] > STALLED * was and start not in self.grown:
                 # Where nearby motions part, no rung settles what follows.
                 self.way = ways[k]
-                self._measure_growth([start], rungs[k] - 1)
+                with _half():
+                    self._measure_growth([start], rungs[k] - 1)
                 moved = [off(*pair) for pair in zip(before, last, strict=True)]
             wrong = off(shipped, now)
             asked = SHARE**2 * wrong if 0 < wrong < math.inf else 1e-3 * study.size
