@@ -35,10 +35,11 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// The same refined, and the u that they make.
-    pub fn settle(&mut self, problem: Problem<R>, limits: Limits) {
+    /// The same refined, and the u that they make. `open`: lanes that iterations left unfinished,
+    /// which keep Newton's u: what makes stiff laws' impulses of it may be farther off than the start.
+    pub fn settle(&mut self, problem: Problem<R>, open: R::Mask, limits: Limits) {
         self.follow_laws(problem.bundles);
-        let cancelled = self.cancelled(problem);
+        let cancelled = self.cancelled(problem).or(open);
         self.follow(problem, cancelled);
         let enough = R::of(SPARE * limits.tolerance);
         for _ in 0..REFINEMENTS {

@@ -128,7 +128,7 @@ impl<R: Real> Worker<R> {
         if limits.cost > 0.0 {
             system.follow_laws(problem.bundles);
         } else {
-            system.settle(problem, limits);
+            system.settle(problem, open, limits);
         }
         report.open = report.open.or(open);
         report.decrement = report.decrement.max(R::select(live, system.decrement, R::zero()));
