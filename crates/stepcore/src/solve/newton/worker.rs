@@ -98,7 +98,7 @@ impl<R: Real> Worker<R> {
     }
 
     /// Solves `island`, whose blocks were taken; lanes that it left unfinished. Impulses agree with the
-    /// velocities to rounding, unless the cost decides when to end.
+    /// velocities to rounding, unless the cost or the limit of iterations decides when to end.
     pub fn solve(
         &mut self,
         task: Task<R>,
