@@ -45,8 +45,9 @@ class Measurement:
     module: of the function. example: the arguments of an example. options: see `add_options`.
     excluding: mutually exclusive options. full: the description of --all in the help. warn: whether
     to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
-    file: of the argument FILE. horizon: the default horizon in words, if it is no constant. more:
-    further arguments of the function. done: what follows a call.
+    file: of the argument FILE. horizon: the default horizon in words, if it is no constant. source:
+    whether the function reads the file itself. more: further arguments of the function. done: what
+    follows a call.
     """
 
     module: str
@@ -57,6 +58,7 @@ class Measurement:
     warn: bool = True
     file: Mapping[str, Any] = field(default_factory=dict)
     horizon: str = ""
+    source: bool = False
     more: More = lambda args, model: {}
     done: Callable[[Any, argparse.Namespace], object] = lambda result, args: None
 
@@ -124,8 +126,8 @@ def call(args: argparse.Namespace, name: str) -> Result:
         given["seconds"] = args.seconds
     given |= measurement.more(args, model)
     # MuJoCo reads the file itself, if it is taken as it is.
-    own = getattr(args, "engine", "") == "mujoco" and not args.without and args.fuse is not False
-    whole = model is None or own
+    source = measurement.source or getattr(args, "engine", "") == "mujoco"
+    whole = model is None or (source and not args.without and args.fuse is not False)
     result: Result = function(args.file if whole else model, **given)
     measurement.done(result, args)
     return result
@@ -254,6 +256,7 @@ MEASUREMENTS = {
             "words": " (default: lesson:spring; also lesson:stack)",
         },
         horizon="1, or 25 times the largest time step if that is longer",
+        source=True,
         more=_lists,
     ),
     "converge": Measurement(
