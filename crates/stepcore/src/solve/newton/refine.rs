@@ -36,11 +36,11 @@ impl<R: Real> System<R> {
     }
 
     /// The same refined, and the u that they make. `open`: lanes that iterations left unfinished,
-    /// which keep Newton's u: what makes stiff laws' impulses of it may be farther off than the start.
+    /// which keep Newton's u: that of its impulses may be farther off than the start, as laws are stiff.
     pub fn settle(&mut self, problem: Problem<R>, open: R::Mask, limits: Limits) {
         self.follow_laws(problem.bundles);
-        let cancelled = self.cancelled(problem).or(open);
-        self.follow(problem, cancelled);
+        let kept = self.cancelled(problem).or(open);
+        self.follow(problem, kept);
         let enough = R::of(SPARE * limits.tolerance);
         for _ in 0..REFINEMENTS {
             if self.fresh.none() {
@@ -57,7 +57,7 @@ impl<R: Real> System<R> {
             }
             self.step.fill(R::zero());
             problem.gather(&self.rate, R::one(), &mut self.step, &mut self.local);
-            self.add_unbalanced(problem, cancelled);
+            self.add_unbalanced(problem, kept);
             // Σ y e is what is left of the gradient: with δ it tells the decrement.
             self.gradient.copy_from_slice(&self.step);
             self.solve(problem.pattern);
@@ -66,8 +66,8 @@ impl<R: Real> System<R> {
             let left = (fall * self.floor.recip_or_zero()).max(R::zero()).sqrt();
             self.decrement = R::select(self.fresh, left, self.decrement);
             self.refine(problem);
-            self.move_kept(cancelled);
-            self.follow(problem, cancelled);
+            self.move_kept(kept);
+            self.follow(problem, kept);
             self.fresh = self.fresh.and(left.gt(R::of(R::epsilon())));
         }
     }
@@ -160,34 +160,34 @@ impl<R: Real> System<R> {
     }
 
     /// step += Σ yλ − D(u − û), where it is not 0 by what u is.
-    fn add_unbalanced(&mut self, problem: Problem<R>, cancelled: R::Mask) {
-        if cancelled.none() {
+    fn add_unbalanced(&mut self, problem: Problem<R>, kept: R::Mask) {
+        if kept.none() {
             return;
         }
         self.gradient.fill(R::zero());
         problem.gather(&self.impulse, R::one(), &mut self.gradient, &mut self.local);
         for (at, step) in self.step.iter_mut().enumerate() {
             let missing = self.gradient[at] - self.d[at] * (self.u[at] - self.guess[at]);
-            *step = R::select(cancelled, *step + missing, *step);
+            *step = R::select(kept, *step + missing, *step);
         }
     }
 
     /// u + δ in lanes that keep u.
-    fn move_kept(&mut self, cancelled: R::Mask) {
-        let mask = cancelled.and(self.fresh);
+    fn move_kept(&mut self, kept: R::Mask) {
+        let mask = kept.and(self.fresh);
         for (u, step) in self.u.iter_mut().zip(&self.step) {
             *u = R::select(mask, *u + *step, *u);
         }
     }
 
-    /// u = û + D⁻¹ Σ yλ; not in lanes whose impulses cancel.
-    fn follow(&mut self, problem: Problem<R>, cancelled: R::Mask) {
+    /// u = û + D⁻¹ Σ yλ; not in lanes that keep theirs.
+    fn follow(&mut self, problem: Problem<R>, kept: R::Mask) {
         self.gradient.fill(R::zero());
         problem.gather(&self.impulse, R::one(), &mut self.gradient, &mut self.local);
         for (((u, guess), f), inv) in
             self.u.iter_mut().zip(&self.guess).zip(&self.gradient).zip(&self.inv_d)
         {
-            *u = R::select(cancelled, *u, *guess + *f * *inv);
+            *u = R::select(kept, *u, *guess + *f * *inv);
         }
     }
 }
