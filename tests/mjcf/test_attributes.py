@@ -74,3 +74,14 @@ def test_an_attribute_of_a_class_is_that_of_the_element(path: str) -> None:
         except MJCFError:
             continue
         assert loads(named) == scene, (path, attribute)
+
+
+def test_an_empty_material_takes_back_that_of_the_class() -> None:
+    """Converters of URDFs write it so; the class names a material that the file lacks."""
+    geom = '<geom class="v" size="1" material=""/>'
+    body = f'<body><joint type="slide"/>{geom}</body>'
+    classes = '<default><default class="v"><geom material="none"/></default></default>'
+    text = f"<mujoco>{classes}<worldbody>{body}</worldbody></mujoco>"
+    assert len(loads(text).geoms) == 1
+    with pytest.raises(MJCFError, match='material="none": no such material'):
+        loads(text.replace(' material=""', ""))

@@ -17,7 +17,7 @@ from typing import Any
 
 from stepcore.checks import nearest
 from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.schema import ACTUATORS, ORIENTATION, given
+from stepcore.mjcf.schema import ACTUATORS, ORIENTATION, TAKEN_BACK, given
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import LengthRange, MassRules
@@ -148,6 +148,7 @@ def overlay(under: Values, over: Values) -> Values:
     """Return the values of `under`, overridden by those of `over`.
 
     A shorter vector replaces only its own entries. An orientation attribute replaces any other.
+    An empty material or mesh is none.
     """
     result = dict(under)
     if any(name in over for name in ORIENTATION):
@@ -158,7 +159,7 @@ def overlay(under: Values, over: Values) -> Values:
         if isinstance(value, tuple) and isinstance(old, tuple) and len(old) > len(value):
             value = value + old[len(value) :]
         result[name] = value
-    return result
+    return {name: v for name, v in result.items() if v != "" or name not in TAKEN_BACK}
 
 
 class Defaults:

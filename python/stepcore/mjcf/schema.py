@@ -37,6 +37,8 @@ from stepcore.scene.elements.equality import FIELDS as EQUALITY_FIELDS
 from stepcore.scene.elements.field_types import AUTO, BOOL
 from stepcore.scene.elements.sensor import OBJECTS, OF_ACCELERATION, OF_FRAME, OF_GAP
 
+# Where these are empty, what a default class gives does not count.
+TAKEN_BACK = ("material", "mesh")
 ORIENTATION = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 POSE = "pos:3 quat:4 axisangle:4 xyaxes:6 zaxis:3 euler:3"
 

@@ -21,7 +21,7 @@ from stepcore.mjcf.nodes import (
     inside,
     is_own_text,
 )
-from stepcore.mjcf.schema import ROOT, SEEN, UNCHECKED, Spec
+from stepcore.mjcf.schema import ROOT, SEEN, TAKEN_BACK, UNCHECKED, Spec
 from stepcore.scene.element import table
 from stepcore.scene.elements import Actuator, Equality, Geom, Pair
 
@@ -30,7 +30,7 @@ REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 INT = re.compile(r"[+-]?\d+", re.ASCII)
 
 # Names whose empty text is kept; other empty attributes count as not given.
-KEPT_EMPTY = ("class", "childclass", "file")
+KEPT_EMPTY = ("class", "childclass", "file", *TAKEN_BACK)
 WHY = {
     "draws": "only draws",
     "senses": "only senses",
