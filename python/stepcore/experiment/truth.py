@@ -113,28 +113,43 @@ class Truth:
 class _Start:
     """What is known from one start: its finest rung, and how far that moved the motion [m].
 
-    gain: how many times less that is than at the rung before.
+    before: the motion of the rung before. both: how far the last two rungs moved it together [m].
+    gain: how many times less the last one moved it than the one before.
     doubt: how many times more all finer rungs may move it.
     """
 
     rung: int
     tracks: Tracks
+    before: Tracks
     moved: float
+    both: float = 0.0
     worse: int = 0
     gain: float = 2.0
     doubt: float = 1.0
 
     @property
     def unsure(self) -> float:
-        return self.moved * self.doubt
+        # At order 1 two rungs move three times what the second does; one that moves less is luck.
+        return max(self.moved, self.both / 3) * self.doubt
+
+    def finer(self, tracks: Tracks, moved: float, both: float) -> _Start:
+        """Return what is known after the next rung, which moved the motion so far [m]."""
+        worse = self.worse + 1 if moved > STALLED * self.moved else 0
+        gain = self.moved / moved if moved > 0 else math.inf
+        # One good rung may be luck (hopper in MuJoCo): what was doubted before fades.
+        doubt = max(left(gain), math.sqrt(self.doubt))
+        return _Start(self.rung + 1, tracks, self.tracks, moved, both, worse, gain, doubt)
 
 
 def left(gain: float) -> float:
     """Return what all finer rungs may move, over what the last one moved: a geometric series.
 
+    It is at most 2: where rungs no longer settle, they move to and fro, which does not add up
+    (`benches/converging.py`).
+
     gain: how many times less a rung moves than the one before.
     """
-    return max(1.0, 1 / (max(gain, 1 / STALLED) - 1))
+    return max(1.0, 1 / (max(gain, 1.5) - 1))
 
 
 def _half() -> AbstractContextManager[None]:
@@ -355,7 +370,8 @@ class Converging:
             self._measure_growth(starts, rung)
         moved = self._between(before, now, starts)
         for k, start in enumerate(starts):
-            own = _Start(rung, now.some([k]), float(moved[k]), doubt=self.doubt)
+            pair = now.some([k]), before.some([k])
+            own = _Start(rung, *pair, float(moved[k]), doubt=self.doubt)
             self.known[start] = own
 
     def _refine(self, starts: Sequence[int], goal: float) -> None:
@@ -376,13 +392,12 @@ class Converging:
             if finer.failure:
                 return
             before = Tracks.joined([self.known[s].tracks for s in some])
-            for k, moved in enumerate(self._between(before, finer, some).tolist()):
-                own = self.known[some[k]]
-                worse = own.worse + 1 if moved > STALLED * own.moved else 0
-                gain = own.moved / moved if moved > 0 else math.inf
-                # One good rung may be luck (hopper in MuJoCo): what was doubted before fades.
-                doubt = max(left(gain), math.sqrt(own.doubt))
-                self.known[some[k]] = _Start(rung, finer.some([k]), moved, worse, gain, doubt)
+            coarse = Tracks.joined([self.known[s].before for s in some])
+            moved = self._between(before, finer, some).tolist()
+            both = self._between(coarse, finer, some).tolist()
+            for k, start in enumerate(some):
+                own = self.known[start]
+                self.known[start] = own.finer(finer.some([k]), moved[k], both[k])
 
     def _witness(self, starts: Sequence[int]) -> None:
         """Run the hardest start one rung finer, and doubt all if that moves it no less."""

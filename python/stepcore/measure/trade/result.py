@@ -329,7 +329,7 @@ class Trade(Result):
         if target is not None and unsure > (UNSURE if self.verified else 1.0) * target:
             well = "" if unsure > target else " well"
             lost = self.reference.unsure > target
-            if row is not None and self.unsure <= target and not lost.all():
+            if row is not None and self.unsure <= target and lost.any() and not lost.all():
                 # The choice holds where the motion is known: from starts that joined it may not be.
                 well = f" from {lost.sum()} of {counted(len(lost), 'start')}"
             verb = "was" if unsure > self.reference.error else "is"
