@@ -5,7 +5,7 @@
 Each start climbs the ladders of implicitfast and rk4 until a run would take more operations than
 `--cap`, or the scene's time is over. What a `Truth` would say after each rung (`_Start.unsure`) is
 compared with the distance to the finest run of the *other* method, unless the finest runs of both
-are further apart than that. The last line is of all scenes: the first is the one with most misses.
+are further apart than half of that. The last line is of all scenes: the first is the one with most misses.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def shares(file: str, starts: int, cap: float, seconds: float) -> list[float]:
                 now = runs[rung]
                 own = own.finer(now, far(runs[rung - 1], now), far(runs[rung - 2], now))
                 off = far(now, finest[other])
-                if rung >= FIRST and off > gap and own.unsure > 0:
+                if rung >= FIRST and off > 2 * gap and own.unsure > 0:
                     found.append(off / own.unsure)
     return found
 

@@ -130,7 +130,7 @@ class _Start:
     @property
     def unsure(self) -> float:
         # At order 1 two rungs move three times what the second does; one that moves less is luck.
-        return max(self.moved, self.both / 3) * self.doubt
+        return max(self.moved, self.both / 2.5) * self.doubt
 
     def finer(self, tracks: Tracks, moved: float, both: float) -> _Start:
         """Return what is known after the next rung, which moved the motion so far [m]."""
