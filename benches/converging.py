@@ -5,7 +5,8 @@
 Each start climbs the ladders of implicitfast and rk4 until a run would take more operations than
 `--cap`, or the scene's time is over. What a `Truth` would say after each rung (`_Start.unsure`) is
 compared with the distance to the finest run of the *other* method, unless the finest runs of both
-are further apart than half of that. The last line is of all scenes: the first is the one with most misses.
+are further apart than half of that. The first line is of the scene with most misses, the last one
+of all scenes.
 """
 
 from __future__ import annotations
