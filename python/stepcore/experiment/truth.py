@@ -148,6 +148,9 @@ def left(gain: float) -> float:
     (`benches/converging.py`).
 
     gain: how many times less a rung moves than the one before.
+
+    >>> left(4.0), left(1.75), left(0.9)
+    (1.0, 1.3333333333333333, 2.0)
     """
     return max(1.0, 1 / (max(gain, 1.5) - 1))
 

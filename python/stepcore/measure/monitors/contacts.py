@@ -10,6 +10,7 @@ import numpy as np
 
 from stepcore.engine.coordinates import rotated
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change
 from stepcore.measure.monitors.finding import (
     DEEP,
@@ -155,17 +156,44 @@ def _jammed(
 ) -> dict[int, Contact]:
     """Return pairs that overlap throughout because joints keep the geoms there.
 
-    They are of one tree, or, where they are deeper than their middle, of a machine that is fixed to
-    the world and of the world.
+    They are of one tree, or, where they are deeper than their middle or its joint cannot part them,
+    of a machine that is fixed to the world and of the world.
     """
     jammed: dict[int, Contact] = {}
     for start in (start for start in starts if start.pair in at_rest):
         at, roots = at_rest[start.pair], set(run.roots[_bodies(run.model, start.pair)].tolist())
         fixed = 0 in roots and not roots & free_bodies(run.model)
         share = DEEP if len(roots) == 1 else 1.0 if fixed else math.inf
+        if fixed and start.depth > DEEP * run.thick(start.pair) and _meshed(run, start.pair):
+            share = DEEP
         if min(start.depth, at.depth) > share * run.thick(start.pair):
             jammed.setdefault(at.pair, at)
     return jammed
+
+
+def _meshed(run: Recording, pair: int) -> bool:
+    """Return whether a link on the world overlaps it notably at all angles of its hinge.
+
+    The world is a machine's base then, unless it is a floor.
+    """
+    model, link, deep = run.model, max(_bodies(run.model, pair)), DEEP * run.thick(pair)
+    joints = np.flatnonzero(model.jnt_body == link)
+    if (
+        _floor(model, pair)
+        or model.body_parent[link]
+        or [model.jnt_type[k] for k in joints] != ["hinge"]
+    ):
+        return False
+    sim, at = Sim(model), model.jnt_qposadr[joints[0]]
+    sim.qpos[:] = run.data["qpos"][0]
+    low, high = np.clip(model.jnt_range[joints[0]], -math.pi, math.pi)
+    for angle in np.linspace(low, high, 9):
+        sim.qpos[at] = angle
+        sim.forward()
+        mine = sim.contacts["dist"][sim.contacts["index"] == pair]
+        if mine.min(initial=0.0) >= -deep:
+            return False
+    return True
 
 
 def _overlaps(
@@ -200,7 +228,6 @@ def _overlapping(
     model, of = run.model, found[0]
     contacts = named(model, "contact", (at.pair for at in found))
     geoms = model.contact_pair(of.pair).geoms
-    types = [model.geom_type[geom] for geom in geoms]
     names = [model.geom_names[geom] for geom in geoms]
     both = f"geoms `{names[0]}` and `{names[1]}`"
     if not all(names):
@@ -211,7 +238,7 @@ def _overlapping(
     roots = run.roots[bodies].tolist()
     free = {*roots} & free_bodies(model)
     # A base that is part of the world is no floor.
-    based = "world" in model.scene.fused.values() and not {*types} & {"plane", "hfield"}
+    based = "world" in model.scene.fused.values() and not _floor(model, of.pair)
     machine = not free and (all(roots) or based)
     moved = 1 if roots[1] else 0
     # The foot of a robot moves away with all of it.
@@ -231,6 +258,10 @@ def _overlapping(
 def _bodies(model: Model, pair: int) -> list[int]:
     bodies: list[int] = model.geom_body[list(model.contact_pair(pair).geoms)].tolist()
     return bodies
+
+
+def _floor(model: Model, pair: int) -> bool:
+    return any(model.geom_type[k] in ("plane", "hfield") for k in model.contact_pair(pair).geoms)
 
 
 def _excludes(model: Model, found: list[Contact]) -> tuple[str, ...]:
