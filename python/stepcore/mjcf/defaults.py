@@ -159,7 +159,7 @@ def overlay(under: Values, over: Values) -> Values:
         if isinstance(value, tuple) and isinstance(old, tuple) and len(old) > len(value):
             value = value + old[len(value) :]
         result[name] = value
-    return {name: v for name, v in result.items() if v != "" or name not in TAKEN_BACK}
+    return {k: value for k, value in result.items() if k not in TAKEN_BACK or value.strip()}
 
 
 class Defaults:
