@@ -8,6 +8,7 @@ import json
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ import stepcore as sc
 from stepcore import lesson
 from stepcore.experiment.choose import Proof
 from stepcore.experiment.schedule import default_horizon
+from stepcore.measure.trade import search
 from stepcore.report.units import compact, metres
 
 G = 9.81
@@ -283,6 +285,16 @@ def test_a_proof_of_starts_of_which_none_is_known_proves_nothing(ball):
     proof = Proof.of(trial, ball.proof.error)
     assert (proof.missed, proof.unclear, proof.share) == (0, 8, 1.0)
     assert proof.words.startswith("It is not proven: the converged motion from 8 untouched starts")
+
+
+def test_untouched_starts_from_which_nothing_is_told_end_the_test(ball, monkeypatch):
+    """The effort is spent after 16 of 32; before, the 16 others counted as misses."""
+    first = replace(ball.proof.trial, unsure=np.zeros(8))
+    parts = iter([first, first, replace(first, unsure=np.full(8, 1.0))])
+    monkeypatch.setattr(search, "tested", lambda *_, **__: next(parts))
+    study = SimpleNamespace(effort=1.0, fresh=range)
+    proof = search.proven(study, first.change, ball.proof.error, 32)
+    assert (proof.starts, proof.unclear) == (16, 0)
 
 
 def test_the_untouched_starts_are_those_of_no_choice(ball):

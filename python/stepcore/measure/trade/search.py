@@ -8,6 +8,7 @@ ranked by counted work, so that two runs, and two machines, give the same answer
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -341,10 +342,16 @@ def cleared(study: Study, trial: Trial, error: float, finest: float) -> bool:
 
 
 def proven(study: Study, change: Change, error: float, further: int) -> Proof | None:
-    """Run a choice from starts that no choice has seen; None if the time is over before."""
-    study.allowed = study.effort
-    try:
-        trial = tested(study, change, study.fresh(further), error)
-    except OutOfTime:
-        return None
-    return Proof.of(trial, error)
+    """Run a choice from starts that no choice has seen; None if the time is over before.
+
+    There are fewer of them where the time does not last for all, eight at a time, nor the effort:
+    eight from which nothing can be told end the test, and do not count.
+    """
+    study.allowed, parts, fresh = study.effort, list[Trial](), study.fresh(further)
+    with contextlib.suppress(OutOfTime):
+        for some in (fresh[k : k + TOGETHER] for k in range(0, len(fresh), TOGETHER)):
+            part = tested(study, change, some, error)
+            if parts and Proof.of(part, error).unclear == len(some):
+                break
+            parts.append(part)
+    return Proof.of(Trial.joined(parts), error) if parts else None
