@@ -26,7 +26,8 @@ SCENES = [
     *("dm_control:cheetah", "dm_control:hopper", "dm_control:walker"),
 ]
 METHODS = ("implicitfast", "rk4")
-# Rungs of a ladder, at most; the first is not told of, and the last two are too near to the truth.
+# Rungs of a ladder, at most; from which on they are compared, and how many before the finest one
+# are not, because they are near to the truth.
 RUNGS, FIRST, LAST = 16, 3, 2
 
 

@@ -364,7 +364,7 @@ def test_a_link_that_its_hinge_cannot_move_out_of_the_base_is_left_out():
     """A quarter deep, as DeepRobotics' Lite3: no softness helps; one that swings out is pressed."""
     one = the(watched(sc.loads(HIP))[1], "overlap")
     assert '<exclude body1="hip" body2="world"/>' in one.text
-    swings = HIP.replace("<joint", 'pos="0 0 .2" axis')
+    swings = HIP.replace("<joint", '<joint pos="0 0 .2"')
     assert not [one for one in watched(sc.loads(swings))[1] if one.kind == "overlap"]
 
 

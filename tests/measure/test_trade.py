@@ -291,7 +291,7 @@ def test_untouched_starts_from_which_nothing_is_told_end_the_test(ball, monkeypa
     """The effort is spent after 16 of 32; before, the 16 others counted as misses."""
     first = replace(ball.proof.trial, unsure=np.zeros(8))
     parts = iter([first, first, replace(first, unsure=np.full(8, 1.0))])
-    monkeypatch.setattr(search, "tested", lambda *_, **__: next(parts))
+    monkeypatch.setattr(search, "by_eight", lambda *_: parts)
     study = SimpleNamespace(effort=1.0, fresh=range)
     proof = search.proven(study, first.change, ball.proof.error, 32)
     assert (proof.starts, proof.unclear) == (16, 0)

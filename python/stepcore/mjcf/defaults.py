@@ -159,7 +159,10 @@ def overlay(under: Values, over: Values) -> Values:
         if isinstance(value, tuple) and isinstance(old, tuple) and len(old) > len(value):
             value = value + old[len(value) :]
         result[name] = value
-    return {k: value for k, value in result.items() if k not in TAKEN_BACK or value.strip()}
+    for name in TAKEN_BACK:
+        if name in result and not result[name].strip():
+            del result[name]
+    return result
 
 
 class Defaults:

@@ -163,8 +163,8 @@ def _jammed(
     for start in (start for start in starts if start.pair in at_rest):
         at, roots = at_rest[start.pair], set(run.roots[_bodies(run.model, start.pair)].tolist())
         fixed = 0 in roots and not roots & free_bodies(run.model)
-        share = DEEP if len(roots) == 1 else 1.0 if fixed else math.inf
-        if fixed and start.depth > DEEP * run.thick(start.pair) and _meshed(run, start.pair):
+        share = 1.0 if fixed else math.inf
+        if len(roots) == 1 or (fixed and _meshed(run, start.pair)):
             share = DEEP
         if min(start.depth, at.depth) > share * run.thick(start.pair):
             jammed.setdefault(at.pair, at)
@@ -178,11 +178,8 @@ def _meshed(run: Recording, pair: int) -> bool:
     """
     model, link, deep = run.model, max(_bodies(run.model, pair)), DEEP * run.thick(pair)
     joints = np.flatnonzero(model.jnt_body == link)
-    if (
-        _floor(model, pair)
-        or model.body_parent[link]
-        or [model.jnt_type[k] for k in joints] != ["hinge"]
-    ):
+    turns = [model.jnt_type[joint] for joint in joints] == ["hinge"]
+    if not turns or model.body_parent[link] or _floor(model, pair):
         return False
     sim, at = Sim(model), model.jnt_qposadr[joints[0]]
     sim.qpos[:] = run.data["qpos"][0]

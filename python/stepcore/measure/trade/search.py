@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -308,11 +308,21 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
 def tested(
     study: Study, change: Change, starts: Sequence[int], error: float, *, early: bool = False
 ) -> Trial:
-    """Run a change from further starts, eight at a time; their truth is finer where it must be.
+    """Run a change from further starts.
 
     error: [m]. early: whether to stop at the first eight of which one misses the error.
     """
-    parts, coarse = list[Trial](), UNSURE / SHARE * error
+    parts = list[Trial]()
+    for part in by_eight(study, change, starts, error):
+        parts.append(part)
+        if early and part.misses(error):
+            break
+    return Trial.joined(parts)
+
+
+def by_eight(study: Study, change: Change, starts: Sequence[int], error: float) -> Iterator[Trial]:
+    """Run a change from further starts, eight at a time; their truth is finer where it must be."""
+    coarse = UNSURE / SHARE * error
     for first in range(0, len(starts), TOGETHER):
         some = starts[first : first + TOGETHER]
         (tracks,) = study.tracks([change], some)
@@ -321,10 +331,7 @@ def tested(
             if not cleared(study, trial, error, SHARE**2):
                 break
             trial = study.score(change, tracks, study.truth(coarse, some))
-        parts.append(trial)
-        if early and trial.misses(error):
-            break
-    return Trial.joined(parts)
+        yield trial
 
 
 def cleared(study: Study, trial: Trial, error: float, finest: float) -> bool:
@@ -344,14 +351,13 @@ def cleared(study: Study, trial: Trial, error: float, finest: float) -> bool:
 def proven(study: Study, change: Change, error: float, further: int) -> Proof | None:
     """Run a choice from starts that no choice has seen; None if the time is over before.
 
-    There are fewer of them where the time does not last for all, eight at a time, nor the effort:
-    eight from which nothing can be told end the test, and do not count.
+    There are fewer of them where the time does not last for all, nor the effort: eight from which
+    nothing can be told end the test, and do not count.
     """
-    study.allowed, parts, fresh = study.effort, list[Trial](), study.fresh(further)
+    study.allowed, parts = study.effort, list[Trial]()
     with contextlib.suppress(OutOfTime):
-        for some in (fresh[k : k + TOGETHER] for k in range(0, len(fresh), TOGETHER)):
-            part = tested(study, change, some, error)
-            if parts and Proof.of(part, error).unclear == len(some):
+        for part in by_eight(study, change, study.fresh(further), error):
+            if parts and Proof.of(part, error).unclear == len(part.starts):
                 break
             parts.append(part)
     return Proof.of(Trial.joined(parts), error) if parts else None
