@@ -44,6 +44,21 @@ def test_a_spring_by_hand():
     assert flops["place/inertia"] == flops["place/factor"] == flops["place/bias"] == 0
 
 
+def test_contacts_that_hold_take_no_axes():
+    """A box at rest under PGS, elliptic with condim 6; by the axes of four cones it is 25,000."""
+    text = """<mujoco><option cone="elliptic" solver="PGS" iterations="2" tolerance="0"
+      gravity="{} 0 -9.81"/><worldbody><geom type="plane" size="5 5 1" condim="6"
+      friction=".3 .05 .01"/><body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1"
+      condim="6" friction=".3 .05 .01"/></body></worldbody></mujoco>"""
+    work = []
+    for along in (1, 4):
+        sim = Sim(sc.loads(text.format(along)))
+        sim.step(50)
+        assert len(sim.rows) == 24 and (abs(sim.qvel[0]) > 0.05) == (along == 4)
+        work.append(sim.stage_flops()["solve/impulses"])
+    assert work[0] < 10_000 < 20_000 < work[1]
+
+
 def test_sweeps_are_counted_by_the_row():
     """Under PGS: a constant, and the same for every sweep of every row on as many dofs."""
     model = lesson.tower([1.0] * 6).compile()

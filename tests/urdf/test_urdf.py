@@ -60,8 +60,13 @@ def compared(text: str) -> tuple[sc.Sim, mujoco.MjModel, mujoco.MjData]:
     [
         ARM,
         (link("base"), link("cart"), joint("way", "planar", "base", "cart", '<axis xyz="0 0 1"/>')),
+        # Characters, as Bullet's: an effort does not bound what turns about three axes.
+        (
+            *(link("base"), link("arm", HEAVY)),
+            joint("way", "spherical", "base", "arm", POSE + LIMITED.replace("-1", "0")),
+        ),
     ],
-    ids=["arm", "planar"],
+    ids=["arm", "planar", "spherical"],
 )
 def test_it_is_mujocos(parts):
     """Poses, masses, mass matrix, forces and acceleration at random states."""

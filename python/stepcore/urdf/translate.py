@@ -45,7 +45,7 @@ LINK = {
     "collision": once_each("name group", SHAPE),
 }
 JOINT = once_each(
-    "name! type!:revolute|continuous|prismatic|fixed|floating|planar",
+    "name! type!:revolute|continuous|prismatic|spherical|fixed|floating|planar",
     {
         "origin": ORIGIN,
         "parent": spec("link!"),
@@ -178,7 +178,8 @@ def _in_package(name: str, directory: str | None) -> str:
     return ""
 
 
-MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
+MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
+MOVES |= {"spherical": "ball", "floating": "free"}
 
 
 def to_mjcf(root: Node, directory: str | None) -> Robot:

@@ -5,21 +5,21 @@
 //! rolling, each in the measure that makes its bound that of the first (`elements/friction.rs`).
 //! A block with fewer is padded with zeros, which every function here leaves at zero.
 //!
-//! Q is made diagonal once a solve. For a convex cone in the unit measure (ways over μ, so that
-//! the cone is |x_t| ≤ x_n) by a basis V that keeps the cone: VᵀSV = S = diag(1, −1, …),
-//! VᵀQV = diag(d). V is a product of rotations among the ways and hyperbolic rotations of the
-//! normal with one of them, Jacobi's method for a definite pair (Veselić 1993), which exists
-//! because Q is positive definite. On the surface (Q − κS)x = −b with κ ≥ 0, in that basis
-//! yₙ = ξₙ/(dₙ − κ), yᵢ = ξᵢ/(dᵢ + κ), ξ = −Vᵀb: one equation for κ. For a Coulomb cone, whose
-//! normal is solved by itself, the ways alone are rotated, and that where the friction slides: one that
-//! holds takes a factor of Q.
+//! A contact that holds takes a factor of Q. Where the first one slides, Q is made diagonal once a
+//! solve. For a convex cone in the unit measure (ways over μ, so that the cone is |x_t| ≤ x_n) by a
+//! basis V that keeps the cone: VᵀSV = S = diag(1, −1, …), VᵀQV = diag(d). V is a product of
+//! rotations among the ways and hyperbolic rotations of the normal with one of them, Jacobi's
+//! method for a definite pair (Veselić 1993), which exists because Q is positive definite. On the
+//! surface (Q − κS)x = −b with κ ≥ 0, in that basis yₙ = ξₙ/(dₙ − κ), yᵢ = ξᵢ/(dᵢ + κ),
+//! ξ = −Vᵀb: one equation for κ. For a Coulomb cone, whose normal is solved by itself, the ways
+//! alone are rotated.
 //!
 //! A block is solved by iteration and through the axes of a matrix, and differentiated through
 //! the conditions that its solution meets, by one Newton step on them (`Real::implicit`): an
 //! iteration stops when its numbers stand still; their derivatives follow later, or never.
 
 use super::rows::{CONE, NARROW};
-use crate::real::array::from_fn;
+use crate::real::array::{from_fn, map};
 use crate::real::{Mask, Real};
 
 /// Rounds of rotations; five to eight are usual.
@@ -94,20 +94,22 @@ pub(super) fn length<R: Real>(x: &[R]) -> R {
 pub(super) struct InCone<R: Real, const N: usize> {
     pub q: Matrix<R, N>,
     mu: R,
-    /// Of the unit measure; and 1 / d.
-    v: Matrix<R, N>,
-    d: [R; N],
-    inv_d: [R; N],
+    /// Of the unit measure.
+    factor: Factor<R, N>,
+    /// The same; made where a minimiser lies on the surface, or where Q has no sound factor.
+    axes: Option<Axes<R, N>>,
 }
 
 impl<R: Real, const N: usize> InCone<R, N> {
     /// Of a positive definite Q, by its lower half.
-    #[inline(never)] // Once a cone and solve: copies of it in each caller would only be large.
     pub fn new(q: Matrix<R, N>, mu: R) -> Self {
         let q = symmetric(&q);
-        let scale = |i: usize| if i == 0 { R::one() } else { mu };
-        let (v, d) = diagonal(from_fn(|i| from_fn(|j| q[i][j] * (scale(i) * scale(j)))), true);
-        Self { q, mu, v, d, inv_d: d.map(R::recip_or_zero) }
+        Self { factor: Factor::of(&unit_measure(&q, mu)), q, mu, axes: None }
+    }
+
+    fn axes(&mut self) -> &Axes<R, N> {
+        let Self { q, mu, axes, .. } = self;
+        axes.get_or_insert_with(|| Axes::of_cone(unit_measure(q, *mu)))
     }
 
     #[inline(always)]
@@ -116,29 +118,76 @@ impl<R: Real, const N: usize> InCone<R, N> {
     }
 
     /// The minimiser of ½ λᵀQλ + b·λ over |λ_t| ≤ μ λ_n.
-    pub fn least(&self, b: &[R; N], mask: R::Mask) -> [R; N] {
-        R::implicit(self.minimiser(b, mask), |x| self.newton_step(b, &x))
+    pub fn least(&mut self, b: &[R; N], mask: R::Mask) -> [R; N] {
+        let x = self.minimiser(b, mask);
+        R::implicit(x, |x| self.newton_step(b, &x))
     }
 
-    fn minimiser(&self, b: &[R; N], mask: R::Mask) -> [R; N] {
+    fn minimiser(&mut self, b: &[R; N], mask: R::Mask) -> [R; N] {
         let b = self.in_unit(b);
         let apart = across(&b).le(b[0]);
-        let xi = back(&self.v, &b).map(|x| -x);
+        let free = self.factor.minimiser(&b);
+        let closed = apart.or(self.factor.sound.and(across(&free).le(free[0])));
+        let mut out = select::<R, N>(apart, [R::zero(); N], free);
+        let open = mask.and(closed.not());
+        if open.any() {
+            out = select::<R, N>(closed, out, self.axes().minimiser(&b, open));
+        }
+        self.in_unit(&out)
+    }
+
+    /// One Newton step from x on the conditions that it meets. Outside: 0. Inside: Qx + b = 0. On
+    /// the surface, with r = Qx + b − κSx, which is 0: (Q − κS)dx − Sx dκ = −r and Sx·dx = 0,
+    /// which is diagonal in y but for dκ.
+    fn newton_step(&mut self, b: &[R; N], x: &[R; N]) -> [R; N] {
+        let (zero, Axes { v, d, inv_d }) = (R::zero(), *self.axes());
+        let w = times(&self.q, x);
+        let w = self.in_unit(&from_fn(|i| w[i] + b[i]));
+        let per_mu = self.mu.recip_or_zero();
+        let z: [R; N] = from_fn(|i| if i == 0 { x[0] } else { x[i] * per_mu });
+        let some = z[0].gt(zero);
+        let inside = across(&z).lt(z[0] * R::of(1.0 - ROUNDINGS * R::epsilon()));
+        let signed = |x: &[R; N]| -> [R; N] { from_fn(|i| if i == 0 { x[0] } else { -x[i] }) };
+        let free = back(&v, &w);
+        let free = times(&v, &from_fn(|i| -free[i] * inv_d[i]));
+        // On the surface, in y: V⁻¹ = SVᵀS.
+        let y = signed(&back(&v, &signed(&z)));
+        let kappa = w[0] * z[0].recip_or_zero();
+        let bent = signed(&z);
+        let rho = back(&v, &from_fn(|i| w[i] - kappa * bent[i]));
+        let inv: [R; N] = from_fn(|i| (d[i] + kappa).recip_or_zero());
+        let per_y = y[0].recip_or_zero();
+        let (pull, give) = reach(&y, &rho, &inv, 1);
+        let stiff = d[0] - kappa;
+        let turn = (-pull - give * rho[0] * per_y) / (R::one() + give * stiff * per_y * per_y);
+        let first = turn * per_y;
+        let change = (stiff * first + rho[0]) * per_y;
+        let rim = |i: usize| if i == 0 { first } else { -(rho[i] + y[i] * change) * inv[i] };
+        let rim = times(&v, &from_fn(rim));
+        let step = self.in_unit(&select::<R, N>(inside, free, rim));
+        from_fn(|i| R::select(some, x[i] + step[i], zero))
+    }
+}
+
+impl<R: Real, const N: usize> Axes<R, N> {
+    /// The minimiser of ½ xᵀQx + b·x within the unit cone, of lanes in which it is not at the tip.
+    #[inline(never)] // Of contacts that slide: copies of it in each caller would only be large.
+    fn minimiser(&self, b: &[R; N], open: R::Mask) -> [R; N] {
+        let along = back(&self.v, b);
+        let xi: [R; N] = from_fn(|i| -along[i]);
         let free = times(&self.v, &from_fn(|i| xi[i] * self.inv_d[i]));
         let inside = across(&free).le(free[0]);
-        let live = mask.and(apart.or(inside).not());
-        let closed = select::<R, N>(apart, [R::zero(); N], free);
-        let out = if live.none() {
-            closed
-        } else {
-            select::<R, N>(apart.or(inside), closed, self.surface(&xi, live))
-        };
-        self.in_unit(&out)
+        let live = open.and(inside.not());
+        if live.none() {
+            return free;
+        }
+        select::<R, N>(inside, free, self.surface(&xi, live))
     }
 
     /// The minimiser on the surface: with N = |y_t|, for ξₙ ≥ 0 solved for κ in
     /// κ − dₙ + ξₙ/N(κ) = 0, for ξₙ < 0 for 1/κ in the same equation over κ. Both are increasing
     /// and concave in their unknown, and negative at 0, so Newton from there never overshoots.
+    #[inline(always)]
     fn surface(&self, xi: &[R; N], mut live: R::Mask) -> [R; N] {
         let (zero, one) = (R::zero(), R::one());
         let up = xi[0].ge(zero);
@@ -175,38 +224,6 @@ impl<R: Real, const N: usize> InCone<R, N> {
         let fit = n * across(&out).recip_or_zero();
         from_fn(|i| if i == 0 { n } else { fit * out[i] })
     }
-
-    /// One Newton step from x on the conditions that it meets. Outside: 0. Inside: Qx + b = 0. On
-    /// the surface, with r = Qx + b − κSx, which is 0: (Q − κS)dx − Sx dκ = −r and Sx·dx = 0,
-    /// which is diagonal in y but for dκ.
-    fn newton_step(&self, b: &[R; N], x: &[R; N]) -> [R; N] {
-        let (zero, d) = (R::zero(), &self.d);
-        let w = times(&self.q, x);
-        let w = self.in_unit(&from_fn(|i| w[i] + b[i]));
-        let per_mu = self.mu.recip_or_zero();
-        let z: [R; N] = from_fn(|i| if i == 0 { x[0] } else { x[i] * per_mu });
-        let some = z[0].gt(zero);
-        let inside = across(&z).lt(z[0] * R::of(1.0 - ROUNDINGS * R::epsilon()));
-        let signed = |x: &[R; N]| -> [R; N] { from_fn(|i| if i == 0 { x[0] } else { -x[i] }) };
-        let free = back(&self.v, &w);
-        let free = times(&self.v, &from_fn(|i| -free[i] * self.inv_d[i]));
-        // On the surface, in y: V⁻¹ = SVᵀS.
-        let y = signed(&back(&self.v, &signed(&z)));
-        let kappa = w[0] * z[0].recip_or_zero();
-        let bent = signed(&z);
-        let rho = back(&self.v, &from_fn(|i| w[i] - kappa * bent[i]));
-        let inv: [R; N] = from_fn(|i| (d[i] + kappa).recip_or_zero());
-        let per_y = y[0].recip_or_zero();
-        let (pull, give) = reach(&y, &rho, &inv, 1);
-        let stiff = d[0] - kappa;
-        let turn = (-pull - give * rho[0] * per_y) / (R::one() + give * stiff * per_y * per_y);
-        let first = turn * per_y;
-        let change = (stiff * first + rho[0]) * per_y;
-        let rim = |i: usize| if i == 0 { first } else { -(rho[i] + y[i] * change) * inv[i] };
-        let rim = times(&self.v, &from_fn(rim));
-        let step = self.in_unit(&select::<R, N>(inside, free, rim));
-        from_fn(|i| R::select(some, x[i] + step[i], zero))
-    }
 }
 
 /// The quadratic ½ xᵀQx on a ball, prepared for many right-hand sides: what the ways of a Coulomb
@@ -228,7 +245,7 @@ struct Factor<R: Real, const N: usize> {
     sound: R::Mask,
 }
 
-/// Q = V diag(d) Vᵀ.
+/// VᵀQV = diag(d).
 #[derive(Clone, Copy, Debug)]
 struct Axes<R: Real, const N: usize> {
     v: Matrix<R, N>,
@@ -257,7 +274,7 @@ impl<R: Real, const N: usize> Factor<R, N> {
     /// −Q⁻¹g.
     #[inline(always)]
     fn minimiser(&self, g: &[R; N]) -> [R; N] {
-        let mut x = g.map(|g| -g);
+        let mut x = map(*g, |g| -g);
         for i in 0..N {
             x[i] = (0..i).fold(x[i], |sum, k| sum - self.l[i][k] * x[k]);
         }
@@ -269,7 +286,15 @@ impl<R: Real, const N: usize> Factor<R, N> {
 }
 
 impl<R: Real, const N: usize> Axes<R, N> {
-    #[inline(never)] // As `InCone::new`.
+    /// By a V that keeps the unit cone.
+    #[inline(never)] // Once a cone and solve, at most.
+    fn of_cone(q: Matrix<R, N>) -> Self {
+        let (v, d) = diagonal(q, true);
+        Self { v, d, inv_d: map(d, R::recip_or_zero) }
+    }
+
+    /// By rotations.
+    #[inline(never)]
     fn of(q: Matrix<R, N>) -> Self {
         let (v, d) = diagonal(q, false);
         // What rounding leaves of a zero eigenvalue is a direction that nothing moves.
@@ -375,7 +400,7 @@ fn select<R: Real, const N: usize>(mask: R::Mask, yes: [R; N], no: [R; N]) -> [R
 /// Mx.
 #[inline(always)]
 pub(super) fn times<R: Real, const N: usize>(m: &Matrix<R, N>, x: &[R; N]) -> [R; N] {
-    m.map(|row| sum::<R, N>(|k| row[k] * x[k]))
+    from_fn(|i| sum::<R, N>(|k| m[i][k] * x[k]))
 }
 
 /// Mᵀx.
@@ -405,6 +430,13 @@ fn sum<R: Real, const N: usize>(term: impl Fn(usize) -> R) -> R {
 
 fn largest<R: Real>(x: &[R]) -> R {
     x.iter().fold(R::zero(), |most, x| most.max(*x))
+}
+
+/// Q where ways are over μ.
+#[inline(always)]
+fn unit_measure<R: Real, const N: usize>(q: &Matrix<R, N>, mu: R) -> Matrix<R, N> {
+    let scale = |i: usize| if i == 0 { R::one() } else { mu };
+    from_fn(|i| from_fn(|j| q[i][j] * (scale(i) * scale(j))))
 }
 
 /// The lower half for both: the other one differs by rounding.

@@ -140,7 +140,7 @@ impl<R: Real> Packed<R> {
         }
         let updated = match self.tie {
             Tie::Bounds => self.edges::<GAIN>(rows, to),
-            Tie::Convex(at) => self.convex::<GAIN>(&cones.convex[at as usize], to),
+            Tie::Convex(at) => self.convex::<GAIN>(&mut cones.convex[at as usize], to),
             Tie::Disc(_) | Tie::Square(_) => self.coulomb(cones, to),
         };
         if GAIN {
@@ -178,7 +178,7 @@ impl<R: Real> Packed<R> {
     #[inline(always)]
     fn convex<const GAIN: bool>(
         &mut self,
-        cone: &InCone<R, NARROW>,
+        cone: &mut InCone<R, NARROW>,
         to: &mut Target<R>,
     ) -> Updated<R> {
         let (zero, q) = (R::zero(), self.whole());

@@ -277,7 +277,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         cones: &mut Cones<R, N, W>,
     ) {
         let change = match tie {
-            Tie::Convex(at) => self.convex(own, &cones.convex[at as usize]),
+            Tie::Convex(at) => self.convex(own, &mut cones.convex[at as usize]),
             _ => self.coulomb(own, block.mu, tie, cones),
         };
         self.note(&change, weight);
@@ -320,7 +320,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
     }
 
     /// The block's own minimum, in one piece.
-    fn convex<const N: usize>(&mut self, own: &mut [Row<R>], cone: &InCone<R, N>) -> [R; N] {
+    fn convex<const N: usize>(&mut self, own: &mut [Row<R>], cone: &mut InCone<R, N>) -> [R; N] {
         let (mut w, mut impulse) = ([R::zero(); N], [R::zero(); N]);
         for (i, row) in own.iter().enumerate() {
             w[i] = -self.short(row);

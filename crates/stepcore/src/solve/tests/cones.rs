@@ -60,7 +60,7 @@ fn a_convex_block_at_the_seams() {
     // ξ₀ = 0, the axis of the cone, its surface, nearly singular, flat and steep cones.
     for mu in [1e-5, 0.3, 1.0, 50.0] {
         let q = [[1.0, 0.0, 0.0], [0.0, 1e-3, 0.0], [0.0, 0.0, 1e-3]];
-        let convex = InCone::new(q, mu);
+        let mut convex = InCone::new(q, mu);
         for b in [
             [0.0, 1.0, 0.0],
             [-1.0, 0.0, 0.0],
