@@ -178,8 +178,7 @@ def _in_package(name: str, directory: str | None) -> str:
     return ""
 
 
-MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
-MOVES |= {"spherical": "ball", "floating": "free"}
+MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "spherical": "ball"}
 
 
 def to_mjcf(root: Node, directory: str | None) -> Robot:
