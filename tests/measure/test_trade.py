@@ -365,6 +365,12 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     worse.chosen = max((row for row in ball.rows if not row.failure), key=lambda row: row.error)
     assert worse.chosen.error > 1e-4
     assert next(worse._answer()).startswith("No setting tried has an error of at most 100 µm in")
+    # A truth that became finer since shows it: what holds is chosen (a G1 on a board).
+    study = SimpleNamespace(schedule=ball.schedule, lasts=lambda starts: 1.0)
+    finer = SimpleNamespace(truth=ball.reference, study=study, moved=1.0, ended=False)
+    finer.score_again, finer.trials = bool, {row.change: row for row in ball.rows}
+    worse.take(finer)
+    assert worse.chosen.error <= 1e-4 and worse.chosen.cost <= ball.chosen.cost
     lost.unsure, lost.proof, lost.chosen = np.inf, None, replace(ball.chosen, starts=(0,))
     assert "untouched starts, and may miss the error from others." in " ".join(lost._answer())
     said = "100 µm cannot be verified: from some start no run converges."

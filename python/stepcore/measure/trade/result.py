@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
 import operator
@@ -121,7 +120,7 @@ class Trade(Result):
     shipped: Trial = field(init=False)
 
     def take(self, search: Search) -> None:
-        """Take over what a search has tried, without the poses of all bodies."""
+        """Take over what a search has tried, whose truth may be finer since it chose; no poses."""
         search.score_again()
         self.reference, self.schedule = search.truth, search.study.schedule
         self.moved, self.ended, self.pace = search.moved, search.ended, search.study.lasts(1.0)
@@ -129,9 +128,10 @@ class Trade(Result):
         self.rows = sorted(light.values(), key=lambda trial: (-trial.dt, trial.cost))
         self.shipped = light[SHIPPED]
         self.chosen = self.chosen and light[self.chosen.change]
-        if self.chosen is None and self.target is not None:
-            with contextlib.suppress(ValueError):
-                self.chosen = self.cheapest(self.asked)
+        if self.target is not None and (self.chosen is None or self.chosen.error > self.asked):
+            whole = [row for row in self.rows if len(row.starts) == self.starts]
+            within = [row for row in whole if row.error <= self.asked]
+            self.chosen = min(within, key=COST, default=self.chosen)
 
     def compare(self, beside: Trade) -> None:
         """Take over the same trade with a second engine."""
