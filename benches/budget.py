@@ -24,8 +24,9 @@ import record
 # since machine code of a step has left and lanes do without heaps and sleep (17.23e6 before), and a
 # twentieth for other compilers. Forces and ranges of muscles by world took 8e3 of 13.094e6, and
 # where edges of corners in one line cross 24e3. An allowance of evaluations for steps within an
-# accuracy moved what is inlined, which took 30e3.
-TEXT = 13_130_000
+# accuracy moved what is inlined, which took 30e3. Factors of round cones beside their axes took
+# 157e3 (a step by sweeps of a robot on elliptic cones takes 0.7 to 0.85 of the time).
+TEXT = 13_270_000
 WHERE = "import pathlib, stepcore._core as core; print(core.VECTORS, core.__file__)"
 
 

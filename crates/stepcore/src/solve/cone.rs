@@ -5,12 +5,12 @@
 //! rolling, each in the measure that makes its bound that of the first (`elements/friction.rs`).
 //! A block with fewer is padded with zeros, which every function here leaves at zero.
 //!
-//! A contact that holds takes a factor of Q. Where the first one slides, Q is made diagonal once a
-//! solve. For a convex cone in the unit measure (ways over μ, so that the cone is |x_t| ≤ x_n) by a
-//! basis V that keeps the cone: VᵀSV = S = diag(1, −1, …), VᵀQV = diag(d). V is a product of
-//! rotations among the ways and hyperbolic rotations of the normal with one of them, Jacobi's
-//! method for a definite pair (Veselić 1993), which exists because Q is positive definite. On the
-//! surface (Q − κS)x = −b with κ ≥ 0, in that basis yₙ = ξₙ/(dₙ − κ), yᵢ = ξᵢ/(dᵢ + κ),
+//! A contact that holds is solved by a factor of Q. Where it slides for the first time in a solve,
+//! Q is made diagonal: for a convex cone in the unit measure (ways over μ, so that the cone is
+//! |x_t| ≤ x_n) by a basis V that keeps the cone: VᵀSV = S = diag(1, −1, …), VᵀQV = diag(d). V is a
+//! product of rotations among the ways and hyperbolic rotations of the normal with one of them,
+//! Jacobi's method for a definite pair (Veselić 1993), which exists because Q is positive definite.
+//! On the surface (Q − κS)x = −b with κ ≥ 0, in that basis yₙ = ξₙ/(dₙ − κ), yᵢ = ξᵢ/(dᵢ + κ),
 //! ξ = −Vᵀb: one equation for κ. For a Coulomb cone, whose normal is solved by itself, the ways
 //! alone are rotated.
 //!
