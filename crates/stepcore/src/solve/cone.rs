@@ -131,9 +131,65 @@ impl<R: Real, const N: usize> InCone<R, N> {
         let mut out = select::<R, N>(apart, [R::zero(); N], free);
         let open = mask.and(closed.not());
         if open.any() {
-            out = select::<R, N>(closed, out, self.axes().minimiser(&b, open));
+            out = select::<R, N>(closed, out, self.along_axes(&b, open));
         }
         self.in_unit(&out)
+    }
+
+    /// The minimiser in the unit measure, in lanes in which it is not at the tip.
+    #[inline(never)] // Of contacts that slide: copies of it in each caller would only be large.
+    fn along_axes(&mut self, b: &[R; N], open: R::Mask) -> [R; N] {
+        let axes = self.axes();
+        let along = back(&axes.v, b);
+        let xi: [R; N] = from_fn(|i| -along[i]);
+        let free = times(&axes.v, &from_fn(|i| xi[i] * axes.inv_d[i]));
+        let inside = across(&free).le(free[0]);
+        let live = open.and(inside.not());
+        if live.none() {
+            return free;
+        }
+        select::<R, N>(inside, free, Self::surface(axes, &xi, live))
+    }
+
+    /// The minimiser on the surface: with N = |y_t|, for ξₙ ≥ 0 solved for κ in
+    /// κ − dₙ + ξₙ/N(κ) = 0, for ξₙ < 0 for 1/κ in the same equation over κ. Both are increasing
+    /// and concave in their unknown, and negative at 0, so Newton from there never overshoots.
+    #[inline(always)]
+    fn surface(axes: &Axes<R, N>, xi: &[R; N], mut live: R::Mask) -> [R; N] {
+        let (zero, one, d) = (R::zero(), R::one(), &axes.d);
+        let up = xi[0].ge(zero);
+        let r = xi[0].abs();
+        let pick = |yes: R, no: R| R::select(up, yes, no);
+        let (a, rest) = (pick(one, d[0]), pick(d[0], one));
+        // yᵢ = ξᵢ/(f + g x), times x where x is 1/κ.
+        let f: [R; N] = from_fn(|i| pick(d[i], one));
+        let g: [R; N] = from_fn(|i| pick(one, d[i]));
+        let mut x = zero;
+        for _ in 0..STEPS {
+            let (mut length2, mut bend) = (zero, zero);
+            for i in 1..N {
+                let inv = (f[i] + g[i] * x).recip_or_zero();
+                let p = xi[i] * xi[i] * inv * inv;
+                length2 += p;
+                bend += p * g[i] * inv;
+            }
+            let inv = length2.sqrt().recip_or_zero();
+            let value = a * x - rest + r * inv;
+            let slope = a + r * inv * inv * inv * bend;
+            let next = x - value / slope;
+            live = live.and(next.gt(x));
+            if live.none() {
+                break;
+            }
+            x = R::select(live, next, x);
+        }
+        let k = pick(one, x);
+        let mut y: [R; N] = from_fn(|i| k * xi[i] * (f[i] + g[i] * x).recip_or_zero());
+        y[0] = across(&y);
+        let out = times(&axes.v, &y);
+        let n = out[0].max(zero);
+        let fit = n * across(&out).recip_or_zero();
+        from_fn(|i| if i == 0 { n } else { fit * out[i] })
     }
 
     /// One Newton step from x on the conditions that it meets. Outside: 0. Inside: Qx + b = 0. On
@@ -166,63 +222,6 @@ impl<R: Real, const N: usize> InCone<R, N> {
         let rim = times(&v, &from_fn(rim));
         let step = self.in_unit(&select::<R, N>(inside, free, rim));
         from_fn(|i| R::select(some, x[i] + step[i], zero))
-    }
-}
-
-impl<R: Real, const N: usize> Axes<R, N> {
-    /// The minimiser of ½ xᵀQx + b·x within the unit cone, of lanes in which it is not at the tip.
-    #[inline(never)] // Of contacts that slide: copies of it in each caller would only be large.
-    fn minimiser(&self, b: &[R; N], open: R::Mask) -> [R; N] {
-        let along = back(&self.v, b);
-        let xi: [R; N] = from_fn(|i| -along[i]);
-        let free = times(&self.v, &from_fn(|i| xi[i] * self.inv_d[i]));
-        let inside = across(&free).le(free[0]);
-        let live = open.and(inside.not());
-        if live.none() {
-            return free;
-        }
-        select::<R, N>(inside, free, self.surface(&xi, live))
-    }
-
-    /// The minimiser on the surface: with N = |y_t|, for ξₙ ≥ 0 solved for κ in
-    /// κ − dₙ + ξₙ/N(κ) = 0, for ξₙ < 0 for 1/κ in the same equation over κ. Both are increasing
-    /// and concave in their unknown, and negative at 0, so Newton from there never overshoots.
-    #[inline(always)]
-    fn surface(&self, xi: &[R; N], mut live: R::Mask) -> [R; N] {
-        let (zero, one) = (R::zero(), R::one());
-        let up = xi[0].ge(zero);
-        let r = xi[0].abs();
-        let pick = |yes: R, no: R| R::select(up, yes, no);
-        let (a, rest) = (pick(one, self.d[0]), pick(self.d[0], one));
-        // yᵢ = ξᵢ/(f + g x), times x where x is 1/κ.
-        let f: [R; N] = from_fn(|i| pick(self.d[i], one));
-        let g: [R; N] = from_fn(|i| pick(one, self.d[i]));
-        let mut x = zero;
-        for _ in 0..STEPS {
-            let (mut length2, mut bend) = (zero, zero);
-            for i in 1..N {
-                let inv = (f[i] + g[i] * x).recip_or_zero();
-                let p = xi[i] * xi[i] * inv * inv;
-                length2 += p;
-                bend += p * g[i] * inv;
-            }
-            let inv = length2.sqrt().recip_or_zero();
-            let value = a * x - rest + r * inv;
-            let slope = a + r * inv * inv * inv * bend;
-            let next = x - value / slope;
-            live = live.and(next.gt(x));
-            if live.none() {
-                break;
-            }
-            x = R::select(live, next, x);
-        }
-        let k = pick(one, x);
-        let mut y: [R; N] = from_fn(|i| k * xi[i] * (f[i] + g[i] * x).recip_or_zero());
-        y[0] = across(&y);
-        let out = times(&self.v, &y);
-        let n = out[0].max(zero);
-        let fit = n * across(&out).recip_or_zero();
-        from_fn(|i| if i == 0 { n } else { fit * out[i] })
     }
 }
 
