@@ -371,6 +371,11 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     finer.score_again, finer.trials = bool, {row.change: row for row in ball.rows}
     worse.take(finer)
     assert worse.chosen.error <= 1e-4 and worse.chosen.cost <= ball.chosen.cost
+    # Where the time ended the search, settings that ran from some of the starts are an answer.
+    some = {row.change: replace(row, starts=(0,)) for row in ball.rows if row.error <= 1e-4}
+    finer.trials, worse.chosen = {ball.shipped.change: ball.shipped} | some, None
+    worse.take(finer)
+    assert worse.chosen.starts == (0,) and ball.shipped.error > 1e-4
     lost.unsure, lost.proof, lost.chosen = np.inf, None, replace(ball.chosen, starts=(0,))
     assert "untouched starts, and may miss the error from others." in " ".join(lost._answer())
     said = "100 µm cannot be verified: from some start no run converges."

@@ -129,9 +129,10 @@ class Trade(Result):
         self.shipped = light[SHIPPED]
         self.chosen = self.chosen and light[self.chosen.change]
         if self.target is not None and (self.chosen is None or self.chosen.error > self.asked):
-            whole = [row for row in self.rows if len(row.starts) == self.starts]
-            within = [row for row in whole if row.error <= self.asked]
-            self.chosen = min(within, key=COST, default=self.chosen)
+            within = [row for row in self.rows if row.error <= self.asked]
+            whole = [row for row in within if len(row.starts) == self.starts]
+            some = within if self.chosen is None else []
+            self.chosen = min(whole or some, key=COST, default=self.chosen)
 
     def compare(self, beside: Trade) -> None:
         """Take over the same trade with a second engine."""
