@@ -39,6 +39,7 @@ pub mod ray;
 mod refine;
 mod separation;
 mod shape_test;
+mod side;
 mod solid;
 pub(crate) mod sphere;
 mod spread;

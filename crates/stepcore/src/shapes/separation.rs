@@ -173,15 +173,19 @@ impl<'a> Pairing<'a> {
                 };
             }
         }
+        if let Some(own) = self.on_side(if some { &known.axis } else { &self.between }) {
+            return if own.apart > enough { Err(own.normal) } else { Ok(own) };
+        }
         self.search(enough, keep.then_some(&mut known.shell)).map(|found| self.or_face(found))
     }
 
-    /// Of a face the same numbers, however it was found.
+    /// Of a face, and of a cylinder's side, the same numbers, however it was found.
     fn or_face(&self, found: Separation) -> Separation {
         if !self.smooth && matches!(found.cause, Cause::FaceOne(_) | Cause::FaceTwo(_)) {
             return found;
         }
-        self.on_face(&found.normal, ALONG, None).unwrap_or(found)
+        let face = self.on_face(&found.normal, ALONG, None);
+        face.or_else(|| self.on_side(&found.normal)).unwrap_or(found)
     }
 
     /// From one's centre to two's; if they are in one place somewhere.
