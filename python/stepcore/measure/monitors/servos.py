@@ -399,7 +399,7 @@ def gained(model: Model, k: int, kp: float, kv: float) -> dict[str, Any]:
         ratio = {} if actuator.dampratio is None else {f"{path}/dampratio": None}
         return {f"{path}/kp": kp, f"{path}/kv": kv} | ratio
     own = actuators(model)[k]
-    return {f"{path}/gainprm": (own.gain * kp / own.kp,), f"{path}/biasprm": (own.offset, -kp, -kv or 0.0)}
+    return {f"{path}/gainprm": (own.gain * kp / own.kp,), f"{path}/biasprm": (own.offset, -kp, -kv)}
 
 
 def strength(model: Model, actuator: int, force: float) -> str:

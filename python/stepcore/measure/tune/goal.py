@@ -201,6 +201,6 @@ def pasted(model: Model, values: Mapping[str, Any]) -> tuple[str, ...]:
         k = int(index[1:])
         tag = model.scene.actuators[k].type if kind == "actuator" else kind
         head = f'{tag} name="{model.called(kind)[k]}"' if model.names[kind][k] else tag
-        text = "" if value is None else " ".join(f"{x:.6g}" for x in np.atleast_1d(value))
+        text = "" if value is None else " ".join(f"{x + 0.0:.6g}" for x in np.atleast_1d(value))
         lines[head] = lines.get(head, "") + (f' {field}="{text}"' if text else "")
     return tuple(f"<{head}{fields}/>" for head, fields in lines.items())
