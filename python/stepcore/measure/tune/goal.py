@@ -194,7 +194,7 @@ def settling(path: np.ndarray, dt: float) -> float:
 
 
 def pasted(model: Model, values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return values, by paths such as "actuator/#3/kp", as MJCF to paste: an element a line."""
+    """Return values, by paths such as "actuator/#3/kp", as MJCF to paste: a line each, no −0."""
     lines = dict[str, str]()
     for path, value in values.items():
         kind, index, field = path.split("/")
