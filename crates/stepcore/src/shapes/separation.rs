@@ -78,6 +78,11 @@ impl<'a> Pairing<'a> {
         Self { one, two, between, size, smooth, asked: Cell::new(0) }
     }
 
+    /// Counts that a support function is asked.
+    pub(super) fn ask(&self) {
+        self.asked.set(self.asked.get() + 1);
+    }
+
     /// How often a support function was asked.
     pub fn asked(&self) -> u64 {
         self.asked.get()
@@ -97,13 +102,13 @@ impl<'a> Pairing<'a> {
     /// One's point furthest against a direction, and two's furthest along it, each from its own centre,
     /// and which piece it is.
     pub(super) fn ends(&self, way: &V3<f64>) -> [(V3<f64>, usize); 2] {
-        self.asked.set(self.asked.get() + 1);
+        self.ask();
         [self.one.support(&-way), self.two.support(way)]
     }
 
     /// The point of two minus one furthest along a direction, from the pieces furthest along one near it.
     pub(super) fn furthest_from(&self, [one, two]: &mut [usize; 2], way: &V3<f64>) -> V3<f64> {
-        self.asked.set(self.asked.get() + 1);
+        self.ask();
         let (near, far);
         (near, *one) = self.one.support_from(*one, &-way);
         (far, *two) = self.two.support_from(*two, way);
@@ -117,7 +122,7 @@ impl<'a> Pairing<'a> {
 
     /// The point of a piece of two minus one of one's furthest along a direction.
     pub(super) fn pinned(&self, (one, two): (usize, usize), way: &V3<f64>) -> V3<f64> {
-        self.asked.set(self.asked.get() + 1);
+        self.ask();
         self.between + (self.two.pinned(two, way) - self.one.pinned(one, &-way))
     }
 
@@ -162,8 +167,8 @@ impl<'a> Pairing<'a> {
         if some && beyond(&self.furthest(&-known.axis), &known.axis, enough) {
             return Err(known.axis);
         }
+        let near = if some { known.axis } else { self.toward() };
         if known.face || !some {
-            let near = if some { known.axis } else { self.toward() };
             if let Some(own) = self.on_face(&near, -1.0, None) {
                 let along = || self.on_face(&own.normal, ALONG, Some(&own));
                 return if own.apart > enough {
@@ -173,19 +178,18 @@ impl<'a> Pairing<'a> {
                 };
             }
         }
-        if let Some(own) = self.on_side(if some { &known.axis } else { &self.between }) {
+        if let Some(own) = self.on_side(&near) {
             return if own.apart > enough { Err(own.normal) } else { Ok(own) };
         }
         self.search(enough, keep.then_some(&mut known.shell)).map(|found| self.or_face(found))
     }
 
-    /// Of a face, and of a cylinder's side, the same numbers, however it was found.
+    /// Of a face the same numbers, however it was found.
     fn or_face(&self, found: Separation) -> Separation {
         if !self.smooth && matches!(found.cause, Cause::FaceOne(_) | Cause::FaceTwo(_)) {
             return found;
         }
-        let face = self.on_face(&found.normal, ALONG, None);
-        face.or_else(|| self.on_side(&found.normal)).unwrap_or(found)
+        self.on_face(&found.normal, ALONG, None).unwrap_or(found)
     }
 
     /// From one's centre to two's; if they are in one place somewhere.

@@ -7,6 +7,7 @@
 //! below the caps than below the side: two minus one holds the cylinder around p, and no way out of
 //! that is shorter.
 
+use super::gjk::{gjk, Vertex};
 use super::separation::{across, Cause, Pairing, Separation};
 use super::solid::{Core, Solid};
 use super::touch::unit;
@@ -14,35 +15,13 @@ use crate::spatial::V3;
 
 /// Over the size of the pair: by how much one place must be nearer than others than rounding takes.
 const CLEAR: f64 = 1e-9;
-/// Corners of the shadow that are visited.
-const MOST: usize = 16;
-
-/// A corner, from the middle of the cylinder, and what of it is across the axis.
-#[derive(Clone, Copy)]
-struct Corner {
-    piece: usize,
-    at: V3<f64>,
-    aside: V3<f64>,
-}
-
-/// A cylinder and the corners beside it.
-struct Beside<'a> {
-    other: &'a Solid<'a, f64>,
-    /// From the middle of the cylinder to the other's centre.
-    way: V3<f64>,
-    axis: V3<f64>,
-    clear: f64,
-}
-
-/// The place of the shadow nearest to the axis, and the corners that it lies between: two, or one twice.
-struct Nearest {
-    place: V3<f64>,
-    corners: [Corner; 2],
-}
+/// The relative error of the shadow's distance: rounding.
+const GAP: f64 = 1e-15;
 
 impl Pairing<'_> {
     /// What the side of a cylinder beside a polytope says, sought from a rough direction, if no search can
     /// find more.
+    #[inline(never)] // It is large, and rarely asked.
     pub(super) fn on_side(&self, rough: &V3<f64>) -> Option<Separation> {
         let (one, two) = (&self.one, &self.two);
         let (cylinder, other, sign) = match (one.core, two.core) {
@@ -51,101 +30,60 @@ impl Pairing<'_> {
             _ => return None,
         };
         let Core::Cylinder(radius, half) = cylinder.core else { return None };
-        let axis = cylinder.pose.axis(2);
-        let clear = CLEAR * self.size;
-        let beside = Beside { other, way: self.between * sign, axis, clear };
-        let Nearest { place, corners: [a, b] } = beside.nearest(&(rough * sign))?;
-        let (outward, edge) = if a.piece == b.piece {
-            (unit(&beside.across(&place)), None)
-        } else {
-            let edge = unit(&(b.at - a.at));
-            (across(&axis, &edge, &place)?, Some(edge))
+        let (axis, clear) = (cylinder.pose.axis(2), CLEAR * self.size);
+        let aside = |way: &V3<f64>| way - axis * axis.dot(way);
+        // From the middle of the cylinder.
+        let corner = |piece: usize| self.between * sign + other.corner(piece);
+        let shadow = |way: &V3<f64>| {
+            self.ask();
+            let piece = other.support(way).1;
+            Vertex { at: aside(&corner(piece)), pieces: [piece as u32; 2] }
+        };
+        let nearest = gjk(shadow, aside(&(rough * sign)), GAP, f64::INFINITY);
+        let foot = nearest.point;
+        if nearest.inside || foot.dot(&foot) <= clear * clear {
+            return None;
+        }
+        let piece = |of: &Vertex| of.pieces[0] as usize;
+        let (pieces, place, outward, edge) = match &nearest.simplex[..nearest.count] {
+            [a] => ([piece(a); 2], corner(piece(a)), unit(&a.at), None),
+            [a, b] => {
+                let (from, way) = (corner(piece(a)), corner(piece(b)) - corner(piece(a)));
+                let along = b.at - a.at;
+                let place = from - way * (along.dot(&a.at) / along.dot(&along));
+                let edge = unit(&way);
+                ([a, b].map(piece), place, across(&axis, &edge, &place)?, Some(edge))
+            }
+            _ => return None,
         };
         let deep = radius - outward.dot(&place);
         let level = half - axis.dot(&place).abs() > deep.max(0.0) + clear;
-        if !level || !beside.alone(&outward, [&a, &b]) {
+        if !level || !alone(other, &outward, pieces, clear) {
             return None;
         }
-        let [own, of_other] =
-            [cylinder.pose.to_local(&axis), edge.map_or(axis, |edge| other.pose.to_local(&edge))];
-        let cause = match (edge.is_some(), sign > 0.0) {
-            (true, true) => Cause::Edges(own, of_other),
-            (true, false) => Cause::Edges(of_other, own),
-            (false, true) => Cause::EdgeOne(own),
-            (false, false) => Cause::EdgeTwo(own),
+        let own = cylinder.pose.to_local(&axis);
+        let cause = match (edge.map(|edge| other.pose.to_local(&edge)), sign > 0.0) {
+            (Some(edge), true) => Cause::Edges(own, edge),
+            (Some(edge), false) => Cause::Edges(edge, own),
+            (None, true) => Cause::EdgeOne(own),
+            (None, false) => Cause::EdgeTwo(own),
         };
         let normal = outward * sign;
         Some(Separation { normal, apart: self.apart(&normal), cause })
     }
 }
 
-impl Beside<'_> {
-    fn across(&self, way: &V3<f64>) -> V3<f64> {
-        way - self.axis * self.axis.dot(way)
-    }
-
-    fn corner(&self, (at, piece): (V3<f64>, usize)) -> Corner {
-        let at = self.way + at;
-        Corner { piece, at, aside: self.across(&at) }
-    }
-
-    /// The way of `gjk`, in the plane across the axis; None where that goes through the other shape.
-    fn nearest(&self, rough: &V3<f64>) -> Option<Nearest> {
-        let mut a = self.corner(self.other.support(&-self.across(rough)));
-        let mut near = Nearest { place: a.at, corners: [a, a] };
-        for _ in 0..MOST {
-            let foot = self.across(&near.place);
-            let square = foot.dot(&foot);
-            if square <= self.clear * self.clear {
-                return None;
-            }
-            let next = self.corner(self.other.support_from(a.piece, &-foot));
-            let gained = square - foot.dot(&next.aside);
-            let known = near.corners.iter().any(|corner| corner.piece == next.piece);
-            if known || gained <= self.clear * square.sqrt() {
-                return Some(near);
-            }
-            let [one, two] = near.corners.map(|corner| self.between(&corner, &next));
-            let closer = |x: &Nearest, y: &Nearest| {
-                let [x, y] = [x, y].map(|near| self.across(&near.place));
-                x.dot(&x) <= y.dot(&y)
-            };
-            near = if closer(&one, &two) { one } else { two };
-            a = next;
-        }
-        None
-    }
-
-    /// The place of an edge nearest to the axis.
-    fn between(&self, a: &Corner, b: &Corner) -> Nearest {
-        let along = b.aside - a.aside;
-        let (share, square) = (-along.dot(&a.aside), along.dot(&along));
-        if share <= 0.0 || square == 0.0 {
-            Nearest { place: a.at, corners: [*a, *a] }
-        } else if share >= square {
-            Nearest { place: b.at, corners: [*b, *b] }
-        } else {
-            Nearest { place: a.at + (b.at - a.at) * (share / square), corners: [*a, *b] }
-        }
-    }
-
-    /// The corners that a direction was made of are its nearest for sure: two have an edge that folds between
-    /// them, and all corners beside them are further.
-    fn alone(&self, outward: &V3<f64>, [a, b]: [&Corner; 2]) -> bool {
-        let others = |corner: &Corner| {
-            let piece = corner.piece;
-            (0..).map_while(move |k| self.other.neighbour(piece, k))
-        };
-        let further = |piece: usize, from: &Corner| {
-            let way = self.way + self.other.corner(piece) - from.at;
-            outward.dot(&way) > self.clear
-        };
-        let folds = || (0..).map_while(|k| self.other.fold(a.piece, k)).any(|k| k == b.piece);
-        (a.piece == b.piece || folds())
-            && [a, b].iter().all(|from| {
-                others(from).filter(|k| ![a.piece, b.piece].contains(k)).all(|k| further(k, from))
-            })
-    }
+/// Against a direction a corner, or two with an edge that folds between them, are the furthest for sure: all
+/// corners beside them are less far.
+fn alone(of: &Solid<f64>, outward: &V3<f64>, [a, b]: [usize; 2], clear: f64) -> bool {
+    let height = |corner: usize| outward.dot(&of.corner(corner));
+    let beside = |corner: usize| (0..).map_while(move |k| of.neighbour(corner, k));
+    let lowest = |corner: usize| {
+        let mut others = beside(corner).filter(|k| ![a, b].contains(k));
+        others.all(|k| height(k) > height(corner) + clear)
+    };
+    let folds = || (0..).map_while(|k| of.fold(a, k)).any(|k| k == b);
+    (a == b || folds()) && lowest(a) && lowest(b)
 }
 
 #[cfg(test)]
