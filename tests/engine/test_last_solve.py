@@ -146,12 +146,14 @@ def test_a_reset_forgets_it():
 def test_a_batch_reads_forces_of_actuators_without_a_solve():
     """They once cost fifteen steps."""
     world = started("all_together", 9, "euler", True)
-    steps = []
-    for read in (False, True):
-        begin = time.thread_time()
-        for _ in range(50):
-            world.step()
-            if read:
-                world.actuator_force.sum()
-        steps.append(time.thread_time() - begin)
-    assert steps[1] < 2 * steps[0]
+    # The least of several rounds: a busy machine slows single ones.
+    least = [np.inf, np.inf]
+    for _ in range(5):
+        for read in (False, True):
+            begin = time.thread_time()
+            for _ in range(50):
+                world.step()
+                if read:
+                    world.actuator_force.sum()
+            least[read] = min(least[read], time.thread_time() - begin)
+    assert least[1] < 2 * least[0]
