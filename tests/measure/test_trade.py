@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from small import by
+from zoo import ZOO
 
 import stepcore as sc
 from stepcore import lesson
@@ -297,6 +298,23 @@ def test_untouched_starts_from_which_nothing_is_told_end_the_test(ball, monkeypa
     assert (proof.starts, proof.unclear) == (16, 0)
 
 
+@pytest.mark.parametrize(("spent", "allowed"), [(0.1, 0.5), (0.72, 0.92), (0.95, 1.0)])
+def test_the_search_has_its_share_whatever_the_converged_motion_took(spent, allowed):
+    """A humanoid's took 0.72 of the effort: nothing but the shipped settings was tried."""
+    study = SimpleNamespace(effort=1.0, spent=spent)
+    search.Search.allow(SimpleNamespace(study=study), 0.5, since=0.3)
+    assert study.allowed == pytest.approx(allowed)
+
+
+def test_what_ran_for_the_converged_motion_is_an_answer_where_nothing_else_holds():
+    scene = sc.loads(ZOO["sphere_box"].text)
+    result = sc.trade(scene, error=1e-3, starts=4, further=0, effort=1e5, **COUNTED)
+    row = result.recommended
+    assert result.ended and result.shipped.error > 1e-3 >= row.error
+    assert row.change != result.reference.change and len(row.starts) == 4
+    assert row.error >= result.reference.error
+
+
 def test_the_untouched_starts_are_those_of_no_choice(ball):
     """The third set has other states than the search and the second set, and is as large."""
     starts = ball.proof.trial.starts
@@ -369,6 +387,7 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     study = SimpleNamespace(schedule=ball.schedule, lasts=lambda starts: 1.0)
     finer = SimpleNamespace(truth=ball.reference, study=study, moved=1.0, ended=False)
     finer.score_again, finer.trials = bool, {row.change: row for row in ball.rows}
+    finer.whole, finer.remember = ball.rows, bool
     worse.take(finer)
     assert worse.chosen.error <= 1e-4 and worse.chosen.cost <= ball.chosen.cost
     # Where the time ended the search, settings that ran from some of the starts are an answer.

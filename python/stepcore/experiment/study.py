@@ -232,6 +232,11 @@ class Study:
         room = max(self.allowed - self.spent, self.price(change, 1))
         return room / LANES / one if math.isfinite(one) else math.inf
 
+    def changes(self, starts: Sequence[int]) -> list[Change]:
+        """Return the changes that were run from all of some starts."""
+        every = dict.fromkeys(change for change, _ in self._tracks)
+        return [change for change in every if all(self.ran(change, start) for start in starts)]
+
     def ran(self, change: Change, start: int) -> bool:
         """Return whether a change was run from a start."""
         return (change, start) in self._tracks

@@ -431,8 +431,8 @@ class Robot:
             ("of collisions with one name only the first has it", self.unnamed),
         )
         notes = [f"{text}: {cut(', '.join(names), 200)}" for text, names in lists if names]
-        if self.with_velocity:
-            notes.insert(0, f"velocity limits of {self.with_velocity} joints are not modelled")
+        if n := self.with_velocity:
+            notes.insert(0, f"velocity limits of {n} joint{'s' * (n > 1)} are not modelled")
         root = next(name for name in self.links if name not in self.above)
         floats = any(joint.values["type"] == "floating" for joint in self.joints.values())
         # A root called world is the world.

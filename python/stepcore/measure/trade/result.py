@@ -25,7 +25,7 @@ from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Truth
 from stepcore.measure.monitors import Finding
-from stepcore.measure.trade.search import KNOWING, UNSURE, Search
+from stepcore.measure.trade.search import KNOWING, MARGIN, UNSURE, Search
 from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import differences, solver_words
@@ -122,6 +122,8 @@ class Trade(Result):
     def take(self, search: Search) -> None:
         """Take over what a search has tried, whose truth may be finer since it chose; no poses."""
         search.score_again()
+        if self.target is not None and not any(t.within(self.asked) for t in search.whole):
+            search.remember()
         self.reference, self.schedule = search.truth, search.study.schedule
         self.moved, self.ended, self.pace = search.moved, search.ended, search.study.lasts(1.0)
         light = {c: dataclasses.replace(trial, tracks=None) for c, trial in search.trials.items()}
@@ -132,7 +134,9 @@ class Trade(Result):
             within = [row for row in self.rows if row.error <= self.asked]
             whole = [row for row in within if len(row.starts) == self.starts]
             some = within if self.chosen is None else []
-            self.chosen = min(whole or some, key=COST, default=self.chosen)
+            # Those that come near the error may miss it from other starts.
+            sure = [row for row in whole if row.error <= MARGIN * self.asked]
+            self.chosen = min(sure or whole or some, key=COST, default=self.chosen)
 
     def compare(self, beside: Trade) -> None:
         """Take over the same trade with a second engine."""

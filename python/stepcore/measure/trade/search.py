@@ -70,13 +70,22 @@ class Search:
         """
         study.allowed = KNOWING * study.effort
         search = cls(study, study.truth(error), usable_steps(study, held))
-        study.allowed = SEARCHING * study.effort
+        search.allow(SEARCHING, since=KNOWING)
         search.hard = search.trial(SHIPPED).worst
         return search
 
     @property
     def shipped(self) -> Trial:
         return self.trials[SHIPPED]
+
+    def allow(self, share: float, since: float) -> None:
+        """Allow a share of the effort, or as much more as there is since the share before.
+
+        The converged motion may have taken more than its own, because it runs two rungs at least.
+        """
+        study = self.study
+        most = max(share * study.effort, study.spent + (share - since) * study.effort)
+        study.allowed = min(study.effort, most)
 
     @property
     def moved(self) -> float:
@@ -136,6 +145,13 @@ class Search:
             if ROUNDING * self.study.size < least < before / SHARE:
                 self.sharpen(least)
 
+    def remember(self) -> None:
+        """Score what ran from all starts on the way to the converged motion."""
+        starts, finest = self.truth.starts, self.truth.change
+        others = [c for c in self.study.changes(starts) if c not in self.trials and c != finest]
+        for change, tracks in zip(others, self.study.tracks(others, starts), strict=True):
+            self.trials[change] = self.study.score(change, tracks, self.truth)
+
     def cheapest(self, error: float) -> Trial | None:
         """Return the cheapest settings within an error [m] on the starts of the search, or None."""
         best = next((trial for trial in self.whole if trial.within(error)), None)
@@ -153,7 +169,7 @@ class Search:
                 self.study.workers.deadline.so_far(self.so_far(best))
         if best is None:
             # Nothing is there to be tested from further starts: that effort is free.
-            self.study.allowed = SETTLING * self.study.effort
+            self.allow(SETTLING, since=SEARCHING)
         return self._adaptive(error, best)
 
     @property
@@ -277,7 +293,7 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
     """
     study, chosen, fewest = search.study, None, math.inf
     best = search.cheapest(MARGIN * error)
-    study.allowed = SETTLING * study.effort
+    search.allow(SETTLING, since=SEARCHING)
     second = study.fresh(further) if further and best is not None else ()
     for _ in range(ROUNDS if second else 0):
         if best is None or best.change == getattr(chosen, "change", None):
