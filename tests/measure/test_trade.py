@@ -313,6 +313,9 @@ def test_what_ran_for_the_converged_motion_is_an_answer_where_nothing_else_holds
     assert result.ended and result.shipped.error > 1e-3 >= row.error
     assert row.change != result.reference.change and len(row.starts) == 4
     assert row.error >= result.reference.error
+    # Where the user names the settings to try, no others are an answer.
+    euler = few(scene, error=1e-5, starts=4, dts=[0.004], integrators=["euler"], effort=1e5)
+    assert euler.recommended is None and {r.settings.integrator for r in euler.rows} == {"euler"}
 
 
 def test_the_untouched_starts_are_those_of_no_choice(ball):
@@ -387,7 +390,6 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     study = SimpleNamespace(schedule=ball.schedule, lasts=lambda starts: 1.0)
     finer = SimpleNamespace(truth=ball.reference, study=study, moved=1.0, ended=False)
     finer.score_again, finer.trials = bool, {row.change: row for row in ball.rows}
-    finer.whole, finer.remember = ball.rows, bool
     worse.take(finer)
     assert worse.chosen.error <= 1e-4 and worse.chosen.cost <= ball.chosen.cost
     # Where the time ended the search, settings that ran from some of the starts are an answer.

@@ -122,8 +122,6 @@ class Trade(Result):
     def take(self, search: Search) -> None:
         """Take over what a search has tried, whose truth may be finer since it chose; no poses."""
         search.score_again()
-        if self.target is not None and not any(t.within(self.asked) for t in search.whole):
-            search.remember()
         self.reference, self.schedule = search.truth, search.study.schedule
         self.moved, self.ended, self.pace = search.moved, search.ended, search.study.lasts(1.0)
         light = {c: dataclasses.replace(trial, tracks=None) for c, trial in search.trials.items()}

@@ -145,8 +145,11 @@ class Search:
             if ROUNDING * self.study.size < least < before / SHARE:
                 self.sharpen(least)
 
-    def remember(self) -> None:
-        """Score what ran from all starts on the way to the converged motion."""
+    def remember(self, error: float) -> None:
+        """Score what ran from all starts for the converged motion, where nothing holds an error."""
+        self.score_again()
+        if any(trial.within(error) for trial in self.whole):
+            return
         starts, finest = self.truth.starts, self.truth.change
         others = [c for c in self.study.changes(starts) if c not in self.trials and c != finest]
         for change, tracks in zip(others, self.study.tracks(others, starts), strict=True):
