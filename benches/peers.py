@@ -296,7 +296,7 @@ def note_forward(
         "actuator": apart(owned_forces(sim, model), data.actuator_force),
         "contacts": contacts_apart(sim, data, geoms),
         "constraint": apart(sim.constraint_force, data.qfrc_constraint, force),
-        "qacc": apart(sim.qacc, data.qacc),
+        "qacc": apart(sim.qacc, data.qacc, force / np.abs(theirs_mass).max()),
         "sensordata": sensors_apart(sim, model, data),
     }
     for name, value in note.items():
