@@ -118,7 +118,7 @@ def change(rng: random.Random, body: dict) -> None:
     old = holder[key]
     if kind == 0:
         del holder[key]
-    elif kind == 1 and isinstance(old, int | float):
+    elif kind == 1 and isinstance(old, int | float) and abs(old) < 1e300:
         holder[key] = old * rng.choice((-1, 2, 1e300, 0, 0.5))
     elif kind == 2 and isinstance(old, list):
         holder[key] = old * rng.choice((0, 2))

@@ -466,6 +466,19 @@ def test_a_mistake_in_the_text_has_its_line(mistake):
     assert str(caught.value).startswith(("m.xml:3:", "m.xml:1:"))
 
 
+@pytest.mark.parametrize("file", [False, True])
+def test_a_height_field_of_one_row_is_refused_with_its_line(tmp_path, file):
+    given = 'nrow="1" ncol="4" elevation="0 0 0 0"'
+    if file:
+        given = 'file="h.bin"'
+        (tmp_path / "h.bin").write_bytes(struct.pack("<ii4f", 1, 4, 0, 0, 0, 0))
+    text = f"""<mujoco><asset>
+    <hfield name="h" {given} size="1 1 1 1"/></asset>
+    <worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>"""
+    with pytest.raises(sc.MJCFError, match=r"^m.xml:2: .*nrow, ncol = \(1, 4\): must be at"):
+        sc.loads(text, name="m.xml", base=tmp_path)
+
+
 ODD = (
     *("", "nan", "inf", "-1", "0", "1e308", "1e-320", "1e400", "a", "0 0 0", "1 2 3 4 5 6 7 8"),
     *(

@@ -154,9 +154,11 @@ class Assets:
             if any(counts) or "elevation" in values:
                 raise node.error("<hfield> has a file, and so no nrow, ncol or elevation")
             self._from_file(scene, node, hfield, values)
+            if min(counts := hfield.elevation.shape) < 2:
+                raise node.error(f"{values['file']} has nrow, ncol = {counts}: must be at least 2")
             return
-        if not (nrow > 0 and ncol > 0 and nrow * ncol <= asset_files.MOST_POINTS):
-            limit = f"above 0, and their product at most {asset_files.MOST_POINTS}, without a file"
+        if not (min(counts) > 1 and nrow * ncol <= asset_files.MOST_POINTS):
+            limit = f"at least 2, their product at most {asset_files.MOST_POINTS}, where no file is"
             raise bad(node, "nrow, ncol", counts, limit)
         heights = values.get("elevation", np.zeros(nrow * ncol))
         if len(heights) != nrow * ncol:
