@@ -200,6 +200,7 @@ def test_a_sample_with_torsion_and_rolling():
 
 
 @pytest.mark.long
+@pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_thousand_scenes():
     """Measured: 3018 of 4000 states without allowance, the worst 3.7e-8 apart."""
     assert check(range(1000)) < LIMIT
