@@ -158,7 +158,7 @@ class Assets:
                 raise node.error(f"{values['file']} has nrow, ncol = {counts}: must be at least 2")
             return
         if not (min(counts) > 1 and nrow * ncol <= asset_files.MOST_POINTS):
-            limit = f"at least 2, their product at most {asset_files.MOST_POINTS}, where no file is"
+            limit = f"at least 2 without a file, their product at most {asset_files.MOST_POINTS}"
             raise bad(node, "nrow, ncol", counts, limit)
         heights = values.get("elevation", np.zeros(nrow * ncol))
         if len(heights) != nrow * ncol:
