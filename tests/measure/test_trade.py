@@ -389,12 +389,14 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     # A truth that became finer since shows it: what holds is chosen (a G1 on a board).
     study = SimpleNamespace(schedule=ball.schedule, lasts=lambda starts: 1.0)
     finer = SimpleNamespace(truth=ball.reference, study=study, moved=1.0, ended=False)
-    finer.score_again, finer.trials = bool, {row.change: row for row in ball.rows}
+    finer.trials, finer.whole = {row.change: row for row in ball.rows}, ball.rows
+    finer.held = lambda error: search.Search.held(finer, error)
     worse.take(finer)
     assert worse.chosen.error <= 1e-4 and worse.chosen.cost <= ball.chosen.cost
     # Where the time ended the search, settings that ran from some of the starts are an answer.
     some = {row.change: replace(row, starts=(0,)) for row in ball.rows if row.error <= 1e-4}
     finer.trials, worse.chosen = {ball.shipped.change: ball.shipped} | some, None
+    finer.whole = [ball.shipped]
     worse.take(finer)
     assert worse.chosen.starts == (0,) and ball.shipped.error > 1e-4
     lost.unsure, lost.proof, lost.chosen = np.inf, None, replace(ball.chosen, starts=(0,))

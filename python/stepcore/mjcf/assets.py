@@ -108,6 +108,8 @@ class Assets:
                 scene.meshes.append(asset)
             else:
                 self._hfield(scene, node, asset)
+                if min(asset.elevation.shape) < 2:
+                    raise bad(node, "nrow, ncol", asset.elevation.shape, "at least 2")
                 scene.hfields.append(asset)
         except MJCFError:
             raise
@@ -154,11 +156,9 @@ class Assets:
             if any(counts) or "elevation" in values:
                 raise node.error("<hfield> has a file, and so no nrow, ncol or elevation")
             self._from_file(scene, node, hfield, values)
-            if min(counts := hfield.elevation.shape) < 2:
-                raise node.error(f"{values['file']} has nrow, ncol = {counts}: must be at least 2")
             return
-        if not (min(counts) > 1 and nrow * ncol <= asset_files.MOST_POINTS):
-            limit = f"at least 2 without a file, their product at most {asset_files.MOST_POINTS}"
+        if not (nrow > 0 and ncol > 0 and nrow * ncol <= asset_files.MOST_POINTS):
+            limit = f"above 0, and their product at most {asset_files.MOST_POINTS}, without a file"
             raise bad(node, "nrow, ncol", counts, limit)
         heights = values.get("elevation", np.zeros(nrow * ncol))
         if len(heights) != nrow * ncol:

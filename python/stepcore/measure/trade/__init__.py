@@ -145,8 +145,9 @@ def trade(
     else:
         with workers.deadline.stage("the rest of the search", SEARCHED):
             _searched(result, search_, further)
-        if target is not None:
-            search_.remember(result.asked)
+    search_.score_again()
+    if target is not None and not full:
+        search_.remember(result.asked)
     result.take(search_)
     _proven_and_timed(result, search_, 0 if full or target is None else further)
     if mujoco:

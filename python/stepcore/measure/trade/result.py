@@ -25,7 +25,7 @@ from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Truth
 from stepcore.measure.monitors import Finding
-from stepcore.measure.trade.search import KNOWING, MARGIN, UNSURE, Search
+from stepcore.measure.trade.search import KNOWING, UNSURE, Search
 from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import differences, solver_words
@@ -121,7 +121,6 @@ class Trade(Result):
 
     def take(self, search: Search) -> None:
         """Take over what a search has tried, whose truth may be finer since it chose; no poses."""
-        search.score_again()
         self.reference, self.schedule = search.truth, search.study.schedule
         self.moved, self.ended, self.pace = search.moved, search.ended, search.study.lasts(1.0)
         light = {c: dataclasses.replace(trial, tracks=None) for c, trial in search.trials.items()}
@@ -129,12 +128,9 @@ class Trade(Result):
         self.shipped = light[SHIPPED]
         self.chosen = self.chosen and light[self.chosen.change]
         if self.target is not None and (self.chosen is None or self.chosen.error > self.asked):
-            within = [row for row in self.rows if row.error <= self.asked]
-            whole = [row for row in within if len(row.starts) == self.starts]
-            some = within if self.chosen is None else []
-            # Those that come near the error may miss it from other starts.
-            sure = [row for row in whole if row.error <= MARGIN * self.asked]
-            self.chosen = min(sure or whole or some, key=COST, default=self.chosen)
+            held = search.held(self.asked)
+            some = [] if self.chosen else [row for row in self.rows if row.error <= self.asked]
+            self.chosen = light[held.change] if held else min(some, key=COST, default=self.chosen)
 
     def compare(self, beside: Trade) -> None:
         """Take over the same trade with a second engine."""

@@ -147,8 +147,7 @@ class Search:
 
     def remember(self, error: float) -> None:
         """Score what ran from all starts for the converged motion, where nothing holds an error."""
-        self.score_again()
-        if any(trial.within(error) for trial in self.whole):
+        if self.held(error) is not None:
             return
         starts, finest = self.truth.starts, self.truth.change
         others = [c for c in self.study.changes(starts) if c not in self.trials and c != finest]
@@ -180,6 +179,11 @@ class Search:
         """The trials from all starts of the search, the cheapest first."""
         every = [t for t in self.trials.values() if t.starts == self.truth.starts]
         return sorted(every, key=lambda trial: trial.cost)
+
+    def held(self, error: float) -> Trial | None:
+        """Return the cheapest trial from all starts that holds an error, with its margin first."""
+        holds = (trial for trial in self.whole if trial.error <= error)
+        return min(holds, key=lambda t: (t.error > MARGIN * error, t.cost), default=None)
 
     def so_far(self, best: Trial | None = None) -> str:
         """Return what is known of the shipped and of the best settings so far, in words."""
@@ -313,8 +317,7 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
             break
         search.join(new, error)
         best = search.cheapest(MARGIN * error)
-    found = best or next((trial for trial in search.whole if trial.error <= error), None)
-    found = found or (chosen and search.trials[chosen.change])
+    found = best or search.held(error) or (chosen and search.trials[chosen.change])
     better = None if found is None else search.cheapest(found.error / 2)
     if found is None or better is None or better.cost > found.cost:
         return found
