@@ -323,22 +323,24 @@ impl<R: Real> Metric<R> {
         list.last().is_some_and(|last| self.rows[*last].len == list.len())
     }
 
-    /// x ← L⁻ᵀ x of N vectors side by side, N numbers a dof of a path: what is left of a dof in its
-    /// row stands in the path's order, the nearest first.
+    /// x ← L⁻ᵀ x of N vectors side by side, N numbers a dof of a path.
     #[inline(always)]
     pub fn lift_path<const N: usize>(&self, path: &[usize], x: &mut [R]) {
-        let mut rest = &mut x[..N * path.len()];
-        for k in path.iter().rev() {
-            let Some((above, own)) = rest.split_last_chunk_mut::<N>() else { return };
-            let (own, mut next) = (*own, &mut *above);
-            for l in self.left_of(*k) {
-                let Some((above, x)) = next.split_last_chunk_mut::<N>() else { break };
-                *x = from_fn(|i| x[i] - *l * own[i]);
-                next = above;
-                // Rows are short: as in `subtract_scaled`.
-                std::hint::black_box(());
-            }
-            rest = above;
+        self.lift_end::<N>(path, &mut x[..N * path.len()], &mut []);
+    }
+
+    /// The same of the last dofs of a path, whose numbers are `own`: those of the dofs before them are
+    /// `above`, from which what they carry is taken.
+    #[inline(always)]
+    pub fn lift_end<const N: usize>(&self, end: &[usize], own: &mut [R], above: &mut [R]) {
+        let mut rest = own;
+        for k in end.iter().rev() {
+            let Some((before, x)) = rest.split_last_chunk_mut::<N>() else { return };
+            let left = self.left_of(*k);
+            let (near, far) = left.split_at(left.len().min(before.len() / N));
+            take_off(near, x, before);
+            take_off(far, x, above);
+            rest = before;
         }
     }
 
@@ -388,6 +390,20 @@ impl<R: Real> Metric<R> {
     /// x ← H⁻¹ x.
     pub fn solve(&self, x: &mut [R]) {
         self.solve_dofs(0..x.len(), x);
+    }
+}
+
+/// Takes l · own off the last of `x`, N numbers each, the last first: what is left of a dof in its row
+/// stands in the path's order, the nearest first.
+#[inline(always)]
+fn take_off<R: Real, const N: usize>(left: &[R], own: &[R; N], x: &mut [R]) {
+    let mut rest = x;
+    for l in left {
+        let Some((before, x)) = rest.split_last_chunk_mut::<N>() else { return };
+        *x = from_fn(|i| x[i] - *l * own[i]);
+        rest = before;
+        // Rows are short: as in `subtract_scaled`.
+        std::hint::black_box(());
     }
 }
 

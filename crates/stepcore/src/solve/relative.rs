@@ -134,7 +134,8 @@ impl<R: Real> Rows<R> {
         let sums = if all_free(now.model, list, sides) {
             self.lift_free(now, list, sides, (start, count))
         } else {
-            self.lift_any(now, list, sides, (start, count))
+            let together = at.is_none_or(|at| at[0] == at[1]);
+            self.lift_any(now, list, (sides, together), (start, count))
         };
         for i in 0..count {
             self.push_row(dofs, start + i * dofs.len, sums.a[i], sums.velocity[i]);
@@ -146,10 +147,10 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         list: &[usize],
-        sides: &[Option<Side<R, N>>; 2],
+        (sides, together): (&[Option<Side<R, N>>; 2], bool),
         (start, count): (usize, usize),
     ) -> Sums<R, N> {
-        self.lift_sides(now, list, sides);
+        self.lift_sides(now, list, sides, together);
         let mut sums = Sums::none();
         let lifted = || self.scratch.chunks_exact(N);
         for (&k, y) in list.iter().zip(lifted()) {
@@ -164,43 +165,82 @@ impl<R: Real> Rows<R> {
     }
 
     /// Sets the first of `scratch`, N numbers for each dof of the list, to y of all directions.
+    /// `together`: both points are the same, which no dof that moves both bodies parts.
     #[inline(always)]
     fn lift_sides<const N: usize>(
         &mut self,
         now: &Situation<R>,
         list: &[usize],
         sides: &[Option<Side<R, N>>; 2],
+        together: bool,
     ) {
-        let (metric, scratch) = (&now.placed.metric, &mut self.scratch);
-        let one = match sides {
-            [Some(side), None] | [None, Some(side)] => Some(side),
-            _ => None,
-        };
-        // Where one body of a robot moves; the functions of other numbers would be large.
-        let one = one.filter(|_| R::FILLS).filter(|side| side.chain.len() == list.len());
-        let path = one.filter(|_| metric.is_path(list));
-        if let Some(side) = path {
-            for (&k, x) in list.iter().zip(scratch.chunks_exact_mut(N)) {
+        let metric = &now.placed.metric;
+        let chains = sides.each_ref().map(|side| side.as_ref().map_or(&[][..], |side| side.chain));
+        // The functions of other numbers would be large.
+        let branches = if R::FILLS { Branches::of(list, chains) } else { None };
+        match branches
+            .filter(|_| chains.iter().all(|chain| chain.is_empty() || metric.is_path(chain)))
+        {
+            Some(branches) => self.lift_branches(now, &branches, sides, together),
+            None => self.lift_listed(now, list, sides),
+        }
+    }
+
+    /// The same of bodies whose dofs stand one chain after the other: number by number in the list's
+    /// order, without the dofs that both have where they move nothing.
+    #[inline(always)]
+    fn lift_branches<const N: usize>(
+        &mut self,
+        now: &Situation<R>,
+        Branches { shared, ends }: &Branches,
+        sides: &[Option<Side<R, N>>; 2],
+        together: bool,
+    ) {
+        let metric = &now.placed.metric;
+        let count = shared.len() + ends[0].1.len() + ends[1].1.len();
+        let (both, rest) = self.scratch[..count * N].split_at_mut(shared.len() * N);
+        let (first, second) = rest.split_at_mut(ends[0].1.len() * N);
+        for (&k, x) in shared.iter().zip(both.chunks_exact_mut(N)) {
+            x.fill(R::zero());
+            for side in sides.iter().flatten().filter(|_| !together) {
+                x.iter_mut().zip(side.of_dof(now, k)).for_each(|(x, j)| *x += j);
+            }
+        }
+        for ((which, end), own) in ends.iter().zip([&mut *first, &mut *second]) {
+            let Some(side) = &sides[*which] else { continue };
+            for (&k, x) in end.iter().zip(own.chunks_exact_mut(N)) {
                 x.copy_from_slice(&side.of_dof(now, k));
             }
-            metric.lift_path::<N>(list, scratch);
-        } else {
-            for k in list {
-                scratch[k * N..(k + 1) * N].fill(R::zero());
-            }
-            for side in sides.iter().flatten() {
-                for &k in side.chain {
-                    let j = side.of_dof(now, k);
-                    for (x, j) in scratch[k * N..(k + 1) * N].iter_mut().zip(j) {
-                        *x += j;
-                    }
+        }
+        metric.lift_end::<N>(ends[1].1, second, both);
+        metric.lift_end::<N>(ends[0].1, first, both);
+        metric.lift_path::<N>(shared, both);
+    }
+
+    /// The same of any list.
+    #[inline(always)]
+    fn lift_listed<const N: usize>(
+        &mut self,
+        now: &Situation<R>,
+        list: &[usize],
+        sides: &[Option<Side<R, N>>; 2],
+    ) {
+        let (metric, scratch) = (&now.placed.metric, &mut self.scratch);
+        for k in list {
+            scratch[k * N..(k + 1) * N].fill(R::zero());
+        }
+        for side in sides.iter().flatten() {
+            for &k in side.chain {
+                let j = side.of_dof(now, k);
+                for (x, j) in scratch[k * N..(k + 1) * N].iter_mut().zip(j) {
+                    *x += j;
                 }
             }
-            metric.lift_each::<N>(list, scratch);
-            // Lists ascend: no place is read after it was written.
-            for (at, k) in list.iter().enumerate() {
-                scratch.copy_within(k * N..(k + 1) * N, at * N);
-            }
+        }
+        metric.lift_each::<N>(list, scratch);
+        // Lists ascend: no place is read after it was written.
+        for (at, k) in list.iter().enumerate() {
+            scratch.copy_within(k * N..(k + 1) * N, at * N);
         }
     }
 
@@ -220,7 +260,7 @@ impl<R: Real> Rows<R> {
             Side::of(now, bodies[1], &at[1], along),
         ];
         let (list, start) = (pair.dofs.of(now.dof_lists), self.y.len());
-        self.lift_sides(now, list, &sides);
+        self.lift_sides(now, list, &sides, at[0] == at[1]);
         self.y.resize(start + 4 * list.len(), R::zero());
         let (ways, edges) = self.edges_of_ways(now, list, start, mu);
         let none = crate::real::array::from_fn::<_, 3>(|i| {
@@ -334,6 +374,30 @@ impl<R: Real> Rows<R> {
         let start = self.y.len();
         self.y.extend_from_slice(&self.ways[..dofs.len]);
         self.push_row(dofs, start, a, velocity);
+    }
+}
+
+/// The dofs of two chains, as a list has them that is no more than both.
+struct Branches<'a> {
+    /// Those with which both begin.
+    shared: &'a [usize],
+    /// What each has beyond, in the list's order, and which of the two it is.
+    ends: [(usize, &'a [usize]); 2],
+}
+
+impl<'a> Branches<'a> {
+    /// None where the list has other dofs too, or one chain's among the other's.
+    #[inline(always)]
+    fn of(list: &'a [usize], [one, two]: [&'a [usize]; 2]) -> Option<Self> {
+        let count = one.iter().zip(two).take_while(|(one, two)| one == two).count();
+        let mut ends = [(0, &one[count..]), (1, &two[count..])];
+        if ends[1].1.first() < ends[0].1.first() {
+            ends.swap(0, 1);
+        }
+        let [(_, first), (_, second)] = ends;
+        let whole = list.len() == count + first.len() + second.len();
+        let apart = first.last() < second.first();
+        (whole && (apart || second.is_empty())).then_some(Self { shared: &list[..count], ends })
     }
 }
 
