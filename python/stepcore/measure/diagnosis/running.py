@@ -57,6 +57,8 @@ GROWN = 30.0
 LONGER = 4
 # The part of a run after which growth counts, and motion that should rest.
 CALM = 0.75
+# A force that is at a bound for this share of a run is there often.
+OFTEN = 0.1
 # The kinetic energy over that of the converged motion. Below its limit, a step makes that of a
 # spring that swings at most 1/(1 − 0.98²) = 25 times as large.
 LARGE = 50.0
@@ -346,7 +348,7 @@ class Motions:
         ran = self.pair(change, dt).ran
         if ran is None:
             return np.zeros(self.driven.nu, bool)
-        often: np.ndarray = self.ends(ran["actuator_force"][0]).mean(axis=0) > 0.1
+        often: np.ndarray = self.ends(ran["actuator_force"][0]).mean(axis=0) > OFTEN
         return often
 
     def ends(self, force: Floats) -> np.ndarray:
@@ -356,18 +358,23 @@ class Motions:
             full: np.ndarray = (force <= low) | (force >= high)
         return full
 
-    def jumps(self, pair: Pair) -> bool:
+    def jumps(self, pair: Pair, apart: float = 0.0) -> bool:
         """Return whether a run moves at its end by forces of actuators that jump between bounds.
 
-        From sample to sample, or from call to call of a user's function, they change as much as in
-        all of the motion.
+        From sample to sample, or from call to call of a user's function, they change by a quarter of
+        what they do in all of the motion, and again and again they are what they are at most: the
+        force of a spring that swings without a damper changes as much, and has no bound.
+
+        apart: the least time between samples [s].
         """
         if self.rests(pair) or pair.ran is None or len(pair.times) < 2:
             return False
-        force, call = pair.ran["actuator_force"][0], (self.period or 0.0) / pair.times[1]
-        late = force[pair.late][:: max(1, round(call))]
+        force, between = pair.ran["actuator_force"][0], max(self.period or 0.0, apart)
+        late = force[pair.late][:: max(1, round(between / pair.times[1]))]
         jumps = np.abs(np.diff(late, axis=0)).sum(axis=0) / max(1, len(late) - 1)
-        return bool((jumps > np.ptp(force, axis=0) / 2).any())
+        low, high, span = force.min(axis=0), force.max(axis=0), np.ptp(force, axis=0)
+        bound = np.minimum(late - low, high - late) <= np.finfo(float).eps * span
+        return bool(((jumps > span / 4) & (bound.mean(axis=0) > OFTEN)).any())
 
     def presses(self, pair: Pair) -> bool:
         """Return whether a run moves at its end, where actuators are at ends of their ranges."""
@@ -376,8 +383,8 @@ class Motions:
         return bool(self.ends(pair.ran["actuator_force"][0, pair.late]).any())
 
     def rests(self, pair: Pair) -> bool:
-        """Return whether a run fails, or comes to rest: at some sample near its end it is slow."""
-        return bool(pair.failure) or bool(pair.energy[pair.late].min() < self.floor / GROWN**2)
+        """Return whether a run fails, or comes to rest: near its end it is slow throughout."""
+        return bool(pair.failure) or bool(pair.energy[pair.late].max() < self.floor / GROWN**2)
 
     def changed(self, change: Change) -> Motions:
         model = change.of(self.model)
@@ -638,7 +645,7 @@ class Judge:
             return False
         self._cover(float(pair.times[-1]))
         known = self.long or self.fine
-        if jumps and not motions.jumps(known):
+        if jumps and not motions.jumps(known, float(pair.times[1])):
             return True
         calm = known.times >= CALM * min(known.times[-1], pair.times[-1])
         return float(pair.energy[pair.late].min()) > GROWN * float(known.energy[calm].max())
