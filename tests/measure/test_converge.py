@@ -5,6 +5,7 @@ import json
 import multiprocessing
 import re
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +97,39 @@ def test_diverging_says_what_helps():
     assert "Diverging: start 0" in verdict
     # 2/ω = 10 ms: 12.5 ms blows up, the next step that is tried does not.
     assert "Converged forces do not help; a time step of 6.25 ms does." in verdict
+
+
+# A last state whose velocities are finite, but no acceleration: 12 steps of 1 ms.
+EXPLODES = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody>
+  <body><joint name="a" axis="0 1 0"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".03" mass="1"/>
+  <body pos="0 0 -.2"><joint name="b" axis="0 1 0" armature="1e-3"/>
+  <geom type="capsule" fromto="0 0 0 .03 0 -.2" size=".03" mass=".2" contype="0"/></body></body>
+  </worldbody><actuator><position joint="b" kp="40" kv="60"/></actuator></mujoco>"""
+
+
+@pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
+@pytest.mark.parametrize("measure", [sc.converge, partial(sc.trade, error=1e-3, further=0)])
+def test_shipped_settings_that_explode_from_one_of_several_starts_are_told(measure):
+    options = {"kind": "hold", "horizon": 0.2, "starts": 2, "progress": False}
+    found = measure(sc.loads(EXPLODES), **options)
+    assert "diverged in step 12 at" in found.text() and found.shipped.failure
+
+
+def test_without_rows_the_error_of_the_time_step_is_told():
+    """The step was said to have no effect on a servo that turns at 1e232 rad/s."""
+    found = sc.converge(lesson.spring(), horizon=0.3, starts=1, progress=False)
+    said = f"The time step causes an error of {metres(found.shipped.error)}"
+    assert said in found.sentences[0]
+
+
+def test_the_converged_motion_is_as_fine_as_the_worst_start_needs_it():
+    """The first start swings by 1 µm, the others by 1 mm: its error asked for steps of 2 µs."""
+    spring = """<mujoco><option gravity="0 0 0"/><worldbody>
+      <body><joint type="slide" stiffness="400" springref="1e-6"/>
+      <geom size=".1" mass="1"/></body></worldbody></mujoco>"""
+    found = sc.converge(sc.loads(spring), horizon=0.3, starts=3, progress=False)
+    assert found.reference.goal == pytest.approx(found.shipped.error / 100, rel=0.1)
 
 
 def heavy_end(balls=4, ratio=1000.0):

@@ -318,6 +318,15 @@ def test_what_ran_for_the_converged_motion_is_an_answer_where_nothing_else_holds
     assert euler.recommended is None and {r.settings.integrator for r in euler.rows} == {"euler"}
 
 
+def test_a_motion_that_is_exact_asks_for_no_accuracy_below_the_least():
+    """A rotor without load: half of an error of 3e-15 m was asked of steps within an accuracy."""
+    rotor = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="j"/>
+      <geom size=".1"/></body></worldbody><actuator><motor joint="j"/></actuator></mujoco>"""
+    options = {"ctrl": [[0.0], [0.1]], "control_dt": 0.05, "further": 0, "progress": False}
+    found = sc.trade(sc.loads(rotor), error=1e-3, **options)
+    assert found.recommended.error < 1e-12
+
+
 def test_the_untouched_starts_are_those_of_no_choice(ball):
     """The third set has other states than the search and the second set, and is as large."""
     starts = ball.proof.trial.starts

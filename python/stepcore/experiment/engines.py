@@ -364,7 +364,8 @@ def visits(
 ) -> Iterator[tuple[int, float, Sim]]:
     """Yield a Sim at states of a motion, after `forward`, with its start and its time [s].
 
-    every: control periods between two states, a divisor of the periods. A run that fails ends.
+    every: control periods between two states, a divisor of the periods. A run that fails ends, and
+    where it is about to: there no acceleration is finite.
     """
     names = ("qpos", "qvel", "act", "ctrl")
     often = dataclasses.replace(schedule, every=every)
@@ -376,7 +377,10 @@ def visits(
                 break
             for name, values in zip(names, state, strict=True):
                 getattr(sim, name)[:] = values
-            sim.forward()
+            try:
+                sim.forward()
+            except SimulationError:
+                break
             yield start, float(time), sim
 
 

@@ -233,9 +233,15 @@ class Study:
         return room / LANES / one if math.isfinite(one) else math.inf
 
     def changes(self, starts: Sequence[int]) -> list[Change]:
-        """Return the changes that were run from all of some starts."""
+        """Return the changes of which runs from some starts are known, as `tracks` gives them."""
         every = dict.fromkeys(change for change, _ in self._tracks)
-        return [change for change in every if all(self.ran(change, start) for start in starts)]
+        return [change for change in every if self._known(change, starts)]
+
+    def _known(self, change: Change, starts: Sequence[int]) -> bool:
+        """Return whether a change was run from all of some starts, or has failed from one."""
+        runs = [self._tracks.get((change, start)) for start in starts]
+        made = [run for run in runs if run is not None]
+        return len(made) == len(runs) or any(run.failures for run in made)
 
     def ran(self, change: Change, start: int) -> bool:
         """Return whether a change was run from a start."""

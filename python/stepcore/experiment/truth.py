@@ -181,9 +181,10 @@ class Converging:
     def upto(self, starts: Sequence[int], goal: float | None, *, fewer: bool = False) -> Truth:
         """Return the converged motion from some starts, sure to a goal [m] if the effort allows.
 
+        goal: by default a hundredth of the shipped settings' own error in the worst of the starts.
         fewer: whether it may be from fewer starts, where a deadline leaves no time for all.
         """
-        goal = self.goal if goal is None else goal
+        own, goal = goal is None, self.goal if goal is None else goal
         assert goal is not None
         surer = nullcontext() if self.known else _half()
         new = [s for s in starts if s not in self.known]
@@ -192,24 +193,32 @@ class Converging:
         else:
             self._begin_some(new, goal)
             starts = [s for s in starts if s in self.known]
+        goal = max(goal, self._shipped(starts)) if own else goal
         with surer:
             self._refine(starts, goal)
             self._witness(starts)
             self._refine(starts, goal)
-        own = [self.known[s] for s in starts]
+        known = [self.known[s] for s in starts]
         grown = self._growth(starts)
-        finest = self.at(max(one.rung for one in own))
+        finest = self.at(max(one.rung for one in known))
         return Truth(
             starts=tuple(starts),
-            tracks=Tracks.joined([one.tracks for one in own]),
+            tracks=Tracks.joined([one.tracks for one in known]),
             change=finest,
             settings=self.study.engine.settings(finest),
-            unsure=np.array([one.unsure for one in own]),
+            unsure=np.array([one.unsure for one in known]),
             scored=grown.scored(self.study.schedule.times),
             growth=grown,
             goal=goal,
             needs=self._needs(starts, goal),
         )
+
+    def _shipped(self, starts: Sequence[int]) -> float:
+        """Return a hundredth of the error of the shipped settings in the worst of some starts."""
+        (shipped,) = self.study.tracks([self.physics], starts)
+        now = Tracks.joined([self.known[s].tracks for s in starts])
+        wrong = self._between(shipped, now, starts)
+        return SHARE**2 * float(wrong[np.isfinite(wrong)].max(initial=0.0))
 
     def _needs(self, starts: Sequence[int], goal: float) -> float:
         """Return the operations that would bring starts to a goal, by their last gain."""

@@ -283,18 +283,20 @@ class Convergence(Result):
         return [sentence for sentence in said if sentence]
 
     def _verdict(self, ending: Ending) -> str:
-        if not self.has_rows:
-            return "No contact, limit or other row was ever active, so sweeps have no effect."
         solver, starts = ending.solver, len(self.shipped.starts)
         worst = f" in the worst of {counted(starts, 'start')}" if starts > 1 else ""
         most = "" if self._told(self.solved) else "at most "
         error = f"{most}{metres(self.solved.error)}{worst}"
+        step = f"The time step causes an error of {error}{self._shorter()}."
+        if not self.has_rows:
+            none = "No contact, limit or other row was ever active, so sweeps have no effect."
+            return f"{none} {step}"
         apart = f"{metres(solver)} (RMS) from the motion with converged forces"
         if self.verdict == "under-solved":
-            where, step = self._where_it_ends(ending), "The time step itself causes an error of"
-            return f"Under-solved: {where} Over the motion it is {apart}. {step} {error}."
+            where, own = self._where_it_ends(ending), "The time step itself causes an error of"
+            return f"Under-solved: {where} Over the motion it is {apart}. {own} {error}."
         fine = "the solver is fine." if solver < 1e-9 * self.size else f"the motion is {apart}."
-        return f"Solved: {fine} The time step causes an error of {error}{self._shorter()}."
+        return f"Solved: {fine} {step}"
 
     def _shorter(self) -> str:
         """Say what the longest step leaves that about halves the error, or that none does."""
@@ -487,7 +489,8 @@ def converge(
     workers.deadline.so_far(said)
 
     def done() -> list[Change]:
-        return [c for c in every if all(study.ran(c, start) for start in study.starts)]
+        known = set(study.changes(study.starts))
+        return [change for change in every if change in known]
 
     def left_out() -> str:
         return f"{len(every) - len(done())} of {len(every)} settings"

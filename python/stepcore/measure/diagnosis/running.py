@@ -361,8 +361,8 @@ class Motions:
     def jumps(self, pair: Pair, apart: float = 0.0) -> bool:
         """Return whether a run moves at its end by forces of actuators that jump between bounds.
 
-        From sample to sample, or from call to call of a user's function, they change by a quarter of
-        what they do in all of the motion, and again and again they are what they are at most: the
+        From sample to sample, or from call to call of a user's function, they change by a quarter
+        of what they do in all of the motion, and again and again they are at their largest: the
         force of a spring that swings without a damper changes as much, and has no bound.
 
         apart: the least time between samples [s].

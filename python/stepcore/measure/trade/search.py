@@ -243,7 +243,7 @@ class Search:
         for share in (share for share in ACCURACIES if share * error < self.moved):
             accuracy = share * error / study.schedule.horizon
             change = Change(accuracy=accuracy, dt=study.schedule.period)
-            if self.study.cost(change) >= most or not study.affords(change, len(truth.starts)):
+            if not study.affords(change, len(truth.starts)) or study.cost(change) >= most:
                 break
             (alone,) = study.tracks([change], [self.hard])
             if study.score(change, alone, truth.part([self.hard])).within(error):
