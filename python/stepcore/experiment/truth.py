@@ -31,6 +31,8 @@ from stepcore.report.units import counted, metres, seconds
 
 # The converged motion is known to this share of the error in question.
 SHARE = 0.1
+# Errors below this share of a scene's size are rounding.
+ROUNDING = 1e-11
 # A rung that leaves more than this share of the last one's change does not converge; after three of
 # them a start is left as it is (two coarse rungs may agree by luck: those that damp a fast swing).
 STALLED, PATIENCE = 0.9, 3
@@ -296,7 +298,7 @@ class Converging:
                 moved = [off(*pair) for pair in zip(before, last, strict=True)]
             wrong = off(shipped, now)
             asked = SHARE**2 * wrong if 0 < wrong < math.inf else 1e-3 * study.size
-            goal = asked if self.goal is None else self.goal
+            goal = max(asked, ROUNDING * study.size) if self.goal is None else self.goal
             if moved[k] <= goal:
                 self.goal = goal
                 break

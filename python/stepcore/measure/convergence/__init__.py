@@ -285,8 +285,7 @@ class Convergence(Result):
     def _verdict(self, ending: Ending) -> str:
         solver, starts = ending.solver, len(self.shipped.starts)
         worst = f" in the worst of {counted(starts, 'start')}" if starts > 1 else ""
-        most = "" if self._told(self.solved) else "at most "
-        error = f"{most}{metres(self.solved.error)}{worst}"
+        error = f"{self._error(self.solved)}{worst}"
         step = f"The time step causes an error of {error}{self._shorter()}."
         if not self.has_rows:
             none = "No contact, limit or other row was ever active, so sweeps have no effect."
@@ -304,8 +303,7 @@ class Convergence(Result):
         better = [trial for trial in tried if trial.error <= 0.6 * self.shipped.error]
         if better:
             best = max(better, key=lambda trial: trial.dt)
-            most = "" if self._told(best) else "at most "
-            return f"; a dt of {seconds(best.dt)} leaves {most}{metres(best.error)}"
+            return f"; a dt of {seconds(best.dt)} leaves {self._error(best)}"
         if not tried or self.shipped.error <= 2 * self.reference.error:
             return ""
         least = min(tried, key=lambda trial: trial.dt)
@@ -341,6 +339,10 @@ class Convergence(Result):
     def _told(self, trial: Trial) -> bool:
         """Return whether an error is more than the converged motion is unsure by."""
         return trial.error > self.reference.error * (1 + 1e-9)
+
+    def _error(self, trial: Trial) -> str:
+        said = metres(trial.error)
+        return said if self._told(trial) or said.startswith("<") else f"at most {said}"
 
     @property
     def _untold(self) -> str:

@@ -57,8 +57,6 @@ GROWN = 30.0
 LONGER = 4
 # The part of a run after which growth counts, and motion that should rest.
 CALM = 0.75
-# A force that is at a bound for this share of a run is there often.
-OFTEN = 0.1
 # The kinetic energy over that of the converged motion. Below its limit, a step makes that of a
 # spring that swings at most 1/(1 − 0.98²) = 25 times as large.
 LARGE = 50.0
@@ -348,8 +346,7 @@ class Motions:
         ran = self.pair(change, dt).ran
         if ran is None:
             return np.zeros(self.driven.nu, bool)
-        often: np.ndarray = self.ends(ran["actuator_force"][0]).mean(axis=0) > OFTEN
-        return often
+        return _often(self.ends(ran["actuator_force"][0]))
 
     def ends(self, force: Floats) -> np.ndarray:
         """Return where forces of actuators are at an end of their ranges."""
@@ -374,7 +371,7 @@ class Motions:
         jumps = np.abs(np.diff(late, axis=0)).sum(axis=0) / max(1, len(late) - 1)
         low, high, span = force.min(axis=0), force.max(axis=0), np.ptp(force, axis=0)
         bound = np.minimum(late - low, high - late) <= np.finfo(float).eps * span
-        return bool(((jumps > span / 4) & (bound.mean(axis=0) > OFTEN)).any())
+        return bool(((jumps > span / 4) & _often(bound)).any())
 
     def presses(self, pair: Pair) -> bool:
         """Return whether a run moves at its end, where actuators are at ends of their ranges."""
@@ -461,6 +458,12 @@ class Motions:
             return 0.0
         gravity = float(np.square(self.model.scene.gravity).sum())
         return 0.5 * float(np.sum(self.model.body_mass)) * gravity * dt**2
+
+
+def _often(mask: np.ndarray) -> np.ndarray:
+    """Return which columns of a mask hold in more than a tenth of its rows."""
+    often: np.ndarray = mask.mean(axis=0) > 0.1
+    return often
 
 
 def _counted(sim: Sim) -> float:

@@ -23,7 +23,7 @@ from stepcore.experiment.choose import JOIN, ROUNDS, Proof, least
 from stepcore.experiment.schedule import FINEST
 from stepcore.experiment.study import SHIPPED, TOGETHER, Study
 from stepcore.experiment.trial import Trial
-from stepcore.experiment.truth import SHARE, Truth
+from stepcore.experiment.truth import ROUNDING, SHARE, Truth
 from stepcore.report.units import metres, times
 
 # The search keeps to this share of the error, because starts that were not run may be harder.
@@ -35,8 +35,6 @@ BETTER = 0.95
 # Accuracies to try for steps that choose their own length, relative to the error. The last one
 # holds 10 mm on the ant from every start; the one before misses it by 8 mm from some.
 ACCURACIES = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03)
-# Errors below this share of a scene's size are rounding.
-ROUNDING = 1e-11
 # The shares of the effort that may be spent when the converged motion is known, when the first
 # choice is made, and when the last one is. Of 72 starts whose converged motion is computed, 8 are
 # those of the search, and 32 those of each test.
