@@ -16,9 +16,10 @@ from small import by
 from zoo import ZOO
 
 import stepcore as sc
-from stepcore import lesson
+from stepcore import deadline, lesson
 from stepcore.experiment.choose import Proof
 from stepcore.experiment.schedule import default_horizon
+from stepcore.experiment.truth import Converging
 from stepcore.measure.trade import search
 from stepcore.report.units import compact, metres
 
@@ -304,6 +305,17 @@ def test_the_search_has_its_share_whatever_the_converged_motion_took(spent, allo
     study = SimpleNamespace(effort=1.0, spent=spent)
     search.Search.allow(SimpleNamespace(study=study), 0.5, since=0.3)
     assert study.allowed == pytest.approx(allowed)
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_under_a_deadline_steps_within_an_accuracy_begin_one_start_after_the_other(fixed):
+    """From others they took 11 s where the first took 0.1 s, and no answer was left."""
+    study = SimpleNamespace(price=lambda *_: 1.0, lasts=lambda cost: cost)
+    own = SimpleNamespace(study=study, way=SimpleNamespace(fixed=fixed), at=lambda rung: rung)
+    own._first, own._growing = lambda *_: 1, lambda rung: iter([rung])
+    assert Converging._in_time(own, 8, 1.0)
+    with deadline.Deadline(9.0).opened():
+        assert Converging._in_time(own, 8, 1.0) is fixed
 
 
 def test_what_ran_for_the_converged_motion_is_an_answer_where_nothing_else_holds():

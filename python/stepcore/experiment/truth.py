@@ -341,12 +341,17 @@ class Converging:
         return first
 
     def _in_time(self, starts: int, goal: float) -> bool:
-        """Return whether so many new starts can begin in the time that is left."""
+        """Return whether so many new starts can begin in the time that is left.
+
+        Steps within an accuracy may be far shorter from them than from the first.
+        """
         limit, rung = deadline.current(), self._first(starts, goal)
+        if limit is None or math.isinf(limit.left):
+            return True
         growing = next(self._growing(rung))
         runs = [self.at(rung - 1), self.at(rung), growing, growing]
         cost = sum(self.study.price(change, starts) for change in runs)
-        return limit is None or self.study.lasts(cost) < limit.left
+        return self.way.fixed and self.study.lasts(cost) < limit.left
 
     def _begin_some(self, starts: Sequence[int], goal: float) -> None:
         """Run the first of new starts, and as many others as there is time for."""
