@@ -218,7 +218,9 @@ def grown(
     again, sure = first, np.zeros(len(lost), bool)
     if lost and not first.failure and len(ways) > 1:
         some, known = [starts[k] for k in lost], first.some(lost)
-        again, _ = settled(engine, [half], schedule, some, size, DIRECTIONS, known)
+        # A user's control may make the whole motion fail, which is said.
+        until = known if schedule.control is None else None
+        again, _ = settled(engine, [half], schedule, some, size, DIRECTIONS, until)
         longer = again.ends / known.ends
         # Where contacts decide, times of two methods differ by that (G1, fallen: 3.1 and 2.3 s).
         sure |= not again.failure and np.isinf(longer) | (longer >= 0.5) & (longer <= 2)
@@ -250,7 +252,6 @@ def disputed(
             found.append((growth, change))
             if math.isinf(growth.overall):
                 break
-            # A user's control may make the whole motion fail, which is said.
             whole = growth if schedule.control is None else None
         elif change != rungs[-1] and growth.overall > growth.times[0]:
             # Runs of other steps are lost at the same time, and fail: the motion itself does.
