@@ -189,8 +189,9 @@ class Study:
     ) -> list[Tracks]:
         """Run changes from some starts, or remember the runs; one result for each change.
 
-        Starts run in eights, beside each other on the workers. A change that is known to fail from
-        one of the starts is not run from the others, which then count as failed.
+        Starts run in eights, or up to three alone, beside each other on the workers. A change that
+        is known to fail from one of the starts is not run from the others, which then count as
+        failed.
         """
         jobs = list[_Job]()
         for change in dict.fromkeys(changes):
@@ -198,7 +199,9 @@ class Study:
             if any(own is not None and own.failures for own in known):
                 continue
             todo = [s for s, own in zip(starts, known, strict=True) if own is None]
-            parts = (todo[k : k + TOGETHER] for k in range(0, len(todo), TOGETHER))
+            # A register costs about as much as three starts that run alone, on threads.
+            size = TOGETHER if len(todo) > 3 else 1
+            parts = (todo[k : k + size] for k in range(0, len(todo), size))
             jobs += [(change, part, self._most(change, part)) for part in parts]
         follow = partial(_followed, self.engine, self.schedule)
 
