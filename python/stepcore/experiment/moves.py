@@ -96,7 +96,7 @@ class Moves:
     """Moves of a model from starts near one home.
 
     drives: the actuators. joints: the hinges and slides that they drive. others: actuators of other
-    things. about: whether the machine moves about.
+    things. about: whether the machine moves about. of_root: the root of each geom, (ngeom,).
     ctrl: the controls that hold home, (nu,). servos: in place of motors. lag: kv/kp of these, by
     which their targets go ahead of the path [s], (nu,). held: the trial of these controls.
     """
@@ -113,6 +113,7 @@ class Moves:
         self.others = [drive for drive in driven if drive.joint is None]
         self.dofs, self.roots = model.jnt_dofadr[self.joints], roots(model, self.drives)
         self.about = moves_about(model, self.drives)
+        self.of_root = np.array([model.root(body) for body in model.geom_body.tolist()], int)
         self.kept = self._jacobian(home, touching(_put(Sim(model), home)))
         self.ctrl, self.lag = self._holding(np.array(ctrl, float)), np.zeros(model.nu)
         self.servos = tuple(self._servos())
@@ -290,7 +291,7 @@ class Moves:
                 if kind in ("hinge", "slide") and ((qpos[:, q] < low) | (qpos[:, q] > high)).any():
                     seen.met.add(joint)
         _put(sim, start)
-        stood = {body: _stance(sim, body) for body in (self.roots if self.about else ())}
+        stood = {body: self._stance(sim, body) for body in (self.roots if self.about else ())}
         stride = max(1, round(SHOCK / times[1])) if len(times) > 1 else 1
         looks = dict.fromkeys([*range(stride, len(times), stride), len(times) - 1])
         for place in () if seen.failure else looks:
@@ -300,12 +301,22 @@ class Moves:
             seen.ends_on = {self._touch(*point[:2]) for point in seen.points}
             seen.met |= seen.ends_on
             for body, (axis, height) in stood.items():
-                now, above = _stance(sim, body)
+                now, above = self._stance(sim, body)
                 if now @ axis < np.cos(TILT) or above < (1 - SINKS) * height:
                     seen.fell = min(seen.fell or math.inf, float(times[place]))
         if not seen.failure:
             seen.end = Start(qpos[-1], qvel[-1], act[-1], start.mocap)
         return seen
+
+    def _stance(self, sim: Sim, body: int) -> tuple[np.ndarray, float]:
+        """Return the vertical of the world in the frame of a robot's root, and the height of its
+        centre of mass above the lowest of its geoms.
+        """
+        back = np.array(sim.xquat[body]) * (1.0, -1.0, -1.0, -1.0)
+        geoms = self.of_root == body
+        lowest = sim.geom_xpos[geoms, 2] - sim.model.geom_size[geoms].max(axis=1)
+        height = float(sim.subtree_com[body, 2] - lowest.min(initial=np.inf))
+        return rotated(back, np.array([0.0, 0.0, 1.0])), height
 
     def _touch(self, first: int, second: int) -> frozenset[int]:
         """Return two bodies in contact; of a thing that a machine handles, the roots of both."""
@@ -416,17 +427,6 @@ def touching(sim: Sim) -> list[tuple[int, int, np.ndarray]]:
     body, table = sim.model.geom_body, sim.contacts
     table = table[table["dist"] < 0]
     return [(int(body[c["geom1"]]), int(body[c["geom2"]]), np.array(c["pos"])) for c in table]
-
-
-def _stance(sim: Sim, body: int) -> tuple[np.ndarray, float]:
-    """Return the vertical of the world in the frame of a robot's root, and the height of its centre
-    of mass above the lowest of its geoms.
-    """
-    back = np.array(sim.xquat[body]) * (1.0, -1.0, -1.0, -1.0)
-    geoms = [k for k, own in enumerate(sim.model.geom_body.tolist()) if sim.model.root(own) == body]
-    lowest = sim.geom_xpos[geoms, 2] - sim.model.geom_size[geoms].max(axis=1)
-    height = float(sim.subtree_com[body, 2] - lowest.min(initial=np.inf))
-    return rotated(back, np.array([0.0, 0.0, 1.0])), height
 
 
 def _put(sim: Sim, start: Start) -> Sim:

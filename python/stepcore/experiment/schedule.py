@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, partial
 from typing import Any
@@ -64,6 +64,7 @@ class Schedule:
     starts: tuple[Start, ...]
     controls: Controls
     most: float = math.inf
+    _models: dict[Any, Model] = field(default_factory=dict, repr=False)
 
     @property
     def horizon(self) -> float:
@@ -111,17 +112,14 @@ class Schedule:
         """Return the model that the controls drive: with servos of ours where they need these."""
         if not self.controls.servos:
             return model
-        if model.core not in self._driven:
-            self._driven[model.core] = self.change.of(model)
-        return self._driven[model.core].with_settings(model.settings)
-
-    @cached_property
-    def _driven(self) -> dict[Any, Model]:
-        return {}
+        key = model.core, self.change
+        if key not in self._models:
+            self._models[key] = self.change.of(model)
+        return self._models[key].with_settings(model.settings)
 
     def __getstate__(self) -> dict[str, Any]:
         # An executor pickles in a thread of its own, while this one may compile.
-        return {name: value for name, value in dict(vars(self)).items() if name != "_driven"}
+        return {**vars(self), "_models": {}}
 
     def function(self) -> Control | None:
         """Return the control function of one run, or None."""
