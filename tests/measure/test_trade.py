@@ -17,8 +17,11 @@ from zoo import ZOO
 
 import stepcore as sc
 from stepcore import deadline, lesson
+from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof
+from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import default_horizon
+from stepcore.experiment.study import Study
 from stepcore.experiment.truth import Converging
 from stepcore.measure.trade import search
 from stepcore.report.units import compact, metres
@@ -589,3 +592,15 @@ def test_mujoco_cannot_be_beside_itself_nor_run_other_laws():
         sc.trade("gymnasium:reacher", engine="bullet")
     with pytest.raises(ValueError, match="law = 'lesson': MuJoCo has solref alone"):
         sc.trade(lesson.drop(), engine="mujoco")
+
+
+def test_servos_that_a_motion_needs_are_made_once_for_all_its_parts(monkeypatch):
+    arm = """<mujoco><worldbody><body><joint name="hip" axis="0 1 0"/>
+      <geom type="capsule" size=".03" fromto="0 0 0 0 0 -.5"/></body></worldbody>
+      <actuator><motor joint="hip"/></actuator></mujoco>"""
+    study = Study(sc.loads(arm).compile(), Motion(kind="move", horizon=0.1, starts=4))
+    made, of = [], Change.of
+    monkeypatch.setattr(Change, "of", lambda *given: made.append(given) or of(*given))
+    for k in range(4):
+        study.run([Change(), Change(dt=0.001)], starts=[k])
+    assert len([change for change, _ in made if change.servos]) == 1
