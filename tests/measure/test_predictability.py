@@ -13,7 +13,6 @@ from stepcore import lesson
 from stepcore.cli import main
 from stepcore.experiment import predictable
 from stepcore.experiment.predictable import Growth, _end
-from stepcore.measure import predictability
 
 QUIET = {"threads": 1, "progress": False}
 
@@ -251,19 +250,3 @@ def ladder(monkeypatch, rungs, known):
 )
 def test_a_second_method_ends_where_it_cannot_matter(monkeypatch, rungs, rung):
     assert ladder(monkeypatch, rungs, known=2.0) == rung
-
-
-def test_a_second_method_that_loses_a_start_alike_is_enough(monkeypatch):
-    ran, grow = [], predictable.growth
-
-    def growth(engine, change, *given):
-        settings = engine.settings(change)
-        ran.append((settings.integrator, settings.dt))
-        return grow(engine, change, *given)
-
-    for module in (predictable, predictability):
-        monkeypatch.setattr(module, "growth", growth)
-    found = sc.predict(pendulum(), horizon=16.0, starts=1, **QUIET)
-    # The first run is over a tenth of the horizon.
-    assert ran == [("implicitfast", 0.0025)] * 2 + [("rk4", 0.005)]
-    assert 10 < found.time < 15

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, Unpack
@@ -15,7 +14,7 @@ from stepcore.experiment.arguments import MeasurementFields, Source, measurement
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.predictable import GROWTH, Growth, growth, settled
+from stepcore.experiment.predictable import GROWTH, Growth, settled
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import FINER
@@ -137,9 +136,8 @@ def predict(
     MuJoCo, whose solver leaves more than 1e-10 open). The motion counts as predictable until the
     distance between these runs has grown by a factor of 1e3. After that, only statistics of the
     motion are meaningful. The runs use implicitfast at a quarter of the shipped time step, with
-    rows solved to rounding. Where a start is lost, rk4 at half the shipped step must lose it within
-    twice the time, and not before half of it, or shorter steps of both decide: growth is the
-    motion's own only if both show it. The longer time is told.
+    rows solved to rounding. Where a start is lost, shorter steps must show the same time, and rk4
+    is asked too: growth is the motion's own only if both show it.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, or its fields as arguments. By default 10 s, and 8 starts.
@@ -158,27 +156,24 @@ def predict(
     study = Study(motion=motion, engine=setup.engine, workers=setup.workers)
     whole, others = study.schedule, study.starts[1:]
     job = partial(grown, study.engine, whole, study.size)
-    # Two starts and their nudged runs fill the lanes of a register.
-    pairs = [others[k : k + 2] for k in range(0, len(others), 2)]
-    known: list[list[tuple[Growth, Change]] | None] = [None] * len(pairs)
+    known: list[tuple[Growth, Change] | None] = [None] * len(others)
     deadline, count = setup.workers.deadline, counted(len(study.starts), "start")
     # A tenth of the first start is an answer already, and then the first start alone.
     ran = dataclasses.replace(whole, periods=whole.every * max(1, len(whole.times) // 10))
 
     def left_out() -> str:
-        left = sum(len(pair) for pair, one in zip(pairs, known, strict=True) if one is None)
-        rest = f"{left} of {count}"
+        rest = f"{known.count(None)} of {count}"
         return rest if ran is whole else f"what follows {seconds(ran.horizon)}; {rest}"
 
-    with setup.workers.bar("runs", 1 + len(pairs)) as bar:
-        first = grown(study.engine, ran, study.size, study.starts[:1])
-        deadline.so_far(f"from 1 start, {_said(first[0][0], ran.horizon)}; the rest is run now")
+    with setup.workers.bar("runs", len(study.starts)) as bar:
+        first = grown(study.engine, ran, study.size, study.starts[0])
+        deadline.so_far(f"from 1 start, {_said(first[0], ran.horizon)}; the rest is run now")
         with deadline.stage(left_out):
-            (first,) = setup.workers.each(job, [study.starts[:1]], bar)
+            (first,) = setup.workers.each(job, study.starts[:1], bar)
             ran = whole
-            deadline.so_far(f"from 1 start, {_said(first[0][0], ran.horizon)}; others are run now")
-            setup.workers.each(job, pairs, bar, known)
-    every = [*first, *(one for pair in known if pair is not None for one in pair)]
+            deadline.so_far(f"from 1 start, {_said(first[0], ran.horizon)}; others are run now")
+            setup.workers.each(job, others, bar, known)
+    every = [first, *(one for one in known if one is not None)]
     finest = min((study.engine.settings(change) for _, change in every), key=lambda s: s.dt)
     study.schedule, study.starts = ran, study.starts[: len(every)]
     return Predictability(
@@ -200,58 +195,23 @@ def _said(growth: Growth, horizon: float) -> str:
     return f"the motion can be predicted {over}"
 
 
-def grown(
-    engine: Engine, schedule: Schedule, size: float, starts: Sequence[int]
-) -> list[tuple[Growth, Change]]:
-    """Measure the growth from some starts, with the change under which each was measured.
+def grown(engine: Engine, schedule: Schedule, size: float, start: int) -> tuple[Growth, Change]:
+    """Measure the growth from one start, under the quicker method first.
 
-    What grows may be the method's own instability, under long steps or (under rk4) where a servo's
-    damping is too quick for them. So a start that is lost under the first method is also run under
-    the other one, with steps twice as long, as one of those evaluates the forces four times.
+    What grows may be the method's own instability (under rk4 a servo whose damping is too quick for
+    its steps): where a start is lost, the other one is asked. The one that predicts for longer is
+    right, and of two that do so alike the one in which less grows.
     """
-    ways = [way for way in engine.ways(schedule, 1.0) if way.fixed]
-    # From a quarter of the shipped step.
-    change, half = ways[0].at(2), ways[-1].at(1)
-    first = growth(engine, change, schedule, starts, size, DIRECTIONS)
-    found = [(first.some([k]), change) for k in range(len(starts))]
-    lost = [k for k, end in enumerate(first.ends) if first.failure or math.isfinite(end)]
-    again, sure = first, np.zeros(len(lost), bool)
-    if lost and not first.failure and len(ways) > 1:
-        some, known = [starts[k] for k in lost], first.some(lost)
-        # A user's control may make the whole motion fail, which is said.
-        until = known if schedule.control is None else None
-        again, _ = settled(engine, [half], schedule, some, size, DIRECTIONS, until)
-        longer = again.ends / known.ends
-        # Where contacts decide, times of two methods differ by that (G1, fallen: 3.1 and 2.3 s).
-        sure |= not again.failure and np.isinf(longer) | (longer >= 0.5) & (longer <= 2)
-    for place, k in enumerate(lost):
-        if sure[place]:
-            found[k] = max(found[k], (again.some([place]), half), key=_right)
-        else:
-            found[k] = disputed(engine, schedule, size, starts[k], first.some([k]))
-    return found
-
-
-def _right(one: tuple[Growth, Change]) -> tuple[float, float]:
-    """Order methods: right is the one that predicts for longer, or in which less grows."""
-    return one[0].overall, -one[0].factor.max()
-
-
-def disputed(
-    engine: Engine, schedule: Schedule, size: float, start: int, known: Growth
-) -> tuple[Growth, Change]:
-    """Measure the growth from a start of which two methods say different things: by shorter steps.
-
-    Each method goes on until two of its steps agree; known: the growth in the first one's first.
-    """
-    found, whole = list[tuple[Growth, Change]](), None if known.failure else known
+    found, whole = list[tuple[Growth, Change]](), None
     for way in filter(lambda way: way.fixed, engine.ways(schedule, 1.0)):
-        rungs = [way.at(2 + finer) for finer in range(FINER + 1)][whole is known :]
+        # From a quarter of the shipped step.
+        rungs = [way.at(2 + finer) for finer in range(FINER + 1)]
         growth, change = settled(engine, rungs, schedule, [start], size, DIRECTIONS, whole)
         if not growth.failure:
             found.append((growth, change))
             if math.isinf(growth.overall):
                 break
+            # A user's control may make the whole motion fail, which is said.
             whole = growth if schedule.control is None else None
         elif change != rungs[-1] and growth.overall > growth.times[0]:
             # Runs of other steps are lost at the same time, and fail: the motion itself does.
@@ -259,4 +219,4 @@ def disputed(
     if not found:
         text = f"the motion fails{schedule.driven}, at shorter steps too"
         raise ValueError(f"{text}: {growth.failure}")
-    return max(found, key=_right)
+    return max(found, key=lambda one: (one[0].overall, -one[0].factor.max()))
