@@ -56,6 +56,7 @@ class Schedule:
     starts: the initial states.
     controls: what drives the motion.
     most: evaluations of the forces after which steps within an accuracy have failed.
+    _models: the models that the controls drive, made once and shared by parts of a schedule.
     """
 
     period: float
