@@ -43,8 +43,9 @@ room!(Extrapolation<R>: period, from, table, jump, moved, levers, settling);
 const LASTS: f64 = 0.03;
 
 /// The way that errors of velocity make in some time, T [s], as an implicit step of this length has it:
-/// T (M + T D + T² K)⁻¹ M δv. What dampers and servos hold soon rests; what floats goes on. An error of
-/// activations pulls for as long: T f beside M δv.
+/// T (M + T D)⁻¹ M δv. What dampers brake soon rests; what floats goes on. A spring, or the stiffness of a
+/// servo, does not count: it turns an error back, but this goes on to swing, and those of all steps add up.
+/// An error of activations pulls for as long: T f beside M δv.
 struct Settling<R: Real> {
     time: R,
     effective: Effective<R>,
@@ -61,7 +62,7 @@ room!(Settling<R>: time, effective, metric, change, way, act, tensions);
 impl<R: Real> Settling<R> {
     fn new(placed: &Placed<R>, model: &Model<R::Value>, time: f64) -> Self {
         let (time, mut metric) = (R::of(time), Metric::coupled(model));
-        let mut effective = Effective::new(model, &metric, time);
+        let mut effective = Effective::damped(model, &metric, time);
         effective.start(&placed.mass, &mut metric);
         let zeros = |n| vec![R::zero(); n];
         Self {

@@ -24,8 +24,8 @@ use crate::sim::{At, Sim, Stretches};
 /// a second add what was asked for. With 0.03 s, SO-101, whose joints stick, is off by six times what was asked;
 /// with 0.02 s the scenes of `benches/accuracy.py` take an eighth fewer evaluations, and one comes to 0.97 of it.
 /// Counting the highest difference (`Extrapolation::count`) at a half to a sixth saves a fifth of them, and costs
-/// SO-101 a factor of three. Of the runs of `benches/accuracy.py --random 300`, 2 % exceed what was asked, the
-/// worst 14 times; with 0.003 s 0.5 %, the worst 6 times, for 1.3 times the evaluations where contacts come and go.
+/// SO-101 a factor of three. Of the runs of `benches/accuracy.py --random 300`, 0.7 % exceed what was asked, the
+/// worst 3 times; a third of it takes 1.3 times the evaluations where contacts come and go.
 const SUDDEN: f64 = 0.01;
 /// The step over the shortest stretch.
 const FINEST: u32 = 36;

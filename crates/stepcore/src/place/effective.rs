@@ -19,6 +19,8 @@ use crate::state::Inputs;
 /// M̂ and what goes with it.
 pub struct Effective<R: Real> {
     dt: R,
+    /// The time for which stiffness counts: dt, or none.
+    held: R,
     /// M̂, in the layout of the metric.
     matrix: Vec<R>,
     /// Where each entry of M stands in it.
@@ -29,7 +31,7 @@ pub struct Effective<R: Real> {
     parts: Vec<Range<usize>>,
 }
 
-room!(Effective<R>: dt, matrix, places, shift, parts);
+room!(Effective<R>: dt, held, matrix, places, shift, parts);
 
 impl<R: Real> Effective<R> {
     pub(crate) fn new(model: &Model<R::Value>, metric: &Metric<R>, dt: R) -> Self {
@@ -45,11 +47,16 @@ impl<R: Real> Effective<R> {
         };
         let zero = R::zero();
         let (matrix, shift) = (vec![zero; metric.l.len()], vec![zero; model.nv]);
-        Self { dt, matrix, places, shift, parts }
+        Self { dt, held: dt, matrix, places, shift, parts }
+    }
+
+    /// M + T D alone, without stiffness, over a time T.
+    pub(crate) fn damped(model: &Model<R::Value>, metric: &Metric<R>, time: R) -> Self {
+        Self { held: R::zero(), ..Self::new(model, metric, time) }
     }
 
     pub(super) fn set_dt(&mut self, dt: R) {
-        self.dt = dt;
+        (self.dt, self.held) = (dt, dt);
     }
 
     /// M alone, of all dofs: what stands of it where no step changes it.
@@ -69,12 +76,12 @@ impl<R: Real> Effective<R> {
     }
 
     fn assemble(&mut self, now: &Moment<R>, mass: &[R], metric: &Metric<R>) {
-        let Self { dt, matrix, places, shift, .. } = self;
-        let dt = *dt;
+        let Self { dt, held, matrix, places, shift, .. } = self;
+        let (dt, held) = (*dt, *held);
         spread(mass, places, matrix);
         shift.fill(R::zero());
         holding(now, &mut |_, i, j, [stiffness, damping]| {
-            if let Some((at, x)) = metric.share(i, j, dt * (damping + dt * stiffness)) {
+            if let Some((at, x)) = metric.share(i, j, dt * (damping + held * stiffness)) {
                 matrix[at] += x;
                 shift[i] += dt * stiffness * now.qvel[j];
             }
