@@ -155,7 +155,6 @@ def _say_what_it_does(argv: Sequence[str]) -> None:
 
 
 def _asked(argv: Sequence[str]) -> str | None:
-    """Return the command: the first argument that is no option."""
     return next((arg for arg in argv if not arg.startswith("-")), None)
 
 

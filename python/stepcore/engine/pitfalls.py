@@ -76,7 +76,6 @@ def unwarned(model: Model) -> Model:
 
 
 def _asked(model: Model) -> tuple[Any, ...]:
-    """Return the settings that pitfalls depend on."""
     settings = model.settings
     return settings.cone, settings.law, settings.integrator, settings.dt
 

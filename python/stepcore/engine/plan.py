@@ -372,7 +372,6 @@ def _has_friction(name: str) -> bool:
 
 
 def _first(table: dict[str, Any], name: str) -> Any:
-    """Return the value of the key with which a name begins."""
     return next((value for key, value in table.items() if name.startswith(key)), None)
 
 

@@ -419,7 +419,6 @@ def _formed(owner: Any, name: str, value: object, form: Any) -> Any:
 
 
 def _id(owner: Any, name: str, value: object) -> Any:
-    """Check for kind, index and part of an element."""
     return _formed(owner, name, value, (checks.text, *[checks.whole(-1, 2**63 - 1)] * 2))
 
 

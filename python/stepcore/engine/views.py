@@ -59,7 +59,6 @@ class _View(KnownNames):
         return f'{self.kind} "{self.name}"' if self.name else f"{self.kind} {self.index}"
 
     def _at(self, array: str) -> int | slice:
-        """Return the index or slice of the element in an array."""
         return self._index
 
     def __repr__(self) -> str:

@@ -150,7 +150,6 @@ class World(checks.KnownNames, ABC):
     _model: Model
 
     def _own(self, core: Any) -> None:
-        """Take over a `_core.Sim` or `_core.Batch`, whose memory contains the state arrays."""
         self._core = core
         self._arrays: dict[str, Floats] = dict(core.arrays())
 

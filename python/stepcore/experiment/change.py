@@ -277,7 +277,6 @@ def with_motors(model: Model, joints: Sequence[int], others: Sequence[int] = ())
 
 
 def _constant(value: Any) -> Any:
-    """Return a value that can be hashed: arrays and lists become tuples."""
     return tuple(np.asarray(value).tolist()) if isinstance(value, list | np.ndarray) else value
 
 

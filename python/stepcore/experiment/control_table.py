@@ -82,7 +82,6 @@ class ControlLog:
         return not self.linear and bool(np.all(np.abs(count - np.round(count)) <= ROUNDING))
 
     def _row(self, times: np.ndarray) -> np.ndarray:
-        """Return the index of the row that is in effect."""
         return np.maximum(np.searchsorted(self.times, times, side="right") - 1, 0)
 
     @cached_property

@@ -171,7 +171,6 @@ def _loads(moves: Moves, chosen: Chosen) -> Iterator[str]:
 
 
 def _name(model: Model, kind: str, index: int) -> str:
-    """Return the name of an element in backticks, or what describes it."""
     name = model.names[kind][index]
     return f"`{name}`" if name else model.called(kind)[index]
 

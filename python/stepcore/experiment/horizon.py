@@ -197,7 +197,6 @@ class _Pilot:
         return np.concatenate([xpos, turned], axis=2), paid, bool(ran.failures)
 
     def _ends(self, places: np.ndarray) -> str:
-        """Return why a motion needs to go no further; "" if it does."""
         return "at rest" if self._rests(places) else ", where it repeats" * self._repeats(places)
 
     def _rests(self, places: np.ndarray) -> bool:

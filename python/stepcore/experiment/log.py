@@ -276,7 +276,6 @@ class Log:
         return times
 
     def _row(self, k: int) -> int:
-        """Return the number of a row: its line in a file of text, or its index."""
         return int(k) if self._content.lines is None else self._content.lines[k]
 
     def at(self, row: int, title: str) -> str:

@@ -373,5 +373,4 @@ def _followed(engine: Engine, schedule: Schedule, job: _Job) -> Any:
 
 
 def _share(tracks: Tracks) -> float:
-    """Return how much of some runs was made."""
     return float(np.isfinite(tracks.com).mean())

@@ -44,7 +44,6 @@ def go_to_last_stage(scratch: Sim | Batch, qpos: Floats, qvel: Floats) -> None:
 
 
 def _finite(values: Floats, otherwise: Floats) -> Floats:
-    """Replace the values of worlds that are not all finite."""
     return np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, otherwise)
 
 

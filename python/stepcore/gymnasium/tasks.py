@@ -309,7 +309,6 @@ class Pusher(MujocoTask):
 
 
 def _body(now: Moment, name: str) -> Floats:
-    """Return the position of a body [m], shape (3,)."""
     return now.xpos[..., now.model.index("body", name), :]
 
 
@@ -518,7 +517,6 @@ class Human(NoisyTask):
 
 
 def _of_bodies(now: Moment, values: Floats) -> Floats:
-    """Return the rows of all bodies but the world as one vector."""
     return values[..., 1:, :].reshape(*now.shape, -1)
 
 

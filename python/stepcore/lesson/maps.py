@@ -197,7 +197,6 @@ def penalised(ratio: float) -> float:
 
 
 def _each(limit: Callable[..., float], *further: Any) -> Boundary:
-    """Return the boundary of a limit, a function of one value and further arguments."""
     return lambda values: [limit(value, *further) for value in values]
 
 

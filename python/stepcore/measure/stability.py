@@ -231,7 +231,6 @@ class StabilityMap(Result):
 
     @property
     def _first(self) -> MapPanel:
-        """The panel of the scene's integrator, or the first."""
         own = (panel for panel in self.panels if panel.label == self.settings.integrator)
         return next(own, self.panels[0])
 
@@ -618,7 +617,6 @@ def _case(
 def _linear(
     model: Model, path: str, key: str | int | None, integrator: str, values: Sequence[float]
 ) -> list[float]:
-    """Return the stability limit of dt for each value; NaN at values without a linear system."""
     return [limit_of_springs(model.with_values({path: v}), key, integrator) for v in values]
 
 

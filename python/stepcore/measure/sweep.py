@@ -168,7 +168,6 @@ def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
 
 
 def _settings_and_values(point: Point) -> tuple[Point, Point]:
-    """Return the settings of a point, and its model values by path."""
     values = {name: value for name, value in point.items() if is_path(name)}
     return {name: value for name, value in point.items() if name not in values}, values
 

@@ -195,7 +195,6 @@ class Expansion:
 
 
 def _classes(root: Node) -> set[str]:
-    """Return the names of the defaults of a model."""
     inner = [node for top in inside(root, "default") for node in below(top)]
     return {node.attrs["class"] for node in inner if "class" in node.attrs}
 

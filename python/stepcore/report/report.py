@@ -198,5 +198,4 @@ def _small(text: str) -> str:
 
 
 def _marked(text: str) -> str:
-    """Return a text as HTML, with names in backticks marked as code."""
     return CODE.sub(r"<code>\1</code>", html.escape(escapes.printable(text)))

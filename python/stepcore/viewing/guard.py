@@ -101,5 +101,4 @@ def is_loopback(name: str) -> bool:
 
 
 def _is_page_of(origin: str, host: str) -> bool:
-    """Return whether an origin is that of the page served under this Host header."""
     return origin.lower() in (f"http://{host}".lower(), f"https://{host}".lower())

@@ -260,5 +260,4 @@ def _time(nanoseconds: int) -> Json:
 
 
 def _named(letters: str, values: Any) -> Json:
-    """Return numbers by letters; quaternions are given in the order of the engine."""
     return dict(zip(letters, map(float, values), strict=True))

@@ -339,7 +339,6 @@ class RunPanel(Panel):
         return self.runs[0].instants[self._at()[0]]
 
     def _at(self) -> list[int]:
-        """Return the index of the present instant of each run."""
         now = min(self.now, self.end) + 1e-9
         return [max(0, int(np.searchsorted(t, now, side="right")) - 1) for t in self.times]
 

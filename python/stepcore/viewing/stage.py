@@ -175,6 +175,5 @@ class Stage:
 
 
 def _bytes(colour: Sequence[float]) -> tuple[int, int, int]:
-    """Return a colour in viser's form."""
     red, green, blue = (round(255 * min(1.0, c)) for c in colour[:3])
     return red, green, blue

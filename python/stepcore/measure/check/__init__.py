@@ -316,7 +316,6 @@ def _held(model: Model, motion: Motion) -> Motion:
 
 
 def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
-    """Return the schedule of the motion that is run."""
     dt = model.settings.dt
     period = motion.period(dt) or dt * max(1, min(round(horizon / (2 * SAMPLES) / dt), STEPS))
     return scheduled(motion, model, min(period, max(horizon, dt)), starts=1, horizon=horizon)

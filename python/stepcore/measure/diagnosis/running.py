@@ -461,7 +461,6 @@ class Motions:
 
 
 def _often(mask: np.ndarray) -> np.ndarray:
-    """Return which columns of a mask hold in more than a tenth of its rows."""
     often: np.ndarray = mask.mean(axis=0) > 0.1
     return often
 

@@ -227,7 +227,6 @@ class Run:
         return found
 
     def _table(self, array: str) -> Floats:
-        """Return an array at the states of the run."""
         return self._sensed if array == "sensordata" else self.steps.states[array][0]
 
     def _moved(self, array: str) -> Floats:

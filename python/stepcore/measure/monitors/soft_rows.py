@@ -42,7 +42,6 @@ def impedance(solimp: Sequence[float], violation: float) -> float:
 
 
 def _bounded(impedance: float) -> float:
-    """Return an impedance, or its midpoint, within MuJoCo's bounds."""
     return min(max(impedance, 1e-4), 0.9999)
 
 
@@ -88,7 +87,6 @@ def _stiffer(
 
 
 def _slope(solimp: Sequence[float], violation: float) -> float:
-    """Return (1 − d)/d² · dmax²."""
     d = impedance(solimp, violation)
     return (1 - d) / d**2 * _bounded(solimp[1]) ** 2
 

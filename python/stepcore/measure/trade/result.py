@@ -488,7 +488,6 @@ class Trade(Result):
         return f"{metres(row.error)}{sure}"
 
     def _multiple(self, row: Trial) -> str:
-        """Describe the cost of settings as a multiple of that of the shipped settings."""
         if self.shipped.failure:
             return self._amount(row.cost)
         return f"{row.cost / self.shipped.cost:.2f}× the cost of the shipped settings"

@@ -133,7 +133,6 @@ def _bands(axes: Any, time: np.ndarray, run: Trajectory) -> None:
 
 
 def _lines(axes: Any, time: np.ndarray, lines: Mapping[str, np.ndarray]) -> None:
-    """Draw lines by name."""
     for k, (name, values) in enumerate(lines.items()):
         style: dict[str, Any] = {"color": LINES[k % NAMED], "ls": DASHES[k // NAMED % len(DASHES)]}
         axes.plot(time, values, lw=1.2, label=name, **style)
