@@ -157,6 +157,7 @@ def distance(one: np.ndarray, other: np.ndarray) -> float:
 
 def random_chains(count: int) -> None:
     """Say how many runs of random chains exceed what was asked, and the worst."""
+    warnings.simplefilter("ignore", sc.StiffnessWarning)
     over = []
     for seed in range(count):
         rng = np.random.default_rng(seed)
