@@ -19,8 +19,8 @@ use crate::state::Inputs;
 /// M̂ and what goes with it.
 pub struct Effective<R: Real> {
     dt: R,
-    /// The time for which stiffness counts: dt, or none.
-    held: R,
+    /// Whether stiffness counts.
+    held: bool,
     /// M̂, in the layout of the metric.
     matrix: Vec<R>,
     /// Where each entry of M stands in it.
@@ -47,16 +47,16 @@ impl<R: Real> Effective<R> {
         };
         let zero = R::zero();
         let (matrix, shift) = (vec![zero; metric.l.len()], vec![zero; model.nv]);
-        Self { dt, held: dt, matrix, places, shift, parts }
+        Self { dt, held: true, matrix, places, shift, parts }
     }
 
     /// M + T D alone, without stiffness, over a time T.
     pub(crate) fn damped(model: &Model<R::Value>, metric: &Metric<R>, time: R) -> Self {
-        Self { held: R::zero(), ..Self::new(model, metric, time) }
+        Self { held: false, ..Self::new(model, metric, time) }
     }
 
     pub(super) fn set_dt(&mut self, dt: R) {
-        (self.dt, self.held) = (dt, dt);
+        self.dt = dt;
     }
 
     /// M alone, of all dofs: what stands of it where no step changes it.
@@ -77,7 +77,8 @@ impl<R: Real> Effective<R> {
 
     fn assemble(&mut self, now: &Moment<R>, mass: &[R], metric: &Metric<R>) {
         let Self { dt, held, matrix, places, shift, .. } = self;
-        let (dt, held) = (*dt, *held);
+        let dt = *dt;
+        let held = if *held { dt } else { R::zero() };
         spread(mass, places, matrix);
         shift.fill(R::zero());
         holding(now, &mut |_, i, j, [stiffness, damping]| {
