@@ -54,6 +54,33 @@ def stepped(scene, servo, size=0.02, steps=1500):
     return run.time - run.time[0], path / path[-1]
 
 
+HINGE = """<mujoco><option integrator="implicitfast" timestep=".001"/><worldbody><body>
+<joint name="h" axis="0 0 1" {}/><geom type="capsule" size=".03" fromto="0 0 0 .3 0 0" mass="1"/>
+</body></worldbody><actuator><position name="servo" joint="h" kp="20"/></actuator></mujoco>"""
+
+
+def test_a_joint_of_a_narrow_range_is_not_pushed_against_its_ends():
+    """Gains are tried by a tenth of a range of 0.02 rad, not by 0.1 rad."""
+    xml = HINGE.format('limited="true" range="-.5 .6"')
+    tuning = sc.tune(sc.loads(xml), bandwidth=8.0)
+    sim, path, size = sc.Sim(pasted(xml, tuning)), [], 0.001
+    assert tuning.found[0].reached
+    for n in range(2000):
+        sim.ctrl[0] = size * np.sin(2 * np.pi * 8.0 * (n + 0.5) * sim.settings.dt)
+        sim.step()
+        path.append(float(sim.qpos[0]))
+    assert np.std(path[1000:]) / size == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_spring_that_bears_much_of_a_target_is_told():
+    """kp/(kp + k) of the way: what falls to 1/√2 at 8 Hz need not begin near 1."""
+    tuned = sc.tune(sc.loads(HINGE.format('stiffness="50"')), bandwidth=8.0).found[0]
+    kp = float(re.search(r'kp="([\d.]+)"', tuned.lines[0])[1])
+    way = f"the joint's spring lets it come {kp / (kp + 50):.0%} of the way"
+    assert tuned.reached and way in tuned.sentence
+    assert "spring" not in sc.tune(sc.loads(HINGE.format("")), bandwidth=8.0).text()
+
+
 @pytest.mark.parametrize("tag", ("position", "motor"))
 def test_a_pasted_bandwidth_is_the_gain_at_this_frequency(tag):
     """A sine of 3 Hz comes out at 1/√2 of its amplitude: another measure than the step of tune.

@@ -333,7 +333,8 @@ def _moments(quat: Vec, inertia: Vec) -> Vec:
 def _neighbours(x: float) -> list[float]:
     above, below = math.nextafter(x, math.inf), math.nextafter(x, -math.inf)
     further = math.nextafter(above, math.inf), math.nextafter(below, -math.inf)
-    return [x, above, further[0], below, further[1]]
+    # Somebody wrote a short number.
+    return [float(f"{x:.12g}"), x, above, further[0], below, further[1]]
 
 
 def _joint(joint: Joint, names: Names) -> Tag:

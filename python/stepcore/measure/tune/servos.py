@@ -148,7 +148,7 @@ def shown(
         asked = ctrl[n, 0, k]
         far = abs(float(drive.target(asked)) - drive.gear * rest.qpos[drive.qposadr])
         # At most a share of the range, and half of the force that is left.
-        left, width = drive.bound - drive.kp * far, share_of_range(drive)
+        left, width = drive.bound - drive.kp * far, share_of_range(model, drive)
         width = min(width, left / 2 / drive.kp) if left > 0 else width
         low, high = ends(model, drive)
         if goal.name == "bandwidth":
@@ -156,9 +156,11 @@ def shown(
             ctrl[n, :, k] = np.clip(asked, low + width, max(low + width, high - width))
         ctrl[n, :, k] += wave * (width if asked + 2 * width <= high else -width)
         off[n], widths[n] = far / gear, width / gear
+    # A joint that its range holds in place cannot move.
+    free = np.flatnonzero(widths > 0).tolist()
     ran = follow(model, [rest] * len(drives), len(wave), ctrl=ctrl, record=("qpos",))
-    for n, drive in enumerate(drives):
-        path = ran["qpos"][n, :, drive.qposadr]
+    for n in free:
+        path = ran["qpos"][n, :, drives[n].qposadr]
         if goal.name == "bandwidth":
             values[n] = goal.value * passed(path, goal.value * dt, widths[n])
         elif is_settled(path, widths[n]):
@@ -173,9 +175,9 @@ def ends(model: Model, drive: Actuator) -> tuple[float, float]:
     return float(inside[0]), float(inside[1])
 
 
-def share_of_range(drive: Actuator) -> float:
+def share_of_range(model: Model, drive: Actuator) -> float:
     """Return how wide the motion of a servo is, before the gear, if its force allows it."""
-    return WIDTH * float(min(abs(drive.gear), np.ptp(drive.ctrlrange)))
+    return WIDTH * float(min(abs(drive.gear), np.ptp(ends(model, drive))))
 
 
 def is_settled(path: np.ndarray, width: float) -> bool:
@@ -208,8 +210,8 @@ class Servos:
     """Position servos that are changed together, and their runs.
 
     drives: the servos. inertia: that each moves while the other joints are held. damping: of its
-    joint. friction: the dry friction of its joint. load: its force that the pose needs at rest
-    [N or N·m].
+    joint. spring: the stiffness of its joint. friction: the dry friction of its joint. load: its
+    force that the pose needs at rest [N or N·m].
     off, widths: of the last run; see `shown`.
     """
 
@@ -222,6 +224,8 @@ class Servos:
         self.gear = np.array([drive.gear for drive in drives])
         self.inertia = sim.mass_matrix()[dofs, dofs]
         self.damping = np.array([float(np.ravel(joint.damping)[0]) for joint in own])
+        sprung = model.scene.features.spring
+        self.spring = np.array([float(np.ravel(one.stiffness)[0]) * sprung for one in own])
         rubs = model.scene.features.constraint and model.scene.features.frictionloss
         self.friction = np.array([joint.frictionloss if rubs else 0.0 for joint in own])
         self.load = loads(sim)[dofs] / self.gear
@@ -376,7 +380,7 @@ def tuned_servos(
             why = limits[k][1]
         if goal.name == "sag" and kp * goal.value * abs(drive.gear) > drive.bound:
             why = f"The pose needs more than its forcerange of {drive.bound:g}"
-        full = share_of_range(drive) / abs(drive.gear)
+        full = share_of_range(model, drive) / abs(drive.gear)
         far, width = (Goal("sag", x).words(x, unit) for x in (off[k], widths[k]))
         if goal.name != "sag" and reached and off[k] > full:
             reached = False
@@ -386,6 +390,9 @@ def tuned_servos(
             )
         elif goal.name != "sag" and widths[k] < full:
             also = f", of a motion of {width}, for which half of the force is left"
+        way = kp * drive.gear**2 / (kp * drive.gear**2 + servos.spring[k])
+        if goal.name != "sag" and way < 1 - WITHIN:
+            also += f"; the joint's spring lets it come {way:.0%} of the way to its target"
         if k in limits or not 0.5 < values[k] / asked[k] < 2:
             rubs = touched(model, contacts, drive)
             why += f"; {rubs} acts there" * bool(rubs)
