@@ -33,6 +33,29 @@ def pendulum(links=2, **options):
     return scene
 
 
+SMALL = """<mujoco><option timestep=".001"/><worldbody><body><joint name="a" axis="0 1 0"/>
+<geom type="capsule" size=".002" fromto="0 0 0 .02 0 0" contype="0"/><body pos=".02 0 0">
+<joint name="b" axis="0 1 0" damping="1e-9"/>
+<geom type="capsule" size=".002" fromto="0 0 0 .02 0 .01" contype="0"/></body></body></worldbody>
+</mujoco>"""
+OWN = {
+    "trade": {"starts": 2},
+    "converge": {"starts": 2},
+    "ablate": {"starts": 2, "further": 0},
+    "stability_map": {"path": "joint/b/damping", "values": [1e-9, 2e-9], "dts": [0.001]},
+}
+
+
+@pytest.mark.parametrize("measure", OWN)
+def test_every_error_of_a_part_of_the_horizon_says_so(measure):
+    """Errors over what can be predicted, 1.6 s of this motion, say nothing of the rest of it."""
+    of = "from 2 of 2 starts" if "starts" in OWN[measure] else "at 2 of 2 values"
+    said = f"Errors count only while the motion can be predicted: {of}"
+    for horizon, whole in ((2.0, False), (1.0, True)):
+        result = getattr(sc, measure)(sc.loads(SMALL), horizon=horizon, **OWN[measure], **QUIET)
+        assert (said in " ".join(result.text().split())) is not whole
+
+
 def test_the_double_pendulum_from_the_horizontal():
     # Runs of point masses part 13 times in 8 s, 1.4e2 in 10 s, 1.5e4 in 15 s, 9.4e5 in 20 s, to
     # a factor of three, for how far depends on how they began.

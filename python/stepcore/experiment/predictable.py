@@ -24,6 +24,7 @@ from stepcore.engine.norm import apart
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.schedule import Schedule
+from stepcore.report.units import counted, seconds
 
 # The common shift of all runs, relative to the scene's size or in radians.
 ASIDE = 1e-6
@@ -66,6 +67,18 @@ class Growth:
         factor, ends = (np.concatenate([getattr(p, n) for p in parts]) for n in ("factor", "ends"))
         failure = next((part.failure for part in parts if part.failure), "")
         return cls(parts[0].times, factor, ends, failure)
+
+    def words(self, horizon: float, at: str = "from", each: str = "start") -> list[str]:
+        """Say until when errors count, if that is not the whole horizon [s]."""
+        lost = int(np.isfinite(self.ends).sum())
+        if not lost:
+            return []
+        where = f"{at} {lost} of {counted(len(self.ends), each)} " if len(self.ends) > 1 else ""
+        after = f"{'the first ' * (lost > 1)}after {seconds(self.overall)}"
+        return [
+            f"Errors count only while the motion can be predicted: {where}nearby motions part "
+            f"before {seconds(horizon)} are over, {after}."
+        ]
 
     def then(self, longer: Growth) -> Growth:
         """Return this growth, followed by what a longer one has after it."""

@@ -362,6 +362,7 @@ def ablate(
         own = setup.model.scene.with_settings(setup.model.settings)
         scene = without(own, choice.removed)
     horizon, starts = study.schedule.horizon, len(study.starts)
+    notes += [] if truth is None else truth.growth.words(horizon)
     return Ablation(
         name=setup.name,
         settings=study.engine.settings(SHIPPED),

@@ -25,6 +25,7 @@ from stepcore.experiment.engines import FAR, Engine, Stepcore, run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
 from stepcore.experiment.mujoco_engine import engine_of
+from stepcore.experiment.predictable import Growth
 from stepcore.experiment.schedule import divides, home, often
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import Truth
@@ -373,6 +374,7 @@ def stability_map(
         panels = [runs.panel(setting) for setting in case.settings]
     if all(cell.state == UNTRIED for panel in panels for cell in panel.cells):
         raise OutOfTime("no cell has been run")
+    known = {value: truth.growth for (_, value), truth in runs.truths.items() if truth}
     return StabilityMap(
         name=setup.name,
         settings=setup.engine.settings(SHIPPED),
@@ -386,6 +388,7 @@ def stability_map(
         panels=panels,
         ran=_ran(setup.engine, case, horizon),
         accuracies=kept,
+        notes=Growth.joined([*known.values()]).words(horizon, "at", "value") if known else [],
     )
 
 
@@ -511,7 +514,7 @@ class _Runs:
         if truth is None:
             return dataclasses.replace(cell, state=FINITE)
         far = apart(tracks, truth.tracks, study.engine.matter)
-        error, most = (float(norm(far, truth.scored)[0]) for norm in (rms, largest))
+        error, most = float(rms(far, truth.scored)[0]), float(largest(far)[0])
         bound = asked or self.deviation
         if most > FAR * self.size or (
             error > bound and self.spin(study, own.change) > FAR * self.spin(study, truth.change)

@@ -64,10 +64,12 @@ class Split(NamedTuple):
 class Ending:
     """The difference between the ends of the motion as shipped and with converged forces.
 
+    The end is the last sample that can be predicted.
+
     start, body: the start and the body for which the distance is largest.
     apart: that distance [m].
-    speed: the body's mean speed over the last tenth of the motion as shipped [m/s].
-    solver: RMS distance over the whole motion in the worst start [m].
+    speed: the body's mean speed over the tenth of the motion as shipped before it [m/s].
+    solver: RMS distance over what can be predicted in the worst start [m].
     """
 
     start: int
@@ -276,7 +278,8 @@ class Convergence(Result):
     @property
     def sentences(self) -> list[str]:
         """The verdict, the cause, the convergence of sweeps, and what would gain more accuracy."""
-        said = [self._diverging() if self.ending is None else self._verdict(self.ending)]
+        said = self.reference.growth.words(self.horizon)
+        said += [self._diverging() if self.ending is None else self._verdict(self.ending)]
         if self.has_rows:
             said += [self._forces(), self._convergence(), self._equal_work(), self._four_times()]
         said += [finding.text for finding in self.findings]
@@ -584,14 +587,17 @@ def _ending(study: Study, shipped: Trial, solved: Trial, truth: Truth) -> Ending
     if a is None or b is None or shipped.failure or solved.failure:
         return None
     over = rms(apart(a, b, study.engine.matter), truth.scored)
-    gap = np.linalg.norm(a.com[:, -1] - b.com[:, -1], axis=-1)
+    # The last samples that can be predicted.
+    last, times = truth.scored.sum(axis=1) - 1, study.schedule.times
+    every = np.arange(len(last))
+    gap = np.linalg.norm(a.com[every, last] - b.com[every, last], axis=-1)
     start, body = map(int, np.unravel_index(gap.argmax(), gap.shape))
-    # The speed over the last tenth of the motion.
-    times = study.schedule.times
-    first = max(0, len(times) - 1 - max(1, len(times) // 10))
+    # The speed over the tenth of the motion before it.
+    end = int(last[start])
+    first = max(0, end - max(1, len(times) // 10))
     with np.errstate(invalid="ignore"):
-        moved = a.com[start, -1, body] - a.com[start, first, body]
-        speed = float(np.linalg.norm(moved) / (times[-1] - times[first]))
+        moved = a.com[start, end, body] - a.com[start, first, body]
+        speed = float(np.linalg.norm(moved) / max(times[end] - times[first], 1e-300))
     index = study.engine.matter.moving[body]
     known = study.engine.known
     name = study.model.element_name("body", index) if known else f"body {index}"

@@ -304,22 +304,12 @@ class Trade(Result):
     @property
     def sentences(self) -> list[str]:
         """The recommendation, the error of the shipped settings, and the cost of less error."""
-        said = [*self._scored(), *self._answer(), self._as_shipped()]
+        said = self.reference.growth.words(self.horizon)
+        said += [*self._answer(), self._as_shipped()]
         if self.target is None and self.budget is None:
             said += self._improvements()
         said += self._beside()
         return [*said, *(finding.text for finding in self.findings)]
-
-    def _scored(self) -> Iterator[str]:
-        """Say first until when errors count, if that is not the whole horizon."""
-        ends = self.reference.growth.ends
-        lost = int(np.isfinite(ends).sum())
-        if lost:
-            yield (
-                f"Errors count only while the motion can be predicted: from {lost} of "
-                f"{counted(len(ends), 'start')} nearby motions part before {seconds(self.horizon)} "
-                f"are over, the first after {seconds(self.predictable)}."
-            )
 
     def _answer(self) -> Iterator[str]:
         target, row = self.target, self.chosen
