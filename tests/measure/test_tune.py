@@ -158,6 +158,16 @@ def test_pasted_contacts_are_as_stiff(cone, goal):
         assert tuned.expected == pytest.approx(tuned.measured, rel=0.05)
 
 
+def test_a_soft_contact_is_given_the_time_to_come_to_rest():
+    """It falls in by 9 mm and comes back over 10 s: what 2 s show is not its rest."""
+    xml = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .04">
+    <freejoint/><geom name="rod" type="capsule" size=".04" fromto="0 -.1 0 0 .1 0" condim="6"
+    friction=".12 .01 .001"/></body></worldbody></mujoco>"""
+    tuning = sc.tune(sc.loads(xml), depth="1mm", geom="rod")
+    depths = -held(pasted(xml, tuning), 15_000).contacts["dist"]
+    assert tuning.found[0].reached and depths == pytest.approx(1e-3, rel=0.1)
+
+
 def test_a_pasted_contact_settles():
     """After a push on the ball that is let go: 2 % of the way is left after 50 ms."""
     xml = RESTING.format("pyramidal")

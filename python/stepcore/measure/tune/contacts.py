@@ -21,7 +21,16 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import least
-from stepcore.measure.tune.goal import SETTLES, At, Goal, Tuned, pasted, settling, steps_of
+from stepcore.measure.tune.goal import (
+    SETTLED,
+    SETTLES,
+    At,
+    Goal,
+    Tuned,
+    pasted,
+    settling,
+    steps_of,
+)
 from stepcore.report.units import rounded, seconds
 
 # The impedance of the proposals, and the largest that the engine takes.
@@ -67,18 +76,24 @@ class Touching:
     def rested(self, values: dict[str, Any]) -> Resting | None:
         """Return what is seen of the contacts at rest; None if they bear nothing, or it fails."""
         model = Change(values).of(self.model)
-        steps = math.ceil(REST / model.settings.dt)
-        states = self.at.states(model, steps)
-        if states is None:
-            return None
-        force, depths = self.seen(model, states[-max(10, steps // 4) :])
         weight = 9.81 * float(model.body_mass.sum())
-        # Not on its own weight: what joints carry touches without a force.
-        if force.mean() <= 1e-6 * weight or depths.mean() <= 0:
-            return None
-        stiffness = float(force.mean() / depths.mean())
-        means = float(depths.mean()), float(force.std()), float(force.mean())
-        return Resting(stiffness, *means, states[-1])
+        # Soft contacts take longer.
+        for longer in (1, 2, 4, 8):
+            steps = math.ceil(longer * REST / model.settings.dt)
+            states = self.at.states(model, steps)
+            if states is None:
+                return None
+            last = max(10, steps // 4)
+            force, depths = self.seen(model, states[-last:])
+            # Not on its own weight: what joints carry touches without a force.
+            if force.mean() <= 1e-6 * weight or depths.mean() <= 0:
+                return None
+            means = float(depths.mean()), float(force.std()), float(force.mean())
+            found = Resting(float(force.mean() / depths.mean()), *means, states[-1])
+            before = self.seen(model, states[-2 * last : -last])[1].mean()
+            if abs(before - depths.mean()) <= SETTLED * depths.mean():
+                break
+        return found
 
     def seen(self, model: Model, states: Iterable[Start]) -> tuple[np.ndarray, np.ndarray]:
         """Return the normal force and the mean depth of the contacts in each state."""
