@@ -63,6 +63,20 @@ def test_it_is_no_smaller_than_the_true_error(integrator, seed):
     assert 0.9 * far <= sim.error.largest <= (1.5 if integrator == "rk4" else 1.1) * far
 
 
+@pytest.mark.parametrize("dt", [0.002, 0.005, 0.01])
+@pytest.mark.parametrize("height", [0.2, 0.3, 0.6])
+@pytest.mark.parametrize("tc", [0.02, 0.04])
+def test_a_landing_does_not_hide_it(height, tc, dt):
+    """Both runs may be near each other for a moment, alike off; truth: steps of 20 µs."""
+    xml = BALL.replace(".6", f"{height}").replace("1 1 .1", f'1 1 .1" solref="{tc} 1')
+    model = sc.loads(xml.replace('size=".1" mass', f'size=".1" solref="{tc} 1" mass')).compile()
+    sim, true = sc.Sim(model, dt=dt, error_bar=True), sc.Sim(model, dt=2e-5)
+    for _ in range(40):
+        sim.advance(0.02)
+        true.advance(0.02)
+        assert abs(sim.qpos[2] - true.qpos[2]) <= 2 * sim.error.largest + 1e-6
+
+
 def test_the_motion_is_that_without_it():
     plain, judged = (sc.Sim(sc.loads(BALL), error_bar=bar) for bar in (False, True))
     plain.step(400)

@@ -71,6 +71,9 @@ class FinerRun:
         # How far bodies are apart now, once it was asked; and steps since it was looked at.
         self.far: Floats | None = None
         self.unseen = 0
+        # How far they were apart at the last two blocks' ends, and steps since then.
+        self.before: list[Floats] = []
+        self.since = 0
         # What the finer run's own copy of a control function returned last.
         self.ctrl: Floats | None = None
 
@@ -109,7 +112,11 @@ class FinerRun:
     def _look(self) -> None:
         """Look whether the runs have parted, or are together again."""
         if self.unseen and not self.failed:
-            far = float(self._distances().max(initial=0.0))
+            distances = self._distances()
+            far = float(distances.max(initial=0.0))
+            self.since += self.unseen
+            if self.since >= self.block:
+                self.before, self.since = [*self.before[-1:], distances], 0
             if self.until < np.inf:
                 self.until = np.inf if far <= self.together else self.until
             elif not far <= self.parted:
@@ -130,6 +137,7 @@ class FinerRun:
                 own[name][...] = first[name]
             self.sim._restart(self.of.time)
             self.until, self.failed, self.unseen = np.inf, False, 0
+            self.before, self.since = [], 0
             self._keep()
         inputs = self._bits(INPUTS)
         if inputs != self.inputs or self.ctrl is not None:
@@ -147,10 +155,15 @@ class FinerRun:
         return [self.of._arrays[name].tobytes() for name in names]
 
     def errors(self) -> Floats:
-        """Return the error of each body [m], (nbody,); inf where it is not known."""
+        """Return the error of each body [m], (nbody,); inf where it is not known.
+
+        It is at least half of what it was within the last tenth of a second: two runs that land are
+        near each other for a moment, alike off.
+        """
         errors = np.zeros(self.of.model.nbody)
         known = not np.isfinite(self.until)
-        errors[self.matter.moving] = self._distances() / self.seen if known else np.inf
+        far = np.max([self._distances(), *(0.5 * far for far in self.before)], axis=0)
+        errors[self.matter.moving] = far / self.seen if known else np.inf
         return errors
 
     @property
@@ -172,15 +185,17 @@ class FinerRun:
         com = sim.xpos[moving] + (sim.xmat[moving] @ ipos)[..., 0]
         return Tracks(com[None, None], sim.xquat[moving][None, None])
 
-    def kept(self) -> tuple[bytes, float, bool]:
+    def kept(self) -> tuple[bytes, float, bool, list[Floats], int]:
         """Return what a copy goes on from."""
         self.judged()
-        return self.sim.state(), self.until, self.failed
+        return self.sim.state(), self.until, self.failed, self.before, self.since
 
-    def go_on(self, state: bytes, until: float, failed: bool) -> None:
+    def go_on(
+        self, state: bytes, until: float, failed: bool, before: list[Floats], since: int
+    ) -> None:
         """Go on where `kept` was called."""
         self.sim.restore(state)
-        self.until, self.failed = until, failed
+        self.until, self.failed, self.before, self.since = until, failed, before, since
         self._keep()
 
 
