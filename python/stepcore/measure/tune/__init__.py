@@ -173,7 +173,7 @@ def tune(
         found = tuned_servos(hanging, at, servos, goal, motors, workers.deadline)
         ran = f"{'servos' if motors else 'the servos'}{place} hold the pose{base}"
     elif goal.name in CONTACT:
-        law, ran = compiled.settings.law, "2 s to come to rest"
+        law, ran = compiled.settings.law, "2 s or more to come to rest"
         if law != "solref":
             raise ValueError(f"{goal.name}: contacts under law {law} have no solref to tune")
         geoms = resting_geoms(compiled, at, _names(geom))
