@@ -79,6 +79,12 @@ class Tracks:
         made = None if self.evaluations is None else self.evaluations[own]
         return Tracks(self.com[own], self.quat[own], failures, made)
 
+    def first(self, samples: int) -> Tracks:
+        """Return the tracks until a sample, with the failures before it."""
+        com = self.com[:, :samples]
+        failures = {k: why for k, why in self.failures.items() if not np.isfinite(com[k]).all()}
+        return Tracks(com, self.quat[:, :samples], failures)
+
     @classmethod
     def joined(cls, parts: Sequence[Tracks]) -> Tracks:
         """Return the tracks of all starts of some parts, in their order."""

@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
-from stepcore.engine.norm import apart
+from stepcore.engine.norm import Matter, Tracks, apart
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.schedule import Schedule
@@ -32,7 +33,7 @@ ASIDE = 1e-6
 APART = 0.02
 # The growth above which a motion counts as unpredictable.
 GROWTH = 1e3
-# Two motions agree on when a start ends to this share of the time.
+# Two motions agree on when a start ends to this share of the time; closely to a quarter of it.
 AGREE = 0.2
 
 
@@ -68,18 +69,6 @@ class Growth:
         failure = next((part.failure for part in parts if part.failure), "")
         return cls(parts[0].times, factor, ends, failure)
 
-    def words(self, horizon: float, at: str = "from", each: str = "start") -> list[str]:
-        """Say until when errors count, if that is not the whole horizon [s]."""
-        lost = int(np.isfinite(self.ends).sum())
-        if not lost:
-            return []
-        where = f"{at} {lost} of {counted(len(self.ends), each)} " if len(self.ends) > 1 else ""
-        after = f"{'the first ' * (lost > 1)}after {seconds(self.overall)}"
-        return [
-            f"Errors count only while the motion can be predicted: {where}nearby motions part "
-            f"before {seconds(horizon)} are over, {after}."
-        ]
-
     def then(self, longer: Growth) -> Growth:
         """Return this growth, followed by what a longer one has after it."""
         after = longer.factor[:, len(self.times) :]
@@ -91,6 +80,11 @@ class Growth:
         mask: np.ndarray = samples[None, :] <= self.ends[:, None]
         mask[:, :1] = True
         return mask
+
+
+T = TypeVar("T")
+# What asks for the growth under a change over a schedule, and ends with a T.
+Asking = Generator[tuple[Change, Schedule], Growth, T]
 
 
 def growth(
@@ -105,6 +99,20 @@ def growth(
 
     size: of the scene [m]. directions: the number of nudged runs of every start.
     """
+    schedules = [schedule] * len(starts)
+    return Growth.joined(growths(engine, change, schedules, starts, size, directions))
+
+
+def growths(
+    engine: Engine,
+    change: Change,
+    schedules: Sequence[Schedule],
+    starts: Sequence[int],
+    size: float,
+    directions: int = 1,
+) -> list[Growth]:
+    """Measure the growth from each start over its own schedule; all run together."""
+    schedule = max(schedules, key=lambda one: one.periods)
     # Samples are at most 20 ms apart, among them those of the schedule.
     most = max(1, int(APART / schedule.period + 1e-9))
     every = max(n for n in range(1, schedule.every + 1) if schedule.every % n == 0 and n <= most)
@@ -123,16 +131,21 @@ def growth(
     ]
     both = dataclasses.replace(own.picked([*starts] * len(nudges)), starts=tuple(begin))
     runs = engine.follow(change, both, both.indices, first=0)
-    base = runs.some(range(count))
-    factor = np.ones((count, len(own.times)))
-    for k in range(1, len(nudges)):
-        far = apart(base, runs.some(range(k * count, (k + 1) * count)), engine.matter)
+    lengths = [dataclasses.replace(own, periods=one.periods).times for one in schedules]
+    alike = [runs.some(range(k, len(runs), count)) for k in range(count)]
+    made = zip(alike, lengths, strict=True)
+    return [_grown(each.first(1 + len(times)), times, engine.matter) for each, times in made]
+
+
+def _grown(runs: Tracks, times: np.ndarray, matter: Matter) -> Growth:
+    """Return the growth of nudged runs, the first of which is not."""
+    base, factor = runs.some([0]), np.ones((1, len(times)))
+    for k in range(1, len(runs)):
         # A turn by the nudge moves a body by more or less than that, so growth is relative to how
         # far the runs are apart at the start.
-        away = far.max(axis=2)
+        away = apart(base, runs.some([k]), matter).max(axis=2)
         factor = np.maximum(factor, away[:, 1:] / np.maximum(away[:, :1], 1e-300))
-    ends = np.array([_end(own.times, growing) for growing in factor])
-    return Growth(own.times, factor, ends, base.failure)
+    return Growth(times, factor, np.array([_end(times, factor[0])]), base.failure)
 
 
 def settled(
@@ -144,45 +157,74 @@ def settled(
     directions: int = 1,
     whole: Growth | None = None,
 ) -> tuple[Growth, Change]:
-    """Measure the growth at shorter and shorter steps, until two of them agree on when starts end.
+    """Measure the growth at shorter and shorter steps, as `settling` asks for it."""
+    asking = settling(changes, schedule, len(starts), whole)
+    try:
+        change, own = next(asking)
+        while True:
+            found = growth(engine, change, own, starts, size, directions)
+            change, own = asking.send(found)
+    except StopIteration as end:
+        growth_there, there, _ = end.value
+        return growth_there, there
+
+
+def settling(
+    changes: Iterable[Change], schedule: Schedule, starts: int, whole: Growth | None = None
+) -> Asking[tuple[Growth, Change, bool]]:
+    """Ask for the growth at shorter and shorter steps, until two of them agree on when starts end.
 
     A motion of long steps may be unstable itself. Where no start ends, the first step is enough;
     where all do, shorter steps run for twice as long. Of two that agree the longer one is returned,
-    with its change: it has less rounding.
+    with its change: it has less rounding; and whether they agree closely.
 
-    changes: with steps ever shorter. whole: the growth in which all starts end under another
-    method, if one is known. A step that agrees with it is enough, and so are two that fall short
-    of it: the longer time is the right one.
+    changes: with steps ever shorter. starts: how many. whole: the growth in which all starts end
+    under another method, if one is known. A step that agrees with it is enough, and so are two that
+    fall short of it: the longer time is the right one.
     """
     last, own = None, schedule if whole is None else shortened(schedule, whole)
-    known = np.zeros(len(starts)) if whole is None else whole.ends
+    known = np.zeros(starts) if whole is None else whole.ends
     for change in changes:
-        grown = growth(engine, change, own, starts, size, directions)
+        grown = yield change, own
         if own is not schedule and not np.isfinite(grown.ends).all():
             # What does not end there again may end later.
             own = schedule
-            grown = growth(engine, change, own, starts, size, directions)
+            grown = yield change, own
         if not (grown.failure or np.isfinite(grown.ends).any()):
-            return grown, change
+            return grown, change, True
         if not grown.failure:
             whole, own = whole or grown, shortened(own, grown)
         before, last = last, (grown if whole is None else grown.then(whole), change)
         if not grown.failure and _agree(grown.ends, known).all():
-            return last
+            return *last, False
         if before is not None:
-            short = np.maximum(grown.ends, before[0].ends) < (1 - AGREE) * known
-            if grown.failure or before[0].failure:
-                short[:] = False
-            if (_agree(grown.ends, before[0].ends) | short).all():
-                return before
+            first, failed = before[0].ends, grown.failure or before[0].failure
+            short = (np.maximum(grown.ends, first) < (1 - AGREE) * known) & (not failed)
+            if (_agree(grown.ends, first) | short).all():
+                return *before, not failed and bool(_agree(grown.ends, first, AGREE / 4).all())
     assert last is not None
-    return last
+    return *last, False
 
 
-def _agree(ends: np.ndarray, others: np.ndarray) -> np.ndarray:
+def until_in_words(
+    ends: np.ndarray, horizon: float, at: str = "from", each: str = "start"
+) -> list[str]:
+    """Say until when errors count, if that is not the whole horizon [s]."""
+    lost = ends[np.isfinite(ends)]
+    if not lost.size:
+        return []
+    where = f"{at} {lost.size} of {counted(len(ends), each)} " if len(ends) > 1 else ""
+    after = f"{'the first ' * (lost.size > 1)}after {seconds(float(lost.min()))}"
+    return [
+        f"Errors count only while the motion can be predicted: {where}nearby motions part "
+        f"before {seconds(horizon)} are over, {after}."
+    ]
+
+
+def _agree(ends: np.ndarray, others: np.ndarray, share: float = AGREE) -> np.ndarray:
     """Return which starts end at the same time, to a share of it."""
     a, b = (np.minimum(one, 1e300) for one in (ends, others))
-    agree: np.ndarray = np.abs(a - b) <= AGREE * np.maximum(a, b)
+    agree: np.ndarray = np.abs(a - b) <= share * np.maximum(a, b)
     return agree
 
 

@@ -20,6 +20,7 @@ from stepcore.experiment.choose import JOIN, ROUNDS, Proof, greedy
 from stepcore.experiment.engines import visits
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.mujoco_engine import MuJoCo
+from stepcore.experiment.predictable import until_in_words
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import KNOWN, Truth
@@ -362,7 +363,7 @@ def ablate(
         own = setup.model.scene.with_settings(setup.model.settings)
         scene = without(own, choice.removed)
     horizon, starts = study.schedule.horizon, len(study.starts)
-    notes += [] if truth is None else truth.growth.words(horizon)
+    notes += [] if truth is None else until_in_words(truth.growth.ends, horizon)
     return Ablation(
         name=setup.name,
         settings=study.engine.settings(SHIPPED),

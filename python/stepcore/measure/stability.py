@@ -25,7 +25,7 @@ from stepcore.experiment.engines import FAR, Engine, Stepcore, run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
 from stepcore.experiment.mujoco_engine import engine_of
-from stepcore.experiment.predictable import Growth
+from stepcore.experiment.predictable import until_in_words
 from stepcore.experiment.schedule import divides, home, often
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import Truth
@@ -374,7 +374,7 @@ def stability_map(
         panels = [runs.panel(setting) for setting in case.settings]
     if all(cell.state == UNTRIED for panel in panels for cell in panel.cells):
         raise OutOfTime("no cell has been run")
-    known = {value: truth.growth for (_, value), truth in runs.truths.items() if truth}
+    known = {value: truth.growth.overall for (_, value), truth in runs.truths.items() if truth}
     return StabilityMap(
         name=setup.name,
         settings=setup.engine.settings(SHIPPED),
@@ -388,7 +388,7 @@ def stability_map(
         panels=panels,
         ran=_ran(setup.engine, case, horizon),
         accuracies=kept,
-        notes=Growth.joined([*known.values()]).words(horizon, "at", "value") if known else [],
+        notes=until_in_words(np.array([*known.values()]), horizon, "at", "value"),
     )
 
 

@@ -18,6 +18,7 @@ from stepcore.experiment.arguments import MeasurementFields, Source, measurement
 from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.predictable import until_in_words
 from stepcore.experiment.schedule import divides, often
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.experiment.trial import Trial
@@ -278,7 +279,7 @@ class Convergence(Result):
     @property
     def sentences(self) -> list[str]:
         """The verdict, the cause, the convergence of sweeps, and what would gain more accuracy."""
-        said = self.reference.growth.words(self.horizon)
+        said = until_in_words(self.reference.growth.ends, self.horizon)
         said += [self._diverging() if self.ending is None else self._verdict(self.ending)]
         if self.has_rows:
             said += [self._forces(), self._convergence(), self._equal_work(), self._four_times()]

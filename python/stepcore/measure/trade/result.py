@@ -20,6 +20,7 @@ from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof, frontier
 from stepcore.experiment.motion import Motion, picklable
+from stepcore.experiment.predictable import until_in_words
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
@@ -304,7 +305,7 @@ class Trade(Result):
     @property
     def sentences(self) -> list[str]:
         """The recommendation, the error of the shipped settings, and the cost of less error."""
-        said = self.reference.growth.words(self.horizon)
+        said = until_in_words(self.reference.growth.ends, self.horizon)
         said += [*self._answer(), self._as_shipped()]
         if self.target is None and self.budget is None:
             said += self._improvements()
