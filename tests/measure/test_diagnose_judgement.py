@@ -80,6 +80,22 @@ def test_a_servo_that_swings_without_a_damper_does_not_chatter(bound):
         assert found.limit(integrator) == pytest.approx(times / 10, rel=0.03)
 
 
+FLUNG = """<mujoco><option timestep=".0005"/><worldbody>
+<body pos=".3 .4 .54"><joint axis="0 1 0" damping=".0232"/>
+<geom type="capsule" fromto="0 0 0 .2 0 0" size=".03" mass=".12"/><body pos=".2 0 0">
+<joint name="k" axis="0 1 0" stiffness=".642"/>
+<geom type="capsule" fromto="0 0 0 .2 0 0" size=".02" mass=".0166"/></body></body>
+<body pos=".6 .4 .5"><joint axis="0 1 0" damping=".19"/>
+<geom type="capsule" fromto="0 0 0 .2 0 0" size=".03" mass="9.23"/></body></worldbody>
+<actuator><position name="servo" joint="k" kp="700" forcerange="-20 20"/></actuator></mujoco>"""
+
+
+def test_what_bears_two_hundred_times_the_step_is_not_named_by_a_linearisation_alone():
+    """Where the servo is at its bound and the link spins, a damper of 11/s has the only slope."""
+    d = sc.diagnose(sc.loads(FLUNG), integrators=("euler",), progress=False)
+    assert 5e-4 < d.limit() < 1.1e-3 and d.stiffest() == "servo `servo`"
+
+
 def test_cures_of_chatter_are_tried_on_the_motion():
     """What is advised makes the real wrist come to rest at 2 ms."""
     scene, d = kicked()

@@ -159,14 +159,13 @@ def settled(
 ) -> tuple[Growth, Change]:
     """Measure the growth at shorter and shorter steps, as `settling` asks for it."""
     asking = settling(changes, schedule, len(starts), whole)
-    try:
-        change, own = next(asking)
-        while True:
-            found = growth(engine, change, own, starts, size, directions)
-            change, own = asking.send(found)
-    except StopIteration as end:
-        growth_there, there, _ = end.value
-        return growth_there, there
+    asked = next(asking)
+    while True:
+        try:
+            asked = asking.send(growth(engine, *asked, starts, size, directions))
+        except StopIteration as end:
+            found, change, _ = end.value
+            return found, change
 
 
 def settling(

@@ -201,12 +201,18 @@ def equals(model: Model, first: Element, own: Iterable[Element]) -> tuple[Elemen
 
 
 def run_limiters(
-    judge: Judge, elements: Sequence[Element], integrator: str, limit: float, nu: int = 0
+    judge: Judge,
+    elements: Sequence[Element],
+    integrator: str,
+    limit: float,
+    nu: int = 0,
+    linear: tuple[Element, ...] = (),
 ) -> tuple[Element, ...]:
     """Return the elements whose softening raises the limit of the runs, by halving kinds.
 
     elements: those that could limit it, the likeliest first. limit: [s]. nu: the number of controls
-    of a user's function, which are frozen to what they are in the converged motion.
+    of a user's function, which are frozen to what they are in the converged motion. linear: those
+    that limit the linearised step, which are tried first.
     """
     motions, change = judge.motions, Change(integrator=integrator)
     controls = [Element.of(motions.model, "control", k) for k in range(nu)]
@@ -228,10 +234,14 @@ def run_limiters(
             late = frozen and judge.outcome(change, dt).time < motions.horizon < found.time
             return found.holds or bool(late)
 
+        if linear and holds(linear):
+            return linear
         for group in kinds.values():
             if holds(group):
-                return tuple(sorted(_fewest(holds, group)))
-    return ()
+                # The linearised step tells best which of a kind it is.
+                known = set(linear) <= set(group) and linear
+                return known or tuple(sorted(_fewest(holds, group)))
+    return linear
 
 
 def _fewest(holds: Callable[[Sequence[Element]], bool], group: list[Element]) -> list[Element]:
