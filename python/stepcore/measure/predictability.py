@@ -138,8 +138,8 @@ def predict(
     MuJoCo, whose solver leaves more than 1e-10 open). The motion counts as predictable until the
     distance between these runs has grown by a factor of 1e3. After that, only statistics of the
     motion are meaningful. The runs use implicitfast at a quarter of the shipped time step, with
-    rows solved to rounding. Where a start is lost, shorter steps must show the same time, and rk4
-    is asked too: growth is the motion's own only if both show it.
+    rows solved to rounding. Where a start is lost, shorter steps must show the same time; if
+    they do not agree closely, rk4 is asked too: growth is the motion's own only if both show it.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, or its fields as arguments. By default 10 s, and 8 starts.
