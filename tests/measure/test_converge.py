@@ -116,6 +116,16 @@ def test_shipped_settings_that_explode_from_one_of_several_starts_are_told(measu
     assert "diverged in step 12 at" in found.shipped.failure and found.text()
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
+def test_what_explodes_asks_for_no_nanometres():
+    """The first start errs by 4 nm, and the shipped settings explode from the other one."""
+    slide = """<body pos="1 0 0"><joint type="slide" stiffness="400" springref="1e-6"/>
+    <geom size=".1" mass="1"/></body></worldbody>"""
+    scene = sc.loads(EXPLODES.replace("</worldbody>", slide))
+    found = sc.converge(scene, kind="hold", horizon=0.2, starts=2, progress=False)
+    assert found.shipped.failure and found.reference.goal == pytest.approx(1e-3 * found.size)
+
+
 def test_without_rows_the_error_of_the_time_step_is_told():
     """The step was said to have no effect on a servo that turns at 1e232 rad/s."""
     found = sc.converge(lesson.spring(), horizon=0.3, starts=1, progress=False)
