@@ -272,7 +272,8 @@ class Case:
             held = self.held[limit.state]
             linear = linear_limiters(self.model, held, name, dt)
             alone = figures(held) if linear and limit.ran else {}
-            rates = [max(alone[e].omega, alone[e].rate) for e in linear if e in alone]
+            known = [alone[e] for e in linear if e in alone and e.kind != "spin"]
+            rates = [max(one.omega, one.rate) for one in known]
             # One that by itself bears ten times the step, 2/ω or 2/rate, has to be shown by runs.
             if linear and (not rates or max(rates) * dt > 0.2):
                 return tuple(self._theirs(self._seen(linear, limit)))
