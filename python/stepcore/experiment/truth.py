@@ -190,7 +190,8 @@ class Converging:
         assert goal is not None
         surer = nullcontext() if self.known else _half()
         new = [s for s in starts if s not in self.known]
-        if own and self.study.tracks([self.physics], starts)[0].failures:
+        several = own and len(starts) > 1
+        if several and self.study.tracks([self.physics], starts)[0].failures:
             # Where the shipped settings explode, nobody asks for nanometres.
             goal = max(goal, 1e-3 * self.study.size)
         if not fewer or self.known or self._in_time(len(new), goal):
