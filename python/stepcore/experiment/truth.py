@@ -193,7 +193,7 @@ class Converging:
         several = own and len(starts) > 1
         if several and self.study.tracks([self.physics], starts)[0].failures:
             # Where the shipped settings explode, nobody asks for nanometres.
-            goal = max(goal, 1e-3 * self.study.size)
+            goal = max(goal, self._coarse)
         if not fewer or self.known or self._in_time(len(new), goal):
             self._begin(new, goal)
         else:
@@ -218,6 +218,11 @@ class Converging:
             goal=goal,
             needs=self._needs(starts, goal),
         )
+
+    @property
+    def _coarse(self) -> float:
+        """What is asked where the shipped settings have no error [m], as they explode."""
+        return 1e-3 * self.study.size
 
     def _shipped(self, starts: Sequence[int]) -> float:
         """Return a hundredth of the error of the shipped settings in the worst of some starts."""
@@ -256,7 +261,7 @@ class Converging:
         Without a goal that is a hundredth of the shipped settings' own error.
         """
         study = self.study
-        ways = study.engine.ways(study.schedule, self.goal or 1e-3 * study.size)
+        ways = study.engine.ways(study.schedule, self.goal or self._coarse)
         rungs, moved = [0] * len(ways), [math.inf] * len(ways)
         before: list[Tracks | None] = [None] * len(ways)
         last: list[Tracks | None] = [None] * len(ways)
@@ -301,7 +306,7 @@ class Converging:
                     self._measure_growth([start], rungs[k] - 1)
                 moved = [off(*pair) for pair in zip(before, last, strict=True)]
             wrong = off(shipped, now)
-            asked = SHARE**2 * wrong if 0 < wrong < math.inf else 1e-3 * study.size
+            asked = SHARE**2 * wrong if 0 < wrong < math.inf else self._coarse
             goal = max(asked, ROUNDING * study.size) if self.goal is None else self.goal
             if moved[k] <= goal:
                 self.goal = goal

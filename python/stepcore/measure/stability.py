@@ -374,7 +374,10 @@ def stability_map(
         panels = [runs.panel(setting) for setting in case.settings]
     if all(cell.state == UNTRIED for panel in panels for cell in panel.cells):
         raise OutOfTime("no cell has been run")
-    known = {value: truth.growth.overall for (_, value), truth in runs.truths.items() if truth}
+    ends = dict[float, float]()
+    for (_, value), truth in runs.truths.items():
+        if truth is not None:
+            ends[value] = min(truth.growth.overall, ends.get(value, math.inf))
     return StabilityMap(
         name=setup.name,
         settings=setup.engine.settings(SHIPPED),
@@ -388,7 +391,7 @@ def stability_map(
         panels=panels,
         ran=_ran(setup.engine, case, horizon),
         accuracies=kept,
-        notes=until_in_words(np.array([*known.values()]), horizon, "at", "value"),
+        notes=until_in_words(np.array([*ends.values()]), horizon, "at", "value"),
     )
 
 
