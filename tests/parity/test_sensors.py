@@ -466,3 +466,15 @@ def test_the_distance_of_a_mesh_is_found_whether_it_collides_or_not(of, masks):
     sim = sc.Sim(sc.loads(text))
     sim.forward()
     assert sim.sensordata == pytest.approx(0.3, abs=1e-9)
+
+
+def test_a_cutoff_bounds_how_deep_geoms_overlap():
+    """As in MuJoCo, in which a distance has a sign."""
+    text = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/><body pos="0 0 -.1">
+      <freejoint/><geom name="ball" size=".1"/></body></worldbody>
+      <sensor><distance geom1="ball" geom2="floor" cutoff=".05"/></sensor></mujoco>"""
+    sim, theirs = sc.Sim(sc.loads(text)), mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(theirs)
+    mujoco.mj_forward(theirs, data)
+    sim.forward()
+    assert data.sensordata[0] == sim.sensordata[0] == -0.05

@@ -65,8 +65,14 @@ def compared(text: str) -> tuple[sc.Sim, mujoco.MjModel, mujoco.MjData]:
             *(link("base"), link("arm", HEAVY)),
             joint("way", "spherical", "base", "arm", POSE + LIMITED.replace("-1", "0")),
         ),
+        (
+            *('<link name="world"/>', link("ship", HEAVY)),
+            joint(
+                "sea", "floating", "world", "ship", POSE + '<dynamics damping=".3" friction=".2"/>'
+            ),
+        ),
     ],
-    ids=["arm", "planar", "spherical"],
+    ids=["arm", "planar", "spherical", "floating"],
 )
 def test_it_is_mujocos(parts):
     """Poses, masses, mass matrix, forces and acceleration at random states."""

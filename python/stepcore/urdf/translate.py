@@ -329,7 +329,7 @@ class Robot:
         if kind == "fixed":
             return []
         if kind == "floating":
-            return [_element("joint", joint, name=name, type="free")]
+            return [_element("joint", joint, name=name, type="free", **common)]
         if not any(axis):
             raise bad(child_of(joint, "axis") or joint, "xyz", axis, "an axis that is not zero")
         if kind == "planar":

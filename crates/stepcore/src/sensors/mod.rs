@@ -86,12 +86,11 @@ impl Sensor {
         match self.kind {
             _ if self.cutoff <= 0.0 => Bound::None,
             T::Touch | T::InsideSite => Bound::Above,
-            // Directions and orientations have no bound, and what is found within a distance
-            // obeys it already.
+            // Directions and orientations have no bound, and the ends of a distance are found within it.
             T::FrameQuat | T::BallQuat | T::FrameXAxis | T::FrameYAxis | T::FrameZAxis => {
                 Bound::None
             }
-            T::Distance | T::Normal | T::FromTo | T::Contact => Bound::None,
+            T::Normal | T::FromTo | T::Contact => Bound::None,
             _ => Bound::BothSides,
         }
     }
