@@ -6,8 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from stepcore.experiment.change import Change
 from stepcore.measure.diagnosis.linear import Held, bisected
 from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Judge, Loop
@@ -107,7 +105,7 @@ def ladder(judge: Judge, low: float, top: float = math.inf) -> list[float]:
     longest = max(min(judge.motions.longest, top), low * STEP)
     ratio = SPARSE if judge.motions.costly else DENSE
     number = max(1, math.ceil(math.log(longest / low) / math.log(ratio) - 1e-9))
-    return [float(dt) for dt in np.geomspace(low, longest, 1 + number)[1:]]
+    return [low * (longest / low) ** (k / number) for k in range(1, 1 + number)]
 
 
 def _between(holds: Callable[[float], bool], good: float, bad: float, fine: float) -> float:
