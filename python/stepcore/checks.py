@@ -12,6 +12,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable
+from functools import cached_property
 from typing import Any
 
 from stepcore import escapes
@@ -101,6 +102,8 @@ class KnownNames:
         if not name.startswith("_") and name not in self._attributes and not hasattr(kind, name):
             known = [*self._attributes, *(n for n in dir(kind) if not n.startswith("_"))]
             raise AttributeError(f"a {kind.__name__} has no {quoted(name)}{nearest(name, known)}")
+        if isinstance(getattr(kind, name, None), cached_property):
+            raise AttributeError(f"{name} of a {kind.__name__} is read-only")
         object.__setattr__(self, name, value)
 
 

@@ -230,7 +230,7 @@ def in_time(measurement: F) -> F:
     @functools.wraps(measurement)
     def bounded(*args: Any, **keywords: Any) -> Any:
         seconds = keywords.get("seconds")
-        if seconds not in (None, math.inf):
+        if not (seconds is None or (isinstance(seconds, float) and seconds == math.inf)):
             seconds = checks.real(above=0)(measurement.__name__, "seconds", seconds)
         limit = Deadline(seconds, current())
         try:

@@ -55,6 +55,19 @@ def test_mujocos_names_read_the_same_numbers(model, make, mujoco, own):
         setattr(world, mujoco, 0)
 
 
+@pytest.mark.parametrize(
+    "name, text",
+    [
+        ("bodymass", 'a Model has no "bodymass"; nearest: "body_mass"'),
+        ("npair", "npair of a Model is read-only"),
+        ("body_mass", "body_mass of a Model is read-only"),
+    ],
+)
+def test_a_model_is_not_written_to(model, name, text):
+    with pytest.raises(AttributeError, match=text):
+        setattr(model, name, 1)
+
+
 @pytest.mark.parametrize("name", ["qfrc_bias", "qfrc_passive", "qfrc_constraint"])
 def test_mujocos_names_are_recorded_with_their_dofs(model, name):
     run = sc.Sim(model).run(0.02, record=(name, NAMES[name]))

@@ -97,6 +97,7 @@ OPTIONS = [
     ("Ant", {**FORWARD, **ALL, "contact_cost_weight": 0.2, "contact_force_range": (-5, 7)}),
     ("Ant", {"main_body": "aux_1", "healthy_reward": 3, "terminate_when_unhealthy": False}),
     ("Ant", {"include_cfrc_ext_in_observation": False, "healthy_z_range": (0.6, 0.8)}),
+    ("Ant", {"contact_force_range": (0.3, 0.8)}),
     ("HalfCheetah", {**FORWARD, **ALL, "reset_noise_scale": 0.3, "frame_skip": 3}),
     ("Hopper", {**FORWARD, **ALL, "healthy_angle_range": (-0.05, 0.05)}),
     ("Hopper", {"healthy_reward": 2.0, "healthy_state_range": (-1, 1), "healthy_z_range": (0, 9)}),

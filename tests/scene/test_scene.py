@@ -347,6 +347,10 @@ def test_options_are_settings() -> None:
     assert scene.with_settings(Settings(dt=0.5)).settings == Settings(dt=0.5)
     with pytest.raises(ValueError, match="sweeps"):
         _ = scene.with_settings(sweps=1).settings
+    with pytest.raises(ValueError, match=r"settings = 0\.01: must be a"):
+        scene.settings = 0.01  # type: ignore[assignment]
+    with pytest.raises(ValueError, match="must be a name or a Body"):
+        scene.body(np.zeros(3))
 
 
 def test_reprs_say_what_there_is() -> None:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from stepcore.signatures import SettingsFields
 
 
-class Model:
+class Model(checks.KnownNames):
     """A compiled scene.
 
     scene: the `Scene`, which is copied, so that later edits do not change the model.

@@ -444,14 +444,14 @@ class Ant(StandingTask):
     include_cfrc_ext_in_observation: bool = True
 
     def contact_forces(self, now: Moment) -> Floats:
-        """Return the clipped forces on all bodies but the world, shape (6 (nbody - 1),)."""
-        return np.clip(_of_bodies(now, now.cfrc_ext), *self.contact_force_range)
+        """Return the clipped forces on all bodies, the world first, shape (6 nbody,)."""
+        return np.clip(now.cfrc_ext.reshape(*now.shape, -1), *self.contact_force_range)
 
     def observe(self, now: Moment) -> Floats:
         state = super().observe(now)
         if not self.include_cfrc_ext_in_observation:
             return state
-        return np.concatenate([state, self.contact_forces(now)], axis=-1)
+        return np.concatenate([state, self.contact_forces(now)[..., 6:]], axis=-1)
 
     def healthy(self, now: Moment) -> NDArray[np.bool_]:
         low, high = self.healthy_z_range

@@ -25,17 +25,18 @@ class Names:
     def find(self, elements: Sequence[Any], name: object) -> Any:
         """Return the element with this name, or the given element if listed; None otherwise."""
         self._read(elements)
+        text = name if isinstance(name, str) else ""
         if isinstance(name, Element):
             at = self._by_id.get(id(name), -1)
         else:
-            at = self._by_name.get(name, -1) if name and isinstance(name, str) else -1
+            at = self._by_name.get(text, -1) if text else -1
         if at >= 0:
             element = elements[at]
-            if element is name or element.name == name:
+            if element is name or (text and element.name == text):
                 return element
         # An entry of the list may have been replaced after the index was built.
         for element in elements:
-            if element is name or (name and element.name == name):
+            if element is name or (text and element.name == text):
                 return element
         return None
 

@@ -280,6 +280,8 @@ class Scene(checks.KnownNames):
 
     @settings.setter
     def settings(self, value: Settings) -> None:
+        if not hasattr(value, "as_dict"):
+            raise ValueError(f"settings = {checks.shown(value)}: must be a stepcore.Settings")
         self.options = value.as_dict()
 
     @takes_settings
@@ -298,10 +300,7 @@ class Scene(checks.KnownNames):
         scene = copy.deepcopy(self)
         given = {**settings, **fields} if isinstance(settings, Mapping) else fields
         if settings is not None and not isinstance(settings, Mapping):
-            if not hasattr(settings, "as_dict"):
-                limit = "Settings, or a dict of their fields"
-                raise ValueError(f"settings = {checks.shown(settings)}: must be {limit}")
-            scene.options = settings.as_dict()
+            scene.settings = settings
         if "tolerance" in given:
             # A residual that is asked for replaces what the file asks for.
             scene.options.pop("cost_tolerance", None)
