@@ -85,7 +85,8 @@ impl Care {
 pub(super) struct Milestone<R: Real> {
     pub state: State<R>,
     pub inputs: Inputs<R>,
-    /// By lane: what was gained, beside the energy that circulated.
+    /// By lane: the energy that had circulated [J], and what was gained beside it.
+    pub scale: Vec<f64>,
     pub gained: Vec<f64>,
     /// Steps done before each change, and which arrays changed.
     pub changes: Vec<(u64, [bool; INPUTS])>,
@@ -93,7 +94,7 @@ pub(super) struct Milestone<R: Real> {
     pub numbers: Vec<R>,
 }
 
-room!(Milestone<R>: state, inputs, gained, changes, numbers);
+room!(Milestone<R>: state, inputs, scale, gained, changes, numbers);
 
 /// What is kept of a world's energy while `Settings::ledger` is on.
 pub(crate) struct Ledger<R: Real> {
@@ -136,6 +137,7 @@ impl<R: Real> Ledger<R> {
         let milestone = || Milestone {
             state: State::new(model),
             inputs: Inputs::new(model),
+            scale: vec![0.0; R::LANES],
             gained: vec![0.0; R::LANES],
             changes: Vec::new(),
             numbers: Vec::new(),
@@ -209,10 +211,10 @@ impl<R: Real> Ledger<R> {
         let milestone = &mut self.milestones[self.at];
         state.copy_to(&mut milestone.state);
         inputs.copy_to(&mut milestone.inputs);
-        for ((gained, verdict), account) in
-            milestone.gained.iter_mut().zip(&self.verdicts).zip(&self.accounts)
-        {
-            *gained = if account.scale > 0.0 { verdict.gained / account.scale } else { 0.0 };
+        for (lane, account) in self.accounts.iter().enumerate() {
+            let gained = self.verdicts[lane].gained / account.scale;
+            milestone.scale[lane] = account.scale;
+            milestone.gained[lane] = if account.scale > 0.0 { gained } else { 0.0 };
         }
         milestone.changes.clear();
         milestone.numbers.clear();
@@ -221,11 +223,6 @@ impl<R: Real> Ledger<R> {
     /// The account of a lane, if it is open.
     pub fn account(&mut self, lane: usize) -> Option<&mut Account> {
         self.accounts.get_mut(lane)
-    }
-
-    /// Energy that circulated in a lane [J], if its account is open.
-    pub fn scale(&self, lane: usize) -> Option<f64> {
-        self.accounts.get(lane).map(|account| account.scale)
     }
 
     /// Energy of motion and springs of a lane when it was last summed up [J].

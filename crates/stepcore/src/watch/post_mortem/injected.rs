@@ -12,8 +12,8 @@ const AFTERMATH: f64 = 1e6;
 /// The most steps that a growth rate is fitted to.
 const FITTED: usize = 64;
 
-/// The steps in which it began: from the last one in which there was no more than can have
-/// been put in, until far beyond that.
+/// The steps in which it began: the last one that found no more than can have been put in, and those
+/// that follow and do not end far beyond that.
 pub(super) fn feeding<'a>(
     model: &Model,
     entries: &'a [StepGains],
@@ -21,7 +21,7 @@ pub(super) fn feeding<'a>(
     gained: bool,
 ) -> (usize, &'a [StepGains]) {
     let Some(scale) = scale else { return (0, before_aftermath(entries)) };
-    let last = entries.last().map_or(0.0, |entry| entry.after);
+    let last = entries.last().map_or(0.0, |entry| entry.after.abs());
     // Or what drives from outside has fed all of it.
     for driven in [1.0, 0.0] {
         let can_be = put_in(model, entries, scale, driven);
@@ -29,9 +29,10 @@ pub(super) fn feeding<'a>(
         if last <= 2.0 * most && !(gained && driven == 0.0) {
             continue;
         }
-        let within = |k: &usize| entries[*k].before <= can_be[*k];
+        // Far beyond all numbers that mean something, rounding makes energies below zero.
+        let within = |k: &usize| entries[*k].before.abs() <= can_be[*k];
         let start = (0..entries.len()).rev().find(within).unwrap_or(0);
-        let far = |k: &usize| entries[*k].before > AFTERMATH * can_be[start];
+        let far = |k: &usize| entries[*k].after.abs() > AFTERMATH * can_be[start];
         let end = (start + 1..entries.len()).find(far).unwrap_or(entries.len());
         return (start, &entries[start..end]);
     }
@@ -45,7 +46,7 @@ fn before_aftermath(entries: &[StepGains]) -> &[StepGains] {
     let Some(begin) = entries.iter().map(|entry| entry.before).find(|energy| *energy > 0.0) else {
         return entries;
     };
-    let far = |energy: f64| energy > AFTERMATH * begin || energy.is_nan();
+    let far = |energy: f64| energy.abs() > AFTERMATH * begin || energy.is_nan();
     let end = entries.iter().position(|entry| far(entry.before)).unwrap_or(entries.len());
     let early = &entries[..end];
     // Gravity is always innocent: where it stands out, it is the rounding of a world at rest.
@@ -66,7 +67,7 @@ fn put_in(model: &Model, entries: &[StepGains], scale: f64, driven: f64) -> Vec<
         fallen += entry.after - entry.before - entry.gains.values().sum::<f64>();
         // Rounding of what explodes is nothing that fell.
         let here = AFTERMATH * (scale + drives + fed + deepest.max(fallen));
-        if fed.is_finite() && fallen.is_finite() && entry.after < here {
+        if fed.is_finite() && fallen.is_finite() && entry.after.abs() < here {
             drives += fed;
             deepest = deepest.max(fallen);
         }

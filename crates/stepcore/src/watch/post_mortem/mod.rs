@@ -159,15 +159,15 @@ impl<R: Real> Run<'_, R> {
 
     fn post_mortem(&self, lane: usize, gained: bool) -> PostMortem {
         let (sim, budget, cause) = (self.sim, Budget::shared(self.worlds), Budget::of_cause());
-        let replayed = self
-            .ledger
-            .and_then(|ledger| Segment::since_well(ledger, lane, sim.state.steps))
-            .and_then(|segment| Some((self.replayed(&segment, lane, &budget)?, segment)));
+        let since = |ledger| Segment::since_well(ledger, lane, sim.state.steps);
+        let since = self.ledger.and_then(since);
+        let scale = since.as_ref().and_then(|segment| segment.scale);
+        let replayed =
+            since.and_then(|segment| Some((self.replayed(&segment, lane, &budget)?, segment)));
         let (segment, steps, exact) = match replayed {
             Some((steps, segment)) => (segment, steps, true),
             None => (Segment::at_present(sim, lane), self.kept_steps(lane, &cause), false),
         };
-        let scale = self.ledger.and_then(|ledger| ledger.scale(lane));
         let (from, window) = feeding(sim.model_of(lane), &steps, scale, gained);
         let was_well = exact && window.is_empty();
         let mut shares = shares(window);

@@ -46,6 +46,8 @@ pub(super) struct Segment<R: Real> {
     /// Steps done since the start before each change of the inputs.
     pub changes: Vec<(u64, Inputs<R>)>,
     pub steps: u64,
+    /// The energy that had circulated where it starts [J], if somebody counted it.
+    pub scale: Option<f64>,
     /// Whose it is: its numbers are in all lanes.
     lane: usize,
 }
@@ -98,6 +100,7 @@ impl<R: Real> Segment<R> {
             inputs: first.inputs.clone(),
             changes,
             steps: until.checked_sub(first.state.steps)?,
+            scale: Some(first.scale[lane]),
             lane,
         };
         segment.spread(lane);
@@ -108,7 +111,7 @@ impl<R: Real> Segment<R> {
     /// A run of no step, at the present state.
     pub fn at_present(sim: &Sim<R>, lane: usize) -> Self {
         let (state, inputs) = (sim.state.clone(), sim.inputs.clone());
-        let mut segment = Self { state, inputs, changes: Vec::new(), steps: 0, lane };
+        let mut segment = Self { state, inputs, changes: Vec::new(), steps: 0, scale: None, lane };
         segment.spread(lane);
         segment
     }
