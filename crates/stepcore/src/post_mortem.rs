@@ -11,7 +11,8 @@ use crate::warm::Warm;
 pub enum Stable {
     /// Nothing is known.
     Unknown,
-    /// The limit of the springs and dampers alone [s]; `tried`: a run just below it stays bounded.
+    /// The limit of the springs and dampers alone where the failing steps began [s]; `tried`: these
+    /// steps stay bounded just below it.
     Springs { dt: f64, tried: bool },
     /// The integrator feeds springs energy at every dt; `semi_implicit`: the limit of that one
     /// [s], None where it is stable at the present dt.
@@ -151,11 +152,11 @@ impl Stable {
         match self {
             Self::Unknown => Ok(()),
             Self::Springs { dt, tried } => {
-                let rerun = if tried { "; a rerun just below it stays bounded" } else { "" };
+                let rerun = if tried { "; these steps, rerun just below it, stay bounded" } else { "" };
                 write!(
                     f,
                     " Under {integrator}, the springs, dampers and servos are stable below \
-                     dt = {} s (linear analysis{rerun}).",
+                     dt = {} s (linearised where the growth began{rerun}).",
                     short(dt)
                 )
             }
