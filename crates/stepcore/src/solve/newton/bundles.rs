@@ -85,8 +85,9 @@ impl<R: Real> Bundles<R> {
         }
     }
 
-    /// Takes in the rows of these blocks.
-    pub fn take(&mut self, blocks: &[usize], rows: &Rows<R>, dof_lists: &[usize]) {
+    /// Takes in the rows of these blocks. `lists`: of dofs, where rows may be filled up with zeros; the
+    /// nodes of a heap are those of its rows.
+    pub fn take(&mut self, blocks: &[usize], rows: &Rows<R>, lists: Option<&[usize]>) {
         self.clear(blocks.iter().map(|b| rows.blocks[*b].rows.len).sum());
         let mut at = 0;
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
@@ -101,12 +102,10 @@ impl<R: Real> Bundles<R> {
             self.curves += curve.len;
             let span = Span { start: at, len: own.len() };
             let run = Run { rows: span, curve, cone, whole: block.mask.all() };
-            // The nodes of a heap are those of its rows.
-            let lists = (!rows.heap).then_some(dof_lists);
             self.join(first.dofs, first.y, run, lists);
             at += own.len();
         }
-        self.fill(blocks, rows);
+        self.fill(blocks, rows, R::ALONE && lists.is_some());
     }
 
     /// The numbers of some rows, from place `at` on.
@@ -125,9 +124,8 @@ impl<R: Real> Bundles<R> {
         self.mask[places].fill(mask);
     }
 
-    /// Writes the rows of bundles that need zeros.
-    fn fill(&mut self, blocks: &[usize], rows: &Rows<R>) {
-        let registers = R::ALONE && !rows.heap;
+    /// Writes the rows of bundles that need zeros; `registers`: to whole registers.
+    fn fill(&mut self, blocks: &[usize], rows: &Rows<R>, registers: bool) {
         let mut every = blocks.iter().flat_map(|b| &rows.rows[rows.blocks[*b].rows.range()]);
         let mut end = 0;
         for bundle in &mut self.list {
@@ -168,8 +166,7 @@ impl<R: Real> Bundles<R> {
         self.curves = 0;
     }
 
-    /// Adds a block's rows to the last bundle and its last run, or begins new ones. `lists`: of dofs,
-    /// where rows may be filled up with zeros.
+    /// Adds a block's rows to the last bundle and its last run, or begins new ones.
     fn join(&mut self, dofs: Span, y: usize, run: Run, lists: Option<&[usize]>) {
         // Its y go on where those of the bundle end.
         let next =
@@ -432,7 +429,7 @@ mod tests {
         given.blocks.push((Set::Interval, 0.0, vec![line(0.0)]));
         let rows = pack::<f64>(&[given]);
         let mut bundles = Bundles::new();
-        bundles.take(&[0, 1, 2, 3], &rows, &[0, 1, 2, 3, 4]);
+        bundles.take(&[0, 1, 2, 3], &rows, Some(&[0, 1, 2, 3, 4]));
         let runs: Vec<(usize, usize)> =
             bundles.runs.iter().map(|run| (run.rows.len, run.curve.len)).collect();
         assert_eq!((bundles.list.len(), runs), (1, vec![(7, 7), (3, 9), (1, 1)]));
@@ -472,7 +469,7 @@ mod tests {
             rows.y.extend((0..len).map(|_| random.next()));
         }
         let (blocks, mut bundles) = ([0, 1, 2, 3], Bundles::new());
-        bundles.take(&blocks, &rows, &lists);
+        bundles.take(&blocks, &rows, Some(&lists));
         let counts: Vec<usize> = bundles.list.iter().map(|bundle| bundle.rows.len).collect();
         assert_eq!(counts, [2, 1, 1]);
         let mut pattern = Pattern::default();

@@ -452,7 +452,7 @@ mod tests {
             }
             let blocks: Vec<usize> = (0..count).collect();
             let mut bundles = Bundles::new();
-            bundles.take(&blocks, &rows, &lists);
+            bundles.take(&blocks, &rows, Some(&lists));
             let mut pattern = Pattern::default();
             pattern.fit(&lists, false, bundles.dofs(), &mut vec![0; nv]);
             let problem =

@@ -72,7 +72,7 @@ impl Pattern {
             self.nodes.fit(dof_lists, &self.key, class);
             return;
         }
-        if keys.clone().eq(self.key.iter().copied()) {
+        if keys.clone().eq(self.key.iter().copied()) && self.is_of(dof_lists) {
             return;
         }
         self.key.clear();
@@ -81,6 +81,15 @@ impl Pattern {
         self.fill();
         self.list_below();
         self.place();
+    }
+
+    /// Whether these spans still hold the dofs that it was made for: pairs that are found step by step
+    /// have other lists in each.
+    fn is_of(&self, dof_lists: &[usize]) -> bool {
+        let own = |listed: &Listed| listed.list.of(&self.lists).iter().map(|k| self.dofs[*k]);
+        let mut every = self.key.iter().zip(&self.bundles);
+        self.key.len() == self.bundles.len()
+            && every.all(|(span, listed)| span.of(dof_lists).iter().copied().eq(own(listed)))
     }
 
     /// Local numbers of the dofs, and every bundle's list in them.

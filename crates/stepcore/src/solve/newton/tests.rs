@@ -72,7 +72,7 @@ fn two_of(count: usize) -> impl Fn(&mut Random) -> Vec<usize> {
 fn bundles_of(heap: &Heap) -> Bundles<f64> {
     let blocks: Vec<usize> = (0..heap.rows.blocks.len()).collect();
     let mut bundles = Bundles::new();
-    bundles.take(&blocks, &heap.rows, &heap.lists);
+    bundles.take(&blocks, &heap.rows, None);
     bundles
 }
 

@@ -5,8 +5,10 @@ use super::minimise::Scale;
 use super::nodes::NOWHERE;
 use super::pattern::Pattern;
 use super::system::System;
+use crate::model::Span;
 use crate::pool::{inside, lock, Pool};
 use crate::real::{Mask, Real};
+use crate::solve::free_bodies::SIX;
 use crate::solve::islands::{row_count, Islands};
 use crate::solve::limits::{Limits, Report};
 use crate::solve::rows::Rows;
@@ -20,13 +22,14 @@ pub(super) struct Worker<R: Real> {
     pub present: Vec<usize>,
     /// Scratch: of patterns, by dof; of the order of blocks.
     class: Vec<usize>,
+    touched: Vec<usize>,
     order: Vec<[usize; 4]>,
     bundles: Bundles<R>,
     pub system: System<R>,
     solved: Solved<R>,
 }
 
-room!(Worker<R>: present, class, order, bundles, system, solved);
+room!(Worker<R>: present, class, touched, order, bundles, system, solved);
 
 /// Results of islands, one after another, that wait for the rows to be free.
 struct Solved<R: Real> {
@@ -52,6 +55,7 @@ impl<R: Real> Worker<R> {
         Self {
             present: Vec::new(),
             class: Vec::new(),
+            touched: Vec::new(),
             order: Vec::new(),
             bundles: Bundles::new(),
             system: System::new(),
@@ -97,6 +101,28 @@ impl<R: Real> Worker<R> {
         }
     }
 
+    /// Whether a heap's nodes pay: blocks on chains cost more there, free bodies elsewhere. Of a robot
+    /// among many geoms it is no heap, of a robot among many loose bodies it is one.
+    fn is_heap(&mut self, rows: &Rows<R>, dof_lists: &[usize]) -> bool {
+        let Self { present, class, touched, .. } = self;
+        touched.clear();
+        let (mut chained, mut last) = (0, Span::default());
+        for b in present {
+            let span = rows.rows[rows.blocks[*b].rows.start].dofs;
+            chained += usize::from(span.len % SIX != 0);
+            if std::mem::replace(&mut last, span) == span {
+                continue;
+            }
+            for k in span.of(dof_lists) {
+                if std::mem::replace(&mut class[*k], 0) == NOWHERE {
+                    touched.push(*k);
+                }
+            }
+        }
+        touched.iter().for_each(|k| class[*k] = NOWHERE);
+        SIX * chained < touched.len()
+    }
+
     /// Solves `island`, whose blocks were taken; lanes that it left unfinished. Impulses agree with the
     /// velocities to rounding, unless the cost or the limit of iterations decides when to end.
     pub fn solve(
@@ -108,14 +134,15 @@ impl<R: Real> Worker<R> {
         report: &mut Report<R>,
     ) -> R::Mask {
         let Task { free, limits, .. } = task;
-        if !rows.heap {
+        self.class.resize(rows.u.len(), NOWHERE);
+        let heap = rows.heap && self.is_heap(rows, free.dof_lists);
+        if !heap {
             self.order(rows, free.dof_lists);
         }
         let inertia = rows.inertia.get(island).copied().unwrap_or_else(R::zero);
         let Self { present, class, bundles, system, .. } = self;
-        class.resize(rows.u.len(), NOWHERE);
-        bundles.take(present, rows, free.dof_lists);
-        pattern.fit(free.dof_lists, rows.heap, bundles.dofs(), class);
+        bundles.take(present, rows, (!heap).then_some(free.dof_lists));
+        pattern.fit(free.dof_lists, heap, bundles.dofs(), class);
         let problem = Problem { pattern, bundles, rows, blocks: present };
         let first = if rows.start.is_empty() { &rows.u } else { &rows.start };
         let begun = system.start(problem, (free.inv_d, free.guess, first), live);
