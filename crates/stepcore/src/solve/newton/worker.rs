@@ -20,7 +20,7 @@ use std::sync::Mutex;
 pub(super) struct Worker<R: Real> {
     /// Blocks of the island at hand that exist in some lane.
     pub present: Vec<usize>,
-    /// Scratch: of patterns, by dof; of the order of blocks.
+    /// Scratch: of patterns, by dof, and which have a number there; of the order of blocks.
     class: Vec<usize>,
     touched: Vec<usize>,
     order: Vec<[usize; 4]>,
@@ -101,8 +101,10 @@ impl<R: Real> Worker<R> {
         }
     }
 
-    /// Whether a heap's nodes pay: blocks on chains cost more there, free bodies elsewhere. Of a robot
-    /// among many geoms it is no heap, of a robot among many loose bodies it is one.
+    /// Whether a heap's nodes pay: blocks on chains cost more there, free bodies elsewhere. Counted by
+    /// `benches/anatomy.py`, thousand instructions a step by nodes and along chains: Go2 among ten
+    /// loose boxes 1525 and 805, unitree's A2 on a terrain 457 and 300, a Panda without friction among ten
+    /// and forty loose boxes 364 and 412, 1695 and 2167.
     fn is_heap(&mut self, rows: &Rows<R>, dof_lists: &[usize]) -> bool {
         let Self { present, class, touched, .. } = self;
         touched.clear();
