@@ -111,7 +111,7 @@ impl<R: Real> Worker<R> {
         let (mut chained, mut last) = (0, Span::default());
         for b in present {
             let span = rows.rows[rows.blocks[*b].rows.start].dofs;
-            chained += usize::from(span.len % SIX != 0);
+            chained += usize::from(!span.len.is_multiple_of(SIX));
             if std::mem::replace(&mut last, span) == span {
                 continue;
             }
