@@ -281,7 +281,7 @@ class Scene(checks.KnownNames):
     @settings.setter
     def settings(self, value: Settings) -> None:
         if not hasattr(value, "as_dict"):
-            raise ValueError(f"settings = {checks.shown(value)}: must be a stepcore.Settings")
+            raise checks.refuse("scene", "settings", value, "a Settings (with_settings: or a dict)")
         self.options = value.as_dict()
 
     @takes_settings
