@@ -11,7 +11,7 @@ import inspect
 import math
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -216,6 +216,13 @@ def several(name: str, value: object) -> list[Any]:
     if not entries:
         raise ValueError(f"{name} = {shown(value)}: must be a list of at least one value")
     return entries
+
+
+def mapping(name: str, value: object, entries: str) -> Mapping[Any, Any]:
+    """Return `value`, a dict of such entries; raise ValueError otherwise."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} = {shown(value)}: must be a dict of {entries}")
+    return value
 
 
 def threads(value: object) -> int:

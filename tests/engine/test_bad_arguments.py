@@ -55,6 +55,12 @@ def test_with_settings_refuses_at_once(settings):
     text_of(lambda: pendulum().with_settings(settings))
 
 
+@pytest.mark.parametrize("joints", ["upper", 3, ["upper"], [("upper", 2.0)]])
+def test_the_joints_of_a_tendon_are_a_dict(joints):
+    said = text_of(lambda: pendulum().add_tendon(joints=joints))
+    assert said == f"joints = {joints!r}: must be a dict of joints and coefficients"
+
+
 @pytest.mark.parametrize("kind", [3, None, "bodies", ["body"]])
 def test_an_index_of_no_kind(model, kind):
     assert "must be one of body, joint" in text_of(lambda: model.index(kind, "upper"))

@@ -144,8 +144,7 @@ class Parameters(Mapping[str, Floats]):
 
     def update(self, values: Mapping[str, ArrayLike]) -> None:
         """Assign several paths at once; see `Parameters`."""
-        if not isinstance(values, Mapping):
-            raise ValueError(f"values = {checks.shown(values)}: must be a dict of paths and arrays")
+        checks.mapping("values", values, "paths and arrays")
         new = {path: self._column(path, given) for path, given in values.items()}
         self._take(self._columns | new)
 

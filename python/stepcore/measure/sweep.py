@@ -102,8 +102,7 @@ def sweep(
                          1  0.009984
                          4   0.03974
     """
-    if not isinstance(grid, Mapping):
-        raise ValueError(f"grid = {checks.shown(grid)}: must be a dict of names and their values")
+    checks.mapping("grid", grid, "names and their values")
     axes = {str(name): checks.several(f"grid['{name}']", grid[name]) for name in grid}
     checks.function("batch" if batch is True else "sim")("sweep", "measure", measure)
     workers = Workers.checked("sweep", threads, executor, progress)

@@ -466,9 +466,9 @@ class Scene(checks.KnownNames):
         >>> float(Sim(scene).tendon("rope").length)
         1.0
         """
+        own = checks.mapping("joints", {} if joints is None else joints, "joints and coefficients")
         stops = [self._stop(stop) for stop in path]
-        if joints is not None:
-            stops += [(self.joint(joint), coef) for joint, coef in joints.items()]
+        stops += [(self.joint(joint), coef) for joint, coef in own.items()]
         return self._add(self.tendons, Tendon, fields, name=name, path=stops)
 
     def _stop(self, stop: Any) -> Any:

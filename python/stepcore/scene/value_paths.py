@@ -29,8 +29,7 @@ def changed(scene: Scene, values: Mapping[str, Any], body_mass: Mapping[str, flo
     values: new values by path.
     body_mass: the mass of each body in the compiled model, by name [kg].
     """
-    if not isinstance(values, Mapping):
-        raise ValueError(f"values = {checks.shown(values)}: must be a dict of paths and values")
+    checks.mapping("values", values, "paths and values")
     scene = copy.deepcopy(scene)
     assign(scene, values, body_mass)
     return scene
