@@ -78,7 +78,6 @@ fn polygon(
     let limit = (height(lowest) + LEVEL * size).max(0.0);
     let even = height(lowest) + EVEN * size;
     let low = |vertex: &usize| height(*vertex) <= limit;
-    let corners = hull.faces.get(hull.face(&-up)).map_or(&[][..], |face| &face.corners);
     let mut list = List { vertices: [0; ROOM], count: 0 };
     // Of even ones the first, whatever rounding says.
     let (even, mut every) = (|vertex: &usize| height(*vertex) <= even, 0..hull.vertices.len());
@@ -92,6 +91,7 @@ fn polygon(
     // What is not below acts only where nothing else does: it does not take the place of what is.
     let must = list.count.min(MOST);
     if must < MOST {
+        let corners = hull.faces.get(hull.face(&-up)).map_or(&[][..], |face| &face.corners);
         for corner in corners.iter().step_by(1 + (must + corners.len()) / ROOM) {
             if list.all().take(must).all(|own| own != *corner) {
                 list.push(*corner);
