@@ -30,6 +30,9 @@ pub struct Hull {
     pub triangles: Vec<[usize; 3]>,
     /// Its surface in polygons: triangles that lie in one plane but for rounding are one face.
     pub faces: Vec<Face>,
+    /// Their planes, four side by side, the first again where there are fewer: by coordinate the normals,
+    /// then the offsets.
+    planes: Vec<[[f64; 4]; 4]>,
     /// Where two faces meet.
     pub edges: Vec<Edge>,
     /// Ends of triangles' edges: vertex v's neighbours are `adjacent[starts[v]..starts[v + 1]]`.
@@ -147,6 +150,7 @@ impl Hull {
             source,
             triangles,
             faces,
+            planes: Vec::new(),
             edges,
             starts,
             adjacent,
@@ -166,6 +170,7 @@ impl Hull {
             let low = hull.faces[i].corners.iter().fold(offset, lowest);
             (hull.faces[i].offset, hull.faces[i].level) = (offset, offset - low <= LEVEL * reach);
         }
+        hull.find_planes();
         hull.find_folds();
         hull.find_nearby();
         hull
@@ -183,6 +188,12 @@ impl Hull {
             }));
             self.first_four.push(self.around.len());
         }
+    }
+
+    fn find_planes(&mut self) {
+        let number = |face: &Face, k: usize| if k < 3 { face.normal[k] } else { face.offset };
+        let of = |few: &[Face]| from_fn(|k| from_fn(|i| number(few.get(i).unwrap_or(&few[0]), k)));
+        self.planes = self.faces.chunks(4).map(of).collect();
     }
 
     fn find_folds(&mut self) {
@@ -209,8 +220,14 @@ impl Hull {
 
     /// How far a point lies outside of the face that it is furthest from; negative inside.
     pub fn outside(&self, p: &Vector3<f64>) -> f64 {
-        let above = |face: &Face| face.normal.dot(p) - face.offset;
-        self.faces.iter().map(above).fold(f64::NEG_INFINITY, f64::max)
+        let mut most = [f64::NEG_INFINITY; 4];
+        for [x, y, z, offset] in &self.planes {
+            for i in 0..4 {
+                let above = Vector3::new(x[i], y[i], z[i]).dot(p) - offset[i];
+                most[i] = if above > most[i] { above } else { most[i] };
+            }
+        }
+        most.into_iter().fold(f64::NEG_INFINITY, f64::max)
     }
 
     fn find_nearby(&mut self) {
@@ -292,6 +309,7 @@ impl Hull {
             face.offset += face.normal.dot(shift);
         }
         self.reach = furthest(&self.vertices);
+        self.find_planes();
         self.find_around();
         self.find_nearby();
         if self.faces.len() >= LISTED {

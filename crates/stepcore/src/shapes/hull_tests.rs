@@ -1,6 +1,6 @@
 //! Hulls against brute force, closed forms and each other.
 
-use super::hull::Hull;
+use super::hull::{Face, Hull};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// A reproducible sequence of numbers in [0, 1): xorshift64*.
@@ -213,6 +213,25 @@ fn the_support_is_the_furthest_vertex() {
             let looks = |face: &usize| hull.faces[*face].normal.dot(&direction);
             let first = (0..hull.faces.len()).rev().max_by(|a, b| looks(a).total_cmp(&looks(b)));
             assert_eq!(Some(hull.face(&direction)), first);
+        }
+    }
+}
+
+/// Planes side by side tell what each face does, bit for bit.
+#[test]
+fn a_point_is_outside_of_the_face_that_it_is_furthest_from() {
+    let mut random = Random(19);
+    for n in [4, 9, 60] {
+        let points: Vec<_> = (0..n).map(|_| random.point()).collect();
+        let given = Hull::of(&points).unwrap();
+        let turn = *Rotation3::from_euler_angles(-0.4, 0.1, 0.7).matrix();
+        for hull in [given.clone(), given.moved(&turn, &Vector3::new(-0.2, 0.3, 0.1))] {
+            for _ in 0..50 {
+                let p = Vector3::from(random.point());
+                let above = |face: &Face| face.normal.dot(&p) - face.offset;
+                let most = hull.faces.iter().map(above).fold(f64::NEG_INFINITY, f64::max);
+                assert_eq!(hull.outside(&p), most);
+            }
         }
     }
 }
