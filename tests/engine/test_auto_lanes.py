@@ -55,6 +55,17 @@ def test_rollouts_resets_and_parameters_on_the_way():
     assert np.array_equal(auto.qpos, alone.qpos)
 
 
+def test_values_that_change_between_the_ways():
+    auto, alone = pair(9)
+    values = np.linspace(0.1, 0.5, 9)
+    for k in range(70):  # Each way is taken up again after values have changed.
+        values[k % 9] = 0.1 + 0.01 * k
+        for batch in (auto, alone):
+            batch.param["joint/a/damping"] = values
+            batch.step(1 + k % 3)
+        assert np.array_equal(auto.qpos, alone.qpos)
+
+
 @pytest.mark.parametrize("on_failure", ["stop", "go on"])
 def test_failures_are_the_same(on_failure):
     auto, alone = pair(10, on_failure=on_failure)

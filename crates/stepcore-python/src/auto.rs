@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use stepcore::arrays::{Array, Given, Givens};
-use stepcore::batch::{kinds, Failed, Motion};
+use stepcore::batch::{Failed, Motion};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::WIDEST;
@@ -35,6 +35,8 @@ pub type Make = dyn Fn(bool, Option<&[usize]>) -> Result<Box<dyn Worlds>> + Send
 
 pub struct Auto {
     worlds: usize,
+    /// By world the kind of its models, which stays whatever their numbers are.
+    kinds: Vec<usize>,
     now: Box<dyn Worlds>,
     /// The other way, once it was tried.
     other: Option<Box<dyn Worlds>>,
@@ -56,10 +58,11 @@ pub struct Auto {
 }
 
 impl Auto {
-    /// `make(lanes, some)`: the same worlds, or some of them, in lanes or one by one.
-    pub fn new(worlds: usize, make: Box<Make>) -> Result<Self> {
+    /// `kinds`: by world; `make(lanes, some)`: the same worlds, or some of them, in lanes or one by one.
+    pub fn new(kinds: Vec<usize>, make: Box<Make>) -> Result<Self> {
         Ok(Self {
-            worlds,
+            worlds: kinds.len(),
+            kinds,
             now: make(true, None)?,
             other: None,
             make,
@@ -195,8 +198,10 @@ impl Worlds for Auto {
     fn set_models(&mut self, how: &How, models: &[Arc<Model>], model_of: &[usize]) -> bool {
         let taken = self.now.set_models(how, models, model_of);
         if taken {
-            let make = how.make(models.to_vec(), model_of, kinds(models));
-            (self.other, self.make) = (None, make);
+            self.other.take_if(|other| !other.set_models(how, models, model_of));
+            let mut kinds = vec![0; models.len()];
+            model_of.iter().zip(&self.kinds).for_each(|(model, kind)| kinds[*model] = *kind);
+            self.make = how.make(models.to_vec(), model_of, kinds);
         }
         taken
     }

@@ -15,6 +15,7 @@ use stepcore::arrays::{Array, Given};
 use stepcore::elements::{Mention, Named};
 use stepcore::error::{Divergence, Error, Fault};
 use stepcore::post_mortem::{Held, PostMortem, Stable};
+use stepcore::settings::Settings;
 
 use crate::element::id;
 use crate::gil::with_python;
@@ -57,19 +58,25 @@ pub fn warn<W: PyTypeInfo>(py: Python<'_>, text: &str) -> PyResult<()> {
 const SLOW: Duration = Duration::from_secs(1);
 
 /// Whether it was said why steps within an accuracy are slow: that is said once.
-#[derive(Default)]
 pub struct Slow(AtomicBool);
 
 /// A call, whose steps may be slow.
 pub struct SlowCall<'a> {
     said: &'a AtomicBool,
-    begun: Instant,
+    /// Nobody asks for the time where nothing is to be said.
+    begun: Option<Instant>,
     raised: Option<PyErr>,
 }
 
 impl Slow {
+    /// Of steps under these settings.
+    pub fn under(settings: &Settings) -> Self {
+        Self(AtomicBool::new(settings.accuracy.0.is_none()))
+    }
+
     pub fn begin(&self) -> SlowCall<'_> {
-        SlowCall { said: &self.0, begun: Instant::now(), raised: None }
+        let begun = (!self.0.load(Ordering::Relaxed)).then(Instant::now);
+        SlowCall { said: &self.0, begun, raised: None }
     }
 
     /// Nobody who could choose other steps would read it.
@@ -81,7 +88,8 @@ impl Slow {
 impl SlowCall<'_> {
     /// Some of its steps are done; `why`: what makes them slow, if that is known.
     pub fn portion(&mut self, why: impl FnOnce() -> Option<String>) {
-        if self.begun.elapsed() < SLOW || self.said.load(Ordering::Relaxed) {
+        let early = self.begun.is_none_or(|begun| begun.elapsed() < SLOW);
+        if early || self.said.load(Ordering::Relaxed) {
             return;
         }
         if let Some(text) = why() {

@@ -101,7 +101,7 @@ impl Sim {
             arrays,
             world: Mutex::new(world),
             singles: gil::Singles::default(),
-            slow: Slow::default(),
+            slow: Slow::under(&settings.0),
             pace: gil::Pace::default(),
         })
     }

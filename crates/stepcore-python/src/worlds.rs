@@ -115,7 +115,8 @@ impl How {
             let lanes = can && !alone && self.lanes != Some(false);
             return self.made(lanes, models, model_of, kinds);
         }
-        Ok(Box::new(Auto::new(model_of.len(), self.make(models, model_of, kinds))?))
+        let by_world = model_of.iter().map(|model| kinds[*model]).collect();
+        Ok(Box::new(Auto::new(by_world, self.make(models, model_of, kinds))?))
     }
 
     /// Makes these worlds, or some of them, in lanes or one by one.

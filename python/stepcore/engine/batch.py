@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from typing import Unpack
 
     from stepcore.engine.model import Model
-    from stepcore.report.progress import Choice
+    from stepcore.report.progress import Choice, Progress
     from stepcore.scene.scene import Scene
     from stepcore.signatures import SettingsFields
 
@@ -160,8 +160,8 @@ class Batch(World):
         three consecutive checks. The batch warns once (`EnergyWarning`) if one of about 32 evenly
         spread worlds has far more energy than it can have gained.
         """
-        with self._long(n, progress) as told:
-            self._call(self._core.step, n, told)
+        with self._long(n, progress) as bar:
+            self._call(self._core.step, n, bar.advance if bar else None)
         self._told(n)
 
     def rollout(
@@ -190,8 +190,8 @@ class Batch(World):
             limit = f"({len(self)}, steps, {self._model.nu})"
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
         steps = table.shape[1]
-        with self._long(steps, progress) as told:
-            made = samples(self, (*STATE, *names), steps, table, told)
+        with self._long(steps, progress) as bar:
+            made = samples(self, (*STATE, *names), steps, table, bar.advance if bar else None)
         self._told(steps)
         qpos, qvel, act, *more = made
         return Rollout(qpos, qvel, act, dict(zip(names, more, strict=True)))
@@ -288,20 +288,17 @@ class Batch(World):
         if text:
             warnings.warn(UnsolvedWarning(text), stacklevel=3)
 
-    @contextmanager
-    def _long(self, steps: int, progress: Choice) -> Iterator[Callable[[int], None] | None]:
-        """Show the progress of a long call."""
+    def _long(self, steps: int, progress: Choice) -> AbstractContextManager[Progress | None]:
+        """Return what shows the progress of a long call."""
         checks.progress("Batch", progress)
         # The engine rejects an invalid number of steps.
         total = steps if isinstance(steps, (int, np.integer)) else 0
         if total <= (1 if progress is None else 0):
-            yield None
-            return
+            return nullcontext()
         # Imported here because only long calls need the bar.
         from stepcore.report.progress import BEGUN, Progress
 
-        with Progress("steps", total, progress, after=BEGUN) as bar:
-            yield bar.advance
+        return Progress("steps", total, progress, after=BEGUN)
 
     @property
     def time(self) -> float:

@@ -6,7 +6,7 @@ import fnmatch
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -203,12 +203,14 @@ class Variants:
         before: Variants | None = None,
     ) -> None:
         self._base, self._columns = model, columns
-        table = [np.zeros((n, 0)), *(column.reshape(n, -1) for column in columns.values())]
-        rows = [row.tobytes() for row in np.concatenate(table, axis=1)]
-        # By row, its first world.
-        first: dict[bytes, int] = {}
-        for world, row in enumerate(rows):
-            first.setdefault(row, world)
+        parts = [column.reshape(n, -1) for column in columns.values()]
+        table = np.concatenate([np.zeros((n, 0)), *parts], axis=1)
+        every, size = table.tobytes(), table[0].nbytes
+        rows = [every[world * size : (world + 1) * size] for world in range(n)]
+        # By row, its model's place, and its first world.
+        places: dict[bytes, int] = {}
+        self.model_of = [places.setdefault(row, len(places)) for row in rows]
+        first = dict(zip(reversed(rows), range(n - 1, -1, -1), strict=True))
         self._layout = [(path, column.shape[1:]) for path, column in columns.items()]
         kept: dict[bytes, _core.Model | ValueError] = {}
         self._variation: ModelVariation | None = None
@@ -216,12 +218,10 @@ class Variants:
         self._initial: dict[bytes, dict[str, Any]] = {}
         if before is not None and before._layout == self._layout:
             kept, self._variation = before._made, before._variation
-            self._initial = {row: a for row, a in before._initial.items() if row in first}
-        new = [row for row in first if row not in kept]
+            self._initial = {row: a for row, a in before._initial.items() if row in places}
+        new = [row for row in places if row not in kept]
         kept = kept | dict(zip(new, self._compiled([first[row] for row in new]), strict=True))
-        self._made: dict[bytes, _core.Model | ValueError] = {row: kept[row] for row in first}
-        places = {row: place for place, row in enumerate(first)}
-        self.model_of = [places[row] for row in rows]
+        self._made: dict[bytes, _core.Model | ValueError] = {row: kept[row] for row in places}
         self._models: dict[int, Model] = {}
 
     @property
@@ -236,20 +236,15 @@ class Variants:
         variation = self._variation or ModelVariation(self._base, self._columns)
         self._variation = variation
 
-        def data(world: int) -> dict[str, Any] | ValueError:
+        def tried(make: Callable[[Any], Any], given: Any) -> Any:
             try:
-                return variation.data(self.values(world))
-            except ValueError as error:
-                return error
-
-        def compiled(data: dict[str, Any] | ValueError) -> _core.Model | ValueError:
-            try:
-                return variation.compiled(data)
+                return make(given)
             except ValueError as error:
                 return error
 
         # Scenes are created one after another, while the engine compiles earlier ones.
-        scenes = map(data, worlds)
+        scenes = (tried(lambda own: variation.data(self.values(own)), world) for world in worlds)
+        compiled = partial(tried, variation.compiled)
         if len(worlds) == 1:
             return list(map(compiled, scenes))
         # Imported here because only parameters need Python threads.
@@ -260,9 +255,9 @@ class Variants:
 
     def errors(self) -> dict[int, ValueError]:
         """Return the error of each world whose values are rejected."""
-        models = self.models
-        each = ((world, models[index]) for world, index in enumerate(self.model_of))
-        return {world: made for world, made in each if isinstance(made, ValueError)}
+        made = self.models
+        refused = {index for index, one in enumerate(made) if isinstance(one, ValueError)}
+        return {world: made[index] for world, index in enumerate(self.model_of) if index in refused}
 
     def values(self, world: int) -> dict[str, Any]:
         """Return a world's row as an argument of `Model.with_values`."""

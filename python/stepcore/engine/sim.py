@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
-from stepcore._core import Settings
+from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, kept, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.error_bar import ErrorBar, FinerRun
@@ -106,7 +106,11 @@ class Sim(World):
             self._step(n)
 
     def _step(self, n: int) -> None:
-        self._call(self._core.step, n)
+        try:
+            self._core.step(n)
+        except SimulationError as error:
+            self._explain(error)
+            raise
 
     def advance(self, duration: float) -> None:
         """Go on by a time [s], a whole number of steps; see `step`, whose errors this raises.

@@ -65,7 +65,7 @@ impl Batch {
             gil::release(py, || how.worlds(vec![model.clone()], &of_one_model(&model, n)?))?;
         let arrays = Arrays::new(py, &model, n)?;
         let worlds = Mutex::new(worlds);
-        let (slow, pace) = Default::default();
+        let (slow, pace) = (Slow::under(&settings), gil::Pace::default());
         Ok(Self { model, settings, arrays, how, worlds, slow, pace })
     }
 
