@@ -133,8 +133,8 @@ pub enum At {
     State,
     /// Those of the state, the velocities made to keep the equalities: `next.start`.
     Start,
-    /// Those of `next.trial`, which an integrator tries on its way through the step.
-    Trial,
+    /// Those of a stage within the step: `next.trial`.
+    Stage,
 }
 
 impl At {
@@ -142,7 +142,7 @@ impl At {
         match self {
             Self::State => (&state.qpos, &state.qvel),
             Self::Start => (&state.qpos, &next.start),
-            Self::Trial => (&next.trial.qpos, &next.trial.qvel),
+            Self::Stage => (&next.trial.qpos, &next.trial.qvel),
         }
     }
 
@@ -153,7 +153,7 @@ impl At {
         next: &'a Next<R>,
         clock: Clock<R>,
     ) -> Activations<'a, R> {
-        if self == Self::Trial {
+        if self == Self::Stage {
             return Activations {
                 act: &next.trial.act,
                 ahead: next.ahead,

@@ -119,7 +119,7 @@ impl<R: Real> Sim<R> {
         if R::ALONE && self.plan.sleeps {
             self.hold_asleep();
         }
-        let before = searched();
+        let before = self.model.meets().then(searched);
         // Contacts ahead depend on velocities too.
         if !held || self.settings.ahead().is_some() {
             self.detect(at)?;
@@ -131,7 +131,7 @@ impl<R: Real> Sim<R> {
             self.placed.make_guess(self.clock.dt);
         }
         self.make_rows(at, Part::Whole);
-        self.effort.separations += searched() - before;
+        self.effort.separations += before.map_or(0, |before| searched() - before);
         self.take_pushes();
         Ok(())
     }

@@ -44,7 +44,7 @@ impl<R: Real> Sim<R> {
         let patience = if hard { PATIENCE } else { MOST_ITERATIONS };
         for iteration in 0..MOST_ITERATIONS {
             if iteration == patience {
-                self.rows.recall(open);
+                self.rows.begin_again(open);
                 let Next { start, qvel, .. } = &mut self.next;
                 for (v, start) in qvel.iter_mut().zip(start) {
                     *v = R::select(open, *start, *v);
@@ -67,7 +67,7 @@ impl<R: Real> Sim<R> {
                 _ if iteration < patience => Choice::Kept,
                 _ => Choice::Frozen,
             };
-            self.accelerate(At::Trial, inside, 1.0, choice)?;
+            self.accelerate(At::Stage, inside, 1.0, choice)?;
             let (miss, moves) = self.correct_midpoint(&model, dt, open, inside == Inside::All);
             // Rounding: the correction is below it, or has stopped to shrink.
             let small = miss.le(R::of(4.0 * R::epsilon()));
@@ -91,9 +91,9 @@ impl<R: Real> Sim<R> {
         if open.any() {
             return Err(self.diverged(open, |_| Fault::Midpoint));
         }
-        observer.placed(self, At::Trial, 1.0);
+        observer.placed(self, At::Stage, 1.0);
         if inside != Inside::Nothing {
-            observer.solved(self, At::Trial, 1.0);
+            observer.solved(self, At::Stage, 1.0);
         }
         for k in 0..model.nv {
             self.next.mean[k] = half * (self.next.start[k] + self.next.qvel[k]);

@@ -35,7 +35,7 @@ impl<R: Real> Sim<R> {
         self.next.sums.act_rate.fill(zero);
         for stage in 0..4 {
             (self.next.stage, self.next.ahead) = (stage, A[stage]);
-            let at = if stage == 0 { At::Start } else { At::Trial };
+            let at = if stage == 0 { At::Start } else { At::Stage };
             if stage > 0 {
                 let Next { start, sums, trial, .. } = &mut self.next;
                 let reach = dt * R::of(A[stage]);

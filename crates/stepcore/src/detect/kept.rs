@@ -154,11 +154,11 @@ impl Kept {
                 return Ok(());
             }
         }
-        let few = !self.left.is_empty() && self.left.len() <= heap.moving / MANY_LEFT;
+        let few_left = !self.left.is_empty() && self.left.len() <= heap.moving / MANY_LEFT;
         std::mem::swap(&mut self.numbers, &mut self.before);
         self.numbers.clear();
         self.numbers.reserve(self.before.capacity());
-        if few {
+        if few_left {
             self.search_again(model);
         } else {
             self.widen(model, heap);

@@ -77,28 +77,28 @@ pub(crate) fn time_of_impact<R: Real>(
         pos: contact.pos,
         normal: contact.normal,
     };
-    let (mut dist, mut live) = (contact.dist, open);
+    let (mut dist, mut todo) = (contact.dist, open);
     for _ in 0..PLANES {
-        live = live.and(near.lt(dist));
-        if live.none() {
+        todo = todo.and(near.lt(dist));
+        if todo.none() {
             break;
         }
         let closing = -now.normal.dot(way);
         let share = now.share + dist / R::select(closing.gt(R::zero()), closing, R::one());
         let past = closing.le(R::zero()).or(R::one().lt(share));
-        now.met = now.met.and(live.and(past).not());
-        live = live.and(past.not());
-        if live.none() {
+        now.met = now.met.and(todo.and(past).not());
+        todo = todo.and(past.not());
+        if todo.none() {
             break;
         }
-        now.share = R::select(live, share, now.share);
+        now.share = R::select(todo, share, now.share);
         let other = &placed.geom[pair.geom2];
         let moved = Pose { pos: other.pos + way * now.share, rot: other.rot };
         let touch = same(model, pair, &placed.geom[pair.geom1], &moved, contact);
-        dist = R::select(live, touch.dist, dist);
+        dist = R::select(todo, touch.dist, dist);
         for k in 0..3 {
-            now.pos[k] = R::select(live, touch.pos[k], now.pos[k]);
-            now.normal[k] = R::select(live, touch.normal[k], now.normal[k]);
+            now.pos[k] = R::select(todo, touch.pos[k], now.pos[k]);
+            now.normal[k] = R::select(todo, touch.normal[k], now.normal[k]);
         }
     }
     now.turned = now.met.and(now.normal.dot(&contact.normal).lt(R::of(TURNED)));

@@ -20,7 +20,7 @@ struct Pull<R: Real> {
     geom: [(V3<R>, V3<R>); 2],
     length: R,
     /// It lies on its geom.
-    bent: R::Mask,
+    wraps: R::Mask,
 }
 
 /// What of a pull a joint feels that moves some of its points: their wrench about the origin of its
@@ -110,7 +110,7 @@ impl<R: Real> Placed<R> {
             // What moves both ends of a straight line leaves its length as it is.
             let [first, _, second] = *moves;
             let bends = first && second;
-            if bends && pull.bent.none() {
+            if bends && pull.wraps.none() {
                 continue;
             }
             let Felt { wrench, reach, points } = pull.felt(&self.origin[*tree], *moves);
@@ -118,7 +118,7 @@ impl<R: Real> Placed<R> {
                 let motion = &self.motion[*dof];
                 let mut arm = motion.dot(&wrench);
                 if bends {
-                    arm = R::select(pull.bent, arm, R::zero());
+                    arm = R::select(pull.wraps, arm, R::zero());
                 }
                 // What a sphere that turns about its centre leaves is rounding too: a row of roundings
                 // alone would have any force.
@@ -186,7 +186,7 @@ impl<R: Real> Placed<R> {
                 (pick(&two, &zero), pick(&after.ends[0].1, &zero)),
             ],
             length: R::select(on, whole, free.length),
-            bent: on,
+            wraps: on,
         }
     }
 
@@ -209,6 +209,6 @@ fn straight<R: Real>([a, b]: [V3<R>; 2]) -> Pull<R> {
     let length = apart.dot(&apart).sqrt();
     let along = apart * length.recip_or_zero();
     let none = (V3::zeros(), V3::zeros());
-    let bent = R::Mask::of(false);
-    Pull { ends: [(a, -along), (b, along)], geom: [none, none], length, bent }
+    let wraps = R::Mask::of(false);
+    Pull { ends: [(a, -along), (b, along)], geom: [none, none], length, wraps }
 }

@@ -288,8 +288,8 @@ mod tests {
         let found = wrap(ends, &obstacle);
         let way = |a: V3<R>, b: V3<R>| (b - a).dot(&(b - a)).sqrt();
         let [one, two] = found.points;
-        let bent = way(ends[0], one) + found.length + way(two, ends[1]);
-        R::select(found.touches, bent, way(ends[0], ends[1]))
+        let wrapped = way(ends[0], one) + found.length + way(two, ends[1]);
+        R::select(found.touches, wrapped, way(ends[0], ends[1]))
     }
 
     fn at(radius: f64, angle: f64, z: f64) -> V3<f64> {
@@ -359,8 +359,8 @@ mod tests {
             let found = wrap([start, end], &obstacle);
             let way = |a: V3<Dual>, b: V3<Dual>| (b - a).dot(&(b - a)).sqrt();
             let [one, two] = found.points;
-            let bent = way(start, one) + found.length + way(two, end);
-            let got = if found.touches { bent } else { way(start, end) };
+            let wrapped = way(start, one) + found.length + way(two, end);
+            let got = if found.touches { wrapped } else { way(start, end) };
             let h = 1e-6;
             let want = (length(-0.6 + h) - length(-0.6 - h)) / (2.0 * h);
             assert!((got.slopes[0] - want).abs() < 1e-8, "{side:?}: {} {want}", got.slopes[0]);

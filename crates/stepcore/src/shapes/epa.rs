@@ -213,12 +213,12 @@ impl Polytope {
     ) -> bool {
         let Face { normal, height, .. } = self.faces[face];
         let along = normal.dot(way);
-        let aside = normal - way * along;
-        let far = aside.dot(&aside).sqrt();
+        let sideways = normal - way * along;
+        let far = sideways.dot(&sideways).sqrt();
         if along < BESIDE || far <= 2.0 * LEAN {
             return false;
         }
-        [*way, way + aside * (LEAN / far)].iter().any(|way| {
+        [*way, way + sideways * (LEAN / far)].iter().any(|way| {
             let w = support(way);
             normal.dot(&w.at) - height > FLAT * self.size && self.grow(face, w)
         })

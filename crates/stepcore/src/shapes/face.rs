@@ -118,10 +118,10 @@ impl Pairing<'_> {
         let (n, depth) = (&found.normal, -found.apart);
         let furthest = self.furthest(n);
         let up = n.dot(&furthest);
-        let aside = furthest - n * up;
+        let sideways = furthest - n * up;
         // Cosine and sine, times depth² + room², of what π is more than 2 atan(room/depth).
         let (cosine, sine) = (room * room - depth * depth, 2.0 * room * depth);
-        let beyond = cosine * up - sine * aside.dot(&aside).sqrt();
+        let beyond = cosine * up - sine * sideways.dot(&sideways).sqrt();
         beyond >= (depth + CLEAR * self.size) * (room * room + depth * depth)
     }
 }

@@ -26,7 +26,7 @@ use crate::spatial::{Pose, V3};
 /// The most contacts of a height field and one shape.
 pub const MOST: usize = 16;
 /// Slopes from a corner of a prism's top to a triangle's up to which that goes on in its plane.
-const ONWARD: f64 = 1e-3;
+const SAME_PLANE: f64 = 1e-3;
 /// Over the pair's size: what is in one place, and what lies as far along a direction.
 const SAME: f64 = 1e-9;
 
@@ -62,13 +62,13 @@ impl Prism {
 
     /// No more than the distance of a box [m].
     fn apart(&self, bounds: &Bounds) -> f64 {
-        let aside = V3::from_fn(|i, _| {
+        let sideways = V3::from_fn(|i, _| {
             let corners = || self.corners.iter().map(|corner| corner[i]);
             let (low, high) = (bounds.low[i], bounds.high[i]);
             let beyond = corners().fold(f64::INFINITY, f64::min) - high;
             beyond.max(low - corners().fold(f64::NEG_INFINITY, f64::max)).max(0.0)
         });
-        aside.dot(&aside).sqrt()
+        sideways.dot(&sideways).sqrt()
     }
 
     /// Of its top: unit, upward.
@@ -315,9 +315,9 @@ impl<'a> Near<'a> {
         let [a, _, c, ..] = prism.corners;
         let up = prism.normal();
         let above = beyond(&up, &a);
-        let aside = within.max(-above * (up.x * up.x + up.y * up.y).sqrt());
+        let sideways = within.max(-above * (up.x * up.x + up.y * up.y).sqrt());
         let gap = |i: usize| (a[i].min(c[i]) - bounds.high[i]).max(bounds.low[i] - a[i].max(c[i]));
-        if above > within || gap(0) > aside || gap(1) > aside {
+        if above > within || gap(0) > sideways || gap(1) > sideways {
             return None;
         }
         // The side that the two prisms share.
@@ -327,7 +327,7 @@ impl<'a> Near<'a> {
             V3::new(a.y - c.y, c.x - a.x, 0.0)
         };
         let across = beyond(&(way * (1.0 / way.dot(&way).sqrt())), &a);
-        (across <= aside).then_some(prism)
+        (across <= sideways).then_some(prism)
     }
 }
 
@@ -455,16 +455,16 @@ fn over_top<R: Real>(
     let body = Solid { core: shape.core, radius: shape.radius, pose: &other };
     let point = pose.to_local(&(other.pos - pose.pos + body.support(&-normal).0));
     let over = prism.holds(&point, 0.0);
-    let onward = || {
+    let in_plane = || {
         let Some(ground) = field.surface(&point) else { return false };
         // Over its own top, but beside it along the normal: an edge or a corner is nearer.
         let own = ground.iter().all(|corner| prism.corners[..3].contains(corner));
         !own && ground.iter().all(|corner| {
             let (way, height) = (corner - a, local.dot(&(corner - a)));
-            height * height <= ONWARD * ONWARD * way.dot(&way)
+            height * height <= SAME_PLANE * SAME_PLANE * way.dot(&way)
         })
     };
-    (over || onward()).then(|| (on_top(prism, &pose, &body), over))
+    (over || in_plane()).then(|| (on_top(prism, &pose, &body), over))
 }
 
 /// The separation along the top's own normal.

@@ -164,8 +164,8 @@ impl<R: Real> ContactPatch<'_, R> {
         }
         let n = &self.normal;
         let way = self.between + self.two.support(&-n).0 - self.one.support(n).0;
-        let aside = way - n * n.dot(&way);
-        aside.dot(&aside).lane(0) > (EVEN * self.size) * (EVEN * self.size)
+        let sideways = way - n * n.dot(&way);
+        sideways.dot(&sideways).lane(0) > (EVEN * self.size) * (EVEN * self.size)
     }
 
     /// The deepest place of those that may be it, at either core's corner or where faces and edges

@@ -148,8 +148,8 @@ impl Pairing<'_> {
                 self.one.outside(&at) <= off && self.two.outside(&there) <= off
             }
             Cause::Free => {
-                let aside = q - p - n * found.apart;
-                aside.dot(&aside) <= off * off
+                let sideways = q - p - n * found.apart;
+                sideways.dot(&sideways) <= off * off
             }
         }
     }

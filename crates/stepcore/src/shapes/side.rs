@@ -31,15 +31,15 @@ impl Pairing<'_> {
         };
         let Core::Cylinder(radius, half) = cylinder.core else { return None };
         let (axis, clear) = (cylinder.pose.axis(2), CLEAR * self.size);
-        let aside = |way: &V3<f64>| way - axis * axis.dot(way);
+        let sideways = |way: &V3<f64>| way - axis * axis.dot(way);
         // From the middle of the cylinder.
         let corner = |piece: usize| self.between * sign + other.corner(piece);
         let shadow = |way: &V3<f64>| {
             self.ask();
             let piece = other.support(way).1;
-            Vertex { at: aside(&corner(piece)), pieces: [piece as u32; 2] }
+            Vertex { at: sideways(&corner(piece)), pieces: [piece as u32; 2] }
         };
-        let nearest = gjk(shadow, aside(&(rough * sign)), GAP, f64::INFINITY);
+        let nearest = gjk(shadow, sideways(&(rough * sign)), GAP, f64::INFINITY);
         let foot = nearest.point;
         if nearest.inside || foot.dot(&foot) <= clear * clear {
             return None;

@@ -144,18 +144,18 @@ impl<R: Real, const N: usize> InCone<R, N> {
         let xi: [R; N] = from_fn(|i| -along[i]);
         let free = times(&axes.v, &from_fn(|i| xi[i] * axes.inv_d[i]));
         let inside = across(&free).le(free[0]);
-        let live = open.and(inside.not());
-        if live.none() {
+        let todo = open.and(inside.not());
+        if todo.none() {
             return free;
         }
-        select::<R, N>(inside, free, Self::surface(axes, &xi, live))
+        select::<R, N>(inside, free, Self::surface(axes, &xi, todo))
     }
 
     /// The minimiser on the surface: with N = |y_t|, for ξₙ ≥ 0 solved for κ in
     /// κ − dₙ + ξₙ/N(κ) = 0, for ξₙ < 0 for 1/κ in the same equation over κ. Both are increasing
     /// and concave in their unknown, and negative at 0, so Newton from there never overshoots.
     #[inline(always)]
-    fn surface(axes: &Axes<R, N>, xi: &[R; N], mut live: R::Mask) -> [R; N] {
+    fn surface(axes: &Axes<R, N>, xi: &[R; N], mut todo: R::Mask) -> [R; N] {
         let (zero, one, d) = (R::zero(), R::one(), &axes.d);
         let up = xi[0].ge(zero);
         let r = xi[0].abs();
@@ -177,11 +177,11 @@ impl<R: Real, const N: usize> InCone<R, N> {
             let value = a * x - rest + r * inv;
             let slope = a + r * inv * inv * inv * bend;
             let next = x - value / slope;
-            live = live.and(next.gt(x));
-            if live.none() {
+            todo = todo.and(next.gt(x));
+            if todo.none() {
                 break;
             }
-            x = R::select(live, next, x);
+            x = R::select(todo, next, x);
         }
         let k = pick(one, x);
         let mut y: [R; N] = from_fn(|i| k * xi[i] * (f[i] + g[i] * x).recip_or_zero());
@@ -336,8 +336,8 @@ impl<R: Real, const N: usize> InBall<R, N> {
         let y: [R; N] = from_fn(|i| -g[i] * inv_d[i]);
         let inside = length(&y).le(bound);
         let free = times(v, &y);
-        let mut live = mask.and(inside.not());
-        if live.none() {
+        let mut todo = mask.and(inside.not());
+        if todo.none() {
             return free;
         }
         // |x| ≥ |g| / (d_max + m) bounds m from below.
@@ -352,11 +352,11 @@ impl<R: Real, const N: usize> InBall<R, N> {
             }
             let step = (length2.sqrt() / bound - R::one()) * length2 * slope.recip_or_zero();
             let next = m + step;
-            live = live.and(next.gt(m));
-            if live.none() {
+            todo = todo.and(next.gt(m));
+            if todo.none() {
                 break;
             }
-            m = R::select(live, next, m);
+            m = R::select(todo, next, m);
         }
         let p: [R; N] = from_fn(|i| -g[i] * (d[i] + m).recip_or_zero());
         // On the rim exactly.

@@ -225,7 +225,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// In the lanes of `open` an iteration goes on with the impulses of its beginning.
-    pub(crate) fn recall(&mut self, open: R::Mask) {
+    pub(crate) fn begin_again(&mut self, open: R::Mask) {
         for (x, begun) in self.direct.x.iter_mut().zip(&self.direct.begun) {
             *x = R::select(open, *begun, *x);
         }

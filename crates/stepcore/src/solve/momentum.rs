@@ -241,7 +241,7 @@ impl<R: Real> Momentum<R> {
     }
 
     /// After a sweep that made f fall by −`gain`: the best step along the remembered
-    /// moves, in lanes of `live`.
+    /// moves, in lanes of `todo`.
     pub fn step(
         &mut self,
         dof_lists: &[usize],
@@ -249,12 +249,12 @@ impl<R: Real> Momentum<R> {
         rows: &mut Rows<R>,
         blocks: &[usize],
         gain: R,
-        live: R::Mask,
+        todo: R::Mask,
     ) {
         let noise = self.measure(rows, blocks, gain);
         let step = self.best(noise);
-        let change = self.propose(dof_lists, inv_d, rows, blocks, &step, live);
-        let keep = live.and(change.le(R::zero()));
+        let change = self.propose(dof_lists, inv_d, rows, blocks, &step, todo);
+        let keep = todo.and(change.le(R::zero()));
         let zero = R::zero();
         let own = self.commit(rows, blocks, keep);
         // ∇f·e at the end of e is Δf + ½ eᵀ(A + C)e.
@@ -353,7 +353,7 @@ impl<R: Real> Momentum<R> {
         rows: &mut Rows<R>,
         blocks: &[usize],
         step: &Step<R>,
-        live: R::Mask,
+        todo: R::Mask,
     ) -> R {
         let (Rows { rows, blocks: all, y, u, .. }, tau) = (rows, &step.tau);
         for ((k, old), p) in self.dofs.iter().zip(&self.after.u).zip(&self.moves.u) {
@@ -364,13 +364,13 @@ impl<R: Real> Momentum<R> {
         // Along the moves f falls by half its slope, as every quadratic.
         let fall = R::of(0.5) * along(tau, &self.slopes);
         let change = R::select(step.linear, fall, R::zero());
-        let mask = live;
+        let mask = todo;
         let mut landing = Landing { dof_lists, inv_d, y, u, linear: step.linear, mask, change };
         let mut start = 0;
         for block in blocks.iter().map(|b| &all[*b]) {
             let own = start..start + block.rows.len;
             start = own.end;
-            landing.mask = block.mask.and(live);
+            landing.mask = block.mask.and(todo);
             let rows = rows[block.rows.range()].iter();
             let old = self.after.impulse[own.clone()].iter();
             let old = old.zip(&self.moves.impulse[own.clone()]);

@@ -77,7 +77,7 @@ pub struct Newton<R: Real> {
 struct Primal<'a, R: Real> {
     free: Unconstrained<'a, R>,
     limits: Limits,
-    live: R::Mask,
+    todo: R::Mask,
 }
 
 room!(Newton<R>: islands, patterns, own, workers, queue, active_set, by_lane);
@@ -139,31 +139,31 @@ impl<R: Real> Newton<R> {
             if present.none() {
                 continue;
             }
-            let few = ActiveSet::fits(rows, &own.present).and(single.not());
+            let fits = ActiveSet::fits(rows, &own.present).and(single.not());
             let mut poor = R::Mask::of(false);
-            if few.any() {
+            if fits.any() {
                 let island = Island { dof_lists, inv_d, guess, blocks: &own.present };
-                poor = active_set.solve(island, rows, few, &mut report);
+                poor = active_set.solve(island, rows, fits, &mut report);
             }
-            let live = present.and(few.not().or(poor));
-            if live.none() {
+            let todo = present.and(fits.not().or(poor));
+            if todo.none() {
                 continue;
             }
-            own.keep_where(live, rows);
+            own.keep_where(todo, rows);
             if pool.is_some() {
                 queue.push(island);
                 continue;
             }
-            if !R::ALONE && by_lane::so_few(live) {
+            if !R::ALONE && by_lane::so_few(todo) {
                 if let Some(by_lane) = by_lane {
-                    let left = Primal { free, limits, live };
+                    let left = Primal { free, limits, todo };
                     by_lane.solve_island(left, (island, &own.present), rows, &mut report);
                     continue;
                 }
             }
             let pattern = inside(&mut patterns[island]);
-            own.solve(task, (island, pattern), rows, live, &mut report);
-            own.write(pattern, rows, live);
+            own.solve(task, (island, pattern), rows, todo, &mut report);
+            own.write(pattern, rows, todo);
         }
         if R::ALONE {
             if let Some(pool) = pool {
@@ -178,7 +178,7 @@ impl<R: Real> Newton<R> {
     /// Solves rows that all belong to one island, by the primal method.
     fn primal(
         &mut self,
-        Primal { free, limits, live }: Primal<R>,
+        Primal { free, limits, todo }: Primal<R>,
         island: usize,
         rows: &mut Rows<R>,
         report: &mut Report<R>,
@@ -190,8 +190,8 @@ impl<R: Real> Newton<R> {
         own.present.clear();
         own.present.extend(0..rows.blocks.len());
         let pattern = inside(&mut patterns[island]);
-        own.solve(Task { free, limits, islands }, (island, pattern), rows, live, report);
-        own.write(pattern, rows, live);
+        own.solve(Task { free, limits, islands }, (island, pattern), rows, todo, report);
+        own.write(pattern, rows, todo);
     }
 }
 

@@ -87,14 +87,14 @@ impl<R: Real> Pgs<R> {
         let (mut report, mut prepared): (Report<R>, bool) = (Report::new(), false);
         for island in 0..islands.count() {
             let blocks = islands.of(island);
-            let mut live = alive(rows, blocks);
+            let mut todo = alive(rows, blocks);
             // One update is all that is asked, or all that it takes.
             if limits.exact || limits.sweeps == 1 {
                 let single = rows.solve_one_row(free, blocks, limits.solves_one, &mut report);
-                report.open = report.open.or(live.and(single).and(R::Mask::of(!limits.exact)));
-                live = live.and(single.not());
+                report.open = report.open.or(todo.and(single).and(R::Mask::of(!limits.exact)));
+                todo = todo.and(single.not());
             }
-            if live.none() {
+            if todo.none() {
                 continue;
             }
             if !std::mem::replace(&mut prepared, true) {
@@ -120,39 +120,39 @@ impl<R: Real> Pgs<R> {
             let plain = momentum.is_none();
             let mut interrupted = false;
             for sweep in 0..limits.sweeps {
-                if live.none() {
+                if todo.none() {
                     break;
                 }
                 let order = momentum.as_mut().map_or(blocks, |momentum| momentum.order(sweep));
                 let swept = if measured {
-                    sweeps.sweep::<true>(dof_lists, inv_d, rows, order, live)
+                    sweeps.sweep::<true>(dof_lists, inv_d, rows, order, todo)
                 } else {
-                    sweeps.sweep::<false>(dof_lists, inv_d, rows, order, live)
+                    sweeps.sweep::<false>(dof_lists, inv_d, rows, order, todo)
                 };
-                done.add(live, 1);
-                report.updates.add_each(live, &count);
+                done.add(todo, 1);
+                report.updates.add_each(todo, &count);
                 if let Some(floor) = floor {
-                    live = live.and(swept.gain.abs().lt(floor).not());
+                    todo = todo.and(swept.gain.abs().lt(floor).not());
                 }
-                if live.none() {
+                if todo.none() {
                     break;
                 }
                 if let Some(momentum) = &mut momentum {
-                    momentum.step(dof_lists, inv_d, rows, blocks, swept.gain, live);
+                    momentum.step(dof_lists, inv_d, rows, blocks, swept.gain, todo);
                 }
-                let close = live.and(swept.change.le(tolerance)).and(judged);
+                let close = todo.and(swept.change.le(tolerance)).and(judged);
                 if close.any() {
                     if plain {
                         sweeps.store(rows, blocks);
                     }
                     let residual = rows.residual_of(dof_lists, blocks);
-                    live = live.and(close.and(residual.le(tolerance)).not());
+                    todo = todo.and(close.and(residual.le(tolerance)).not());
                 }
                 if ends_after(sweep) {
-                    (interrupted, live) = (true, R::Mask::of(false));
+                    (interrupted, todo) = (true, R::Mask::of(false));
                 }
                 // Whatever sweep is the last one ends within the sets.
-                if live.any() && sweep + 1 < limits.sweeps {
+                if todo.any() && sweep + 1 < limits.sweeps {
                     sweeps.go_on();
                 }
             }
@@ -164,9 +164,9 @@ impl<R: Real> Pgs<R> {
                 sweeps.store(rows, blocks);
             }
             report.sweeps.raise(&done);
-            report.open = report.open.or(live);
-            if live.any() {
-                open.push((island, live));
+            report.open = report.open.or(todo);
+            if todo.any() {
+                open.push((island, todo));
             }
         }
         report

@@ -57,20 +57,20 @@ impl<R: Real> Proximal<R> {
         Self { convex: Rows::bare(0), of: Vec::new(), best: Vec::new() }
     }
 
-    /// Solves the blocks of one island in the lanes `live`; returns those that it left unsolved.
+    /// Solves the blocks of one island in the lanes `mine`; returns those that it left unsolved.
     pub fn solve(
         &mut self,
         (newton, limits): (&mut Newton<R>, Limits),
         free: Unconstrained<R>,
         rows: &mut Rows<R>,
         (blocks, weight): (&[usize], &[R]),
-        live: R::Mask,
+        mine: R::Mask,
         report: &mut Report<R>,
     ) -> R::Mask {
-        let few: R::Mask = row_count(rows, blocks).at_most(MOST);
-        let (mut todo, large) = (live.and(few), live.and(few.not()));
+        let small: R::Mask = row_count(rows, blocks).at_most(MOST);
+        let (mut todo, large) = (mine.and(small), mine.and(small.not()));
         if todo.none() {
-            return live;
+            return mine;
         }
         self.take(free, rows, blocks, todo);
         let mut least = rows.residual_of(free.dof_lists, blocks);
@@ -82,7 +82,7 @@ impl<R: Real> Proximal<R> {
             let Ok(done) = newton.solve(free, &mut self.convex, within) else { break };
             report.updates.add_each(todo, &done.updates);
             self.give(rows, todo);
-            settle(free, rows, blocks, todo);
+            follow(free, rows, blocks, todo);
             let residual = rows.residual_of(free.dof_lists, blocks);
             let better = todo.and(residual.lt(least));
             self.keep(rows, blocks, better);
@@ -94,14 +94,14 @@ impl<R: Real> Proximal<R> {
                 break;
             }
         }
-        self.restore(rows, blocks, live.and(few));
-        settle(free, rows, blocks, live.and(few));
+        self.restore(rows, blocks, mine.and(small));
+        follow(free, rows, blocks, mine.and(small));
         let enough = reachable(free.dof_lists, rows, weight, blocks, limits);
-        large.or(live.and(few).and(least.le(enough).not()))
+        large.or(mine.and(small).and(least.le(enough).not()))
     }
 
     /// The convex problem's rows: their y, and impulses to begin with.
-    fn take(&mut self, free: Unconstrained<R>, rows: &Rows<R>, blocks: &[usize], live: R::Mask) {
+    fn take(&mut self, free: Unconstrained<R>, rows: &Rows<R>, blocks: &[usize], mine: R::Mask) {
         let convex = &mut self.convex;
         convex.clear();
         convex.u.clear();
@@ -109,7 +109,7 @@ impl<R: Real> Proximal<R> {
         self.of.clear();
         for at in blocks {
             let block = &rows.blocks[*at];
-            let mask = block.mask.and(live);
+            let mask = block.mask.and(mine);
             if mask.none() {
                 continue;
             }
@@ -221,10 +221,10 @@ impl<R: Real> Proximal<R> {
         }
     }
 
-    fn restore(&self, rows: &mut Rows<R>, blocks: &[usize], live: R::Mask) {
+    fn restore(&self, rows: &mut Rows<R>, blocks: &[usize], mine: R::Mask) {
         let mut best = self.best.iter();
         for block in blocks.iter().map(|at| &rows.blocks[*at]) {
-            let mask = block.mask.and(live);
+            let mask = block.mask.and(mine);
             for (row, best) in rows.rows[block.rows.range()].iter_mut().zip(best.by_ref()) {
                 row.impulse = R::select(mask, *best, row.impulse);
             }
@@ -272,17 +272,17 @@ fn corners<R: Real>(
 }
 
 /// Makes u what it is by the impulses of an island in some lanes, from û.
-fn settle<R: Real>(free: Unconstrained<R>, rows: &mut Rows<R>, blocks: &[usize], live: R::Mask) {
+fn follow<R: Real>(free: Unconstrained<R>, rows: &mut Rows<R>, blocks: &[usize], mine: R::Mask) {
     let Unconstrained { dof_lists, inv_d, guess } = free;
     let Rows { rows, blocks: all, y, u, .. } = rows;
     for block in blocks.iter().map(|at| &all[*at]) {
-        let mask = block.mask.and(live);
+        let mask = block.mask.and(mine);
         for k in rows[block.rows.range()].iter().flat_map(|row| row.dofs.of(dof_lists)) {
             u[*k] = R::select(mask, guess[*k], u[*k]);
         }
     }
     for block in blocks.iter().map(|at| &all[*at]) {
-        let mask = block.mask.and(live);
+        let mask = block.mask.and(mine);
         for row in &rows[block.rows.range()] {
             let dofs = row.dofs.of(dof_lists);
             let own = &y[row.y..row.y + dofs.len()];

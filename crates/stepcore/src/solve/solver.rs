@@ -93,10 +93,10 @@ impl<R: Real> Solvers<R> {
         }
         let Self { pgs, newton, proximal } = self;
         let mut left = R::Mask::of(false);
-        for (island, live) in &pgs.open {
+        for (island, todo) in &pgs.open {
             let island = (pgs.blocks_of(*island), pgs.weight());
             let by = (&mut *newton, limits);
-            left = left.or(proximal.solve(by, free, rows, island, *live, &mut report));
+            left = left.or(proximal.solve(by, free, rows, island, *todo, &mut report));
         }
         report.open = left;
         report

@@ -60,9 +60,9 @@ impl<R: Real, const N: usize> Square<R, N> {
             from_fn(|i| R::select(self.q[i][i].gt(zero), x[i].clamp(-bound, bound), zero));
         // Every way is let go at first; those that lead outwards come back at once.
         let mut held = [R::Mask::of(false); N];
-        let mut live = mask.and(bound.gt(zero));
+        let mut todo = mask.and(bound.gt(zero));
         for _ in 0..STEPS {
-            if live.none() {
+            if todo.none() {
                 break;
             }
             let aim = self.on_face(g, &x, &held);
@@ -79,11 +79,11 @@ impl<R: Real, const N: usize> Square<R, N> {
             let whole = share.ge(one);
             for i in 0..N {
                 let end = R::select(aim[i].lt(zero), -bound, bound);
-                let ends = live.and(whole.not()).and(stop[i].le(share));
+                let ends = todo.and(whole.not()).and(stop[i].le(share));
                 let way = R::select(whole, aim[i], x[i] + share * (aim[i] - x[i]));
                 let way = way.clamp(-bound, bound);
                 let new = R::select(ends, end, way);
-                x[i] = R::select(live.and(held[i].not()), new, x[i]);
+                x[i] = R::select(todo.and(held[i].not()), new, x[i]);
                 held[i] = held[i].or(ends);
             }
             // At the face's minimiser: the way that leads most inwards.
@@ -96,8 +96,8 @@ impl<R: Real, const N: usize> Square<R, N> {
                 inwards[i] = R::select(held[i].and(real), towards * per_root, zero);
                 worst = worst.max(inwards[i]);
             }
-            live = live.and(whole.and(worst.le(zero)).not());
-            let free = live.and(whole);
+            todo = todo.and(whole.and(worst.le(zero)).not());
+            let free = todo.and(whole);
             for i in 0..N {
                 let leaves = free.and(inwards[i].ge(worst)).and(inwards[i].gt(zero));
                 held[i] = held[i].and(leaves.not());

@@ -112,29 +112,29 @@ impl<R: Real, const N: usize> Table<R, N> {
         report: &mut Report<R>,
     ) -> R::Mask {
         self.take(island, own, rows);
-        let (mut live, mut count) = (R::Mask::of(false), Count::ZERO);
+        let (mut todo, mut count) = (R::Mask::of(false), Count::ZERO);
         for mask in &self.masks[..self.n] {
-            live = live.or(*mask);
+            todo = todo.or(*mask);
             count.add(*mask, 1);
         }
         let (mut done, mut unsolved) = (Count::ZERO, R::Mask::of(false));
         self.slacks();
-        self.classify(live);
+        self.classify(todo);
         for _ in 0..GUESSES {
-            if live.none() {
+            if todo.none() {
                 break;
             }
-            done.add(live, 1);
-            report.updates.add_each(live, &count);
-            let (moved, poor) = self.step(live);
+            done.add(todo, 1);
+            report.updates.add_each(todo, &count);
+            let (moved, poor) = self.step(todo);
             unsolved = unsolved.or(poor);
-            live = live.and(poor.not());
+            todo = todo.and(poor.not());
             self.slacks();
-            let changed = self.classify(live);
-            live = live.and(changed).and(moved);
+            let changed = self.classify(todo);
+            todo = todo.and(changed).and(moved);
         }
         report.sweeps.raise(&done);
-        let unsolved = unsolved.or(live);
+        let unsolved = unsolved.or(todo);
         self.give(own, rows, mine.and(unsolved.not()));
         unsolved
     }
@@ -245,10 +245,10 @@ impl<R: Real, const N: usize> Table<R, N> {
     }
 
     /// Which rows are free, from λ − w/s; lanes in which that is new.
-    fn classify(&mut self, live: R::Mask) -> R::Mask {
+    fn classify(&mut self, todo: R::Mask) -> R::Mask {
         let mut changed = R::Mask::of(false);
         for i in 0..self.n.min(N) {
-            let mask = self.masks[i].and(live);
+            let mask = self.masks[i].and(todo);
             // A free row's w is rounding: its impulse alone says where it belongs.
             let pull = R::select(self.free[i], R::zero(), self.w[i] * self.inv_s[i]);
             let aim = self.impulse[i] - pull;
@@ -265,15 +265,15 @@ impl<R: Real, const N: usize> Table<R, N> {
 
     /// Solves for the free rows, the others at their bounds; lanes in which λ moved
     /// by more than rounding, and lanes in which the system was too poor to solve.
-    fn step(&mut self, live: R::Mask) -> (R::Mask, R::Mask) {
+    fn step(&mut self, todo: R::Mask) -> (R::Mask, R::Mask) {
         self.pose();
-        let poor = self.eliminate().and(live);
+        let poor = self.eliminate().and(todo);
         let zero = R::zero();
         let (mut most, mut moved) = (zero, zero);
         for i in 0..self.n.min(N) {
             let bound = R::select(self.masks[i], self.bound(i), zero);
             let x = R::select(self.free[i], self.x[i], bound);
-            let mask = live.and(self.masks[i]).and(poor.not());
+            let mask = todo.and(self.masks[i]).and(poor.not());
             // By what it does to the velocity along its row: of one that next to nothing moves an
             // impulse may be 1e14 times that of the others.
             let effect = self.a[i][i];

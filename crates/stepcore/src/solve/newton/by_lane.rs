@@ -27,8 +27,8 @@ pub(super) struct ByLane<R: Real> {
 room!(ByLane<R>: newton, rows, inv_d, guess, blocks);
 
 /// So few lanes that each is solved by itself.
-pub(super) fn so_few<M: Mask>(live: M) -> bool {
-    (0..M::LANES).filter(|lane| live.lane(*lane)).count() < AS_LONG
+pub(super) fn so_few<M: Mask>(todo: M) -> bool {
+    (0..M::LANES).filter(|lane| todo.lane(*lane)).count() < AS_LONG
 }
 
 impl<R: Real> ByLane<R> {
@@ -62,21 +62,21 @@ impl<R: Real> ByLane<R> {
         Ok(report)
     }
 
-    /// Solves an island, of which there are these blocks, in the lanes `live`.
+    /// Solves an island, of which there are these blocks, in the lanes `todo`.
     pub fn solve_island(
         &mut self,
-        Primal { free, limits, live }: Primal<R>,
+        Primal { free, limits, todo }: Primal<R>,
         (island, blocks): (usize, &[usize]),
         rows: &mut Rows<R>,
         report: &mut Report<R>,
     ) {
         let dof_lists = free.dof_lists;
-        for lane in (0..R::LANES).filter(|lane| live.lane(*lane)) {
+        for lane in (0..R::LANES).filter(|lane| todo.lane(*lane)) {
             self.take(lane, free, rows, blocks.iter().copied());
             let Self { newton, rows: own, inv_d, guess, .. } = self;
             let free = Unconstrained { dof_lists, inv_d, guess };
             let mut done = Report::new();
-            newton.primal(Primal { free, limits, live: true }, island, own, &mut done);
+            newton.primal(Primal { free, limits, todo: true }, island, own, &mut done);
             self.give(lane, rows);
             note(report, lane, &done);
         }

@@ -281,7 +281,7 @@ impl<R: Real> Columns<R> {
             let (block, rest) = below.split_at_mut(size * width);
             below = rest;
             if size == FREE && width == FREE {
-                settle::<R, FREE>(block, square, inverse);
+                divide_block::<R, FREE>(block, square, inverse);
                 continue;
             }
             for b in 0..size {
@@ -410,7 +410,7 @@ fn take<R: Real, const N: usize>(target: &mut [R], source: &[R], scaled: &[R]) {
 
 /// block ← D⁻¹ L⁻¹ block, with the factors of the diagonal block.
 #[inline(always)]
-fn settle<R: Real, const N: usize>(block: &mut [R], square: &[R], inverse: &[R]) {
+fn divide_block<R: Real, const N: usize>(block: &mut [R], square: &[R], inverse: &[R]) {
     let square: &[R] = &square[..N * N];
     let block: &mut [R] = &mut block[..N * N];
     let mut lines = [[R::zero(); N]; N];

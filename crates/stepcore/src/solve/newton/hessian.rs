@@ -23,17 +23,17 @@ pub(super) struct Hessian<R: Real> {
     added: Added<R>,
 }
 
-/// What is added to a bundle's part of the matrix: Σ y · bentᵀ, symmetric as a whole.
+/// What is added to a bundle's part of the matrix: Σ y · (s″ y)ᵀ, symmetric as a whole.
 struct Added<R: Real> {
     /// By row: where its y begin in the bundle's, and in which lanes it counts.
     rows: Vec<(usize, R::Mask)>,
     /// By row: s″ y, in `stride` numbers, of which those beyond the dofs mean nothing.
-    bent: Vec<R>,
+    wy: Vec<R>,
     stride: usize,
 }
 
 room!(Hessian<R>: entries, curve, factors, inverse, stale, added);
-room!(Added<R>: rows, bent, stride);
+room!(Added<R>: rows, wy, stride);
 
 impl<R: Real> Hessian<R> {
     pub fn new() -> Self {
@@ -43,7 +43,7 @@ impl<R: Real> Hessian<R> {
             factors: Vec::new(),
             inverse: Vec::new(),
             stale: Vec::new(),
-            added: Added { rows: Vec::new(), bent: Vec::new(), stride: 0 },
+            added: Added { rows: Vec::new(), wy: Vec::new(), stride: 0 },
         }
     }
 
@@ -202,8 +202,8 @@ impl<R: Real> Added<R> {
         self.stride = bundle.dofs.len.next_multiple_of(WIDE);
         self.rows.clear();
         let most = bundle.rows.len * self.stride;
-        if self.bent.len() < most {
-            self.bent.resize(most, R::zero());
+        if self.wy.len() < most {
+            self.wy.resize(most, R::zero());
         }
     }
 
@@ -221,10 +221,10 @@ impl<R: Real> Added<R> {
             for (i, (old, new)) in old.iter().zip(new).enumerate() {
                 if changed((old, new)).any() {
                     let (y, stride) = (&own.0[i * own.1..], own.1);
-                    let bent = &mut self.bent[self.rows.len() * self.stride..][..self.stride];
+                    let wy = &mut self.wy[self.rows.len() * self.stride..][..self.stride];
                     let bend = *new - *old;
-                    let parts = bent.chunks_exact_mut(WIDE).zip(y[..stride].chunks(WIDE));
-                    parts.for_each(|(bent, y)| scale(bend, y, bent));
+                    let parts = wy.chunks_exact_mut(WIDE).zip(y[..stride].chunks(WIDE));
+                    parts.for_each(|(wy, y)| scale(bend, y, wy));
                     self.rows.push((first + i * stride, mask[i]));
                 }
             }
@@ -234,20 +234,20 @@ impl<R: Real> Added<R> {
         if some.fold(R::Mask::of(false), |some, new| some.or(new)).none() {
             return;
         }
-        let bent = &mut self.bent[self.rows.len() * self.stride..];
+        let wy = &mut self.wy[self.rows.len() * self.stride..];
         match mask.len() {
-            PLANAR => bend_cone::<R, PLANAR>((old, new), own, (bent, self.stride)),
-            NARROW => bend_cone::<R, NARROW>((old, new), own, (bent, self.stride)),
-            SPINNING => bend_cone::<R, SPINNING>((old, new), own, (bent, self.stride)),
-            CONE => bend_cone::<R, CONE>((old, new), own, (bent, self.stride)),
-            _ => bend_some((old, new), own, (bent, self.stride)),
+            PLANAR => bend_cone::<R, PLANAR>((old, new), own, (wy, self.stride)),
+            NARROW => bend_cone::<R, NARROW>((old, new), own, (wy, self.stride)),
+            SPINNING => bend_cone::<R, SPINNING>((old, new), own, (wy, self.stride)),
+            CONE => bend_cone::<R, CONE>((old, new), own, (wy, self.stride)),
+            _ => bend_some((old, new), own, (wy, self.stride)),
         }
         for (i, mask) in mask.iter().enumerate() {
             self.rows.push((first + i * own.1, *mask));
         }
     }
 
-    /// Adds N lines of Σ y · bentᵀ from line `at` on, up to the diagonal, one row after the
+    /// Adds N lines of Σ y · (s″ y)ᵀ from line `at` on, up to the diagonal, one row after the
     /// other: so a sum is the same however rows are bundled.
     #[inline(never)]
     fn add_lines<const N: usize>(
@@ -308,11 +308,11 @@ impl<R: Real> Added<R> {
         at: usize,
         from: usize,
     ) {
-        for ((row, mask), bent) in self.rows.iter().zip(self.bent.chunks_exact(self.stride)) {
-            let (left, bent) = (&y[row + at..][..N], &bent[from..][..WIDE]);
+        for ((row, mask), wy) in self.rows.iter().zip(self.wy.chunks_exact(self.stride)) {
+            let (left, wy) = (&y[row + at..][..N], &wy[from..][..WIDE]);
             for line in 0..N {
                 for i in 0..WIDE {
-                    let new = sums[line][i] + left[line] * bent[i];
+                    let new = sums[line][i] + left[line] * wy[i];
                     sums[line][i] =
                         if R::ALONE { new } else { R::select(*mask, new, sums[line][i]) };
                 }
@@ -364,12 +364,12 @@ fn scale<R: Real>(by: R, y: &[R], out: &mut [R]) {
     out.iter_mut().zip(y).for_each(|(out, y)| *out = by * *y);
 }
 
-/// bent = (new − old) y of a cone of N rows, whose numbers stand `stride` apart.
+/// wy = (new − old) y of a cone of N rows, whose numbers stand `stride` apart.
 #[inline(never)]
 fn bend_cone<R: Real, const N: usize>(
     (old, new): (&[R], &[R]),
     (y, stride): (&[R], usize),
-    (bent, apart): (&mut [R], usize),
+    (wy, apart): (&mut [R], usize),
 ) {
     let (old, new) = (&old[..N * N], &new[..N * N]);
     let mut bend = [[R::zero(); N]; N];
@@ -390,13 +390,13 @@ fn bend_cone<R: Real, const N: usize>(
             }
         }
         for i in 0..N {
-            bent[i * apart + at..][..WIDE].copy_from_slice(&sums[i]);
+            wy[i * apart + at..][..WIDE].copy_from_slice(&sums[i]);
         }
     }
     for at in whole..stride {
         for i in 0..N {
             let sum = (0..N).fold(R::zero(), |sum, j| sum + bend[i][j] * y[j * stride + at]);
-            bent[i * apart + at] = sum;
+            wy[i * apart + at] = sum;
         }
     }
 }
@@ -405,15 +405,15 @@ fn bend_cone<R: Real, const N: usize>(
 fn bend_some<R: Real>(
     (old, new): (&[R], &[R]),
     (y, stride): (&[R], usize),
-    (bent, apart): (&mut [R], usize),
+    (wy, apart): (&mut [R], usize),
 ) {
     let rows = old.len().isqrt();
-    for (i, bent) in bent.chunks_mut(apart).take(rows).enumerate() {
-        bent.fill(R::zero());
+    for (i, wy) in wy.chunks_mut(apart).take(rows).enumerate() {
+        wy.fill(R::zero());
         for j in 0..rows {
             let bend = new[i * rows + j] - old[i * rows + j];
-            for (bent, y) in bent.iter_mut().zip(&y[j * stride..][..stride]) {
-                *bent += bend * *y;
+            for (wy, y) in wy.iter_mut().zip(&y[j * stride..][..stride]) {
+                *wy += bend * *y;
             }
         }
     }

@@ -15,10 +15,10 @@ use crate::solve::rows::{Row, Set};
 
 impl<R: Real> System<R> {
     /// With the laws at u at hand: impulses, curvature and gradient in the zones of the impulses that
-    /// rows start from, in lanes of `live`. Lanes in which that is another zone for some row.
-    pub(super) fn take_last_zones(&mut self, problem: Problem<R>, live: R::Mask) -> R::Mask {
+    /// rows start from, in lanes of `todo`. Lanes in which that is another zone for some row.
+    pub(super) fn take_last_zones(&mut self, problem: Problem<R>, todo: R::Mask) -> R::Mask {
         let Problem { rows, blocks, bundles, .. } = problem;
-        let (mut recalled, mut at, mut curve) = (R::Mask::of(false), 0, 0);
+        let (mut other_zones, mut at, mut curve) = (R::Mask::of(false), 0, 0);
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
             let own = &rows.rows[block.rows.range()];
             let (row, bend) = (at..at + own.len(), curve..curve + block.curves());
@@ -28,24 +28,24 @@ impl<R: Real> System<R> {
             }
             let pressed = |row: &Row<R>| row.impulse.abs().gt(R::zero());
             let pressed = own.iter().fold(R::Mask::of(false), |some, row| some.or(pressed(row)));
-            let live = live.and(block.mask).and(pressed);
+            let todo = todo.and(block.mask).and(pressed);
             let numbers = self.curve[bend].iter_mut().zip(&mut self.impulse[row.clone()]);
             let given = self.w[row.clone()].iter().zip(&bundles.inv_c[row]);
             for ((row, (curve, impulse)), (w, inv_c)) in own.iter().zip(numbers).zip(given) {
                 let active = row.impulse.gt(row.lo).and(row.impulse.lt(row.hi));
                 let bend = R::select(active, *inv_c, R::zero());
                 let same = bend.le(*curve).and(bend.ge(*curve));
-                let other = live.and(same.not());
+                let other = todo.and(same.not());
                 let new = R::select(active, -*w * *inv_c, row.impulse);
                 *curve = R::select(other, bend, *curve);
                 *impulse = R::select(other, new, *impulse);
-                recalled = recalled.or(other);
+                other_zones = other_zones.or(other);
             }
         }
-        if recalled.any() {
+        if other_zones.any() {
             self.changed.fill(true);
             self.slope(problem);
         }
-        recalled
+        other_zones
     }
 }

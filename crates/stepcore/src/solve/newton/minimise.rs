@@ -35,7 +35,7 @@ impl<R: Real> System<R> {
     pub fn minimise(
         &mut self,
         problem: Problem<R>,
-        (mut live, mut begun): (R::Mask, Option<(R, R)>),
+        (mut todo, mut begun): (R::Mask, Option<(R, R)>),
         limits: Limits,
         Scale { lightest, least_gain, rows }: Scale<R>,
         report: &mut Report<R>,
@@ -52,32 +52,32 @@ impl<R: Real> System<R> {
             let slope = if let Some(begun) = begun.take() {
                 begun
             } else {
-                let changed = self.laws(problem.bundles, live);
+                let changed = self.laws(problem.bundles, todo);
                 self.fresh = self.fresh.and(changed.not());
                 let exact = full.and(changed.not());
-                self.decrement = R::select(live.and(exact), zero, self.decrement);
-                live = live.and(exact.not());
-                if live.none() {
+                self.decrement = R::select(todo.and(exact), zero, self.decrement);
+                todo = todo.and(exact.not());
+                if todo.none() {
                     break;
                 }
                 self.slope(problem)
             };
             let (size, moved) = slope;
             // What is no number any more, as where a run explodes, no iteration makes one.
-            live = live.and(size.lt(R::of(f64::INFINITY)));
+            todo = todo.and(size.lt(R::of(f64::INFINITY)));
             // |g| in D⁻¹ bounds the residual's energy, and the step that is left.
             let floor = moved + self.scale;
             let part = |x: R| (x * floor.recip_or_zero()).max(zero).sqrt();
-            self.decrement = R::select(live, part(size), self.decrement);
-            live = live.and(size.le(bound.max(tiny(1.0) * moved)).not());
-            if live.none() {
+            self.decrement = R::select(todo, part(size), self.decrement);
+            todo = todo.and(size.le(bound.max(tiny(1.0) * moved)).not());
+            if todo.none() {
                 break;
             }
             let first = iteration == 0;
-            let recalled =
-                if first { self.take_last_zones(problem, live) } else { R::Mask::of(false) };
+            let guessed =
+                if first { self.take_last_zones(problem, todo) } else { R::Mask::of(false) };
             self.direction(problem);
-            self.fresh = self.fresh.or(live);
+            self.fresh = self.fresh.or(todo);
             let (mut fall, mut length) = (zero, zero);
             for ((g, p), d) in self.gradient.iter().zip(&self.step).zip(&self.d) {
                 fall -= *g * *p;
@@ -85,40 +85,40 @@ impl<R: Real> System<R> {
             }
             // Among cones Newton may close in slowly: only what no longer falls is rounding.
             let stuck = fall.ge(last).and(fall.lt(R::of(STAGNANT) * R::of(R::epsilon()) * floor));
-            let small = length.le(tiny(ROUNDING) * floor).and(recalled.not());
+            let small = length.le(tiny(ROUNDING) * floor).and(guessed.not());
             problem.dots(&self.step, &mut self.rate, &mut self.local);
             self.line_up(problem.bundles);
-            let mut down = live;
-            if recalled.any() {
-                // The gradient at hand is that of the recalled zones.
+            let mut down = todo;
+            if guessed.any() {
+                // The gradient at hand is that of the guessed zones.
                 let slope = self.energy_along().0 + self.bend_at(problem.bundles, zero).0;
-                fall = R::select(recalled, -slope, fall);
-                down = live.and(recalled.and(fall.le(zero)).not());
+                fall = R::select(guessed, -slope, fall);
+                down = todo.and(guessed.and(fall.le(zero)).not());
             }
             let alpha = self.search(problem.bundles, fall, down.and(small.not()));
             let alpha = R::select(down, alpha, zero);
-            self.advance(alpha, live);
+            self.advance(alpha, todo);
             self.moved = true;
             // The slope falls from `fall` to about 0.
             let gain = R::of(0.5) * alpha * fall;
-            let little = gain.lt(least_gain).and(least_gain.gt(zero)).and(recalled.not());
+            let little = gain.lt(least_gain).and(least_gain.gt(zero)).and(guessed.not());
             let end = small.or(stuck).or(little);
-            full = live.and(alpha.ge(R::one())).and(alpha.le(R::one()));
-            done.add(live, 1);
-            report.updates.add_each(live, &rows);
-            self.decrement = R::select(live, part(fall), self.decrement);
-            self.floor = R::select(live, floor, self.floor);
-            last = R::select(live.and(recalled.not()), fall, last);
-            live = live.and(end.not());
+            full = todo.and(alpha.ge(R::one())).and(alpha.le(R::one()));
+            done.add(todo, 1);
+            report.updates.add_each(todo, &rows);
+            self.decrement = R::select(todo, part(fall), self.decrement);
+            self.floor = R::select(todo, floor, self.floor);
+            last = R::select(todo.and(guessed.not()), fall, last);
+            todo = todo.and(end.not());
             if ends_after_iteration(iteration) {
                 report.interrupted = true;
                 break;
             }
         }
         // An unfinished lane has nothing to refine.
-        self.fresh = self.fresh.and(live.not());
+        self.fresh = self.fresh.and(todo.not());
         report.sweeps.raise(&done);
-        live
+        todo
     }
 
     /// g = D(u − û) − Σ yλ; |g|² in D⁻¹, and |u − û|² in D.
@@ -167,10 +167,10 @@ impl<R: Real> System<R> {
     ///
     /// The slope is increasing (the cost is convex) and piecewise almost linear:
     /// Newton's method on it, kept within a bracket.
-    fn search(&mut self, bundles: &Bundles<R>, fall: R, mut live: R::Mask) -> R {
+    fn search(&mut self, bundles: &Bundles<R>, fall: R, mut todo: R::Mask) -> R {
         let (zero, one) = (R::zero(), R::one());
         let mut alpha = one;
-        if live.none() {
+        if todo.none() {
             return alpha;
         }
         let (first, second) = self.energy_along();
@@ -178,18 +178,18 @@ impl<R: Real> System<R> {
         for _ in 0..TRIALS {
             let (slope, curve) = self.bend_at(bundles, alpha);
             let (slope, curve) = (slope + first + alpha * second, curve + second);
-            live = live.and(slope.abs().le(R::of(FLAT) * fall).not());
-            if live.none() {
+            todo = todo.and(slope.abs().le(R::of(FLAT) * fall).not());
+            if todo.none() {
                 break;
             }
             let up = slope.lt(zero);
-            lo = R::select(live.and(up), alpha, lo);
-            hi = R::select(live.and(up.not()), alpha, hi);
+            lo = R::select(todo.and(up), alpha, lo);
+            hi = R::select(todo.and(up.not()), alpha, hi);
             let newton = alpha - slope / curve;
             let within = newton.gt(lo).and(newton.lt(hi));
             let split = R::select(hi.lt(R::of(f64::INFINITY)), R::of(0.5) * (lo + hi), lo + lo);
             let next = R::select(within, newton, split);
-            alpha = R::select(live, next, alpha);
+            alpha = R::select(todo, next, alpha);
         }
         alpha
     }
@@ -205,12 +205,12 @@ impl<R: Real> System<R> {
     }
 
     /// Goes α steps on.
-    pub(super) fn advance(&mut self, alpha: R, live: R::Mask) {
+    pub(super) fn advance(&mut self, alpha: R, todo: R::Mask) {
         for (u, p) in self.u.iter_mut().zip(&self.step) {
-            *u = R::select(live, *u + alpha * *p, *u);
+            *u = R::select(todo, *u + alpha * *p, *u);
         }
         for (w, rate) in self.w.iter_mut().zip(&self.rate) {
-            *w = R::select(live, *w + alpha * *rate, *w);
+            *w = R::select(todo, *w + alpha * *rate, *w);
         }
     }
 

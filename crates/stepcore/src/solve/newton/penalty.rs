@@ -128,9 +128,9 @@ impl<R: Real> Line<R> {
         let inv = length.recip_or_zero();
         let lengthens = turn * inv;
         let (f, rate) = (normal + m * length, speed + m * lengthens);
-        let bent = m * (c - lengthens * lengthens) * inv;
+        let turning = m * (c - lengthens * lengthens) * inv;
         let slope = R::select(inside, normal * speed + turn, first * f * rate);
-        let curve = R::select(inside, speed * speed + c, first * (rate * rate + f * bent));
+        let curve = R::select(inside, speed * speed + c, first * (rate * rate + f * turning));
         let none = |x: R| R::select(outside, R::zero(), x * inv_c);
         (none(slope), none(curve))
     }

@@ -37,7 +37,7 @@ impl<R: Real> System<R> {
 
     /// The same refined, and the u that they make. `open`: lanes that iterations left unfinished,
     /// which keep Newton's u: that of its impulses may be farther off than the start, as laws are stiff.
-    pub fn settle(&mut self, problem: Problem<R>, open: R::Mask, limits: Limits) {
+    pub fn polish(&mut self, problem: Problem<R>, open: R::Mask, limits: Limits) {
         self.follow_laws(problem.bundles);
         let kept = self.cancelled(problem).or(open);
         self.follow(problem, kept);
@@ -133,11 +133,11 @@ impl<R: Real> System<R> {
         let v = &self.w[own.clone()];
         let mut new: [R; CONE] = padded(&self.impulse[own.clone()]);
         for (i, curve) in run.curve.of(&self.curve).chunks_exact(own.len()).enumerate() {
-            let mut bent = curve[0] * v[0];
+            let mut taken = curve[0] * v[0];
             for (curve, v) in curve.iter().zip(v).skip(1) {
-                bent += *curve * *v;
+                taken += *curve * *v;
             }
-            new[i] += self.rate[run.rows.start + i] - bent;
+            new[i] += self.rate[run.rows.start + i] - taken;
         }
         let new = project_some(mu, new, own.len());
         for (x, new) in self.impulse[own].iter_mut().zip(new) {

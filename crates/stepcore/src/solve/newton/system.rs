@@ -84,7 +84,7 @@ impl<R: Real> System<R> {
         &mut self,
         problem: Problem<R>,
         (inv_d, guess, u): (&[R], &[R], &[R]),
-        live: R::Mask,
+        todo: R::Mask,
     ) -> Option<(R, R)> {
         self.make_room(problem, (inv_d, guess, u));
         if !R::ALONE {
@@ -95,14 +95,14 @@ impl<R: Real> System<R> {
         if self.u == self.guess {
             return None;
         }
-        self.laws(problem.bundles, live);
+        self.laws(problem.bundles, todo);
         let begun = self.slope(problem);
         let mut fall = R::zero();
         for (k, step) in self.step.iter_mut().enumerate() {
             *step = self.guess[k] - self.u[k];
             fall -= self.gradient[k] * *step;
         }
-        let down = live.and(fall.gt(R::zero()));
+        let down = todo.and(fall.gt(R::zero()));
         if down.none() {
             return Some(begun);
         }
@@ -114,11 +114,11 @@ impl<R: Real> System<R> {
         let half = R::of(0.5);
         let (first, second) = self.energy_along();
         let slope = first + half * second + self.bend_at(problem.bundles, half).0;
-        let onward = down.and(slope.lt(R::zero()));
-        if onward.none() {
+        let falls_on = down.and(slope.lt(R::zero()));
+        if falls_on.none() {
             return Some(begun);
         }
-        self.advance(R::one(), onward);
+        self.advance(R::one(), falls_on);
         None
     }
 

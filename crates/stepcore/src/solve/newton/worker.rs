@@ -78,10 +78,10 @@ impl<R: Real> Worker<R> {
         }));
     }
 
-    /// Leaves out what no lane of `live` has: the others are solved already.
-    pub fn keep_where(&mut self, live: R::Mask, rows: &Rows<R>) {
+    /// Leaves out what no lane of `todo` has: the others are solved already.
+    pub fn keep_where(&mut self, todo: R::Mask, rows: &Rows<R>) {
         if !R::ALONE {
-            self.present.retain(|b| rows.blocks[*b].mask.and(live).any());
+            self.present.retain(|b| rows.blocks[*b].mask.and(todo).any());
         }
     }
 
@@ -132,7 +132,7 @@ impl<R: Real> Worker<R> {
         task: Task<R>,
         (island, pattern): (usize, &mut Pattern),
         rows: &Rows<R>,
-        live: R::Mask,
+        todo: R::Mask,
         report: &mut Report<R>,
     ) -> R::Mask {
         let Task { free, limits, .. } = task;
@@ -147,26 +147,26 @@ impl<R: Real> Worker<R> {
         pattern.fit(free.dof_lists, heap, bundles.dofs(), class);
         let problem = Problem { pattern, bundles, rows, blocks: present };
         let first = if rows.start.is_empty() { &rows.u } else { &rows.start };
-        let begun = system.start(problem, (free.inv_d, free.guess, first), live);
+        let begun = system.start(problem, (free.inv_d, free.guess, first), todo);
         let scale = Scale {
             lightest: lightest(present, rows),
             least_gain: R::of(limits.cost) * inertia,
             rows: row_count(rows, present),
         };
-        let open = system.minimise(problem, (live, begun), limits, scale, report);
+        let open = system.minimise(problem, (todo, begun), limits, scale, report);
         if limits.cost > 0.0 {
             system.follow_laws(problem.bundles);
         } else {
-            system.settle(problem, open, limits);
+            system.polish(problem, open, limits);
         }
         report.open = report.open.or(open);
-        report.decrement = report.decrement.max(R::select(live, system.decrement, R::zero()));
+        report.decrement = report.decrement.max(R::select(todo, system.decrement, R::zero()));
         open
     }
 
     /// Writes the island's impulses and velocities down.
-    pub fn write(&self, pattern: &Pattern, rows: &mut Rows<R>, live: R::Mask) {
-        write(rows, live, (&self.present, &self.system.impulse), (pattern.dofs(), &self.system.u));
+    pub fn write(&self, pattern: &Pattern, rows: &mut Rows<R>, todo: R::Mask) {
+        write(rows, todo, (&self.present, &self.system.impulse), (pattern.dofs(), &self.system.u));
     }
 
     /// Keeps them for later.
@@ -180,18 +180,18 @@ impl<R: Real> Worker<R> {
 
 fn write<R: Real>(
     rows: &mut Rows<R>,
-    live: R::Mask,
+    todo: R::Mask,
     (blocks, impulses): (&[usize], &[R]),
     (dofs, u): (&[usize], &[R]),
 ) {
     let mut impulses = impulses.iter();
     for block in blocks.iter().map(|b| &rows.blocks[*b]) {
         for (row, new) in rows.rows[block.rows.range()].iter_mut().zip(impulses.by_ref()) {
-            row.impulse = R::select(block.mask.and(live), *new, row.impulse);
+            row.impulse = R::select(block.mask.and(todo), *new, row.impulse);
         }
     }
     for (k, u) in dofs.iter().zip(u) {
-        rows.u[*k] = R::select(live, *u, rows.u[*k]);
+        rows.u[*k] = R::select(todo, *u, rows.u[*k]);
     }
 }
 
@@ -215,7 +215,7 @@ pub(super) fn share<R: Real>(
     rows: &mut Rows<R>,
     report: &mut Report<R>,
 ) {
-    let live = R::Mask::of(true);
+    let todo = R::Mask::of(true);
     workers.resize_with(pool.threads(), || Mutex::new(Worker::new()));
     let next = AtomicUsize::new(0);
     let (shared, places) = (&*rows, &*workers);
@@ -227,14 +227,14 @@ pub(super) fn share<R: Real>(
             let Some(island) = queue.get(at) else { break };
             let pattern = &mut *lock(&patterns[*island]);
             worker.take(task.islands.of(*island), shared);
-            worker.solve(task, (*island, pattern), shared, live, &mut own);
+            worker.solve(task, (*island, pattern), shared, todo, &mut own);
             worker.keep(pattern);
         }
         worker.solved.report = own;
     });
     for worker in workers {
         let Solved { blocks, impulses, dofs, u, report: own } = &mut inside(worker).solved;
-        write(rows, live, (blocks, impulses), (dofs, u));
+        write(rows, todo, (blocks, impulses), (dofs, u));
         report.join(own);
         blocks.clear();
         impulses.clear();

@@ -80,7 +80,7 @@ impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
     }
 
     /// Q between the ways of a round Coulomb cone, times x.
-    pub fn bent(&self, tie: Tie, x: &[R; W]) -> [R; W] {
+    pub fn curved(&self, tie: Tie, x: &[R; W]) -> [R; W] {
         match tie {
             Tie::Disc(at) => times(&self.disc[at as usize].q, x),
             _ => [R::zero(); W],

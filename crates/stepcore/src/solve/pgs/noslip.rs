@@ -37,16 +37,16 @@ pub(crate) struct Noslip<R: Real> {
     cones: Narrow<R>,
     wide: Wide<R>,
     /// By island: lanes in which sweeps go on, and how much one changes what they minimise.
-    live: Vec<R::Mask>,
+    todo: Vec<R::Mask>,
     gain: Vec<R>,
 }
 
-room!(Noslip<R>: list, cones, wide, live, gain);
+room!(Noslip<R>: list, cones, wide, todo, gain);
 
 impl<R: Real> Noslip<R> {
     pub fn new() -> Self {
         let (cones, wide) = (Cones::new(), Cones::new());
-        Self { list: Vec::new(), cones, wide, live: Vec::new(), gain: Vec::new() }
+        Self { list: Vec::new(), cones, wide, todo: Vec::new(), gain: Vec::new() }
     }
 
     /// Sweeps over the friction rows, from the impulses that the rows hold; `rows.u` must hold their
@@ -64,7 +64,7 @@ impl<R: Real> Noslip<R> {
         rows.main.clear();
         rows.main.extend(rows.rows.iter().map(|row| row.impulse));
         self.prepare(free, rows);
-        let Self { list, cones, wide, live, gain } = self;
+        let Self { list, cones, wide, todo, gain } = self;
         let Rows { rows, blocks, y, u, inertia, .. } = rows;
         for sweep in 0..sweeps {
             if ends_after(sweep) {
@@ -72,7 +72,7 @@ impl<R: Real> Noslip<R> {
             }
             for (at, friction) in list.iter() {
                 let block = &blocks[*at];
-                let mask = block.mask.and(live[block.island]);
+                let mask = block.mask.and(todo[block.island]);
                 if mask.none() {
                     continue;
                 }
@@ -91,8 +91,8 @@ impl<R: Real> Noslip<R> {
                 }
             }
             if cost > 0.0 {
-                for ((live, gain), inertia) in live.iter_mut().zip(&mut *gain).zip(&*inertia) {
-                    *live = live.and((*gain + R::of(cost) * *inertia).gt(R::zero()).not());
+                for ((todo, gain), inertia) in todo.iter_mut().zip(&mut *gain).zip(&*inertia) {
+                    *todo = todo.and((*gain + R::of(cost) * *inertia).gt(R::zero()).not());
                     *gain = R::zero();
                 }
             }
@@ -101,13 +101,13 @@ impl<R: Real> Noslip<R> {
     }
 
     fn prepare(&mut self, free: Unconstrained<R>, rows: &Rows<R>) {
-        let Self { list, cones, wide, live, gain } = self;
+        let Self { list, cones, wide, todo, gain } = self;
         list.clear();
         cones.clear();
         wide.clear();
         let islands = rows.blocks.iter().map(|block| block.island + 1).max().unwrap_or(0);
-        live.clear();
-        live.resize(islands, R::Mask::of(true));
+        todo.clear();
+        todo.resize(islands, R::Mask::of(true));
         gain.clear();
         gain.resize(islands, R::zero());
         for (at, block) in rows.blocks.iter().enumerate().filter(|(_, block)| block.mask.any()) {
@@ -231,7 +231,7 @@ impl<R: Real> Hard<'_, R> {
         for (i, row) in ways.iter_mut().enumerate() {
             change[i] = self.set(row, solved[i]);
         }
-        let bent = cones.bent(tie, &change);
-        self.note(gain_in_cone(R::zero(), &change, &slope, &bent));
+        let curved = cones.curved(tie, &change);
+        self.note(gain_in_cone(R::zero(), &change, &slope, &curved));
     }
 }

@@ -192,8 +192,8 @@ impl<R: Real> Packed<R> {
             change[i] = R::select(to.mask, solution[i] - self.point.impulse[i], zero);
         }
         let f = [change[0], change[1], change[2]];
-        let bent = |q: &[R; NARROW]| times(q, &change);
-        let gain = if GAIN { gain_in_cone(zero, &f, &w, &q.each_ref().map(bent)) } else { zero };
+        let curved = |q: &[R; NARROW]| times(q, &change);
+        let gain = if GAIN { gain_in_cone(zero, &f, &w, &q.each_ref().map(curved)) } else { zero };
         self.finish(change, f, gain, to)
     }
 

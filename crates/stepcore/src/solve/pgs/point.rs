@@ -117,9 +117,9 @@ pub(super) fn gain<N: Numbers>(s: N, change: N, short: N) -> N {
 
 /// The same of a cone, by its slope and what its curvature makes of the change; added to `sum`.
 #[inline(always)]
-pub(super) fn gain_in_cone<R: Real>(sum: R, change: &[R], slope: &[R], bent: &[R]) -> R {
-    let each = change.iter().zip(slope.iter().zip(bent));
-    each.fold(sum, |sum, (x, (slope, bent))| sum + *x * (*slope + R::of(0.5) * *bent))
+pub(super) fn gain_in_cone<R: Real>(sum: R, change: &[R], slope: &[R], curved: &[R]) -> R {
+    let each = change.iter().zip(slope.iter().zip(curved));
+    each.fold(sum, |sum, (x, (slope, curved))| sum + *x * (*slope + R::of(0.5) * *curved))
 }
 
 impl<N: Numbers> Point<N> {

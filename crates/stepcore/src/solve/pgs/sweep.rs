@@ -194,7 +194,7 @@ impl<R: Real> Sweeps<R> {
         inv_d: &[R],
         rows: &mut Rows<R>,
         list: &[usize],
-        live: R::Mask,
+        todo: R::Mask,
     ) -> Swept<R> {
         if R::ALONE && self.joined {
             return self.side_by_side.sweep();
@@ -205,7 +205,7 @@ impl<R: Real> Sweeps<R> {
             let how = self.how[*at];
             if let How::Packed(place) = how {
                 let packed = &mut self.packed[place as usize];
-                let mask = packed.mask.and(live);
+                let mask = packed.mask.and(todo);
                 if mask.none() {
                     continue;
                 }
@@ -219,7 +219,7 @@ impl<R: Real> Sweeps<R> {
                 continue;
             }
             let block = &blocks[*at];
-            let mask = block.mask.and(live);
+            let mask = block.mask.and(todo);
             if mask.none() {
                 continue;
             }

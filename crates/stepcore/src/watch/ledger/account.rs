@@ -1,10 +1,10 @@
 //! The account of one world: what its energy is, and what a passive scene could have.
 //!
 //! E is kinetic energy, springs and gravity; W what motors and applied forces put in. E − W
-//! can only fall, but for what bent rows give back: |λ|/dt·|r| at most, the force of a
+//! can only fall, but for what violated rows give back: |λ|/dt·|r| at most, the force of a
 //! row through the whole of its violation. So E − W never rises above its least value so far,
-//! bent rows counted there and not now. An integrator's own error rises with the energy
-//! that circulates, and so does what it may be: `scale`, the most that moved or was bent
+//! violated rows counted there and not now. An integrator's own error rises with the energy
+//! that circulates, and so does what it may be: `scale`, the most that moved or was stored
 //! without being a gain itself. No number here has a unit of its own.
 
 use crate::real::Real;
@@ -15,8 +15,8 @@ pub(crate) struct Level {
     /// Kinetic, and of joint springs: never below zero.
     pub moving: f64,
     pub gravity: f64,
-    /// The most that rows bent at this state give back.
-    pub bent: f64,
+    /// The most that rows violated at this state give back.
+    pub held: f64,
     /// The size of the numbers that were summed, for rounding.
     pub size: f64,
     /// What rows may give in a step that are solved to the tolerance asked for, and no better.
@@ -28,7 +28,7 @@ pub(crate) struct Level {
 pub(crate) struct Account {
     /// Work of motors and applied forces since the account was opened [J].
     pub paid: f64,
-    /// Least E − W so far, bent rows counted [J].
+    /// Least E − W so far, violated rows counted [J].
     least: f64,
     /// Energy that circulated [J].
     pub scale: f64,
@@ -55,8 +55,8 @@ impl Account {
     pub fn open(level: &Level, allowed: f64) -> Self {
         Self {
             paid: 0.0,
-            least: level.moving + level.gravity + level.bent,
-            scale: level.moving + level.bent,
+            least: level.moving + level.gravity + level.held,
+            scale: level.moving + level.held,
             allowed,
             throughput: 0.0,
             unsolved: 0.0,
@@ -70,16 +70,16 @@ impl Account {
         self.throughput += work.abs();
         let free = level.moving + level.gravity - self.paid;
         let gained = free - self.least;
-        // What bent rows hold may be gained as well.
-        let unearned = (free + level.bent - self.least).max(0.0);
+        // What violated rows hold may be gained as well.
+        let unearned = (free + level.held - self.least).max(0.0);
         let earned = if unearned > 0.0 {
-            // moving + bent − unearned, but for rounding
+            // moving + held − unearned, but for rounding
             self.least + self.paid - level.gravity
         } else {
-            level.moving + level.bent
+            level.moving + level.held
         };
         self.scale = self.scale.max(earned);
-        self.least = self.least.min(free + level.bent);
+        self.least = self.least.min(free + level.held);
         // A world at rest has nothing that circulates, and rounding all the same; forces that
         // hold each other then move it by what the solver leaves.
         let rounding = NEGLIGIBLE.max(1024.0 * R::epsilon()) * (level.size + self.throughput);
@@ -106,7 +106,7 @@ mod tests {
 
     /// A ball of energy `e` [J] above its floor, so much of it moving.
     fn ball(e: f64, share: f64) -> Level {
-        Level { moving: e * share, gravity: e * (1.0 - share), bent: 0.0, size: e, unsolved: 0.0 }
+        Level { moving: e * share, gravity: e * (1.0 - share), held: 0.0, size: e, unsolved: 0.0 }
     }
 
     /// Looked at anywhere in its flight, at the top of it too, where nothing moves.
@@ -143,7 +143,7 @@ mod tests {
             let level = Level {
                 moving: 0.5,
                 gravity: f64::from(n),
-                bent: 0.0,
+                held: 0.0,
                 size: f64::from(n),
                 unsolved: 0.0,
             };

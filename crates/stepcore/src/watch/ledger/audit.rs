@@ -64,7 +64,7 @@ impl<R: Real> Sim<R> {
             *level = Level {
                 moving: moving.lane(lane),
                 gravity: gravity.lane(lane),
-                bent: blocks().map(|block| self.bent(block, lane)).sum(),
+                held: blocks().map(|block| self.given_back(block, lane)).sum(),
                 size: moving.lane(lane) + size.lane(lane),
                 unsolved: pushed * self.settings.tolerance,
             };
@@ -80,7 +80,7 @@ impl<R: Real> Sim<R> {
 
     /// What a block's rows give back at most: their force through the whole violation [J]. A row
     /// that nothing moves gives nothing, whatever its load.
-    fn bent(&self, block: &Block<R>, lane: usize) -> f64 {
+    fn given_back(&self, block: &Block<R>, lane: usize) -> f64 {
         let rows = self.rows.rows[block.rows.range()].iter();
         let held = rows.filter(|row| row.a.lane(lane) > 0.0).map(|row| {
             let gap = row.gap.lane(lane);
