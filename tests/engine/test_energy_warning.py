@@ -156,6 +156,14 @@ def test_an_explosion_is_told_once_and_changes_nothing():
     assert watched.energy.total / 50.0 == pytest.approx(1.25**1000, rel=1e-9)
 
 
+def test_the_warning_points_to_the_call_of_step():
+    sim = sc.Sim(sc.lesson.spring(), dt=0.25, integrator="semi-implicit")
+    sim.reset("start")
+    with pytest.warns(sc.EnergyWarning) as said:
+        sim.step(64)
+    assert said[0].filename == __file__
+
+
 @pytest.mark.parametrize(
     ("go", "when"), [("step", 64), ("steps", 64), ("run", 40), ("balance", 40)]
 )

@@ -88,7 +88,7 @@ class FinerRun:
     def _step(self, n: int) -> None:
         self.meet()
         try:
-            self.of._step(n)
+            self.of._call(self.of._core.step, n)
         except (SimulationError, KeyboardInterrupt):
             self._fail()
             raise

@@ -102,10 +102,8 @@ class Sim(World):
         """
         if self._finer is not None:
             self._finer.step(n)
-        else:
-            self._step(n)
-
-    def _step(self, n: int) -> None:
+            return
+        # As `_call`, with a frame less: a small model's step takes no longer than these.
         try:
             self._core.step(n)
         except SimulationError as error:
