@@ -225,6 +225,11 @@ impl Worlds for Auto {
         self.fixed = self.fixed || outcome.is_err();
         outcome
     }
+    fn go_to_last_stage(&mut self) -> Result<()> {
+        let outcome = self.now.go_to_last_stage();
+        self.fixed = self.fixed || outcome.is_err();
+        outcome
+    }
     fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()> {
         let mut from = from;
         self.advance(n as u64, |worlds, n| {

@@ -228,6 +228,16 @@ impl Sim {
         gil::release(py, || world.forward())
     }
 
+    /// Puts qpos and qvel where a step from here evaluates its forces last.
+    fn go_to_last_stage(&self, py: Python<'_>) -> PyResult<()> {
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        self.load(py, world)?;
+        let outcome = gil::release(py, || world.go_to_last_stage());
+        self.store(py, world);
+        outcome
+    }
+
     #[getter]
     fn time(&self) -> PyResult<f64> {
         Ok(self.lock()?.time())

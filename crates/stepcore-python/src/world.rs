@@ -102,6 +102,8 @@ pub trait World: Send {
     /// A call of so many steps ends: balances the ledger if they are enough.
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
+    /// Puts the state where a step from here evaluates its forces last.
+    fn go_to_last_stage(&mut self) -> Result<()>;
     /// What is to be said of energies, once; see `Watched::take_warning`.
     fn take_warning(&mut self) -> Option<String>;
     /// Energies are not looked at, but by the ledger of the settings.
@@ -279,6 +281,11 @@ impl<R: Real> World for One<R> {
         self.last.solved();
         let outcome = self.watched.forward();
         self.noted(outcome)
+    }
+    fn go_to_last_stage(&mut self) -> Result<()> {
+        let outcome = self.watched.go_to_last_stage();
+        self.unsolved();
+        outcome
     }
     fn take_warning(&mut self) -> Option<String> {
         self.watched.take_warning()

@@ -34,6 +34,7 @@ pub trait Worlds: Send + Sync {
     fn store(&self, array: Array, numbers: &mut [f64]);
     fn step(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
+    fn go_to_last_stage(&mut self) -> Result<()>;
     fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()>;
     /// The error of a world that failed while the others went on.
     fn failed(&self, world: usize) -> Option<&Error>;
@@ -192,6 +193,9 @@ impl<R: Real> Worlds for Batch<R> {
     }
     fn forward(&mut self) -> Result<()> {
         Batch::forward(self)
+    }
+    fn go_to_last_stage(&mut self) -> Result<()> {
+        Batch::go_to_last_stage(self)
     }
     fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()> {
         Batch::follow(self, motion, from, n)

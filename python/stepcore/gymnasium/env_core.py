@@ -16,7 +16,6 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.gymnasium.moment import Moment, Readings, Streams, TaskState
-from stepcore.gymnasium.mujoco_late_arrays import go_to_last_stage
 from stepcore.gymnasium.task import Task
 
 # What tells of the last solve; the other arrays are of the present state.
@@ -237,7 +236,9 @@ class EnvCore:
         source.qfrc_applied, source.xfrc_applied = world.qfrc_applied, world.xfrc_applied
         failed = False
         try:
-            go_to_last_stage(source, world.qpos, world.qvel)
+            source.qpos, source.qvel = world.qpos, world.qvel
+            source._core.go_to_last_stage()
+            source.forward()
         except SimulationError:
             failed = True
         # A world that failed can be read then, and does not fail again.

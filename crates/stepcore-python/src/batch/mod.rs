@@ -143,6 +143,16 @@ impl Batch {
         gil::release(py, || worlds.forward())
     }
 
+    /// Puts qpos and qvel where a step from here evaluates its forces last.
+    fn go_to_last_stage(&self, py: Python<'_>) -> PyResult<()> {
+        let mut guard = self.lock()?;
+        let worlds = &mut **guard;
+        self.load(py, worlds)?;
+        let outcome = gil::release(py, || worlds.go_to_last_stage());
+        self.store(py, worlds);
+        outcome
+    }
+
     /// Steps with controls (n, steps, nu); returns qpos, qvel and act after every step.
     #[pyo3(signature = (ctrl, told = None))]
     fn rollout<'py>(

@@ -388,12 +388,27 @@ impl<R: Real> Batch<R> {
 
     /// Place, detect and solve in every world. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
+        self.evaluate(Last::Forward, Watched::forward)
+    }
+
+    /// Puts every world where its step evaluates its forces last.
+    pub fn go_to_last_stage(&mut self) -> Result<()> {
+        let outcome = self.evaluate(Last::Nothing, Watched::go_to_last_stage);
+        self.unsolved();
+        outcome
+    }
+
+    fn evaluate(
+        &mut self,
+        last: Last,
+        evaluate: impl Fn(&mut Watched<R>) -> Result<()> + Sync,
+    ) -> Result<()> {
         let Self { workers, groups, layout, goes_on, .. } = self;
         workers.share(groups, 1, |workspace, index, group| {
-            let forward = |_, watched: &mut Watched<R>| watched.forward();
+            let one = |_, watched: &mut Watched<R>| evaluate(watched);
             let watched = workspace.space(layout.kind(index));
             let none = |_, _: &mut Watched<R>| Ok(());
-            group.run(watched, layout.worlds(index), 1, Last::Forward, *goes_on, forward, none)
+            group.run(watched, layout.worlds(index), 1, last, *goes_on, one, none)
         });
         first_failure(groups, layout).map_or(Ok(()), |(_, error)| Err(error))
     }

@@ -133,6 +133,11 @@ impl<R: Real> Watched<R> {
         outcome
     }
 
+    /// See `Sim::go_to_last_stage`.
+    pub fn go_to_last_stage(&mut self) -> Result<()> {
+        self.sim.go_to_last_stage().map_err(|error| self.explained(error))
+    }
+
     /// At the end of a call of `n` steps, in however many portions these were made: balances
     /// the ledger if the call was long, or it never was balanced. Nothing that can be read
     /// changes.
