@@ -70,24 +70,6 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Puts the state where a step from here evaluates its forces last: under `rk4` at its fourth stage,
-    /// in lanes in which that is finite.
-    pub(crate) fn go_to_last_stage(&mut self) -> Result<()> {
-        if self.plan.scheme.stages != Stages::Four {
-            return Ok(());
-        }
-        self.wake_where_off();
-        self.set_dt(self.period);
-        self.integrate(&mut ())?;
-        let (state, trial) = (&mut self.state, &self.next.trial);
-        let finite = all_finite(&trial.qpos).and(all_finite(&trial.qvel));
-        let each = state.qpos.iter_mut().chain(&mut state.qvel);
-        for (own, trial) in each.zip(trial.qpos.iter().chain(&trial.qvel)) {
-            *own = R::select(finite, *trial, *own);
-        }
-        Ok(())
-    }
-
     /// What forces depend on, with the placement at hand.
     pub(crate) fn moment(&self, at: At) -> Moment<'_, R> {
         let (qpos, qvel) = at.of(&self.state, &self.next);
@@ -137,7 +119,7 @@ impl<R: Real> Sim<R> {
         if R::ALONE && self.plan.sleeps {
             self.hold_asleep();
         }
-        let before = self.model.meets().then(searched);
+        let before = searched();
         // Contacts ahead depend on velocities too.
         if !held || self.settings.ahead().is_some() {
             self.detect(at)?;
@@ -149,7 +131,7 @@ impl<R: Real> Sim<R> {
             self.placed.make_guess(self.clock.dt);
         }
         self.make_rows(at, Part::Whole);
-        self.effort.separations += before.map_or(0, |before| searched() - before);
+        self.effort.separations += searched() - before;
         self.take_pushes();
         Ok(())
     }
@@ -314,6 +296,6 @@ impl<R: Real> Sim<R> {
 }
 
 /// Lanes in which every number is finite.
-fn all_finite<R: Real>(numbers: &[R]) -> R::Mask {
+pub(crate) fn all_finite<R: Real>(numbers: &[R]) -> R::Mask {
     numbers.iter().fold(R::Mask::of(true), |finite, x| finite.and(x.is_finite()))
 }

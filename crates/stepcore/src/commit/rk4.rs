@@ -5,14 +5,15 @@
 use super::{advance, Next};
 use crate::elements::activation;
 use crate::error::Result;
-use crate::integrator::Inside;
+use crate::integrator::{Inside, Stages};
 use crate::model::Model;
 use crate::observer::Observer;
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::scene::JointType;
 use crate::sim::{At, Sim};
 use crate::solve::Choice;
 use crate::spatial::{Quat, V3};
+use crate::step::all_finite;
 
 const A: [f64; 4] = [0.0, 0.5, 0.5, 1.0];
 const B: [f64; 4] = [1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0];
@@ -23,6 +24,25 @@ impl<R: Real> Sim<R> {
         let outcome = self.stages(inside, observer);
         self.next.stage = 0;
         outcome
+    }
+
+    /// Puts the state where a step from here evaluates its forces last: under `rk4` at its fourth stage,
+    /// in lanes in which that is finite.
+    #[inline(never)]
+    pub(crate) fn go_to_last_stage(&mut self) -> Result<()> {
+        if self.plan.scheme.stages != Stages::Four {
+            return Ok(());
+        }
+        self.wake_where_off();
+        self.set_dt(self.period);
+        self.after_stages(Self::rk4, &mut ())?;
+        let (state, trial) = (&mut self.state, &self.next.trial);
+        let finite = all_finite(&trial.qpos).and(all_finite(&trial.qvel));
+        let each = state.qpos.iter_mut().chain(&mut state.qvel);
+        for (own, trial) in each.zip(trial.qpos.iter().chain(&trial.qvel)) {
+            *own = R::select(finite, *trial, *own);
+        }
+        Ok(())
     }
 
     fn stages(&mut self, inside: Inside, observer: &mut dyn Observer<R>) -> Result<()> {
