@@ -69,7 +69,7 @@ pub struct SlowCall<'a> {
 }
 
 impl Slow {
-    /// Of steps under these settings.
+    /// Under settings without an accuracy there is nothing to say.
     pub fn under(settings: &Settings) -> Self {
         Self(AtomicBool::new(settings.accuracy.0.is_none()))
     }
