@@ -1,10 +1,9 @@
-"""Pictures and videos, by MuJoCo's renderer where OpenGL works and by Mitsuba's everywhere."""
+"""Pictures and videos."""
 
 import subprocess
 
 import numpy as np
 import pytest
-from renderers import RENDERERS
 
 import stepcore as sc
 from stepcore import lesson
@@ -21,10 +20,9 @@ def ball(colour="1 0 0 1", height=1.0):
     )
 
 
-@pytest.mark.parametrize("renderer", RENDERERS)
-def test_a_red_ball_is_red_and_round(renderer):
+def test_a_red_ball_is_red_and_round():
     """It stands in the middle; its picture is as large as its angle of view says."""
-    drawn = sc.picture(ball(), renderer=renderer, far=4.0, **SMALL)
+    drawn = sc.picture(ball(), far=4.0, **SMALL)
     assert drawn.shape == (120, 160, 3) and drawn.dtype == np.uint8
     red = (drawn[..., 0] > 90) & (drawn[..., 1] < 60)
     rows, columns = np.flatnonzero(red.any(axis=1)), np.flatnonzero(red.any(axis=0))
@@ -37,14 +35,12 @@ def test_a_red_ball_is_red_and_round(renderer):
     assert len(columns) / 2 == pytest.approx(radius, abs=2)
 
 
-@pytest.mark.parametrize("renderer", RENDERERS)
-def test_a_force_is_an_arrow_to_scale(renderer):
+def test_a_force_is_an_arrow_to_scale():
     """The longest arrow is as high as its force says."""
     sim = sc.Sim(sc.load("gymnasium:half_cheetah"))
     sim.step(300)
     seen = [
-        sc.picture(sim, renderer=renderer, lift=2.0, forces=forces, width=320, height=240)
-        for forces in (True, False)
+        sc.picture(sim, lift=2.0, forces=forces, width=320, height=240) for forces in (True, False)
     ]
     changed = np.abs(np.subtract(*seen, dtype=float)).max(axis=-1) > 60
     rows = np.flatnonzero(changed.any(axis=1))
@@ -55,17 +51,14 @@ def test_a_force_is_an_arrow_to_scale(renderer):
     assert np.ptp(rows) == pytest.approx(expected, rel=0.35)
 
 
-@pytest.mark.parametrize("renderer", RENDERERS)
-def test_a_tendon_is_drawn_with_and_without_forces(renderer):
+def test_a_tendon_is_drawn_with_and_without_forces():
     text = """<mujoco><worldbody><site name="top" pos="0 0.3 1.6"/><body pos="0 0 1">
       <joint type="slide" axis="0 0 1"/><geom size="0.2" rgba="0 0 1 1"/>
       <site name="end" pos="0 0.3 0"/></body></worldbody>
       <tendon><spatial><site site="top"/><site site="end"/></spatial></tendon></mujoco>"""
     sim = sc.Sim(sc.loads(text))
     for forces in (True, False):
-        drawn = sc.picture(
-            sim, renderer=renderer, forces=forces, far=4.0, width=320, height=240
-        ).astype(int)
+        drawn = sc.picture(sim, forces=forces, far=4.0, width=320, height=240).astype(int)
         brick = (drawn[..., 0] > drawn[..., 1] + 60) & (drawn[..., 0] > drawn[..., 2] + 60)
         assert np.count_nonzero(brick.any(axis=1)) > 10
 
@@ -74,7 +67,7 @@ def test_a_picture_changes_nothing():
     sim = sc.Sim(lesson.stack())
     sim.step(10)
     before = sim.state()
-    sc.picture(sim, renderer="mitsuba", **SMALL)
+    sc.picture(sim, **SMALL)
     assert sim.state() == before
 
 
@@ -105,7 +98,6 @@ def test_a_video_is_as_long_as_the_run(tmp_path):
     [
         ({"width": 0}, "width = 0"),
         ({"height": 1e9}, "height = "),
-        ({"renderer": "povray"}, "renderer = "),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(given, said):

@@ -30,7 +30,7 @@ Example:
 }
 # stepcore and its dependency, then the packages of the extras, then packages with models.
 PACKAGES = (
-    *("stepcore", "numpy", "matplotlib", "trimesh", "viser", "mitsuba", "imageio-ffmpeg"),
+    *("stepcore", "numpy", "matplotlib", "trimesh", "viser", "imageio-ffmpeg"),
     *("pillow", "pandas", "xarray", "mcap", "pycollada", "distributed", "gymnasium", "mujoco"),
 )
 

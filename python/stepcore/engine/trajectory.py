@@ -337,7 +337,6 @@ class Trajectory:
         speed: float = 1.0,
         width: int = 640,
         height: int = 480,
-        renderer: str | None = None,
     ) -> None:
         """Write a video of the run, without a window or a graphics card.
 
@@ -345,14 +344,13 @@ class Trajectory:
         fps: pictures per second of the video, 1 to 240.
         speed: playback speed relative to simulated time.
         width, height: size of a picture [pixels], even numbers.
-        renderer: see `stepcore.picture`.
 
         The camera follows the moving bodies. Needs the extra "video". Raises ValueError for values
         outside their limits.
         """
         from stepcore.viewing.picture import save_video
 
-        save_video(self._replayed(), path, fps, speed, (width, height), renderer)
+        save_video(self._replayed(), path, fps, speed, (width, height))
 
     def _replayed(self, label: str = "") -> Replayed:
         """Solve the run again from its snapshots, for drawing.

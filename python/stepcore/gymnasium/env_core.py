@@ -370,12 +370,12 @@ class WorldCamera:
         from stepcore.viewing.camera import following, ropes
         from stepcore.viewing.drawing import drawing_of
         from stepcore.viewing.frames import poses_of
-        from stepcore.viewing.renderers import renderer_of
+        from stepcore.viewing.renderers import Renderer
 
         if self._sim is None:
             self._sim = Sim(world.model)
             self._drawing = drawing_of(world.model, self._sim)
-            self._renderer = renderer_of(self._drawing, self.width, self.height)
+            self._renderer = Renderer(self._drawing, self.width, self.height)
         for name in self._sim._arrays:
             values = world._arrays[name]
             self._sim._arrays[name][...] = values if index is None else values[index]

@@ -14,7 +14,7 @@ from stepcore.needs import need
 from stepcore.viewing.camera import LARGEST, camera_of, following, loads, ropes
 from stepcore.viewing.drawing import drawing_of
 from stepcore.viewing.frames import Replayed, instant_of
-from stepcore.viewing.renderers import renderer_of
+from stepcore.viewing.renderers import Renderer
 
 # What ffmpeg puts H.264 in.
 ENDINGS = (".mp4", ".mov", ".mkv")
@@ -30,7 +30,6 @@ def picture(
     lift: float = 20.0,
     far: float = 1.7,
     forces: bool = True,
-    renderer: str | None = None,
 ) -> NDArray[np.uint8]:
     """Draw the present state of a Sim, without a window or a graphics card.
 
@@ -39,12 +38,10 @@ def picture(
     turn, lift: azimuth and elevation of the camera [degrees].
     far: distance of the camera, in sizes of what moves.
     forces: whether contacts and their forces are drawn.
-    renderer: "mujoco" (OpenGL) or "mitsuba" (rays on the processor alone); by default MuJoCo's
-        where it works, else Mitsuba's.
 
-    Returns the picture, shape (height, width, 3). The Sim stays as it is. Needs mujoco or the
-    extra "video". Raises ValueError for sizes and names outside their limits, RuntimeError where
-    the renderer that is asked for does not work.
+    Returns the picture, shape (height, width, 3). The state of the Sim is not changed. Needs the
+    extra "video". Raises ValueError for sizes and names outside their limits, RuntimeError if
+    OpenGL does not work.
 
     >>> from stepcore import Sim, lesson, picture
     >>> picture(Sim(lesson.stack()), "stack.png", width=160, height=120).shape
@@ -59,7 +56,7 @@ def picture(
     own.restore(sim.state())
     instant, drawing = instant_of(own), drawing_of(own.model, own)
     camera = camera_of(drawing, instant, turn, lift, far)
-    made = renderer_of(drawing, width, height, renderer)
+    made = Renderer(drawing, width, height)
     try:
         newtons = drawing.weight or instant.strongest
         marks = ropes(drawing, instant) + (loads(drawing, instant, newtons) if forces else [])
@@ -77,7 +74,6 @@ def save_video(
     fps: float,
     speed: float,
     size: tuple[int, int],
-    renderer: str | None,
 ) -> None:
     """See `Trajectory.save_video`."""
     checks.real(1, high=240)("save_video", "fps", fps)
@@ -88,7 +84,7 @@ def save_video(
         if checks.whole(2, LARGEST)("save_video", field, value) % 2:
             raise checks.refuse("save_video", field, value, "an even number")
     drawing, time = run.drawing, run.time
-    made = renderer_of(drawing, *size, renderer)
+    made = Renderer(drawing, *size)
     camera = following(drawing, run.instants[0])
     newtons = drawing.weight or run.strongest
     count = max(1, round((time[-1] - time[0]) / speed * fps) + 1)
