@@ -9,10 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
-import sys
 import threading
-import traceback
-from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import (
     BrokenExecutor,
@@ -33,13 +30,11 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 # Largest number of chunks: the function with its model is sent once for each, dozens of workers
-# finish together, and little is repeated when a worker is lost. (Executors do not tell how many
-# workers they have.)
+# finish together, and little is repeated when a worker is lost. (An executor does not report its
+# number of workers.)
 MAX_CHUNKS = 512
-# How often the deadline is looked at while another executor works [s].
+# Interval between checks of the deadline while another executor works [s].
 PATIENCE = 0.1
-# Number of retries of a point whose worker was lost.
-MAX_RETRIES = 3
 
 _thread = threading.local()
 
@@ -67,8 +62,8 @@ def each(
         stands for points without a result.
     took: called with the indices of points and their results, as these come.
 
-    The first error is raised. After an error or Ctrl-C, points that have not begun are cancelled. A
-    point whose worker was lost (on a Dask cluster) is retried alone.
+    The first error is raised. After an error or Ctrl-C, points that have not begun are cancelled.
+    A lost worker is the executor's business: a Dask cluster repeats its points.
 
     Raises ValueError for work that cannot be sent to processes, RuntimeError if processes die and
     are not replaced, and OutOfTime at the deadline of this thread.
@@ -120,7 +115,6 @@ class _Chunks(Generic[T, R]):
     key: str = field(default_factory=lambda: os.urandom(8).hex())
     pending: dict[Future[list[R]], range] = field(default_factory=dict)
     finished: SimpleQueue[Future[list[R]]] = field(default_factory=SimpleQueue)
-    losses: Counter[int] = field(default_factory=Counter)
 
     def results(self) -> list[R]:
         """Return all results; on any exception, cancel the chunks that have not begun."""
@@ -130,7 +124,9 @@ class _Chunks(Generic[T, R]):
                 self._submit(range(first, min(first + self.size, total)))
             while self.pending:
                 future = self._next()
-                self._take(future, self.pending[future])
+                indices = self.pending[future]
+                self._keep(indices, future.result())
+                self.bar.advance(len(indices))
                 del self.pending[future]
         except BrokenExecutor as error:
             count = sum(map(len, self.pending.values()))
@@ -165,31 +161,12 @@ class _Chunks(Generic[T, R]):
             with contextlib.suppress(Empty):
                 return self.finished.get(timeout=PATIENCE)
 
-    def _submit(self, indices: range, attempt: int = 0) -> None:
+    def _submit(self, indices: range) -> None:
         chunk = [self.points[i] for i in indices]
         work = _run_chunk if isinstance(self.executor, ThreadPoolExecutor) else _run_sent_chunk
-        future = self.executor.submit(work, self.function, chunk, f"{self.key} {attempt}")
+        future = self.executor.submit(work, self.function, chunk, self.key)
         self.pending[future] = indices
         future.add_done_callback(self.finished.put)
-
-    def _take(self, future: Future[list[R]], indices: range) -> None:
-        try:
-            results = future.result()
-        except Exception as error:
-            if not _worker_was_lost(error):
-                raise
-            # Each point alone, so that a point that kills its worker is identified.
-            for i in indices:
-                self.losses[i] += 1
-                if self.losses[i] > MAX_RETRIES:
-                    raise RuntimeError(
-                        f"point {i} ({checks.shown(self.points[i])}) lost its worker "
-                        f"{self.losses[i]} times: {checks.one_line(error)}"
-                    ) from error
-                self._submit(range(i, i + 1), self.losses[i])
-            return
-        self._keep(indices, results)
-        self.bar.advance(len(indices))
 
 
 def _run_chunk(function: Callable[[T], R], points: Sequence[T], key: str) -> list[R]:
@@ -220,21 +197,6 @@ def checkpoint() -> None:
     stop = getattr(_thread, "stop", None)
     if stop is not None and stop.is_set():
         raise CancelledError
-
-
-def _worker_was_lost(error: Exception) -> bool:
-    """Return whether a Dask cluster lost the worker, before or while its result was fetched.
-
-    While it is fetched, Dask's executor raises a ValueError of its own when it unpacks the missing
-    answer. An error of the work itself comes from another module.
-    """
-    # Dask is no dependency, but it is imported if it raised the error.
-    dask = sys.modules.get("distributed")
-    if isinstance(error, CancelledError) or (dask and isinstance(error, dask.KilledWorker)):
-        return True
-    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
-    raised_in = frames[-1].f_globals.get("__name__") if frames else None
-    return isinstance(error, ValueError) and raised_in == "distributed.cfexecutor"
 
 
 def _check_sendable(function: Callable[[T], R], points: Sequence[T], executor: Executor) -> None:

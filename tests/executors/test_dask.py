@@ -79,19 +79,6 @@ def test_a_killed_worker_is_survived(client, tmp_path):
     assert bar.done == 200
 
 
-def test_a_result_that_is_lost_on_the_way_is_a_lost_worker():
-    """Dask's executor unpacks what it has not got; a ValueError of the user's work is no loss."""
-
-    def raised(module):
-        try:
-            exec("one, two, three = [1]", {"__name__": module})
-        except ValueError as error:
-            return error
-
-    assert jobs._worker_was_lost(raised("distributed.cfexecutor"))
-    assert not jobs._worker_was_lost(raised("somebody.else"))
-
-
 @pytest.mark.long
 def test_ten_thousand_runs_and_a_worker_killed_from_outside(client):
     """10 000 runs with SIGKILL in the middle: bit for bit what one process gives."""

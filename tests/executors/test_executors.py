@@ -6,10 +6,8 @@ import multiprocessing
 import pickle
 import threading
 import time
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
-from types import SimpleNamespace
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
-import distributed
 import numpy as np
 import pytest
 import workers
@@ -137,32 +135,6 @@ def test_after_an_error_threads_begin_no_other_point():
     with pytest.raises(ValueError, match="zero"):
         jobs.each(first_fails, range(640), bar=Progress("", 640, False), threads=2)
     assert set(called) <= {0, 1, 2}
-
-
-class Forgetful(ThreadPoolExecutor):
-    """Loses the worker of every chunk that holds more than one point, as Dask would say it."""
-
-    def submit(self, function, work, points, name):
-        if len(points) > 1 or points[0] in self.never:
-            future = Future()
-            future.set_exception(
-                distributed.KilledWorker("point", SimpleNamespace(address="gone"), 0)
-            )
-            return future
-        return super().submit(function, work, points, name)
-
-    never = ()
-
-
-def test_points_of_a_lost_worker_are_tried_again():
-    with Forgetful(2) as pool:
-        count = 2 * jobs.MAX_CHUNKS
-        bar = Progress("", count, False)
-        assert jobs.each(float, range(count), bar=bar, executor=pool) == list(range(count))
-        assert bar.done == count
-        pool.never = (7,)
-        with pytest.raises(RuntimeError, match=r"point 7 \(7\) lost its worker 4 times.* gone"):
-            jobs.each(float, range(9), bar=bar, executor=pool)
 
 
 @pytest.mark.parametrize("name", ["grasp", "stack"])
