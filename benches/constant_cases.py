@@ -190,7 +190,11 @@ CASES: dict[str, Callable[[], Any]] = {
     "predict spring": lambda: sc.predict(lesson.spring(), horizon=0.5, starts=3, **QUIET),
     "predict cheetah": lambda: sc.predict("gymnasium:half_cheetah", **SHORT),
     "map spring": lambda: sc.stability_map(
-        "lesson:spring", values=[10, 100, 1000], dts=[0.01, 0.1], **QUIET
+        "lesson:spring",
+        path="joint/spring/stiffness",
+        values=[10, 100, 1000],
+        dts=[0.01, 0.1],
+        **QUIET,
     ),
     "map servo": lambda: sc.stability_map(
         servo(), path="actuator/drive/kp", values=[500, 5000], dts=[0.002, 0.02], **QUIET

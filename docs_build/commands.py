@@ -31,8 +31,9 @@ PATIENCE = 600
 DRAWN = {
     "arm.png": "stepcore diagnose docs/arm.xml",
     "half_cheetah.png": "stepcore trade gymnasium:half_cheetah --error 10mm --mujoco",
-    "stability_spring.png": "stepcore stability-map",
-    "stability_stack.png": "stepcore stability-map lesson:stack",
+    "stability_spring.png": "stepcore stability-map lesson:spring joint/spring/stiffness "
+    "--values 1:1e6:19 --horizon 2.5 --integrator explicit --integrator semi-implicit "
+    "--integrator rk4",
 }
 
 

@@ -262,15 +262,6 @@ def test_a_plot_of_a_run(capsys, tmp_path, ball):
     assert out.partition("\n")[2] == again.partition("\n")[2], "all but the time that it took"
 
 
-def test_the_former_name_of_horizon_is_taken_and_not_shown(capsys, ball):
-    old, new = (
-        call(capsys, "run", ball, f"--{n}", "8ms", "--json") for n in ("duration", "horizon")
-    )
-    assert json.loads(old[1])["steps"] == json.loads(new[1])["steps"]
-    said = call(capsys, "run", "--help")[1]
-    assert "--horizon S" in said and "--duration" not in said
-
-
 def test_times_and_lengths_take_units(capsys, ball):
     """As --error does: 0.4 s in 2 ms are 200 steps."""
     run = call(capsys, "run", ball, "--horizon", "400ms", "--dt", "2ms", "--json")[1]

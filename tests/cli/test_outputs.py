@@ -18,7 +18,7 @@ PART = "<mujoco><option timestep='0.01'/></mujoco>"
 MESH = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 FILES = {"model.xml": MODEL, "part.xml": PART, "m.obj": MESH, "notes.txt": "mine", "k.npy": "k"}
 CONTROL = "def held(time, sim):\n    return []\n"
-SHORT = ("--duration", "0.05")
+SHORT = ("--horizon", "0.05")
 
 
 @pytest.fixture(autouse=True)
@@ -132,7 +132,7 @@ def test_a_replay_file_is_an_earlier_output_and_an_input(folder, capsys):
 
 def test_a_failure_finds_a_name_that_is_free(folder, capsys):
     (folder / "spring-step64.replay.json").write_text("mine")
-    run = ["run", "lesson:spring", "--dt", "0.205", "--duration", "100"]
+    run = ["run", "lesson:spring", "--dt", "0.205", "--horizon", "100"]
     assert main([*run, "--set", "integrator=semi-implicit"]) == 1
     assert "stepcore replay spring-step64-new.replay.json" in capsys.readouterr().err
     assert (folder / "spring-step64.replay.json").read_text() == "mine"

@@ -23,7 +23,7 @@ LAYERS = (
     ("engine",),
     # The class Scene reads, writes and compiles itself, so it stands on all three.
     ("scene.scene",),
-    ("lesson.scenes", "lesson.maps", "loading"),
+    ("lesson.scenes", "loading"),
     ("experiment",),
     ("measure",),
     ("lesson",),

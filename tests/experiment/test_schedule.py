@@ -69,7 +69,14 @@ def test_a_horizon_that_cannot_end_is_refused_up_front():
         with pytest.raises(ValueError, match=said):
             measured(spring, horizon=1e9, progress=False)
     with pytest.raises(ValueError, match=r"horizon = 2e9 s .* would take 2e11 steps"):
-        sc.stability_map(values=[10], dts=[0.01], horizon=2e9, progress=False)
+        sc.stability_map(
+            spring,
+            path="joint/spring/stiffness",
+            values=[10],
+            dts=[0.01],
+            horizon=2e9,
+            progress=False,
+        )
 
 
 def test_how_far_matter_moves_is_its_error_if_it_stood_still():

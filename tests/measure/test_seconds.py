@@ -46,6 +46,7 @@ def measurements(hinge):
         "ablate": lambda seconds: sc.ablate(hinge, **short, starts=2, seconds=seconds),
         "converge": lambda seconds: sc.converge(spring, **short, starts=1, seconds=seconds),
         "stability_map": lambda seconds: sc.stability_map(
+            spring,
             path="joint/spring/stiffness",
             values=[10, 100],
             dts=[0.01, 0.1],

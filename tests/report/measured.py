@@ -49,7 +49,12 @@ MADE = {
     "convergence": lambda: sc.converge(lesson.stack(), horizon=0.1, starts=1, states=2, **FAST),
     "predictability": lambda: sc.predict(lesson.spring(), horizon=0.5, starts=3, **FAST),
     "stability": lambda: sc.stability_map(
-        "lesson:spring", values=[10, 100], dts=[0.01, 0.1], integrators=["euler", "rk4"], **FAST
+        "lesson:spring",
+        path="joint/spring/stiffness",
+        values=[10, 100],
+        dts=[0.01, 0.1],
+        integrators=["euler", "rk4"],
+        **FAST,
     ),
     "check": lambda: sc.check(overlapping(), horizon=0.1, **FAST),
     "plan": lambda: sc.plan(lesson.drop()),

@@ -124,7 +124,7 @@ def test_a_stability_map_shows_a_panel_for_each_setting(results):
         panel.label for panel in found.panels
     ]
     assert figure.axes[0].get_ylabel() == "dt [s]"
-    assert all(axes.get_xlabel() == found.axis for axes in figure.axes)
+    assert all(axes.get_xlabel() == found.path for axes in figure.axes)
     assert names(figure) == ["accurate", "inaccurate", "exploded"]
     for axes, panel in zip(figure.axes, found.panels, strict=True):
         (mesh,) = axes.collections

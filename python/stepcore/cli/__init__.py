@@ -48,8 +48,6 @@ COMMANDS = {
 # Commands that take no second.
 QUICK = ("info", "lesson", "plan")
 HELP = {"-h", "--help", "--version"}
-# Former names of commands.
-ALIASES = {"map": "stability-map"}
 DESCRIPTION = "Rigid-body physics that measures what speed costs in accuracy."
 EPILOG = """\
 examples:
@@ -125,7 +123,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     """Return the parsed arguments; report an unknown argument with the nearest option."""
-    argv = [ALIASES.get(word, word) if word == _asked(argv) else word for word in argv]
     asked = _asked(argv)
     if watched():
         _say_what_it_does(argv)

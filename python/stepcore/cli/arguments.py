@@ -34,7 +34,7 @@ ARGUMENT = re.compile(r"(\w+(?: \[\w+\])?(?:, \w+(?: \[\w+\])?)*): (.*)")
 
 
 def documented(function: Callable[..., Any]) -> tuple[str, dict[str, str]]:
-    """Return what a docstring says of a function, and of each of its arguments."""
+    """Return the description in a docstring of a function, and of each of its arguments."""
     said, arguments = list[str](), dict[str, str]()
     described = list[str]()
     for line in (inspect.getdoc(function) or "").splitlines():
@@ -111,7 +111,7 @@ def add_options(
         (alternatives if argument in excluding else command).add_argument(*flags, **own)
 
 
-# What a field of `Motion` is, in the first words that its docstring has of it.
+# The description of each field of `Motion`: the first words of its docstring.
 WORDS = {
     name: re.split(r"[;.] [Bb]y default|, or a text|\.(?: |$)", words)[0]
     for name, words in documented(Motion)[1].items()
@@ -158,10 +158,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
 DRIVES = ("control", "ctrl", "kind", "follow")
 
 
-def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
+def add_file(command: argparse.ArgumentParser) -> None:
     """Add the argument FILE, the model of a command, and the options of loading."""
-    words = "path, package:name or lesson:name"
-    command.add_argument("file", metavar="FILE", help=words + default.pop("words", ""), **default)
+    command.add_argument("file", metavar="FILE", help="path, package:name or lesson:name")
     command.add_argument(
         "--without",
         action="append",
@@ -223,7 +222,7 @@ def motion_of(args: argparse.Namespace, model: Model | None) -> dict[str, Any]:
 def controls_of(text: str, model: Model | None) -> Any:
     """Return the controls of --ctrl as an argument of `Motion`.
 
-    model: None for a file that MuJoCo alone can load, where controls are those of a file.
+    model: None for a file that MuJoCo alone can load, whose controls come from a file.
     """
     if text in KINDS and (model is None or text not in model.actuator_names):
         raise Usage(f"--ctrl {text}: write --motion {text}")
@@ -327,7 +326,7 @@ def _imported(name: str) -> ModuleType:
     elif not file.is_file():
         raise ValueError(f"{name}: no such file")
     elif str(file.parent) not in sys.path:
-        # The file can import its neighbours, which do not stand before Python's own modules.
+        # The file can import its neighbours, but Python's modules come first.
         sys.path.append(str(file.parent))
     try:
         if not name.endswith(".py"):

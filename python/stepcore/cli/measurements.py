@@ -8,7 +8,7 @@ import inspect
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from stepcore.cli.arguments import (
@@ -21,7 +21,6 @@ from stepcore.cli.arguments import (
     documented,
     frequency,
     key_of,
-    length,
     model_of,
     motion_of,
     time,
@@ -45,9 +44,8 @@ class Measurement:
     module: of the function. example: the arguments of an example. options: see `add_options`.
     excluding: mutually exclusive options. full: the description of --all in the help. warn: whether
     to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
-    file: of the argument FILE. horizon: the default horizon in words, if it is no constant. source:
-    whether the function reads the file itself. more: further arguments of the function. done: what
-    follows a call.
+    horizon: the default horizon in words, if it is no constant. more: further arguments of the
+    function. done: an action after a call.
     """
 
     module: str
@@ -56,9 +54,7 @@ class Measurement:
     excluding: tuple[str, ...] = ()
     full: str = "print every row of the tables"
     warn: bool = True
-    file: Mapping[str, Any] = field(default_factory=dict)
     horizon: str = ""
-    source: bool = False
     more: More = lambda args, model: {}
     done: Callable[[Any, argparse.Namespace], object] = lambda result, args: None
 
@@ -79,7 +75,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
     """Add the options of a command, with the words and defaults of its function."""
     measurement, function = MEASUREMENTS[name], _function(name)
     takes = inspect.signature(function).parameters
-    add_file(command, **measurement.file)
+    add_file(command)
     add_options(command, measurement.options, function, measurement.excluding)
     if "key" in takes:
         module = sys.modules[function.__module__]
@@ -126,7 +122,7 @@ def call(args: argparse.Namespace, name: str) -> Result:
         given["seconds"] = args.seconds
     given |= measurement.more(args, model)
     # MuJoCo reads the file itself, if it is taken as it is.
-    source = measurement.source or getattr(args, "engine", "") == "mujoco"
+    source = getattr(args, "engine", "") == "mujoco"
     whole = model is None or (source and not args.without and args.fuse is not False)
     result: Result = function(args.file if whole else model, **given)
     measurement.done(result, args)
@@ -158,8 +154,8 @@ def _sim_at_key(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
 
 
 def _lists(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
-    """Return the lists of values, time steps and accuracies of a map."""
-    read: dict[str, Callable[[str], float]] = {"values": float, "dts": time, "accuracies": length}
+    """Return the lists of values and time steps of a map."""
+    read: dict[str, Callable[[str], float]] = {"values": float, "dts": time}
     given = {name: getattr(args, name) for name in read}
     return {
         name: words and numbers(f"--{name}", words, read[name]) for name, words in given.items()
@@ -242,21 +238,14 @@ MEASUREMENTS = {
         "stability",
         "lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png",
         {
-            "path": {"flags": ("path",), "metavar": "VALUE", "nargs": "?"},
+            "path": {"flags": ("path",), "metavar": "PATH"},
             "values": "LIST",
             "dts": "LIST",
-            "accuracies": "LIST",
             "integrators": {"flags": ("--integrator",), **NAMES},
-            "deviation": {"flags": ("--deviation", "--error"), "metavar": "E"},
+            "deviation": "E",
             "engine": ENGINE,
         },
-        file={
-            "nargs": "?",
-            "default": "lesson:spring",
-            "words": " (default: lesson:spring; also lesson:stack)",
-        },
         horizon="1, or 25 times the largest time step if that is longer",
-        source=True,
         more=_lists,
     ),
     "converge": Measurement(
@@ -312,7 +301,7 @@ MEASUREMENTS = {
         "ablation",
         "gymnasium:half_cheetah --error 5mm --save small.xml",
         {
-            "added": {"flags": ("--added", "--error"), "default": "1mm", "metavar": "LENGTH"},
+            "added": {"default": "1mm", "metavar": "LENGTH"},
             "further": "N",
             "engine": ENGINE,
             "save": {"metavar": "OUT.xml", "help": "write the smallest model as MJCF"},

@@ -146,7 +146,6 @@ def _add_inputs(command: argparse.ArgumentParser, horizon: float) -> None:
     fields = OPTIONS.keys() - {"key", "starts"}
     held = "the keyframe's controls, held"
     add_motion(inputs, fields, horizon=f"{horizon:g}", kind=held, control_dt="every step")
-    inputs.add_argument("--duration", type=time, dest="horizon", help=argparse.SUPPRESS)
     inputs.add_argument(
         "--push",
         action="append",

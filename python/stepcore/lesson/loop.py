@@ -52,7 +52,7 @@ class Loop:
         self.reset()
 
     def reset(self, key: str = "start") -> None:
-        """Set the positions to those of a keyframe, and the velocities to 0."""
+        """Set the positions from a keyframe, and the velocities to 0."""
         self.qpos = np.array(self.scene.key(key).qpos, dtype=float)
         self.qvel = np.zeros_like(self.qpos)
         self.qacc = np.zeros_like(self.qpos)

@@ -1,7 +1,7 @@
 """The lesson's figures: one function for each, on either engine.
 
 The argument `make` of these functions makes a Sim of a Scene, at key "start" (see `run.maker`).
-Units are those of the SI; `k` is a stiffness, `time` a simulated time, `masses` go from the floor
+Units are SI units; `k` is a stiffness, `time` a simulated time, `masses` go from the floor
 up, and `sweeps` are the solver's in each step.
 """
 
@@ -53,7 +53,7 @@ class Bounce(NamedTuple):
     deepest: the largest overlap [m].
     flight: the largest energy in flight, where the contact stores none, relative to m·g·h. A
         passive scene must not gain energy.
-    counted: the largest energy including that of the contact spring, relative to m·g·h.
+    counted: the largest energy, contact spring included, relative to m·g·h.
     rebound: the largest height after the first impact [m].
     """
 

@@ -1,7 +1,4 @@
-"""Plot of a stability map: accurate, inaccurate and exploded cells, and theory's boundary.
-
-Of a map over accuracies: the error delivered over the one asked for.
-"""
+"""Plot of a stability map: accurate, inaccurate and exploded cells, and theory's boundary."""
 
 from __future__ import annotations
 
@@ -19,8 +16,6 @@ if TYPE_CHECKING:
 ACCURATE, FINITE = "accurate", "finite"
 FILLS = {ACCURATE: "#A9D8F5", "inaccurate": ORANGE, "exploded": "#4A3B52"}
 UNJUDGED = "finite, not judged"
-# The ends of the scale of delivered over asked.
-SCALE = (1e-3, 1e1)
 
 
 def stability(result: StabilityMap) -> Any:
@@ -36,32 +31,27 @@ def stability(result: StabilityMap) -> Any:
         ax.set_visible(False)
     for k, ax in enumerate(axes.flat[:count]):
         if k + columns >= count:
-            ax.set_xlabel(result.axis)
+            ax.set_xlabel(result.path)
             ax.tick_params(labelbottom=True)
         if k % columns == 0:
-            ax.set_ylabel("asked [m]" if result.accuracies else "dt [s]")
+            ax.set_ylabel("dt [s]")
     figure.suptitle(
         f"{result.title}, {result.horizon:g} s", fontsize=FONT["title"], x=0.01, ha="left"
     )
-    if not result.accuracies:
-        _legend(figure, result)
+    _legend(figure, result)
     return figure
 
 
 def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
     from matplotlib.colors import ListedColormap
 
-    columns = result.accuracies or result.dts
-    shape = (len(result.values), len(columns))
+    shape = (len(result.values), len(result.dts))
     states = list(FILLS)
     filled = [cell.state if cell.state in FILLS else ACCURATE for cell in panel.cells]
     grid = np.array([states.index(state) for state in filled]).reshape(shape).T
-    across, up = _edges(result.values), _edges(columns)
-    if result.accuracies:
-        _shares(axes, panel, shape, across, up)
-    else:
-        colours = ListedColormap(list(FILLS.values()))
-        axes.pcolormesh(across, up, grid, cmap=colours, vmin=-0.5, vmax=2.5, edgecolors="none")
+    across, up = _edges(result.values), _edges(result.dts)
+    colours = ListedColormap(list(FILLS.values()))
+    axes.pcolormesh(across, up, grid, cmap=colours, vmin=-0.5, vmax=2.5, edgecolors="none")
     unknown = np.array([cell.state not in FILLS for cell in panel.cells]).reshape(shape).T
     if unknown.any():
         masked = np.ma.masked_where(~unknown, grid)
@@ -73,37 +63,12 @@ def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
     log_ticks(axes.xaxis)
     log_ticks(axes.yaxis)
     if panel.boundary is not None:
-        line = _line(result.values, across, up, panel.boundary)
+        limits = np.asarray(panel.boundary)
+        line = result.values, np.where((limits > 0) & np.isfinite(limits), limits, np.nan)
         # A white line under the black line is visible on every colour.
         axes.plot(*line, color="white", lw=3.5, zorder=4, solid_capstyle="butt")
         axes.plot(*line, color="black", lw=1.5, ls=(0, (4, 2)), zorder=4)
     axes.set_title(_named(panel), loc="left", fontsize=9.5)
-
-
-def _shares(
-    axes: Any, panel: MapPanel, shape: tuple[int, int], across: np.ndarray, up: np.ndarray
-) -> None:
-    """Fill each cell by the error delivered over the one asked for, on a log scale."""
-    from matplotlib.colors import LogNorm
-
-    over = np.array([cell.over for cell in panel.cells]).reshape(shape).T
-    drawn = np.ma.masked_invalid(np.maximum(over, SCALE[0]))
-    mesh = axes.pcolormesh(across, up, drawn, cmap="cividis", norm=LogNorm(*SCALE))
-    axes.figure.colorbar(mesh, ax=axes, label="delivered over asked", extend="both")
-
-
-def _line(
-    values: Any, across: np.ndarray, up: np.ndarray, boundary: list[float]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the boundary as points; vertical between cells where it jumps from any dt to none."""
-    x, y = np.asarray(values, float), np.asarray(boundary, float)
-    leaps = [k for k in range(1, len(y)) if {y[k - 1], y[k]} == {0.0, np.inf}]
-    upright = [(across[k], dt) for k in leaps for dt in (up[0], up[-1])]
-    y = np.where((y > 0) & np.isfinite(y), y, np.nan)
-    if not upright:
-        return x, y
-    ends = np.array([(np.nan, np.nan), *upright])
-    return np.concatenate([x, ends[:, 0]]), np.concatenate([y, ends[:, 1]])
 
 
 def _named(panel: MapPanel) -> str:
@@ -113,7 +78,7 @@ def _named(panel: MapPanel) -> str:
         return f"{panel.label} (theory: grows at any dt)"
     if ends == {np.inf}:
         return f"{panel.label} (theory: never grows)"
-    return f"{panel.label}\ndashed: {panel.beyond}" if ends else panel.label
+    return f"{panel.label}\ndashed: limit of springs" if ends else panel.label
 
 
 def _edges(points: Any) -> np.ndarray:
