@@ -2,8 +2,8 @@
 
 A measurement opens its deadline with `in_time`. Long work calls `check` from time to time, between
 runs and within them (`stepcore.executors.checkpoint`), which raises OutOfTime once the time is
-over. Work that an answer can do without stands in a `stage`: there the time ends that work only,
-and the result says what was left out. Without such work there is no answer, and OutOfTime reaches
+over. Work that an answer can do without is done in a `stage`: there the time ends that work only,
+and the result lists it as not done. Without other work there is no answer, and OutOfTime reaches
 the caller.
 
 >>> from stepcore import deadline
@@ -50,8 +50,8 @@ SEARCHED, PROVEN = 0.7, 0.9
 
 F = TypeVar("F", bound=Callable[..., Any])
 clock = monotonic
-# Is called with what long measurements know so far; the command line sets it. And when one that
-# still runs tells the first, and how often again [s].
+# Called with the answer so far of a long measurement; the command line sets it. Below, the time of
+# the first such report and the interval between reports [s].
 listener: Callable[[str], object] | None = None
 pace = (10.0, 20.0)
 _thread = threading.local()
@@ -109,13 +109,13 @@ class Deadline:
         return self._stop.is_set()
 
     def stop(self) -> None:
-        """End the measurement with what is known, and all measurements around it."""
+        """End this measurement and all measurements around it with the answer so far."""
         self._stop.set()
 
     def so_far(self, words: str) -> None:
-        """Give what is known so far, which the `listener` is told if the work still runs then.
+        """Set the answer so far, which the `listener` receives if the work still runs at its time.
 
-        words: replace those of an earlier call that have not been told.
+        words: the answer; replaces an earlier one that was not yet reported.
         """
         if self.outer is not None:
             self.outer.so_far(words)
@@ -124,7 +124,7 @@ class Deadline:
             self.announce()
 
     def announce(self) -> None:
-        """Tell what is known so far, if it is due."""
+        """Report the answer so far, if a report is due."""
         if self.outer is not None:
             self.outer.announce()
         elif self._news and listener is not None:
@@ -180,7 +180,7 @@ class Deadline:
 
     @property
     def sentence(self) -> str:
-        """What was left out, and how to go on; "" if nothing was."""
+        """The work that was left out, and how to continue; "" if none was."""
         if not self.left_out:
             return ""
         left_out = "; ".join(self.left_out)
@@ -223,8 +223,8 @@ def check() -> None:
 def in_time(measurement: F) -> F:
     """Decorate a measurement: its keyword argument `seconds` is its deadline.
 
-    If the time was over, the result's `unfinished` says what was left out. A measurement without
-    any answer raises OutOfTime.
+    If the time was over, the result's `unfinished` names the work that was left out. A measurement
+    without any answer raises OutOfTime.
     """
 
     @functools.wraps(measurement)

@@ -58,11 +58,11 @@ def each(
     executor: any `concurrent.futures` executor, used in place of threads and left open. An executor
         of processes needs a function and points that pickle (a function of a module, or a
         `functools.partial` of such a function).
-    done: a list that is filled with the results so far, for a caller that catches OutOfTime; None
-        stands for points without a result.
+    done: a list that receives the results as they come, for a caller that catches OutOfTime; None
+        marks points without a result.
     took: called with the indices of points and their results, as these come.
 
-    The first error is raised. After an error or Ctrl-C, points that have not begun are cancelled.
+    The first error is raised. After an error or Ctrl-C, points that have not started are cancelled.
     A lost worker is the executor's business: a Dask cluster repeats its points.
 
     Raises ValueError for work that cannot be sent to processes, RuntimeError if processes die and
@@ -117,7 +117,7 @@ class _Chunks(Generic[T, R]):
     finished: SimpleQueue[Future[list[R]]] = field(default_factory=SimpleQueue)
 
     def results(self) -> list[R]:
-        """Return all results; on any exception, cancel the chunks that have not begun."""
+        """Return all results; on any exception, cancel the chunks that have not started."""
         total = len(self.points)
         try:
             for first in range(0, total, self.size or 1):
@@ -200,7 +200,7 @@ def checkpoint() -> None:
 
 
 def _check_sendable(function: Callable[[T], R], points: Sequence[T], executor: Executor) -> None:
-    """Raise ValueError, with a cure, for work that cannot be pickled for a pool of processes."""
+    """Raise ValueError, with a fix, for work that cannot be pickled for a pool of processes."""
     if not isinstance(executor, ProcessPoolExecutor) or not points:
         return
     try:

@@ -42,7 +42,7 @@ def path(name: str, value: object) -> str:
 def read(path: str | os.PathLike[str], expected: str) -> bytes:
     """Return the bytes of a regular file of at most `LARGEST` bytes; see `opened`.
 
-    Raises ValueError for a pointer of Git LFS, which stands in a clone for a file not yet brought.
+    Raises ValueError for a Git LFS pointer in place of a file that was not fetched.
     """
     with opened(path, expected) as (file, size):
         # At most the reported size: system files that block until there is news report 0.

@@ -8,13 +8,13 @@ from typing import Any, TypedDict, TypeVar
 
 from stepcore import checks
 
-# What MuJoCo calls arguments.
+# MuJoCo's names of arguments.
 MUJOCO = {"timestep": "dt", "iterations": "sweeps"}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 class SettingsFields(TypedDict, total=False):
-    """Single fields of `Settings` that replace those of the scene."""
+    """Single fields of `Settings`, which replace the scene's settings."""
 
     dt: float
     accuracy: float | str | None
@@ -99,7 +99,7 @@ def refuse_unknown(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
 
 
 def refuse_unknown_settings(call: Callable[..., Any], given: SettingsFields) -> None:
-    """Do the same for a call whose ``**fields`` are those of `Settings`.
+    """Do the same for a call whose ``**fields`` are fields of `Settings`.
 
     The signature is read only for an error: reading it takes as long as creating a Sim.
     """

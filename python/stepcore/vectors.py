@@ -47,7 +47,7 @@ def levels() -> dict[str, str]:
     wider = {name: own for name, own in wider.items() if os.path.isdir(own)}
     there = {name: own for name, own in wider.items() if _RUNS[name]()}
     modules = (os.path.join(package, f"_core{suffix}") for suffix in EXTENSION_SUFFIXES)
-    # Without any module the import itself says what is missing.
+    # Without any module the import error names the missing one.
     if not wider or any(map(os.path.exists, modules)):
         there[BASELINE] = package
     return there

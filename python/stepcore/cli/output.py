@@ -110,7 +110,7 @@ def attempted(writes: Writes) -> list[Exception]:
 
 
 def _check_matplotlib(plot: str | None, html: str | None) -> None:
-    """Check that a plot or a page can be drawn, and that the plot's format is known."""
+    """Check that a plot or a page can be drawn, and that the plot's format is supported."""
     if plot is None and html is None:
         return
     try:

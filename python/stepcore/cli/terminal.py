@@ -1,6 +1,6 @@
-"""What commands say on a terminal: errors, characters that it lacks, answers so far, Ctrl-C.
+"""Output of commands on a terminal: errors, missing characters, preliminary answers, Ctrl-C.
 
-The first Ctrl-C ends a measurement with what is known, the second at once.
+The first Ctrl-C ends a measurement with its answer so far, the second at once.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from stepcore.report.terminal import last_line, watched
 
 # The exit status that shells report for a program interrupted by Ctrl-C.
 INTERRUPTED = 130
-# On a terminal, when a measurement that still runs says what it knows, and how often again [s].
+# On a terminal: the time of the first preliminary answer, and the interval between answers [s].
 OFTEN = (1.0, 0.5)
 ERRORS = "stepcore.plain"
 REASONS = {FileNotFoundError: "no such file", IsADirectoryError: "is a folder, not a file"}
@@ -94,7 +94,7 @@ def stop(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def tells_so_far(json: bool) -> Iterator[None]:
-    """Print to the error stream what long measurements know so far; with JSON on terminals only."""
+    """Print preliminary answers to the error stream; with JSON on terminals only."""
     seldom = deadline.pace
     if watched():
         deadline.listener, deadline.pace = say, OFTEN
@@ -108,7 +108,7 @@ def tells_so_far(json: bool) -> Iterator[None]:
 
 @contextmanager
 def ends_early_on_ctrl_c() -> Iterator[None]:
-    """Handle Ctrl-C with `stop`, where Python's own handler is in place."""
+    """Handle Ctrl-C with `stop`, if Python's default handler is in place."""
     before: Any = signal.getsignal(signal.SIGINT)
     main = threading.current_thread() is threading.main_thread()
     if not main or before is not signal.default_int_handler:

@@ -145,7 +145,7 @@ MAIN = "main"
 
 
 def overlay(under: Values, over: Values) -> Values:
-    """Return the values of `under`, overridden by those of `over`.
+    """Return the values of `under`, overridden by the values of `over`.
 
     A shorter vector replaces only its own entries. An orientation attribute replaces any other.
     An empty material or mesh is none.
@@ -316,7 +316,7 @@ def inherited(chain: Chain, node: Node) -> ActuatorGains:
         scale = _inheritrange(base, node) if tag == "pid" else 0.0
         return replace(_SHORTCUTS[tag](base, node), inheritrange=scale, damping=drag)
     if tag not in _SHORTCUTS:
-        # A <motor>, which has no law of its own, or an actuator that is not built. Only a <general>
+        # A <motor>, which has no law, or an actuator that is not supported. Only a <general>
         # inherits the range from a class.
         scale = last.inheritrange if tag in LAWS else 0.0
         return ActuatorGains(tag, {}, scale, damping=drag)

@@ -27,7 +27,7 @@ _BLANKS = re.compile(rb"(?:\xef\xbb\xbf)?(\s+)(<\?xml[^>]*>)")
 # A start tag with attributes that may lack blanks between them.
 _TAG = re.compile(rb"""(<[^\s<>!?/"'=]+)((?:\s*[^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))*)""")
 _ATTRIBUTE = re.compile(rb"""(\s*)([^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))""")
-# The name of stepcore's own <text>.
+# The name of stepcore's <text>.
 OWN_TEXT = "stepcore"
 # The maximum nesting depth of elements, as in MuJoCo's parser.
 DEPTH = 500

@@ -36,7 +36,7 @@ _SETTINGS: dict[str, tuple[str, dict[str, str] | None]] = {
     "noslip_tolerance": ("noslip_tolerance", None),
 }
 _FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe", "sleep": "sleep"}
-# By attribute: the test of a value, and the limit in words.
+# For each attribute: the test of a value, and the limit in words.
 _POSITIVE, _NOT_NEGATIVE = (lambda value: value > 0), (lambda value: value >= 0)
 _LIMITS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "timestep": (_POSITIVE, "> 0 s"),
@@ -90,7 +90,7 @@ def read(scene: Scene, node: Node) -> None:
         # In MuJoCo a negative number means 0.
         options["noslip_iterations"] = max(values["noslip_iterations"], 0)
     for name in OVERRIDES:
-        # The parameters that replace those of every contact if the flag "override" is on.
+        # The parameters that every contact has if the flag "override" is on.
         if f"o_{name}" in values:
             given, old = values[f"o_{name}"], getattr(scene.contact_override, name)
             # A shorter list replaces only the first entries.
@@ -126,7 +126,7 @@ def settle(scene: Scene, nodes: list[Node]) -> None:
 
 
 def implied(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of MuJoCo's PGS and noslip, if asked for, where a file says nothing."""
+    """Return the settings of MuJoCo's PGS and noslip, if requested, that a file does not set."""
     values: dict[str, Any] = {}
     if options.get("solver") == "pgs":
         values |= {"acceleration": "momentum", "cost_tolerance": 1e-8}
@@ -178,7 +178,7 @@ def said(settings: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str], d
         elif attribute and not words and not isinstance(value, str) and value < 2**31:
             attributes[attribute] = shortest(value)
         elif (name, value) == ("solver", "cg"):
-            # MuJoCo has cg as a solver of its own.
+            # MuJoCo has cg as a separate solver.
             attributes[name] = "CG"
         else:
             rest[name] = value
@@ -221,7 +221,7 @@ def _value(text: str) -> Any:
 
 
 def own_texts(nodes: Iterable[Node]) -> list[Node]:
-    """Return stepcore's own text as a list of at most one node; raise MJCFError for a second."""
+    """Return stepcore's text as a list of at most one node; raise MJCFError for a second."""
     texts = [node for node in nodes if is_own_text(node)]
     if len(texts) > 1:
         raise texts[1].error(f'a second <text name="{OWN_TEXT}">')
@@ -229,7 +229,7 @@ def own_texts(nodes: Iterable[Node]) -> list[Node]:
 
 
 def read_own_text(scene: Scene, node: Node) -> None:
-    """Read stepcore's own text into a scene that is otherwise complete."""
+    """Read stepcore's text into a scene that is otherwise complete."""
     settings: dict[str, Any] = {}
     known = Settings().as_dict()
     seen = set()

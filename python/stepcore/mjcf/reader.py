@@ -190,7 +190,7 @@ def read_sections(
 
 
 def finish(world: WorldReader, chosen: bool | None) -> None:
-    """Complete the scene, after all elements of the file are in it; each step says why it is there.
+    """Complete the scene, after all elements of the file are in it.
 
     chosen: whether to fuse bodies that cannot move relative to their parent; None: as in the file.
     """

@@ -37,7 +37,7 @@ from stepcore.scene.elements.equality import FIELDS as EQUALITY_FIELDS
 from stepcore.scene.elements.field_types import AUTO, BOOL
 from stepcore.scene.elements.sensor import OBJECTS, OF_ACCELERATION, OF_FRAME, OF_GAP
 
-# Where these are empty, what a default class gives does not count.
+# If these are empty, values of a default class are ignored.
 TAKEN_BACK = ("material", "mesh")
 ORIENTATION = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 POSE = "pos:3 quat:4 axisangle:4 xyaxes:6 zaxis:3 euler:3"
@@ -398,7 +398,7 @@ _SENSOR = "name nsample:int interp:zoh|linear|cubic delay:1 interval:1-2 user:* 
 )
 _GEOMS = "geom1 geom2 body1 body2"
 _OBJECT = "body|xbody|geom|site|camera"
-# What names the ends of a sensor, unless it is the one kind of element that the type observes.
+# Attributes that name the ends of a sensor whose type observes several kinds of elements.
 _ENDS = {
     "rangefinder": "site camera data",
     **dict.fromkeys(OF_FRAME, f"objtype!:{_OBJECT} objname! reftype:{_OBJECT} refname"),

@@ -457,7 +457,7 @@ def _ends(world: WorldReader, node: Node) -> dict[str, Any]:
 
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
-# What belongs to a transmission between two sites.
+# Attributes of a transmission between two sites.
 BESIDE = {"site": ("refsite",), "slidersite": ("cranksite", "cranklength")}
 # Fields of an actuator that are copied from attributes.
 COPIED = ("gear", "damping", "armature", "interp", "delay", "nsample", "lengthrange")
@@ -557,7 +557,7 @@ Bounds = tuple[float, ...] | None
 def _ctrlrange(
     world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains
 ) -> Bounds:
-    """Return the range of the actuator's own control; for a <pid> MuJoCo names it by input."""
+    """Return the range of the actuator's first control; for a <pid> MuJoCo names it by input."""
     if gains.tag in ("damper", "adhesion"):
         # MuJoCo limits these regardless of ctrllimited and autolimits.
         values = values | {"ctrllimited": True}
@@ -626,7 +626,7 @@ def _inherited(
 
 
 def keyframes(world: WorldReader) -> None:
-    """Read the keyframes, completed from the default state, and add those of ``<size nkey>``."""
+    """Read the keyframes, completed from the default state, and those of ``<size nkey>``."""
     layout = Layout(world.scene)
     mocaps = [body for body in layout.bodies if body.mocap]
     rest = {

@@ -43,7 +43,7 @@ from stepcore.needs import installing
 from stepcore.scene.element import table
 from stepcore.scene.elements import MassRules
 
-# The maximum number of elements that one file makes, and of models that attach each other in turn.
+# The maximum number of elements that one file makes, and the maximum depth of attached models.
 MOST_ELEMENTS = 1_000_000
 MOST_NESTED = 50
 # Name prefixes of the MjModel arrays that affect the simulation.
@@ -53,7 +53,7 @@ PHYSICS = (
 )
 # Name suffixes of arrays used only for drawing or for MuJoCo's broad phase.
 ASIDE = ("_rgba", "_matid", "_bvhadr", "_bvhnum", "_user")
-# Attributes of <compiler> that say where files are.
+# Attributes of <compiler> that name folders.
 _FOLDERS = ("meshdir", "texturedir", "assetdir", "strippath")
 
 
@@ -129,7 +129,7 @@ class Expansion:
                 raise self._located(error, lines, cause) from None
         made = parse(text, self.root.file)
         said = dict.fromkeys(" ".join(str(warning.message).split()) for warning in warned)
-        # What an empty prefix may prevent is saving, which is not done.
+        # An empty prefix can only prevent saving, which is not done.
         told = (line for line in said if "empty prefix" not in line)
         self.notes += [f"{cause.file}:{cause.line}: MuJoCo: {line}" for line in told]
         self.notes += _left_out(self.root, models, made)
@@ -143,9 +143,9 @@ class Expansion:
         return node.error(f"MuJoCo: {re.sub(r',? *line [0-9]+', '', str(error))}")
 
     def _models(self, root: Node, compiler: Compiler, chain: list[str]) -> dict[str, Attached]:
-        """Return the models that a model can attach, by name, and name their texts in its own.
+        """Return the models that a model can attach, by name, and rename their texts in this model.
 
-        chain: the files of the models around this one, and its own.
+        chain: the files of the models around this one, and its file.
         """
         models: dict[str, Attached] = {}
         attached = [node for node in below(root) if node.tag == "attach"]

@@ -1,4 +1,4 @@
-"""Check a tree of nodes against the schema, convert attributes, and leave out what the user asks.
+"""Check a tree of nodes against the schema, convert attributes, and drop the kinds in `without`.
 
 Elements that refer to a left-out element are left out too.
 """

@@ -1,6 +1,6 @@
 """A progress bar on the error stream of a terminal or a notebook, with the remaining time.
 
-Elsewhere, as in the log of a cluster, a line every ten seconds stands for the bar.
+Without a terminal, as in the log of a cluster, a line every ten seconds replaces the bar.
 
 tqdm has the same features, but numpy is stepcore's only dependency at run time. tqdm would be an
 optional dependency, and users without tqdm would still need this bar. Users who prefer tqdm pass a
@@ -34,7 +34,7 @@ Choice = Callable[[str, int, int], None] | bool | None
 
 # The remaining time is shown only after this time [s], because earlier estimates are unreliable.
 BEGUN = 2.0
-# The time between two lines where nobody watches, and the pause after which it counts anew [s].
+# The time between two lines without a terminal, and the pause after which it restarts [s].
 LINES, PAUSE = 10.0, 1.0
 
 
@@ -64,7 +64,7 @@ class Progress:
             self._draw()
 
     def show_life(self) -> None:
-        """Write the next line where nobody watches, if it is due."""
+        """Write the next line without a terminal, if it is due."""
         if self._shows and _lines.due and not watched():
             with self._lock:
                 self._draw()

@@ -22,7 +22,7 @@ class Table:
     """A table of records in a fixed order; a value missing from a record is None.
 
     records: one mapping per row.
-    columns: the order of the columns; by default that of first appearance.
+    columns: the order of the columns; by default the order of first appearance.
     formats: the formats of number columns (default ".4g"); a text column named here is
         right-aligned and never cut.
     heading, legend: the text above and below the table in a report.
@@ -183,7 +183,7 @@ def _cell(value: Any, spec: str) -> str:
     if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:
         value = value.item()
     if isinstance(value, float):
-        # What is not a number is not known.
+        # A value that is not a number is unknown.
         return "" if value != value else f"{value:{spec}}"
     return _line_of(value)
 

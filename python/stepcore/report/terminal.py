@@ -18,7 +18,7 @@ def window() -> int:
 
 
 def watched() -> bool:
-    """Return whether the error stream is that of a terminal or a notebook."""
+    """Return whether the error stream belongs to a terminal or a notebook."""
     stream = sys.stderr
     return stream is not None and (
         stream.isatty() or type(stream).__module__.startswith("ipykernel")
@@ -40,7 +40,7 @@ class LastLine:
         """The number of characters that can be drawn over; a line that wraps cannot."""
         columns = WIDTH
         with suppress(OSError, ValueError):
-            # Standard output, which `window` asks, can be a file.
+            # Standard output, which `window` reads, can be a file.
             columns = os.get_terminal_size(sys.stderr.fileno()).columns or WIDTH
         return shutil.get_terminal_size((columns, 40)).columns - 1
 
@@ -51,7 +51,7 @@ class LastLine:
                 # At Ctrl-C a terminal adds ^C.
                 blank = " " * min(len(self._drawn) + 2, self.room) + "\r"
                 line = "\r" + (text.ljust(len(self._drawn)) if text else blank)
-                # What a handler of Ctrl-C that comes in between has to erase.
+                # The text that a handler of Ctrl-C has to erase.
                 self._drawn = max(text, self._drawn, key=len)
                 sys.stderr.write(line)
                 sys.stderr.flush()

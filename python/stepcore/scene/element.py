@@ -70,10 +70,10 @@ class Places(typing.Protocol):
 
 
 _TABLES: dict[type, dict[str, Row]] = {}
-# By class and field: the check, the default, and the default as the check returns it.
+# For each class and field: the check, the default, and the default as the check returns it.
 _CHECKS: dict[type, dict[str, tuple[checks.Check, object, object]]] = {}
 E = typing.TypeVar("E", bound="Element")
-# The number of renamings so far.
+# The number of renamings.
 _renamed = [0]
 # The scene of each element.
 _SCENES: weakref.WeakKeyDictionary[Element, weakref.ref[Any]] = weakref.WeakKeyDictionary()
@@ -252,7 +252,7 @@ def _references(kind: type[Element]) -> tuple[str, ...]:
 
 
 def place_of(places: Places, element: Element) -> int:
-    """Return the index of an element among those of its kind; −1 if it is not in the scene."""
+    """Return the index of an element in the list of its kind; −1 if it is not in the scene."""
     place = places.place(element)
     return -1 if place is None else place
 

@@ -36,7 +36,7 @@ class Layout:
         self.scene = scene
         self.bodies = _depth_first(scene.bodies)
         self.index = {id(body): i for i, body in enumerate(self.bodies)}
-        # By kind and ``id`` of the element: its index.
+        # For each kind and ``id`` of an element: its index.
         self._places: dict[str, dict[int, int]] = {"body": self.index}
         self.joints: list[Joint] = self._by_body(scene.joints)
         self.geoms: list[Geom] = self._by_body(scene.geoms)
@@ -81,7 +81,7 @@ class Layout:
         return sum(actuator.law.states for actuator in self.scene.actuators)
 
     def place(self, element: Element) -> int | None:
-        """Return the index of an element among those of its kind; None if not in the scene."""
+        """Return the index of an element in the list of its kind; None if not in the scene."""
         kind = type(element).__name__.lower()
         if kind not in self._places:
             self._places[kind] = {id(each): at for at, each in enumerate(self.elements(kind))}

@@ -302,7 +302,7 @@ class Scene(checks.KnownNames):
         if settings is not None and not isinstance(settings, Mapping):
             scene.settings = settings
         if "tolerance" in given:
-            # A residual that is asked for replaces what the file asks for.
+            # A tolerance given as an argument replaces the file's.
             scene.options.pop("cost_tolerance", None)
         scene.options.update(given)
         _ = scene.settings  # Raises for unknown fields and bad values.
@@ -566,7 +566,7 @@ class Scene(checks.KnownNames):
     def add_pair(
         self, geom1: str | Geom, geom2: str | Geom, **fields: Unpack[of.PairFields]
     ) -> Pair:
-        """Add a pair of geoms that can collide, with contact parameters of the pair's own.
+        """Add a pair of geoms that can collide, with contact parameters for this pair.
 
         geom1, geom2: names or `Geom` objects. Masks and `exclude` do not apply to the pair.
         fields: of `Pair`: name, condim, friction, solref, solimp, margin [m], gap [m], …

@@ -51,7 +51,7 @@ def assign(scene: Scene, values: Mapping[str, Any], body_mass: Mapping[str, floa
 def find(scene: Scene, path: object) -> tuple[Element, str]:
     """Return the element and the field at a path.
 
-    "#3" stands for the name of the element with index 3 in the compiled model, unless one has it.
+    "#3" names the element with index 3 in the compiled model, unless one has it.
     """
     parts = path.split("/") if isinstance(path, str) else []
     shown = checks.cut(str(path), 80)

@@ -60,7 +60,7 @@ ROBOT = spec("name version", {"link": spec("name! type", LINK, once=("inertial",
 DRAWS = ("visual", "material")
 # An attribute of another program (Bullet) that resembles `name` and `scale`.
 FOREIGN = ("concave",)
-# What people paste from MJCF. It has an effect inside <mujoco> only.
+# Elements of MJCF, which have an effect inside <mujoco> only.
 PASTED = ("compiler", "contact", "default", "equality", "exclude", "keyframe", "option")
 # The program xacro may leave these elements in its output; they have no effect.
 XACRO_ONLY = ("xacro:property", "xacro:arg")
@@ -128,7 +128,8 @@ def _drop_attributes(node: Node, known: Spec) -> list[str]:
         free = {"lower", "upper"} if {"lower", "upper"} <= {*infinite} else set()
         for name in {*infinite} & {"effort", "velocity", *free}:
             del node.attrs[name]
-    # A misspelled attribute is missing. What resembles only given ones is another program's.
+    # A misspelled attribute is missing. An attribute that resembles only given ones belongs to
+    # another program.
     missing = [name for name in known.attrs if name not in node.attrs]
     extra = [name for name in node.attrs if name not in known.attrs]
     far = [name for name in extra if "nearest" not in nearest(name, missing)]

@@ -1,4 +1,4 @@
-"""What a picture shows of an instant: the camera, and marks for contacts, forces and tendons."""
+"""The camera of a picture, and its marks for contacts, forces and tendons."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # MuJoCo's viewers show geoms of these groups; others are most often what collides.
 SHOWN_GROUPS = (0, 1, 2)
-# How long the arrow of a force is that bears all the weight, of the extent of the scene.
+# The length of the arrow of a force equal to the weight, as a share of the extent of the scene.
 ARROW = 0.35
 GROUND = (*rgb(VIEW["ground"]), 1.0)
 
@@ -51,7 +51,7 @@ class Shape:
     def checks(self) -> tuple[Vec, Vec]:
         """The colours of a plane's squares, which make motion over it visible.
 
-        Their contrast is low, so that what stands on the plane stays brighter.
+        Their contrast is low, so that bodies on the plane are brighter.
         """
         if self.squares is None:
             return self.rgba, (*(0.86 * c for c in self.rgba[:3]), self.rgba[3])

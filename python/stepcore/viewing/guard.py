@@ -30,7 +30,7 @@ class Guard:
 
     def __init__(self, host: str) -> None:
         self.host, self.token = host, secrets.token_hex(16)
-        # Whether the server asks.
+        # Whether the server checks requests.
         self.stands = False
 
     def lets_in(self, path: str, headers: Any) -> bool:

@@ -53,7 +53,7 @@ class View:
                 contextlib.suppress(OSError),
                 socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked,
             ):
-                # Nothing is sent: the system only says from which address it would send.
+                # Nothing is sent: the system only reports the address from which it would send.
                 asked.connect(("192.0.2.1", 9))
                 own = str(asked.getsockname()[0])
         return "" if is_loopback(own) else self._url(own)
@@ -82,7 +82,7 @@ class View:
         last = monotonic()
         while not self._stop.is_set():
             now = monotonic()
-            # A motion that nobody sees waits.
+            # A motion without viewers waits.
             if self._server.get_clients():
                 self._panel.pass_time(min(now - last, 0.2))
             last = now
@@ -205,7 +205,7 @@ def _check_host(host: str) -> None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress viser's own output: its address in a box, and its end."""
+    """Suppress viser's output: its address in a box, and its end."""
     console = need("rich", "a view").get_console()
     console.quiet, before = True, console.quiet
     try:

@@ -177,7 +177,7 @@ def frame_names(bodies: tuple[str, ...]) -> list[str]:
 
 
 def _entity(at: int, frame: str, name: str, primitives: Mapping[str, list[Json]]) -> Json:
-    """Return primitives that move with a frame and replace those of the same name."""
+    """Return primitives that move with a frame and replace primitives of the same name."""
     return {
         "timestamp": _time(at),
         "frame_id": frame,

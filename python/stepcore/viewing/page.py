@@ -86,7 +86,7 @@ def three() -> str:
         with zipfile.ZipFile(io.BytesIO(archive.read_bytes())) as unzipped:
             template = unzipped.read("viewer.html.template").decode()
         script = template[template.index("<script>") + 8 : template.rindex("</script>")]
-        # What follows the library is trimesh's own page.
+        # After the library, trimesh's page begins.
         library = script[: script.index("var camera,controls,scene,renderer")]
     except (OSError, KeyError, ValueError):
         version = getattr(trimesh, "__version__", "")

@@ -22,7 +22,7 @@ from stepcore.viewing.frames import Instant, Replayed, distance, instant_of, pos
 from stepcore.viewing.stage import Stage
 
 SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
-# The curves of energy, and what stands before their names.
+# The curves of energy, and the prefix of their names.
 ENERGIES = {"kinetic": "", "potential": "Δ ", "total": "Δ "}
 # The states that a live view can go back to, sixty a second of motion.
 KEPT = 3000
@@ -52,7 +52,7 @@ class Panel(ABC):
 
     def __init__(self, server: Any, stage: Stage) -> None:
         self.server, self.stage, self.gui = server, stage, server.gui
-        # What is pressed comes from other threads than time.
+        # Buttons act in other threads than the clock.
         self.lock = threading.RLock()
         self.playing, self.sent = True, 0.0
         self.pause = self.gui.add_button("Pause")
@@ -98,7 +98,7 @@ class Panel(ABC):
         time = np.array([instant.time for instant in instants])
         kinetic, potential = np.array([instant.energy for instant in instants]).T
         total = kinetic + potential
-        # Potential energy has no zero of its own.
+        # The zero of potential energy is arbitrary.
         energies = [kinetic, potential - potential[0], total - total[0]]
         # A residual of zero has a logarithm too.
         residuals = np.log10([[max(instant.residual, 1e-20) for instant in instants]])
@@ -366,7 +366,7 @@ class RunPanel(Panel):
         self.stage.show(instants)
         rows = figures_of(instants[0])
         for name, gap in zip(self.names[1:], self.gaps, strict=True):
-            # Where the other run has ended nothing is compared.
+            # Nothing is compared after the end of the other run.
             apart = f"{gap[at[0]]:.3g} mm" if np.isfinite(gap[at[0]]) else "–"
             rows.append((f"distance of {name}", apart))
         self.say(rows)

@@ -16,7 +16,7 @@ from stepcore.viewing.drawing import drawing_of
 from stepcore.viewing.frames import Replayed, instant_of
 from stepcore.viewing.renderers import Renderer
 
-# What ffmpeg puts H.264 in.
+# Containers in which ffmpeg writes H.264.
 ENDINGS = (".mp4", ".mov", ".mkv")
 
 

@@ -13,7 +13,7 @@ from stepcore.viewing.camera import loads
 from stepcore.viewing.drawing import Drawing, Shape
 from stepcore.viewing.frames import Instant
 
-# The frame in which everything stands, and the opacity of what is seen through.
+# The root frame, and the opacity of transparent shapes.
 ROOT, THIN = "/scene", 0.4
 
 
@@ -30,7 +30,7 @@ class Stage:
         self.hidden: list[Any] = []
         # Meshes of what moves, with their opacities.
         self.solid: list[tuple[Any, float | None]] = []
-        # Everything stands in a frame, which follows a motion: the camera is the reader's.
+        # Everything is placed in a root frame, which follows a motion: the camera is the reader's.
         self.root = server.scene.add_frame(ROOT, show_axes=False)
         self.anchor: NDArray[Any] | None = None
         self.bodies = [self._bodies(number, each) for number, each in enumerate(drawings)]

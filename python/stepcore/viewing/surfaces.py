@@ -95,7 +95,7 @@ def _turned(profile: NDArray[np.float64]) -> Surface:
 
 
 def _halved(*corners: NDArray[Any]) -> NDArray[Any]:
-    """Return the two triangles of each quadrangle; corners: its four, in turn."""
+    """Return the two triangles of each quadrangle; corners: its four, in order."""
     a, b, c, d = corners
     return np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
 

@@ -121,7 +121,7 @@ def tuning(result: Tuning) -> Any:
     figure, (axes,), places = named_bars(names, ELEMENT_LETTERS)
     for place, tuned in zip(places, result.found, strict=True):
         ratio, colour = tuned.measured / tuned.goal.value, GREEN if tuned.reached else RED
-        # Far from the wanted value, or not known, it has no bar, only a number.
+        # An unknown value, or one far from the wanted value, has a number and no bar.
         near = ratio < 1.4
         bar(axes, place, near * ratio, colour, tuned.result, after=1.0 if near else 0.0)
     axes.axvline(1.0, color="black", lw=1.3, zorder=4)

@@ -36,11 +36,11 @@ if TYPE_CHECKING:
 # Colours of the lines of one quantity, in drawing order.
 LINES = tuple(COLOURS.values())
 NAMED, DASHES = len(LINES), ("-", "--", ":")
-# What is drawn of a run that has some of these.
+# The recorded quantities that are drawn.
 WANTED = ("qpos", "energy", "overlap", "error")
 UNITS = {"energy": "energy [J]", "overlap": "deepest overlap [m]"}
 UNITS |= {"residual": "residual [m/s]", "error": "estimated error [m]"}
-# What joints have in each unit.
+# Kinds of joint coordinates, by unit.
 JOINTS = {"rad": "position [rad]", "m": "position [m]", "": "orientation (quaternion)"}
 JOINTS |= {"rad/s": "velocity [rad/s]", "m/s": "velocity [m/s]"}
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def identification(result: Identification) -> Any:
     """Draw measured and predicted numbers of the log with the largest residual.
 
-    A panel is a quantity; of many, those with the largest residuals beside their motion.
+    A panel shows one quantity; if there are many, the ones with the largest relative residuals.
     """
     worst = max(result.curves, key=_share)
     own = [curve for curve in result.curves if curve.log == worst.log]

@@ -26,7 +26,7 @@ COLOURS = {
 BLUE, GREEN, ORANGE = COLOURS["rk4"], COLOURS["implicitfast"], COLOURS["euler"]
 RED = COLOURS["semi-implicit"]
 GREY = "#666666"
-# What pages, views and pictures draw, on light and on dark grounds.
+# Colours of pages, views and pictures, on light and on dark grounds.
 VIEW = {
     "contact": "#F4A300",
     "force": "#D7263D",
@@ -41,7 +41,7 @@ VIEW = {
 }
 # Bodies of a scene without colours, by their index.
 BODIES = ("#4582B5", "#ED993D", "#59A166", "#B85C80")
-# Runs that are laid over another, which keeps its own colours.
+# Colours of runs that are drawn over another, which keeps its colours.
 TINTS = ("#f2731a", "#338cf2", "#994dcc")
 # Behind everything, above and below.
 SKY = ("#EDF2FA", "#D1DEED")
@@ -74,7 +74,7 @@ def named_bars(
 
     All places are within the panels, whether they have a bar or not.
 
-    room: height beside that of the bars [inches].
+    room: height in addition to the bars [inches].
     """
     figure = new_figure(width, room + 0.3 * max(1, len(names)))
     axes = figure.subplots(1, panels, sharey=True, squeeze=False)[0]
@@ -144,7 +144,7 @@ def bar(
 ) -> None:
     """Draw a horizontal bar from `left` to a larger `value`, and a text at its end.
 
-    after: the text stands after this value too.
+    after: the text is placed after this value too.
     """
     if value > left:
         axes.barh(place, value - left, left=left, color=colour, height=0.7)
@@ -162,7 +162,7 @@ def halo() -> list[Any]:
 
 
 def write_beside(axes: Any, marks: Sequence[tuple[tuple[float, float], str]]) -> None:
-    """Write texts beside marks, each where it covers least of the lines and of other texts.
+    """Place texts next to marks, where they cover the least of lines and other texts.
 
     The limits of the axes are set. marks: a point of the data each, and its text.
     """

@@ -254,7 +254,7 @@ class Actuator(Element):
 
     @property
     def inputs(self) -> list[str]:
-        """The meanings of the controls: first of the own control, then of fed controls."""
+        """The meanings of the controls: first of its control, then of fed controls."""
         return inputs(self.type, self.input)
 
     @property
@@ -411,7 +411,7 @@ class Actuator(Element):
             raise self._bad("slewmax", f"None without the input {what}")
         if self.refsite is None and getattr(self.target[1], "type", "") != "ball":
             return
-        # The shorter way round needs a position target without a state of its own.
+        # The shorter way round needs a position target without a state.
         if self.kp and (motor or "pos" not in words):
             raise self._bad("kp", "0 on a ball or a refsite, but for a pid with the input pos")
         for field in ("ki", "slewmax"):

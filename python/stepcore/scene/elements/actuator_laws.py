@@ -270,7 +270,7 @@ ALL_LAW_FIELDS = tuple(sorted({field for fields in LAW_FIELDS.values() for field
 
 
 def inputs(kind: str, given: str | None) -> list[str]:
-    """Return the meanings of an actuator's controls, its own first.
+    """Return the meanings of an actuator's controls, first that of its control input.
 
     given: the actuator's field `input`.
     """

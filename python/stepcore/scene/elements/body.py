@@ -65,7 +65,7 @@ class Body(Element):
             raise checks.refuse(self, "mass", None, "given where ipos, inertia or iquat is")
 
     def plain(self, places: Places) -> dict[str, Any]:
-        """Return the body as the engine reads it, with its own mass and inertia in one dict."""
+        """Return the body as the engine reads it, with its mass and inertia in one dict."""
         weight = ("mass", "ipos", "inertia", "iquat")
         inertial = None
         if self.mass is not None:

@@ -13,7 +13,7 @@ from stepcore.scene.elements.geom import Geom
 from stepcore.scene.elements.tendon import SomeTendon, Tendon
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
 
-# By type: the name of the constraint rows.
+# For each type: the name of the constraint rows.
 ROW_KINDS = {
     "connect": "connect",
     "weld": "weld",
@@ -21,7 +21,7 @@ ROW_KINDS = {
     "tendon": "tendon equality",
 }
 
-# By type: the allowed fields apart from the common fields.
+# For each type: the allowed fields apart from the common fields.
 _COMMON = ("name", "type", "active", "solref", "solimp")
 _BODIES, _SITES = ("body1", "body2", "anchor"), ("site1", "site2")
 FIELDS = {

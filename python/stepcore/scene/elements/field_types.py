@@ -12,7 +12,7 @@ from stepcore.scene.frames import ORIGIN, Vec
 
 GRAVITY: Vec = (0.0, 0.0, -9.81)
 MAGNETIC: Vec = (0.0, -0.5, 0.0)
-# The values of the whole scene that have no element of their own, with their defaults.
+# The values of the whole scene that belong to no element, with their defaults.
 WHOLE: dict[str, float | Vec] = {
     **{"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0},
     **{"wind": ORIGIN, "magnetic": MAGNETIC},

@@ -219,7 +219,7 @@ AGeom = Annotated[Geom, of.element("Geom")]
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Pair(Element):
-    """Two geoms that can collide, with contact parameters of the pair's own.
+    """Two geoms that can collide, with contact parameters for this pair.
 
     The parameters and masks of the geoms have no effect on the pair, nor do excluded bodies. The
     geoms collide even if the body of one geom is the parent of the body of the other geom.

@@ -11,7 +11,7 @@ from stepcore import checks
 from stepcore.scene.element import Element, FieldType, Places
 from stepcore.scene.elements import field_types as of
 
-# By type: the allowed kinds of the object and of the reference.
+# For each type: the allowed kinds of the object and of the reference.
 FRAMES = ("site", "body", "geom")
 AT_SITE = (
     *("touch", "accelerometer", "velocimeter", "gyro", "force", "torque", "magnetometer"),
@@ -50,7 +50,7 @@ OBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 # Types whose object is optional, and types whose reference is required.
 NO_OBJECT = ("contact", "user", *OF_WHOLE)
 REFERENCE = ("insidesite", *OF_GAP)
-# By MJCF's attribute: the field that it names, the kind of element, and the type of a body.
+# For each attribute of MJCF: the field that it names, the kind of element, and the type of a body.
 ENDS: dict[str, tuple[str, str, str]] = {
     **{name: ("object", name, "") for name in ("site", "joint", "tendon", "actuator", "body")},
     **{"geom1": ("object", "geom", ""), "geom2": ("reference", "geom", "")},

@@ -48,7 +48,7 @@ class MassRules(Element):
     """Rules for the masses of bodies, named as in MJCF's ``<compiler>``.
 
     inertiafromgeom: True takes the mass of every body from its geoms, False of no body, and None
-        of the bodies that have no mass of their own.
+        of the bodies without an explicit mass.
     inertiagrouprange: (first, last) group of the geoms that have mass.
     boundmass, boundinertia: lower bounds of a body's mass [kg] and principal inertias [kg·m²].
     balanceinertia: True repairs inertias that violate A + B >= C.
