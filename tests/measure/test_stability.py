@@ -218,11 +218,11 @@ def test_a_motion_and_its_fields_are_the_same():
     grid = {"path": SPRING, "values": [100.0], "dts": [0.01, 0.05]}
     fields = spring_map(**grid, horizon=0.5, key="start", threads=1)
     motion = sc.Motion(horizon=0.5, key="start")
-    whole = stability_map("lesson:spring", motion, path=SPRING, **grid, threads=1)
+    whole = stability_map("lesson:spring", motion, **grid, threads=1)
     assert whole.table.records == fields.table.records
     assert whole.motion.horizon == 0.5 and whole.motion.key == "start"
     with pytest.raises(ValueError, match="stability_map does not use starts"):
-        stability_map("lesson:spring", sc.Motion(starts=2), path=SPRING, **grid)
+        stability_map("lesson:spring", sc.Motion(starts=2), **grid)
     with pytest.raises(TypeError, match='no argument "horizn"; nearest: "horizon"'):
         spring_map(**grid, horizn=0.5)
 
