@@ -25,6 +25,7 @@ from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.schedule import HORIZON, SAMPLES, Schedule, home, scheduled
 from stepcore.measure.check.described import ENDLESS, Described, described
+from stepcore.measure.check.plausible import plausibility
 from stepcore.measure.diagnosis import Diagnosis, diagnose
 from stepcore.measure.monitors import Finding, Next, monitored, ordered, verified
 from stepcore.measure.monitors.finding import HALF
@@ -239,7 +240,8 @@ def check(
     first = 0 if compiled.keys else None
     key = first if motion.key is None else compiled.index("key", motion.key)
     # What the scene alone says comes first: it takes no run.
-    read = list(described(Described(compiled, start, held, key)))
+    scene = Described(compiled, start, held, key)
+    read = [*described(scene), *plausibility(scene)]
     deadline.so_far(_first(read, "the file alone"))
     dt = compiled.settings.dt
     horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
