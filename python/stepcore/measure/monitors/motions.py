@@ -188,6 +188,13 @@ def _presser(run: Recording, pair: int, root: int) -> int | None:
 # Joints.
 
 
+def _commanded(run: Recording) -> np.ndarray:
+    """Return which controls change; those of the first reading have led to no step."""
+    ctrl = run["ctrl"][1:]
+    changes: np.ndarray = np.ptp(ctrl, axis=0) > 0 if len(ctrl) else np.zeros(run.model.nu, bool)
+    return changes
+
+
 def _undamped(run: Recording) -> Iterator[Finding]:
     """Yield hinges of a machine that swing to the end of the run because nothing damps them.
 
@@ -195,7 +202,7 @@ def _undamped(run: Recording) -> Iterator[Finding]:
     """
     model, late = run.model, run.late
     # Without a machine, what swings is the scene.
-    if not model.nu or late < 2 * FEWEST or np.ptp(run["ctrl"], axis=0).any():
+    if not model.nu or late < 2 * FEWEST or _commanded(run).any():
         return
     damped = {at.joint for at in actuators(model) if at.kv or at.holds}
     speeds, wide = dict[int, float](), dict[int, float]()
@@ -238,7 +245,7 @@ def _speed(run: Recording, joint: int, first: int, last: int) -> float:
 def _coupled(run: Recording) -> Iterator[Finding]:
     """Yield the joint without a command that the acceleration of another moves most."""
     model = run.model
-    moved = np.ptp(run["ctrl"], axis=0) > 0
+    moved = _commanded(run)
     leads = {int(model.actuator_joint[of.index]) for of in _of_joints(model) if moved[of.index]}
     ways = {
         k: float(np.ptp(run["qpos"][:, model.jnt_qposadr[k]]))
