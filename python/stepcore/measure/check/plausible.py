@@ -17,10 +17,10 @@ from stepcore.report.units import metres, seconds, times
 from stepcore.scene.elements import Geom
 from stepcore.viewing import surfaces
 
-# Largest and smallest radius of gyration over the reach of the geoms from the centre of mass. In half
-# of 25 public models with inertias of their own: 0.24 (a finger of Panda) to 2.4 (its link1), and 5.5
-# in dm_control's arm.xml, which is wrong; in the other half 0.26 and more. 58-finger3.urdf, whose
-# inertias are 1000 times too small, has 0.02.
+# Largest and smallest radius of gyration over the reach of the geoms from the centre of mass. Half
+# of 25 public models with inertias of their own have 0.24 (a finger of Panda) to 2.4 (its link1),
+# and 5.5 in dm_control's arm.xml, which is wrong; the other half has 0.26 and more. In
+# 58-finger3.urdf, whose inertias are 1000 times too small, it is 0.02.
 TOO_FAR, TOO_NEAR = 3.0, FEW
 # Smallest eigenvalue of the mass matrix of joints scaled to a unit diagonal. Of 80 public models
 # the least are 0.0029 and, for a worm that fails, 3.4e-4.
