@@ -1,4 +1,4 @@
-"""Values that no real thing has: each found by its closed form, and not in the same scene made right."""
+"""Values that no real thing has, by their closed forms; nothing in the same scene made right."""
 
 import math
 
@@ -48,8 +48,9 @@ def test_a_small_inertia_is_found_although_drawings_are_left_out():
 
 FINGERS = """<robot name="finger"><link name="palm"/><link name="f1"><inertial>
 <mass value=".05"/><origin xyz=".03 0 0"/><inertia ixx="{0}" iyy="{1}" izz="{1}" ixy="0" ixz="0"
- iyz="0"/></inertial><collision><origin xyz=".03 0 0"/><geometry><box size=".06 .02 .02"/></geometry>
-</collision></link><joint name="j1" type="revolute"><parent link="palm"/><child link="f1"/>
+ iyz="0"/></inertial><collision><origin xyz=".03 0 0"/><geometry><box size=".06 .02 .02"/>
+</geometry></collision></link>
+<joint name="j1" type="revolute"><parent link="palm"/><child link="f1"/>
 <axis xyz="0 1 0"/><limit lower="-.2" upper="1.2" effort="60" velocity="2"/></joint></robot>"""
 
 

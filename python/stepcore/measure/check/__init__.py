@@ -387,13 +387,16 @@ def _caused(failure: Finding, diagnosis: Diagnosis | None) -> Finding:
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
     """Yield the findings of the scene and of the run without duplicates.
 
-    Of a duplicate, the scene's finding is kept; of a limit, the run's.
+    Of a duplicate, the scene's finding is kept; of limits and soft contacts, the run's.
     """
     limits = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
     # With a control range in degrees, every limit is overpowered; the range is told only.
     degrees = any(finding.kind == "units" for finding in read)
+    deep = any(finding.kind == "depth at rest" for finding in seen)
     known = set()
     for finding in read:
+        if finding.kind == "soft contact" and deep:
+            continue
         if finding.kind != "limit" or not (degrees or limits.intersection(finding.elements)):
             known.add((finding.kind, finding.elements[:1]))
             yield finding
