@@ -252,7 +252,9 @@ def _coupled(run: Recording) -> Iterator[Finding]:
         for k, kind in enumerate(model.jnt_type)
         if leads and kind in ("hinge", "slide") and k not in leads and _fixed(run, k)
     }
-    for joint in worst(ways, lambda k: ways[k] / (DEEP * min(width_of(model, k), math.pi))):
+    widest = {"slide": 1.0, "hinge": math.pi}
+    widths = {k: min(width_of(model, k), widest[model.jnt_type[k]]) for k in ways}
+    for joint in worst(ways, lambda k: ways[k] / (DEEP * widths[k])):
         lead, force = _leader(run, joint, sorted(leads))
         if lead is not None:
             elements = named(model, "joint", [joint, lead])
