@@ -208,7 +208,7 @@ def _undamped(run: Recording) -> Iterator[Finding]:
     speeds, wide = dict[int, float](), dict[int, float]()
     for k, of in enumerate(Layout(model.scene).joints):
         rubs = np.any(of.damping) or of.frictionloss or k in driven
-        if model.jnt_type[k] == "hinge" and not rubs:
+        if model.jnt_type[k] == "hinge" and not rubs and _fixed(run, k):
             speeds[k] = _speed(run, k, 0, len(run) - late)
             wide[k] = float(np.ptp(run["qpos"][late:, model.jnt_qposadr[k]]))
     keeps = {k: _speed(run, k, late, len(run)) / v for k, v in speeds.items() if v}
