@@ -17,15 +17,15 @@ from stepcore.report.units import metres, seconds, times
 from stepcore.scene.elements import Geom
 from stepcore.viewing import surfaces
 
-# Largest and smallest radius of gyration over the reach of the geoms from the centre of mass. Half
-# of 25 public models with inertias of their own have 0.24 (a finger of Panda) to 2.4 (its link1),
-# and 5.5 in dm_control's arm.xml, which is wrong; the other half has 0.26 and more. In
-# 58-finger3.urdf, whose inertias are 1000 times too small, it is 0.02.
+# Largest and smallest radius of gyration over the reach of the geoms from the centre of mass. 25
+# files (12 models) with inertias of their own have 0.24 (a finger of Panda) to 2.4 (its link1).
+# Exceptions are 5.5 in dm_control's arm.xml, which is wrong, and 3.9 and 50 in parts whose meshes
+# were left out. In 58-finger3.urdf, whose inertias are 1000 times too small, it is 0.02.
 TOO_FAR, TOO_NEAR = 3.0, FEW
-# Smallest eigenvalue of the mass matrix of joints scaled to a unit diagonal. Of 80 public models
-# the least are 0.0029 and, for a worm that fails, 3.4e-4.
+# Smallest eigenvalue of the mass matrix of joints scaled to a unit diagonal. Of about 90 files the
+# least are 0.0029 and, for a worm that fails, 3.4e-4.
 SINGULAR = 1e-6
-# Time constant of a solref [s]. In 70 public models none is above MuJoCo's default of 0.02.
+# Time constant of a solref [s]. In about 90 files none is above MuJoCo's default of 0.02.
 SOFT, DEFAULT = 0.1, 0.02
 
 
@@ -122,9 +122,9 @@ def _inertias(scene: Described, bodies: dict[int, _Body]) -> Iterator[Finding]:
 def _centres(scene: Described, bodies: dict[int, _Body]) -> Iterator[Finding]:
     """Yield centres of mass far outside of the convex hull of the body's geoms."""
     model = scene.model
-    # Of half of 25 public models, the furthest is 0.13 of the half size outside (robot_arm.xml); of
-    # the other half 0.18 (go2_mjx.xml), and 5.1 for the light switch of a kitchen, which has the
-    # <inertial> of another body. com_outside.xml has 3.1.
+    # The furthest of 25 files (12 models) is 0.18 of the half size outside (go2_mjx.xml), except
+    # for a light switch of a kitchen with 5.1, which has the <inertial> of another body.
+    # com_outside.xml has 3.1.
     wrong = worst(bodies, lambda k: outside(bodies[k].outline)[0] / HALF)
     if wrong:
         elements, (share, size) = named(model, "body", wrong), outside(bodies[wrong[0]].outline)

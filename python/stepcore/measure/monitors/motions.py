@@ -39,7 +39,7 @@ from stepcore.report.units import (
 from stepcore.scene.elements import Geom
 from stepcore.scene.layout import Layout
 
-# The force of a contact over the weight of what it holds. Objects of 80 public models are pressed
+# The force of a contact over the weight of what it holds. Objects in about 90 files are pressed
 # with up to 7.5 times their weight; the 235 N of a strong gripper hold 50 g with 480 times.
 CRUSHED = 1000.0
 
