@@ -1,5 +1,6 @@
 """`check`: every kind of finding on a scene made for it, and none on the same scene made right."""
 
+import dataclasses
 import math
 import re
 import warnings
@@ -8,6 +9,7 @@ from unittest import mock
 import pytest
 
 import stepcore as sc
+from stepcore.measure.check import AS_SHIPPED, TIME_STEP
 from stepcore.measure.monitors.soft_rows import yielding
 
 G = 9.81
@@ -57,12 +59,19 @@ def servo(more="", kp=10):
 # Nothing.
 
 
-@pytest.mark.parametrize(
-    "name", ["lesson:spring", "lesson:drop", "gymnasium:hopper", "gymnasium:reacher"]
-)
+EXAMINED = {
+    "lesson:spring": " inertia and 500 ms of free motion.",
+    "lesson:drop": " geometry, inertia and 500 ms of free motion.",
+    "gymnasium:hopper": ", limits, motors and 500 ms of motion with constant controls.",
+    "gymnasium:reacher": ", limits, motors and 500 ms of motion with constant controls.",
+}
+
+
+@pytest.mark.parametrize("name", EXAMINED)
 def test_nothing_is_found_in_a_healthy_scene(name):
     result = sc.check(name, horizon=0.5, threads=1, progress=False)
-    assert result.findings == [] and result.sentences[0] == "No problems found."
+    assert result.findings == [] and result.sentences[0].startswith("No problems found in ")
+    assert result.sentences[0].endswith(EXAMINED[name])
     assert result.diagnosis.sentences[0].startswith(result.sentences[1])
     commands = [command for command, _ in result.commands]
     assert commands[0] == f"stepcore trade {name} --error 1mm --horizon 0.5" and len(commands) == 3
@@ -78,6 +87,31 @@ def test_a_step_that_explodes_is_not_nothing():
     scene = sc.loads(f"<mujoco><worldbody>{body}</worldbody>{motor}</mujoco>")
     result = sc.check(scene, control=pd, horizon=0.2, threads=1, progress=False)
     assert result.findings == [] and result.sentences[0] == result.diagnosis.sentences[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "motion"),
+    [
+        ({"motion": "move"}, "point-to-point motion"),
+        ({"motion": "random"}, "random motion"),
+        ({"control": lambda time, sim: [0.0]}, "the given motion"),
+    ],
+)
+def test_the_motion_that_was_examined_is_named(options, motion):
+    text = arm('damping="1" range="-60 60"', rest=servo('kv="1"'))
+    (said,) = [one for one in checked(text, **options).sentences if "No problems" in one]
+    parts = "geometry, inertia, limits, servos"
+    assert said == f"No problems found in {parts} and 200 ms of {motion}."
+
+
+def test_what_did_not_run_was_not_examined():
+    """The time ends before the run; the file alone was read."""
+    result = checked(arm('damping="1"'))
+    result = dataclasses.replace(result, examined=("geometry", "inertia"), diagnosis=None)
+    object.__setattr__(result, "not_done", (AS_SHIPPED, TIME_STEP))
+    unknown, said, *_ = result.sentences
+    assert unknown == f"Not known yet: {AS_SHIPPED} and {TIME_STEP}."
+    assert said == "No problems found in geometry and inertia."
 
 
 # Units.
@@ -187,7 +221,7 @@ def test_a_servo_that_is_saturated_at_the_start():
     assert kinds(text.replace('qpos="0.5"', 'qpos="0.5" ctrl="0.5"')) == []
 
 
-HUNG = """<mujoco><worldbody><body pos="0 0 1"><joint name="hip" axis="0 1 0"/>
+HUNG = """<mujoco><worldbody><body pos="0 0 1"><joint name="hip" axis="0 1 0" damping=".1"/>
 <geom type="capsule" fromto="0 0 0 .4 0 0" size=".02" mass="2"/></body></worldbody>
 {tendon}
 <actuator><motor name="m" {of} gear="{gear}" ctrlrange="-1 1"/></actuator></mujoco>"""

@@ -11,9 +11,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Unpack
 
+import numpy as np
+
 from stepcore._core import Settings
 from stepcore.checks import one_line
 from stepcore.deadline import OutOfTime
+from stepcore.engine.actuator import actuators
 from stepcore.engine.control import control_option
 from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
@@ -25,6 +28,7 @@ from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.schedule import HORIZON, SAMPLES, Schedule, home, scheduled
 from stepcore.measure.check.described import ENDLESS, Described, described
+from stepcore.measure.check.plausible import plausibility
 from stepcore.measure.diagnosis import Diagnosis, diagnose
 from stepcore.measure.monitors import Finding, Next, monitored, ordered, verified
 from stepcore.measure.monitors.finding import HALF
@@ -32,7 +36,7 @@ from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import beginning, counted
+from stepcore.report.units import beginning, counted, seconds
 
 __all__ = ["Check", "check"]
 
@@ -50,6 +54,14 @@ TAKEN = {
     "run": MOTION,
     "plan": dict.fromkeys(MOTION, "") | {"key": "--key"},
 }
+# The kinds of motion in words.
+OF_KIND = {
+    "hold": "holding the pose",
+    "move": "point-to-point motion",
+    "sines": "sinusoidal motion",
+    "fall": "free motion",
+    "random": "random motion",
+}
 
 
 @dataclass(eq=False, repr=False)
@@ -64,6 +76,7 @@ class Check(Result):
     file: the file argument of the commands, with the options that change how the file is read.
     options: the options of the motion for the commands, by the field of `Motion`.
     holding: those that only `run` has besides, for the motion of this run.
+    examined: what was examined, in words: parts of the scene and the motion that was run.
     """
 
     kind = "check"
@@ -76,6 +89,7 @@ class Check(Result):
     file: str = "FILE"
     options: Mapping[str, str] = field(default_factory=dict)
     holding: Mapping[str, str] = field(default_factory=dict)
+    examined: Sequence[str] = ()
 
     @property
     def commands(self) -> list[tuple[str, str]]:
@@ -144,7 +158,9 @@ class Check(Result):
     @property
     def sentences(self) -> list[str]:
         """The problems with their cures, the diagnosis' answer, and the commands to run next."""
-        explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
+        fails = self.diagnosis and (
+            self.diagnosis.fails or self.diagnosis.limit() < self.settings.dt
+        )
         said = [
             text
             for finding in self.findings
@@ -155,10 +171,12 @@ class Check(Result):
         ]
         said += _for_urdf(shlex.split(self.file)[0], self.findings)
         unknown = [what for what in (AS_SHIPPED, TIME_STEP) if what in self.not_done]
+        if not said and not fails and self.examined:
+            *first, last = self.examined
+            examined = f"{', '.join(first)} and {last}" if first else last
+            said = [f"No problems found in {examined}."]
         if unknown:
             said.insert(0, f"Not known yet: {' and '.join(unknown)}.")
-        elif not said and not explodes:
-            said = ["No problems found."]
         # A motion that grows at every time step is not followed by the largest stable one.
         if self.diagnosis is not None and not self.endless:
             answers, fails = self.diagnosis.sentences, self.diagnosis.fails
@@ -239,7 +257,8 @@ def check(
     first = 0 if compiled.keys else None
     key = first if motion.key is None else compiled.index("key", motion.key)
     # What the scene alone says comes first: it takes no run.
-    read = list(described(Described(compiled, start, held, key)))
+    scene = Described(compiled, start, held, key)
+    read = [*described(scene), *plausibility(scene)]
     deadline.so_far(_first(read, "the file alone"))
     dt = compiled.settings.dt
     horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
@@ -280,6 +299,7 @@ def check(
         file=_file(model, compiled),
         options=_options(motion),
         holding={"kind": holds.kind} if holds.kind and not motion.kind else {},
+        examined=_examined(compiled, motion, schedule, AS_SHIPPED not in deadline.left_out),
     )
 
 
@@ -315,6 +335,25 @@ def _held(model: Model, motion: Motion) -> Motion:
     return dataclasses.replace(motion, ctrl=home(model, motion.key)[1][None, :])
 
 
+def _examined(model: Model, motion: Motion, schedule: Schedule, ran: bool) -> list[str]:
+    """Return the parts of a scene that are examined, and the motion if it ran, in words."""
+    drives = {of.holds for of in actuators(model)}
+    parts = {
+        "geometry": model.ngeom > 0,
+        "inertia": True,
+        "limits": bool(np.isfinite(model.jnt_range).any()),
+        "servos": True in drives,
+        "motors": False in drives,
+    }
+    if motion.control is not None or motion.table is not None:
+        how = "the given motion"
+    else:
+        kind = _held(model, motion).kind
+        how = OF_KIND[kind or "fall"] if kind or not model.nu else "motion with constant controls"
+    examined = [part for part, there in parts.items() if there]
+    return [*examined, f"{seconds(schedule.horizon)} of {how}"] if ran else examined
+
+
 def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
     dt = model.settings.dt
     period = motion.period(dt) or dt * max(1, min(round(horizon / (2 * SAMPLES) / dt), STEPS))
@@ -348,13 +387,16 @@ def _caused(failure: Finding, diagnosis: Diagnosis | None) -> Finding:
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
     """Yield the findings of the scene and of the run without duplicates.
 
-    Of a duplicate, the scene's finding is kept; of a limit, the run's.
+    Of a duplicate, the scene's finding is kept; of limits and soft contacts, the run's.
     """
     limits = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
     # With a control range in degrees, every limit is overpowered; the range is told only.
     degrees = any(finding.kind == "units" for finding in read)
+    deep = any(finding.kind == "depth at rest" for finding in seen)
     known = set()
     for finding in read:
+        if finding.kind == "soft contact" and deep:
+            continue
         if finding.kind != "limit" or not (degrees or limits.intersection(finding.elements)):
             known.add((finding.kind, finding.elements[:1]))
             yield finding

@@ -64,8 +64,6 @@ LARGE = 10.0
 TINY = 1e-14
 # Densities [kg/m³] outside of which nothing is solid: below that of air, and above that of osmium.
 SOLID = (1.0, 25_000.0)
-# The radius of gyration that no body has, relative to its reach: dm_control's arm.xml has 5.5.
-TOO_FAR = 3.0
 # A keyframe is written on purpose: only the rounding of its numbers may be outside, relative to the
 # range. kitchen_env_model.xml has 0.19 %.
 KEYED = 1e-3
@@ -266,36 +264,6 @@ def _densities(scene: Described) -> Iterator[Finding]:
             )
             cure = "check mass, density and size of its geoms"
             yield Finding("density", "remark", problem, cure, bodies, value, "kg/m³", LIST)
-
-
-def _inertias(scene: Described) -> Iterator[Finding]:
-    """Yield explicit inertias that do not fit the extent of the body."""
-    model = scene.model
-    # Without the meshes, the extent of a body is unknown.
-    if any("only draws" in line for line in model.scene.ignored):
-        return
-    reach, gyration = dict[int, float](), dict[int, float]()
-    for body in scene.moving:
-        mass, geoms, ipos = float(model.body_mass[body]), scene.geoms(body), model.body_ipos[body]
-        if scene.layout.bodies[body].mass is not None and geoms and mass > 0:
-            reach[body] = max(
-                float(np.linalg.norm(np.asarray(geom.pos) - ipos)) + scene.sizes.reach[index]
-                for index, geom in geoms.items()
-            )
-            trace = float(np.trace(np.asarray(model.body_inertia[body])))
-            gyration[body] = math.sqrt(max(trace, 0.0) / 2 / mass)
-    wrong = worst(reach, lambda body: gyration[body] / (TOO_FAR * reach[body]))
-    if not wrong:
-        return
-    far, near = gyration[wrong[0]], reach[wrong[0]]
-    ball, bodies = 0.4 * float(model.body_mass[wrong[0]]) * near**2, named(model, "body", wrong)
-    problem = (
-        f"the inertia of {listed(bodies, 'body')} belongs to mass {metres(far)} from its "
-        f"centre, but the body reaches only {metres(near)} (a ball of its mass and "
-        f"size has {ball:.2g} kg·m²)"
-    )
-    cure = 'correct its <inertial>, or let it come from the geoms (inertiafromgeom="true")'
-    yield Finding("inertia", "error", problem, cure, bodies, far, "m", LIST)
 
 
 # Starts and keyframes.
@@ -648,6 +616,6 @@ def _unused(scene: Described) -> Iterator[Finding]:
 # Equally severe ones are told in this order; those of limits only where limits act.
 OF_LIMITS = (_beyond, _asked_beyond, _overpowered)
 FINDINGS = (
-    *(_lengths, _tiny, _angles, _degrees, _densities, _inertias, _beyond, _clamped),
+    *(_lengths, _tiny, _angles, _degrees, _densities, _beyond, _clamped),
     *(_asked_beyond, _overpowered, _saturated, _balance, _turning, _unused),
 )

@@ -17,6 +17,7 @@ from stepcore.measure.monitors.creep import creep_findings
 from stepcore.measure.monitors.finding import Finding, Next, ordered, verified
 from stepcore.measure.monitors.grips import grip_findings
 from stepcore.measure.monitors.joints import joint_findings
+from stepcore.measure.monitors.motions import motion_findings
 from stepcore.measure.monitors.recording import Recording, cut, recorded
 from stepcore.measure.monitors.scene import energy_findings, resting_findings
 from stepcore.measure.monitors.servos import actuator_findings, fall_findings
@@ -28,6 +29,7 @@ __all__ = ["Finding", "Next", "Recording", "monitored", "ordered", "shown", "ver
 FINDINGS = (
     *(fall_findings, tunnelling_findings, grip_findings, creep_findings, contact_findings),
     *(joint_findings, noise_findings, actuator_findings, resting_findings),
+    motion_findings,
 )
 
 
