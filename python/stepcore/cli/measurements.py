@@ -47,7 +47,7 @@ class Measurement:
     to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
     file: of the argument FILE. horizon: the default horizon in words, if it is no constant. source:
     whether the function reads the file itself. more: further arguments of the function. done: what
-    follows a call.
+    follows a call. status: the exit status of a result.
     """
 
     module: str
@@ -61,6 +61,7 @@ class Measurement:
     source: bool = False
     more: More = lambda args, model: {}
     done: Callable[[Any, argparse.Namespace], object] = lambda result, args: None
+    status: Callable[[Any, argparse.Namespace], int] = lambda result, args: 0
 
 
 def _function(name: str) -> Callable[..., Any]:
@@ -106,6 +107,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
             "done, as it does after Ctrl-C (default: %(default)g)",
         )
     add_output(command, full=measurement.full)
+    command.set_defaults(status=measurement.status)
 
 
 def call(args: argparse.Namespace, name: str) -> Result:
@@ -211,7 +213,20 @@ NAMES = {"action": "append", "metavar": "NAME"}
 
 MEASUREMENTS = {
     "check": Measurement(
-        "check", "gymnasium:half_cheetah", {"depth": "LENGTH"}, warn=False, done=_name_the_file
+        "check",
+        "gymnasium:half_cheetah",
+        {
+            "depth": "LENGTH",
+            "fail_on": {
+                "choices": ("error", "warning", "never"),
+                "default": "error",
+                "help": "exit with status 1 if a finding is of this level or worse, and with 3 if "
+                "none is but the time was over before the run was examined (default: %(default)s)",
+            },
+        },
+        warn=False,
+        done=_name_the_file,
+        status=lambda result, args: result.status(args.fail_on),
     ),
     "trade": Measurement(
         "trade",
