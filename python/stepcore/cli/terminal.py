@@ -20,8 +20,8 @@ from stepcore.checks import one_line
 from stepcore.escapes import printable
 from stepcore.report.terminal import last_line, watched
 
-# The exit statuses of a program interrupted by Ctrl-C, as shells report it, and of a measurement that
-# had no answer in its time.
+# The exit statuses of a program interrupted by Ctrl-C, as shells report it, and of a measurement
+# without an answer in its time.
 INTERRUPTED, UNDECIDED = 130, 3
 # On a terminal, when a measurement that still runs says what it knows, and how often again [s].
 OFTEN = (1.0, 0.5)

@@ -271,19 +271,20 @@ class _Trials:
         for way in remedy.ways:
             if sum(not one.doubt for one in held) >= remedy.most:
                 break
-            holds = False
+            ran = False
             for cure in way:
                 share, left, seen = self._tried(remedy, cure)
                 if not share:
                     untried = untried or cure.words
                     break
-                if holds := left is not None and left <= remedy.enough:
+                ran = True
+                if left is not None and left <= remedy.enough:
                     held.append(_Held(left, cure, share, self._doubt(remedy, cure, seen)))
+                    ran = False
                     break
                 if left is not None and left <= helps:
                     helped.append(_Held(left, cure, share))
-            else:
-                failed += [one.words for one in way[:1]]
+            failed += [one.words for one in way[:1] if ran]
         best = sorted(held, key=lambda one: bool(one.doubt))[: remedy.most]
         return best or sorted(helped)[:1], failed, untried
 

@@ -25,7 +25,7 @@ from stepcore.measure.monitors.finding import (
     named,
     others,
 )
-from stepcore.measure.monitors.recording import Contacts, Recording, free_bodies, friction_of
+from stepcore.measure.monitors.recording import Recording, free_bodies, friction_of
 from stepcore.report.units import rounded, seconds
 from stepcore.scene.layout import Layout
 
@@ -219,13 +219,15 @@ def _harder(run: Recording) -> Iterator[tuple[Cure, ...]]:
     settings = run.model.settings
     if settings.law != "solref":
         return
-    elliptic = settings.cone == "pyramidal"
-    if elliptic:
-        yield (Cure('cone="elliptic"', Change(cone="elliptic")),)
+    elliptic = Change(cone="elliptic")
+    if settings.cone == "pyramidal":
+        yield (Cure('cone="elliptic"', elliptic),)
     larger = [value for part in (10, 100) if (value := part * settings.impratio) <= IMPRATIO]
-    for cone in ({}, {"cone": "elliptic"})[: 1 + elliptic]:
-        words = 'cone="elliptic" with impratio="{:g}"' if cone else 'impratio="{:g}"'
-        yield tuple(Cure(words.format(value), Change(impratio=value, **cone)) for value in larger)
+    alone = [Cure(f'impratio="{value:g}"', Change(impratio=value)) for value in larger]
+    yield tuple(alone)
+    if settings.cone == "pyramidal":
+        words = 'cone="elliptic" with '
+        yield tuple(Cure(words + one.words, elliptic.also(one.change)) for one in alone)
 
 
 def _rougher(run: Recording, found: list[Slip], friction: float) -> Iterator[tuple[Cure, ...]]:
