@@ -299,8 +299,10 @@ class _Trials:
             if cost > self.effort:
                 return ran, left, seen
             self.effort -= cost
-            left, seen = self._left(remedy, cure.change, share)
-            ran = share
+            tried = self._left(remedy, cure.change, share)
+            if tried is None:
+                return ran, left, seen
+            (left, seen), ran = tried, share
             if left is None or left > remedy.enough:
                 return 1.0, left, seen
         return ran, left, seen
@@ -312,30 +314,36 @@ class _Trials:
 
     def _left(
         self, remedy: Remedy, change: Change, share: float, nudge: float = 0.0
-    ) -> tuple[float | None, Any]:
-        """Run a change, and return what it leaves and the run. nudge: the change of gravity."""
+    ) -> tuple[float | None, Any] | None:
+        """Run a change, and return what it leaves and the run; None if the time was over.
+
+        nudge: the change of gravity.
+        """
+        found = None
         with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
             try:
                 changed = change.of(self.model)
                 if nudge:
                     changed = _nudged(changed, nudge)
                 seen = remedy.again(changed) if remedy.again else self.again(changed, share)
-                return (None, None) if seen is None else (remedy.left(seen), seen)
+                found = (None if seen is None else remedy.left(seen)), seen
             except (ValueError, SimulationError):
-                pass
-        return None, None
+                found = None, None
+        return found
 
     def _doubt(self, remedy: Remedy, cure: Cure, seen: Any) -> str:
         """Return why a cure that holds may not hold elsewhere; "" if nothing shows that."""
         if remedy.again is not None or not self.model.npair:
             return ""
-        if seen.unsolved:
-            return ", but its rows are not solved, so that it may fail with another solver"
+        with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
+            if seen.unsolved:
+                return ", but its rows are not solved, so that it may fail with another solver"
         cost = self._cost(cure.change, 1.0)
         if cost > self.doubts or not any(self.model.scene.gravity):
             return ""
         self.doubts -= cost
-        left, _ = self._left(remedy, cure.change, 1.0, NUDGE)
+        tried = self._left(remedy, cure.change, 1.0, NUDGE)
+        left = 0.0 if tried is None else tried[0]
         if left is not None and left <= remedy.enough:
             return ""
         what = "the run fails" if left is None else f"it leaves {remedy.say(left)}"

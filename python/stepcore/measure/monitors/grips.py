@@ -81,7 +81,7 @@ def _things(run: Recording) -> list[int]:
         return []
     index, tied = Layout(scene).index, set[int]()
     for equality in scene.equalities:
-        if equality.type in ("connect", "weld"):
+        if equality.active and equality.type in ("connect", "weld"):
             tied |= {int(run.roots[index[id(body)]]) for body in equality.bodies}
     return sorted(free_bodies(model) - roots(model, actuators(model)) - tied)
 
@@ -206,8 +206,11 @@ def grip_findings(run: Recording) -> Iterator[Finding]:
 
     ways = [*_harder(run), *_rougher(run, found, friction)]
     now = float(len(found))
-    kept = "it in the grip"
-    remedy = Remedy(tuple(ways), left, 0.0, lambda count: kept, most=2, now=now, compared=True)
+
+    def say(count: float) -> str:
+        return f"{count:g} that slip" if count else "it in the grip"
+
+    remedy = Remedy(tuple(ways), left, 0.0, say, most=2, now=now, compared=True)
     elements = (*bodies, *contacts)
     yield Finding(
         "slip", "warning", problem, "a stronger grip", elements, first.held, "N", remedy=remedy

@@ -436,7 +436,7 @@ def fall_findings(run: Recording) -> Iterator[Finding]:
         tuple(_firmer(model, falling)),
         lambda other: float(_down(other, body).any()),
         0.0,
-        lambda left: "it standing",
+        lambda falls: "it fallen" if falls else "it standing",
         now=1.0,
     )
     yield Finding("fall", "warning", problem, cure, of, after, "s", remedy=remedy)
