@@ -89,6 +89,20 @@ CASES = {
         lambda time, sim: [0.0],
         False,
     ),
+    "on a tray whose arm falls": (
+        TRAY.format(
+            joint='<joint name="arm" axis="0 1 0" pos="-.6 0 0"/>',
+            wall=0.1,
+            drive='<position joint="arm" kp="1"/>',
+        ).replace("<worldbody>", '<default><geom friction=".05"/></default><worldbody>', 1),
+        lambda time, sim: [0.0],
+        False,
+    ),
+    "welded and lowered": (
+        gripper(mass=2, more=WELD.format("true")),
+        pressing(0.3, shake=0.05, down=0.28),
+        False,
+    ),
     "slides off a tray with walls": (
         TRAY.format(
             joint='<joint name="tilt" axis="1 0 0"/>',

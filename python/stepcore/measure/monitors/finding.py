@@ -119,6 +119,7 @@ class Finding:
     settings: the settings that the cure changes, with their new values.
     remedy: cures that have not been tried yet; `verified` tries them, and writes what they leave.
     lines: MJCF elements to paste, where the cure is more than one.
+    ran: whether the cure's words say of each change whether it was run.
     """
 
     kind: str
@@ -132,6 +133,7 @@ class Finding:
     settings: Mapping[str, Any] = field(default_factory=dict)
     remedy: Remedy | None = field(default=None, repr=False, compare=False)
     lines: tuple[str, ...] = ()
+    ran: bool = False
 
     @property
     def element(self) -> str:
@@ -144,7 +146,8 @@ class Finding:
         # A problem without an element may begin with a file name, which keeps its case.
         begin = self.problem[:1].upper() if self.elements else self.problem[:1]
         problem = begin + self.problem[1:]
-        return f"{problem}: {self.cure}." if self.cure else f"{problem}."
+        suggested = self.cure if self.ran else f"{self.cure} (not run)"
+        return f"{problem}: {suggested}." if self.cure else f"{problem}."
 
     def record(self) -> dict[str, Any]:
         """Return the finding as plain data."""
@@ -246,14 +249,20 @@ class _Trials:
             change = held[0].cure.change
             commands = (*_commands(change), *finding.commands)
             return dataclasses.replace(
-                finding, cure=words + also, settings=dict(change.settings), commands=commands
+                finding,
+                cure=words + also,
+                settings=dict(change.settings),
+                commands=commands,
+                ran=True,
             )
         if remedy.needed and (failed or finding.severity == "remark"):
             return None
         if untried:
-            return dataclasses.replace(finding, cure=f"try {untried}{also}")
+            return dataclasses.replace(finding, cure=f"try {untried}{also}", ran=True)
         words = f"run without success, as stronger ones were: {'; '.join(failed)}" if failed else ""
-        return dataclasses.replace(finding, cure=words + also if words else finding.cure)
+        if not words:
+            return finding
+        return dataclasses.replace(finding, cure=words + also, ran=True)
 
     def _words(self, remedy: Remedy, held: _Held) -> str:
         length = held.share * self.steps * self.model.settings.dt
