@@ -335,7 +335,8 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
         f"{percent(depth / thick)} of the thinner geom's half "
         f'thickness, under solref="{solref[0]:g} {solref[1]:g}"'
     )
-    ways = (tuple(hardest(model, pairs, model.settings.dt / part) for part in PARTS),)
+    hard = tuple(hardest(model, pairs, model.settings.dt / part) for part in PARTS)
+    ways = (other_cone(model), hard) if run.unsolved else (hard,)
 
     def pressed(other: Recording) -> float | None:
         """Return how deep the pairs were pressed at most [m]; None if one does not touch."""
