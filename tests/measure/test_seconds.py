@@ -196,7 +196,7 @@ def test_a_long_check_says_first_what_the_file_alone_shows(capsys, clock, tmp_pa
     out, err = capsys.readouterr()
     assert err.startswith("stepcore: so far: 1 finding in the file") and "knee" in err
     assert "\nError: Keyframe `home` has joint `knee`" in out
-    assert main(["check", str(file), "--horizon", "0.1", "--json"]) == 0
+    assert main(["check", str(file), "--horizon", "0.1", "--json"]) == 1
     assert not capsys.readouterr().err
 
 
