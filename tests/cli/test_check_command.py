@@ -44,7 +44,7 @@ def test_it_prints_findings_the_diagnosis_and_commands(capsys, scene, monkeypatc
     file = scene(2.0)
     status, out, err = call(capsys, file, "--horizon", 0.2)
     # What the file alone shows is said before anything runs.
-    assert status == 0 and err.startswith("stepcore: so far: 1 finding in the file alone:")
+    assert status == 1 and err.startswith("stepcore: so far: 1 finding in the file alone:")
     out = " ".join(out.split())
     found = "Error: Keyframe `home` has joint `knee` at 2 rad"
     assert out.startswith(f"arm: check {found}")
@@ -59,7 +59,7 @@ def test_it_prints_findings_the_diagnosis_and_commands(capsys, scene, monkeypatc
 def test_it_writes_data_and_a_page(capsys, scene, tmp_path):
     page, data = tmp_path / "check.html", tmp_path / "check.json"
     args = ["--horizon", 0.2, "--html", page, "--json", data]
-    assert call(capsys, scene(2.0), *args)[0] == 0
+    assert call(capsys, scene(2.0), *args)[0] == 1
     assert "Keyframe <code>home</code> has joint <code>knee</code>" in page.read_text()
     (row,) = json.loads(data.read_text())["rows"]
     assert row["kind"] == "outside a limit" and row["severity"] == "error"
@@ -85,7 +85,7 @@ def test_every_command_takes_the_same_file_and_motion(capsys, scene, tmp_path):
     words = [word for option in options.items() for word in option]
     file = scene(2.0)
     given = [file, "--without", "sensor", "--no-fuse", "--key", "home", *words]
-    assert call(capsys, *given, "--json", data)[0] == 0
+    assert call(capsys, *given, "--json", data)[0] == 1
     commands = [shlex.split(line) for line in json.loads(data.read_text())["next"]]
     assert len(commands) == 3
     for _, *argv in commands:
@@ -174,3 +174,26 @@ def test_a_scene_that_is_refused_is_told_with_what_is_wrong(capsys, scene):
     assert "range" in err and "the first smaller" in err
     status, out, err = call(capsys, scene(0.5), "--depth", "deep")
     assert status == 2 and "depth = 'deep'" in err
+
+
+def test_the_exit_status_is_that_of_the_worst_finding(capsys, scene):
+    file = scene(2.0)
+    assert call(capsys, file, "--horizon", 0.1)[0] == 1
+    assert call(capsys, file, "--horizon", 0.1, "--fail-on", "never")[0] == 0
+
+
+@pytest.mark.parametrize(
+    "severity, not_done, statuses",
+    [
+        ("error", (), (1, 1, 0)),
+        ("error", ("the run as shipped",), (1, 1, 0)),
+        ("warning", (), (0, 1, 0)),
+        ("warning", ("the run as shipped",), (3, 1, 0)),
+        ("remark", (), (0, 0, 0)),
+        ("remark", ("the diagnosis of the time step",), (0, 0, 0)),
+    ],
+)
+def test_a_finding_fails_at_its_level_and_a_missing_run_is_undecided(severity, not_done, statuses):
+    shown = {"name": "arm", "settings": None, "motion": None, "diagnosis": None}
+    result = Check(**shown, findings=[Finding("overlap", severity, "")], not_done=not_done)
+    assert tuple(map(result.status, ("error", "warning", "never"))) == statuses

@@ -38,3 +38,8 @@ def damping10(t, sim):
 def damping20(t, sim):
     """The same with D = 20."""
     return [2 * force for force in damping10(t, sim)]
+
+
+def shake(t, sim):
+    """A carriage that shakes its gripper by 10 cm at 2 Hz."""
+    return [-0.6, 0.0 if t < 0.3 else 0.1 * math.sin(2 * math.pi * 2.0 * (t - 0.3)), 0.0]

@@ -42,7 +42,9 @@ FOUND = {
     "decimation pd": ("motor `calf` can push joint `calf`",),
     "graspslip": ("slips out of its grip", "a friction of 1.44 on both geoms leaves it"),
     # A friction of 2 lets it slide out later.
-    "grasplift": ("while the motion asks for more", "a friction of 4 on both geoms leaves it"),
+    "grasplift": ("which the grip would carry at rest", "a friction of 4 on both geoms leaves it"),
+    "gripshake shake": ("slips out of its grip", 'cone="elliptic" leaves it in the grip'),
+    "quadkp20": ("falls over within 675 ms", "kp 40 of each leaves it standing"),
     "graspcreep": ("creeps at 4.23 mm/s", 'cone="elliptic" with impratio="500"'),
 }
 # What the whole answer says, with the time step: 2I/D of the wheels is 5.5 ms.
@@ -114,6 +116,7 @@ CURED = {
     ),
     "graspslip": ("geom * friction 1.44 .005 .0001", 2.0, lambda sim: sim.qpos[5] > 0.3),
     "grasplift": ("geom * friction 4 .005 .0001", 1.0, lambda sim: sim.qpos[5] > 0.3),
+    "quadkp20": ("actuator * kp 40", 3.0, lambda sim: sim.qpos[2] > 0.3),
     "masstendon": ("integrator=implicitfast", 2.0, lambda sim: abs(sim.qvel[0]) < 1e-6),
     "velservo": ("integrator=implicitfast", 4.0, lambda sim: abs(sim.qvel[6] - 5) < 0.01),
     "newtonball": ("actuator * kv 1.46", 10.0, lambda sim: abs(sim.qvel).max() < 1e-6),

@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 
 from stepcore.cli.terminal import (
     INTERRUPTED,
+    UNDECIDED,
     ends_early_on_ctrl_c,
     print_what_can_be_printed,
     reason,
@@ -60,7 +61,8 @@ FILE is the path of an MJCF or URDF file; or "package:name", a model among the f
 package (gymnasium:half_cheetah; the package is not imported); or "lesson:name", one of four small
 scenes that come with stepcore (spring, drop, stack, grasp).
 
-exit status: 0 success, 1 run-time failure, 2 usage error, 130 interrupted
+exit status: 0 success, 1 run-time failure (of check: a finding of the level of --fail-on),
+2 usage or input error, 3 no answer in the time available, 130 interrupted
 """
 # Modules of the commands; all other commands are in `measurements`.
 MODULES = {
@@ -116,8 +118,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             raise
         say(reason(error))
-        if isinstance(error, OutOfTime) and error.interrupted:
-            return INTERRUPTED
+        if isinstance(error, OutOfTime):
+            return INTERRUPTED if error.interrupted else UNDECIDED
         return 2 if isinstance(error, (ValueError, OSError)) else 1
 
 
@@ -171,7 +173,7 @@ def _run(args: argparse.Namespace) -> int:
             files.outputs.clear()
         if isinstance(result, Result):
             deliver(result, args)
-            return INTERRUPTED if result.interrupted else 0
+            return INTERRUPTED if result.interrupted else args.status(result, args)
         return int(result or 0)
 
 
@@ -197,6 +199,7 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         command = commands.add_parser(
             name, help=summary, description=text, epilog=f"example{example}"
         )
+        command.set_defaults(status=lambda result, args: 0)
         module.add(command, name)
         command.set_defaults(call=module.call, command=name, parser=command)
     return top

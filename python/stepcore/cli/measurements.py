@@ -45,7 +45,7 @@ class Measurement:
     excluding: mutually exclusive options. full: the description of --all in the help. warn: whether
     to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
     horizon: the default horizon in words, if it is no constant. more: further arguments of the
-    function. done: an action after a call.
+    function. done: an action after a call. status: the exit status of a result.
     """
 
     module: str
@@ -57,6 +57,7 @@ class Measurement:
     horizon: str = ""
     more: More = lambda args, model: {}
     done: Callable[[Any, argparse.Namespace], object] = lambda result, args: None
+    status: Callable[[Any, argparse.Namespace], int] = lambda result, args: 0
 
 
 def _function(name: str) -> Callable[..., Any]:
@@ -102,6 +103,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
             "done, as it does after Ctrl-C (default: %(default)g)",
         )
     add_output(command, full=measurement.full)
+    command.set_defaults(status=measurement.status)
 
 
 def call(args: argparse.Namespace, name: str) -> Result:
@@ -207,7 +209,20 @@ NAMES = {"action": "append", "metavar": "NAME"}
 
 MEASUREMENTS = {
     "check": Measurement(
-        "check", "gymnasium:half_cheetah", {"depth": "LENGTH"}, warn=False, done=_name_the_file
+        "check",
+        "gymnasium:half_cheetah",
+        {
+            "depth": "LENGTH",
+            "fail_on": {
+                "choices": ("error", "warning", "never"),
+                "default": "error",
+                "help": "exit with status 1 if a finding is of this level or worse, and with 3 if "
+                "none is but the time was over before the run was examined (default: %(default)s)",
+            },
+        },
+        warn=False,
+        done=_name_the_file,
+        status=lambda result, args: result.status(args.fail_on),
     ),
     "trade": Measurement(
         "trade",

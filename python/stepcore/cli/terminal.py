@@ -20,8 +20,9 @@ from stepcore.checks import one_line
 from stepcore.escapes import printable
 from stepcore.report.terminal import last_line, watched
 
-# The exit status that shells report for a program interrupted by Ctrl-C.
-INTERRUPTED = 130
+# The exit statuses of a program interrupted by Ctrl-C, as shells report it, and of a measurement
+# without an answer in its time.
+INTERRUPTED, UNDECIDED = 130, 3
 # On a terminal: the time of the first preliminary answer, and the interval between answers [s].
 OFTEN = (1.0, 0.5)
 ERRORS = "stepcore.plain"

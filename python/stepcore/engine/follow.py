@@ -222,6 +222,8 @@ class _Run:
                 self.data[name][:] = values[:, None]
         for error in core.failures([])[1]:
             world = error.world
+            # The caller has starts, which are no worlds of a batch of its own.
+            error.args = (str(error).replace(f" in world {world}", "", 1),)
             if "_start" in error.__dict__:
                 attach(error, self.model, arrays["qpos"][world], arrays["qvel"][world])
             self.end(world, error)

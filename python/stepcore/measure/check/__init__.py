@@ -31,7 +31,7 @@ from stepcore.measure.check.described import ENDLESS, Described, described
 from stepcore.measure.check.plausible import plausibility
 from stepcore.measure.diagnosis import Diagnosis, diagnose
 from stepcore.measure.monitors import Finding, Next, monitored, ordered, verified
-from stepcore.measure.monitors.finding import HALF
+from stepcore.measure.monitors.finding import HALF, SEVERITIES
 from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.settings import label
@@ -118,6 +118,18 @@ class Check(Result):
                 yield Next("run", "whether a smaller time step survives", ("--dt", short))
             yield from finding.commands
         yield from ALWAYS
+
+    def status(self, level: str) -> int:
+        """Return the exit status of `stepcore check`: 0 passed, 1 failed, 3 undecided.
+
+        level: the least severe finding that fails, "error" or "warning"; "never" passes always.
+        """
+        if level == "never":
+            return 0
+        failing = SEVERITIES[: SEVERITIES.index(level) + 1]
+        if any(finding.severity in failing for finding in self.findings):
+            return 1
+        return 3 if AS_SHIPPED in self.not_done else 0
 
     @property
     def failed(self) -> bool:

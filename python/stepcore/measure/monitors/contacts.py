@@ -295,9 +295,10 @@ def _depths(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
     solimp = next(of.value for of in contacts[0].fields(model) if of.name == "solimp")
     wanted = LEFT * most(of) if asked is None else asked
     harder = stiffened(model, contacts, pair.solref, solimp, of.depth, wanted)
-    # Steep friction pyramids are soft along the normal, too.
+    # Steep friction pyramids are soft along the normal, too. And a stiff row that is not solved
+    # promises nothing.
     steep = model.settings.cone == "pyramidal" and friction_of(model, of.pair) > 1
-    ways = (*(((Cure('cone="elliptic"', Change(cone="elliptic")),),) * steep), harder)
+    ways = (harder, other_cone(model))[:: -1 if steep or run.unsolved else 1]
     # A depth that was asked for is reached within a hundredth.
     remedy = Remedy(ways, lambda other: depth_of(other, pairs), (1 + SEEN) * most(of), metres)
     severity = "warning" if of.depth > DEEP * thick else "remark"
@@ -308,12 +309,11 @@ def _depths(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
 def depth_of(run: Recording, pairs: Collection[int]) -> float | None:
     """Return the mean depth of the deepest of some pairs over the end of the run [m].
 
-    None if none is pressed there.
+    Geoms that a margin holds apart are 0 deep. None if none is pressed there.
     """
     late = run.part(run.late).contacts
     depths = [late.depth[places].mean() for (of, _), places in late.groups.items() if of in pairs]
-    deepest = float(max(depths, default=0.0))
-    return deepest if deepest > 0 else None
+    return max(0.0, float(max(depths))) if depths else None
 
 
 def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
@@ -335,7 +335,8 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
         f"{percent(depth / thick)} of the thinner geom's half "
         f'thickness, under solref="{solref[0]:g} {solref[1]:g}"'
     )
-    ways = (tuple(hardest(model, pairs, model.settings.dt / part) for part in PARTS),)
+    hard = tuple(hardest(model, pairs, model.settings.dt / part) for part in PARTS)
+    ways = (other_cone(model), hard) if run.unsolved else (hard,)
 
     def pressed(other: Recording) -> float | None:
         """Return how deep the pairs were pressed at most [m]; None if one does not touch."""
@@ -345,6 +346,12 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
     remedy = Remedy(ways, pressed, HALF * thick, metres, needed=True)
     what = "depth under load", "remark", problem, "", contacts, depth, "m", TEST_CONTACTS
     yield Finding(*what, remedy=remedy)
+
+
+def other_cone(model: Model) -> tuple[Cure, ...]:
+    """Return the cure by the cone that a model does not have."""
+    cone = "elliptic" if model.settings.cone == "pyramidal" else "pyramidal"
+    return (Cure(f'cone="{cone}"', Change(cone=cone)),)
 
 
 def _deepest(run: Recording) -> dict[int, float]:

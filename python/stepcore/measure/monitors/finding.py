@@ -41,6 +41,9 @@ OTHERS = 3
 # The cost of all cures' runs, in steps × (dofs + 2). Go2 takes 0.35 s for 10⁵ of that, its findings
 # included; what cures cup.xml is known after 6e5.
 EFFORT = 1e6
+# By how much gravity is changed to see whether a run is chaotic: far below what a scene means, and
+# above the rounding by which two engines differ.
+NUDGE = 1e-6
 # The parts of a time step that are tried.
 PARTS = (1, 2, 4)
 
@@ -87,6 +90,7 @@ class Remedy:
     by: the share of the run in which the problem is seen. A cure is first run so far, since most
         that fail do so at once.
     again: makes the run that `left` reads with another model; by default the motion of the finding.
+    compared: whether the alternatives that failed are named beside those that hold.
     """
 
     ways: tuple[tuple[Cure, ...], ...]
@@ -98,6 +102,7 @@ class Remedy:
     needed: bool = False
     by: float = 1.0
     again: Callable[[Model], Any] | None = None
+    compared: bool = False
 
 
 @dataclass(frozen=True)
@@ -114,6 +119,7 @@ class Finding:
     settings: the settings that the cure changes, with their new values.
     remedy: cures that have not been tried yet; `verified` tries them, and writes what they leave.
     lines: MJCF elements to paste, where the cure is more than one.
+    ran: whether the cure's words say of each change whether it was run.
     """
 
     kind: str
@@ -127,6 +133,7 @@ class Finding:
     settings: Mapping[str, Any] = field(default_factory=dict)
     remedy: Remedy | None = field(default=None, repr=False, compare=False)
     lines: tuple[str, ...] = ()
+    ran: bool = False
 
     @property
     def element(self) -> str:
@@ -139,7 +146,8 @@ class Finding:
         # A problem without an element may begin with a file name, which keeps its case.
         begin = self.problem[:1].upper() if self.elements else self.problem[:1]
         problem = begin + self.problem[1:]
-        return f"{problem}: {self.cure}." if self.cure else f"{problem}."
+        suggested = self.cure if self.ran else f"{self.cure} (not run)"
+        return f"{problem}: {suggested}." if self.cure else f"{problem}."
 
     def record(self) -> dict[str, Any]:
         """Return the finding as plain data."""
@@ -202,21 +210,29 @@ def verified(
 
 
 class _Held(NamedTuple):
-    """A cure that holds, what it leaves, and the share of the run in which that was seen."""
+    """A cure that holds, what it leaves, the share of the run in which that was seen, and a doubt.
+
+    doubt: why it may not hold elsewhere, in words; "" if nothing shows that.
+    """
 
     left: float
     cure: Cure
     share: float
+    doubt: str = ""
 
 
 @dataclass
 class _Trials:
-    """The runs of cures. steps: of one run. effort: what is left of `EFFORT`."""
+    """The runs of cures. steps: of one run.
+
+    effort: what is left of `EFFORT` for cures. doubts: what is left for runs with another gravity.
+    """
 
     model: Model
     again: Again
     steps: int
     effort: float = EFFORT
+    doubts: float = HALF * EFFORT
 
     def cured(self, finding: Finding) -> Finding | None:
         """Return a finding with the best of its cures, or None if it needed one."""
@@ -224,29 +240,37 @@ class _Trials:
         if remedy is None:
             return finding
         finding = dataclasses.replace(finding, remedy=None)
-        also = f", or {finding.cure}" if finding.cure else ""
+        also = f"; not run: {finding.cure}" if finding.cure else ""
         held, failed, untried = self._run(remedy, finding.value)
         if held:
             words = ", or ".join(self._words(remedy, one) for one in held)
+            if remedy.compared and failed:
+                words += f" (run without success: {'; '.join(failed)})"
             change = held[0].cure.change
             commands = (*_commands(change), *finding.commands)
             return dataclasses.replace(
-                finding, cure=words + also, settings=dict(change.settings), commands=commands
+                finding,
+                cure=words + also,
+                settings=dict(change.settings),
+                commands=commands,
+                ran=True,
             )
         if remedy.needed and (failed or finding.severity == "remark"):
             return None
         if untried:
-            return dataclasses.replace(finding, cure=f"try {untried}{also}")
+            return dataclasses.replace(finding, cure=f"try {untried}{also}", ran=True)
         words = f"run without success, as stronger ones were: {'; '.join(failed)}" if failed else ""
-        return dataclasses.replace(finding, cure=finding.cure or words)
+        if not words:
+            return finding
+        return dataclasses.replace(finding, cure=words + also, ran=True)
 
     def _words(self, remedy: Remedy, held: _Held) -> str:
         length = held.share * self.steps * self.model.settings.dt
         within = f" in the first {seconds(float(f'{length:.2g}'))}" if held.share < 1 else ""
-        return f"{held.cure.words} leaves {remedy.say(held.left)}{within}"
+        return f"{held.cure.words} leaves {remedy.say(held.left)}{within}{held.doubt}"
 
     def _run(self, remedy: Remedy, value: float | None) -> tuple[list[_Held], list[str], str]:
-        """Return cures that hold, or else the one that helps most.
+        """Return cures that hold, those without a doubt first, or else the one that helps most.
 
         Then the first cures of the ways that failed, and the first that there was no time for.
         """
@@ -254,42 +278,92 @@ class _Trials:
         helps = math.inf if now is None else HALF * abs(now)
         held, helped, failed, untried = list[_Held](), list[_Held](), list[str](), ""
         for way in remedy.ways:
-            for cure in way if len(held) < remedy.most else ():
-                share, left = self._tried(remedy, cure)
+            if sum(not one.doubt for one in held) >= remedy.most:
+                break
+            ran = False
+            for cure in way:
+                share, left, seen = self._tried(remedy, cure)
                 if not share:
                     untried = untried or cure.words
                     break
-                failed += [cure.words] * (cure is way[0])
+                ran = True
                 if left is not None and left <= remedy.enough:
-                    held.append(_Held(left, cure, share))
+                    held.append(_Held(left, cure, share, self._doubt(remedy, cure, seen)))
+                    ran = False
                     break
                 if left is not None and left <= helps:
                     helped.append(_Held(left, cure, share))
-        return held or sorted(helped)[:1], failed, untried
+            failed += [one.words for one in way[:1] if ran]
+        best = sorted(held, key=lambda one: bool(one.doubt))[: remedy.most]
+        return best or sorted(helped)[:1], failed, untried
 
-    def _tried(self, remedy: Remedy, cure: Cure) -> tuple[float, float | None]:
-        """Run a cure: the share of the motion that there was time for, and what it leaves.
+    def _tried(self, remedy: Remedy, cure: Cure) -> tuple[float, float | None, Any]:
+        """Run a cure: the share of the motion that there was time for, what it leaves, and the run.
 
         What it leaves is None if its run fails, or makes an error of its own.
         """
-        dt, ran, left = self.model.settings.dt, 0.0, None
-        finer = max(1.0, dt / dict(cure.change.settings).get("dt", dt))
+        ran, left, seen = 0.0, None, None
         for share in sorted({min(remedy.by, 1.0), 1.0}):
-            cost = finer * share * self.steps * (self.model.nv + 2)
+            cost = self._cost(cure.change, share)
             if cost > self.effort:
-                return ran, left
+                return ran, left, seen
             self.effort -= cost
-            with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
-                try:
-                    changed = cure.change.of(self.model)
-                    seen = remedy.again(changed) if remedy.again else self.again(changed, share)
-                    left = None if seen is None else remedy.left(seen)
-                except (ValueError, SimulationError):
-                    left = None
-                ran = share
+            tried = self._left(remedy, cure.change, share)
+            if tried is None:
+                return ran, left, seen
+            (left, seen), ran = tried, share
             if left is None or left > remedy.enough:
-                return 1.0, left
-        return ran, left
+                return 1.0, left, seen
+        return ran, left, seen
+
+    def _cost(self, change: Change, share: float) -> float:
+        dt = self.model.settings.dt
+        finer = max(1.0, dt / dict(change.settings).get("dt", dt))
+        return finer * share * self.steps * (self.model.nv + 2)
+
+    def _left(
+        self, remedy: Remedy, change: Change, share: float, nudge: float = 0.0
+    ) -> tuple[float | None, Any] | None:
+        """Run a change, and return what it leaves and the run; None if the time was over.
+
+        nudge: the change of gravity.
+        """
+        found = None
+        with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
+            try:
+                changed = change.of(self.model)
+                if nudge:
+                    changed = _nudged(changed, nudge)
+                seen = remedy.again(changed) if remedy.again else self.again(changed, share)
+                found = (None if seen is None else remedy.left(seen)), seen
+            except (ValueError, SimulationError):
+                found = None, None
+        return found
+
+    def _doubt(self, remedy: Remedy, cure: Cure, seen: Any) -> str:
+        """Return why a cure that holds may not hold elsewhere; "" if nothing shows that."""
+        if remedy.again is not None or not self.model.npair:
+            return ""
+        with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
+            if seen.unsolved:
+                return ", but its rows are not solved, so that it may fail with another solver"
+        cost = self._cost(cure.change, 1.0)
+        if cost > self.doubts or not any(self.model.scene.gravity):
+            return ""
+        self.doubts -= cost
+        tried = self._left(remedy, cure.change, 1.0, NUDGE)
+        left = 0.0 if tried is None else tried[0]
+        if left is not None and left <= remedy.enough:
+            return ""
+        what = "the run fails" if left is None else f"it leaves {remedy.say(left)}"
+        return f", but {what} if gravity is changed by {NUDGE:g} of itself"
+
+
+def _nudged(model: Model, nudge: float) -> Model:
+    """Return the model under a gravity that is changed by a share of itself."""
+    scene = model.scene.with_settings(model.settings)
+    scene.gravity = tuple((1 + nudge) * value for value in scene.gravity)
+    return scene.compile()
 
 
 def _commands(change: Change) -> tuple[Next, ...]:

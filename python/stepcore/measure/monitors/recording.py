@@ -6,6 +6,7 @@ read afterwards, at a bounded number of recorded states.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import math
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from stepcore._core import Settings
+from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import cross, rotated
@@ -24,6 +25,8 @@ from stepcore.engine.model import Model
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
+from stepcore.engine.unsolved import FEWEST as SAMPLES
+from stepcore.engine.unsolved import Residuals
 from stepcore.executors import checkpoint
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.single_run import READINGS
@@ -145,6 +148,22 @@ class Recording:
         return sim
 
     @functools.cached_property
+    def unsolved(self) -> bool:
+        """Whether most of some steps along the run leave rows unsolved; see `Residuals`."""
+        sim = unwatched(Sim(self.driven))
+        self.begin(sim)
+        residuals = Residuals(sim)
+        with contextlib.suppress(SimulationError):
+            for reading in np.linspace(0, len(self) - 1, SAMPLES).astype(int).tolist():
+                checkpoint()
+                for name in ("qpos", "qvel", "act", "ctrl"):
+                    getattr(sim, name)[:] = self.data[name][reading]
+                # The first steps begin without the impulses of those before.
+                sim.step(FEWEST)
+                residuals.look(sim)
+        return residuals.typical > residuals.large
+
+    @functools.cached_property
     def geoms(self) -> tuple[Floats, Floats]:
         """Centres [m] and axes of all geoms, (n, ngeom, 3) and (n, ngeom, 3, 3)."""
         first, body = self.at(0), self.model.geom_body
@@ -219,7 +238,9 @@ def settled(series: Floats) -> float | None:
 class Contacts:
     """The contacts that push in one run, at its readings, ordered by reading.
 
-    reading, pair, part: indices, (m,). depth: the overlap [m]. force: along the normal [N].
+    reading, pair, part: indices, (m,). geoms: indices of both, (m, 2). depth: the overlap [m].
+    position, normal: of the contact, the normal from the first geom to the second, (m, 3).
+    force: along the normal [N].
     share: friction over μ × normal force. past: the tangential velocity [m/s], (m, 3).
     rolls: the speed at which the surfaces turn on each other: angular velocity × lever [m/s].
     """
@@ -244,7 +265,9 @@ class Contacts:
     def _slips(self, every: np.ndarray, moves: Floats, centres: Floats) -> None:
         """Judge the contacts that push; moves, centres: of the bodies at each reading."""
         self.pair, self.part = every["index"].astype(int), every["part"].astype(int)
-        self.depth, normal = -every["dist"], every["normal"]
+        self.geoms = np.stack([every["geom1"], every["geom2"]], axis=1)
+        self.depth, self.position, self.normal = -every["dist"], every["pos"], every["normal"]
+        normal = self.normal
         # Body velocities are those of the point at the tree's centre of mass.
         spins, speeds = [], []
         for geom in ("geom1", "geom2"):

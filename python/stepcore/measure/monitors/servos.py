@@ -431,7 +431,28 @@ def fall_findings(run: Recording) -> Iterator[Finding]:
         f"{of[0].name} falls over within {seconds(after)}, because its servos do not balance it"
     )
     cure = "give the controls or the controller that balance it (--ctrl, --control)"
-    yield Finding("fall", "warning", problem, cure, of, after, "s")
+    falling = [k for k in _servos(model) if run.roots[model.jnt_body[k.joint or 0]] == body]
+    remedy = Remedy(
+        tuple(_firmer(model, falling)),
+        lambda other: float(_down(other, body).any()),
+        0.0,
+        lambda falls: "it fallen" if falls else "it standing",
+        now=1.0,
+    )
+    yield Finding("fall", "warning", problem, cure, of, after, "s", remedy=remedy)
+
+
+def _firmer(model: Model, servos: Sequence[Actuator]) -> Iterator[tuple[Cure, ...]]:
+    """Yield twice and four times the kp of servos, with their kv or with kv in proportion."""
+    elements = named(model, "actuator", [of.index for of in servos])
+    for damped in (False, True) if servos else ():
+        cures = list[Cure]()
+        for part in PARTS[1:]:
+            gains = [rounded(part * of.kp) for of in servos]
+            ratios = {of.index: float(part) for of in servos}
+            words = _gains(elements, gains) + ", with kv in proportion" * damped
+            cures.append(Cure(words, Change(stronger(model, ratios, damped=damped))))
+        yield tuple(cures)
 
 
 def _down(run: Recording, body: int) -> np.ndarray:
