@@ -331,7 +331,7 @@ def tuned_servos(
         asked, values = goal.corrected(count, lambda asked: servos.run(goal, asked), first)
         return asked, values, servos.off, servos.widths
 
-    falls, limits = "", dict[int, tuple[float, str]]()
+    falls, limits, ours = "", dict[int, tuple[float, str]](), tuple[Any, ...]()
     if ground is not None and stands:
         asked, values, falls = ground.sag(servos.drives, goal, partial(servos.change, goal.name))
         ours = asked, values, values, np.full(count, math.nan)
