@@ -174,7 +174,7 @@ def identify(
         between = None
         with suppress(SimulationError), workers.deadline.stage("a fit with interpolated controls"):
             between = fitted(length)
-        lacks = between and between.quality.missing
+        lacks = None if between is None else between.quality.missing
         # What interpolated rows leave half a row late was held.
         late = lacks is not None and lacks.delay > _row(held) / 4
         if between is None or late or not _explains(between.quality, result.quality):
