@@ -82,7 +82,7 @@ def test_noise_is_that_of_measured_rows(every):
     few = log["qpos"].copy()
     few[np.arange(len(few)) % every != 0] = np.nan
     found = sc.identify(link(), log | {"qpos": few}, {DAMPING: (0.01, 2.0)}, interpolation="held")
-    assert found.quality.misfits["qpos[hinge]"].noise == pytest.approx(2e-4, rel=0.1)
+    assert found.quality.misfits["qpos[hinge]"].noise == pytest.approx(2e-4, rel=0.2)
     assert found.quality.verdict == "bad" and unknown(found)
 
 
