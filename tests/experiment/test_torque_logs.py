@@ -56,8 +56,9 @@ def test_torques_of_servos_are_a_choice(tmp_path, capsys):
     for question in (sc.run, sc.check):
         with pytest.raises(ValueError, match=said):
             question(file, ctrl=path)
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match="drive are no motors") as refused:
         sc.identify(file, path, {"joint/knee/damping": (0.01, 2)})
+    assert "follow" not in str(refused.value)
     assert main(["run", file, "--ctrl", f"{path}:effort", "--horizon", "0.2"]) == 0
     assert "motors driven by log.csv" in " ".join(capsys.readouterr().out.split())
     assert main(["run", file, "--follow", path, "--horizon", "0.2"]) == 0

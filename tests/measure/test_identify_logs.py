@@ -256,7 +256,7 @@ def test_a_run_that_fails_with_the_present_values_is_told():
 @pytest.mark.parametrize(
     "given, message",
     [
-        ((-0.1, 0.1), "must be a range of times"),
+        ((-0.1, 0.1), "must be a range that"),
         ((0.1, 0.0), r"must be a range \(low, high\)"),
     ],
 )

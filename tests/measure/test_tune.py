@@ -2,13 +2,16 @@
 
 import functools
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import stepcore as sc
 from stepcore.cli import main
-from stepcore.measure.tune.goal import Goal
+from stepcore.experiment.schedule import home
+from stepcore.measure.tune.goal import At, Goal
+from stepcore.measure.tune.ground import asking, ground_of
 
 ARM = """<mujoco model="arm"><option timestep="0.002"/><worldbody>
 <body><joint name="hip" axis="0 1 0"/>
@@ -330,3 +333,57 @@ def test_contacts_that_take_most_of_a_gain_are_named(axis, words):
     assert words in said
     free = scene.replace('<geom name="base"', '<geom name="base" contype="0" conaffinity="0"')
     assert "`hub`" not in sc.tune(sc.loads(free), bandwidth=5.0, progress=False).text()
+
+
+QUAD, LEGS = Path(__file__).with_name("quad.xml"), ("FR", "FL", "RR", "RL")
+
+
+def stood(scene):
+    """The height at which a robot rests after 10 s under its keyframe, as a share of its own."""
+    sim = sc.Sim(scene)
+    sim.reset(key=0)
+    sim.step(round(10.0 / sim.settings.dt))
+    return float(sim.qpos[2] / scene.keys[0].qpos[2])
+
+
+@pytest.mark.parametrize("goal", [{"sag": 0.05}, {"sag": 0.2}, {"bandwidth": 5.0}])
+def test_a_robot_stands_with_gains_that_are_reached(goal):
+    """A quadruped falls with its own kp of 20, and with those that bear its legs in the air."""
+    tuning, xml = sc.tune(QUAD, **goal), QUAD.read_text()
+    assert stood(sc.loads(xml)) < 0.3 and all(tuned.reached for tuned in tuning.found)
+    assert stood(pasted(xml, tuning)) > 0.8
+    most = goal.get("sag", np.inf)
+    assert all(tuned.measured <= 1.1 * most for tuned in tuning.found)
+
+
+def test_gains_with_which_the_robot_falls_are_not_reached():
+    tuning = sc.tune(QUAD, bandwidth=2.0)
+    assert not tuning.mjcf and "falls within" in tuning.found[0].why
+    assert all(tuned.measured == pytest.approx(2.0, rel=0.1) for tuned in tuning.found)
+
+
+def test_the_load_of_a_pose_that_cannot_stand_is_not_known():
+    text = QUAD.read_text()
+    leaning = text.replace(
+        'key name="stand" qpos="0 0 .335 1 0 0 0 0 .8', 'key qpos="0 0 .5 1 0 0 0 0 2'
+    )
+    tuning = sc.tune(sc.loads(leaning), sag=0.05)
+    assert not any(tuned.reached for tuned in tuning.found)
+    assert "even with rigid joints" in tuning.found[0].why
+
+
+def test_the_servos_of_legs_carry_the_contact_forces():
+    """With the base's weight on four feet: the sum over legs of lever arms times m g."""
+    model = sc.load(QUAD).compile()
+    at = asking(model, At(*home(model, None)))
+    ground, _, _ = ground_of(model, at, "sag")
+    dofs = [int(model.jnt_dofadr[model.index("joint", f"{leg}_calf")]) for leg in LEGS]
+    sim = sc.Sim(model)
+    sim.qpos[:] = ground.end.qpos
+    sim.forward()
+    feet = [sim.geom_xpos[model.index("geom", leg)][0] for leg in LEGS]
+    knees = [sim.xpos[model.index("body", f"{leg}_calf")][0] for leg in LEGS]
+    weight = 9.81 * float(model.body_mass.sum()) / 4
+    # The shank's own weight of 0.19 kg hangs between both.
+    lever = weight * np.subtract(feet, knees)
+    assert np.abs(ground.load(dofs)) == pytest.approx(np.abs(lever), rel=0.25)

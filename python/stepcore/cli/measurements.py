@@ -288,7 +288,8 @@ MEASUREMENTS = {
                 "help": "a value to find and its range, such as joint/knee/damping=0.01:2, or "
                 "delay=0:0.05 [s] of the controls",
             },
-            **{"pieces": "TIME", "most": "N", "threads": {"type": int, "metavar": "N"}},
+            **{"pieces": "TIME", "interpolation": ("held", "linear"), "most": "N"},
+            "threads": {"type": int, "metavar": "N"},
             "save": {"metavar": "OUT.xml", "help": "write the model with the values found as MJCF"},
         },
         more=_logs_and_ranges,

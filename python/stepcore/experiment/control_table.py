@@ -176,7 +176,7 @@ class Controls:
 class ControlTable(Log):
     """A log that is played as controls; see `Motion`."""
 
-    asked = "ctrl"
+    asked, can_follow = "ctrl", True
 
     def __init__(self, source: Any, name: str = "") -> None:
         super().__init__(source, name or self.asked)

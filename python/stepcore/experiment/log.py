@@ -169,8 +169,8 @@ class Log:
 
     # What the name of a joint alone is: "ctrl" or "qpos"; "" if both would do is an error.
     asked = ""
-    # Whether servos follow its positions.
-    follows = False
+    # Whether servos follow its positions; and whether whoever reads it can have them followed.
+    follows = can_follow = False
     # The time of the first row, as the source has it [s].
     begin = 0.0
 
@@ -528,10 +528,11 @@ class Log:
         if others and self.taken != "effort":
             names = listed(model.called("actuator")[drive.index] for drive in others)
             path = self.path or "log.csv"
+            follow = f"; to follow the positions, --follow {path} (follow=)" * self.can_follow
             raise ValueError(
                 f"{self.source}: has torques and no controls, and {names} are no motors. To play "
                 f"the torques, by motors in place of these, write {path}:effort (in Python "
-                f'Log(…, controls="effort")); to follow the positions, --follow {path} (follow=)'
+                f'Log(…, controls="effort")){follow}'
             )
         # Followed joints get motors only where a model has no actuators at all; and where tendons
         # are driven, torques of joints may be theirs.
@@ -575,7 +576,7 @@ class Log:
         if not played:
             had = f"it has {placed.words}" if placed.words else "no column is of the model"
             cure = "name columns such as joint.control or joint.effort"
-            if placed.of("qpos"):
+            if placed.of("qpos") and self.can_follow:
                 cure += f", or follow the positions: --follow {self.path or 'FILE'} (follow=)"
             raise ValueError(f"{self.source}: has no controls: {had}: {cure}")
         count = next(len(array) for array in placed.arrays.values())

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
-from statistics import NormalDist
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.parameters import columns, named_columns, own_value
 from stepcore.experiment.arguments import Source, Workers
 from stepcore.experiment.change import Change
+from stepcore.experiment.motion import INTERPOLATIONS
 from stepcore.loading import find_model
 from stepcore.measure.identification.doubts import (
     WEAK,
@@ -25,6 +27,7 @@ from stepcore.measure.identification.doubts import (
     horizon_findings,
     log_findings,
     predictable,
+    spare,
 )
 from stepcore.measure.identification.log import (
     DELAY,
@@ -37,10 +40,10 @@ from stepcore.measure.identification.log import (
     read_log,
     within,
 )
-from stepcore.measure.identification.misfit import Quality, misfits, missing
+from stepcore.measure.identification.misfit import FINER, Quality, beyond, misfits, missing, refines
 from stepcore.measure.identification.predictions import Predictions
 from stepcore.measure.identification.readings import check_smooth
-from stepcore.measure.identification.result import FINER, Curve, Identification
+from stepcore.measure.identification.result import LIMITS, Curve, Identification
 from stepcore.measure.monitors.finding import Finding
 from stepcore.needs import need
 from stepcore.report import units
@@ -49,8 +52,6 @@ from stepcore.report.units import counted, rounded
 
 __all__ = ["Identification", "identify"]
 
-# Of a normal distribution, 95 % are within so many standard errors.
-SIGMAS = NormalDist().inv_cdf(0.975)
 # A long log is fitted to its beginning first, which costs little and can be predicted from a poor
 # guess: this share of it, if that is as many steps.
 BEGINNING, ENOUGH = 1 / 8, 40
@@ -65,6 +66,10 @@ FINE = {"xtol": 1e-7, "ftol": 1e-14, "gtol": 1e-14}
 # As many iterations are enough for that.
 PIECES = 20
 FROM = "the fit began with the values of fits of short pieces, because it was bad from those given"
+LINEAR = (
+    "controls between rows were interpolated, which fits the logs better than holding each row "
+    "(--interpolation linear)"
+)
 CUT = "the logs were cut into pieces of {}, because they can be predicted for about {} (--pieces)"
 
 
@@ -75,6 +80,7 @@ def identify(
     parameters: Mapping[str, tuple[float, float]],
     *,
     pieces: float | str | None = None,
+    interpolation: str | None = None,
     most: int = 50,
     threads: int | None = None,
     progress: Choice = None,
@@ -90,21 +96,24 @@ def identify(
     parameters: the range (low, high) of each value, without 0, by path as in `Sim.linearize`.
         "joint/*/damping" gives the damping of each joint that is not free this range. A value that
         is 0 in the model begins at √(low·high). "delay" is the time by which controls act later
-        than their rows say [s]; it begins at the low end. "delay/qpos", "delay/qvel",
-        "delay/sensordata" and "delay/NAME" of a sensor are how much later the log has a measured
-        number than it was true [s]; they begin at 0, and rows earlier than the high end are left
-        out.
+        than their rows say [s], negative if positions lead the commands. "delay/qpos",
+        "delay/qvel", "delay/sensordata" and "delay/NAME" of a sensor are how much later the log has
+        a measured number than it was true [s]. Delays begin at 0, or at the end of their range that
+        is next to it. Rows that may belong to times outside of the log are left out.
     pieces: cut each log into pieces of this length, a time [s] or a text such as "0.5s". Each piece
         has a first state of its own, which keeps errors from growing over a long or unstable
         motion. By default logs are cut only if the fit is bad without and not in pieces.
+    interpolation: "held" (each row of controls until the next) or "linear" between rows. By default
+        rows are held, and interpolated if they then fit better, which is tried where positions lead
+        the commands by up to a row.
     most: the largest number of iterations.
     threads: the number of steps that are linearised at the same time (default: one per core).
     progress: False for no progress bar, or a function of (label, done, total).
     seconds: the longest time [s]. The result then has the best values so far, and `unfinished` says
         what was not done.
 
-    Each log is predicted from its first row, which is estimated too, under its controls, each held
-    until the next; a step has their mean. Predictions are interpolated where the log's times are
+    Each log is predicted from its first row, which is estimated too, under its controls; a step
+    has their mean. Predictions are interpolated where the log's times are
     not those of steps. The method is scipy's `least_squares` within bounds, with exact derivatives
     of each step (for sensors, differences of the fourth order). Needs scipy (the extra "identify").
 
@@ -128,7 +137,9 @@ def identify(
         limit = 'without delays of actuators: make these 0, and "delay" a parameter'
         raise ValueError(f"model: must be {limit}")
     compiled, bounds, guess = _bounds(given, parameters)
-    whole = _read(compiled, logs)
+    if interpolation is not None:
+        checks.one_of(*INTERPOLATIONS)("identify", "interpolation", interpolation)
+    whole = _read(compiled, logs, interpolation == "linear")
     length = None if pieces is None else units.time("pieces", pieces)
     findings = [*log_findings(compiled, whole, list(bounds)), *gap_findings(whole)]
     for finding in findings:
@@ -156,6 +167,21 @@ def identify(
         limit = "must be values with which the logs can be run"
         said = " ".join(["", *(finding.text for finding in findings)])
         raise ValueError(f"model: {checks.one_line(error)}: {limit}.{said}") from None
+    notes = list[str]()
+    if interpolation is None and _leads(result, whole):
+        held = whole
+        whole = [replace(log, controls=replace(log.controls, linear=True)) for log in held]
+        between = None
+        with suppress(SimulationError), workers.deadline.stage("a fit with interpolated controls"):
+            between = fitted(length)
+        lacks = None if between is None else between.quality.missing
+        # What interpolated rows leave half a row late was held.
+        late = lacks is not None and lacks.delay > _row(held) / 4
+        if between is None or late or not _explains(between.quality, result.quality):
+            whole = held
+        else:
+            result, notes = between, [LINEAR]
+            result.notes.append(LINEAR)
     if length is not None or not all(len(log.begins) for log in whole):
         return result
     # In a quarter of the time in which errors grow a thousand times, they grow six times.
@@ -173,10 +199,42 @@ def identify(
     except SimulationError:
         # Pieces that cannot be run leave the fit of the whole.
         return result
-    if again is None or again.quality.verdict == "bad":
+    if again is None:
         return result
-    again.notes.append(note)
+    if again.quality.verdict == "bad" and not _explains(again.quality, result.quality):
+        return result
+    again.notes += [*notes, note]
     return again
+
+
+def _leads(result: Identification, logs: Sequence[MeasuredLog]) -> bool:
+    """Return whether a fit may be bad because rows of controls were held, not interpolated.
+
+    A held row acts half a row later on average than one that is interpolated.
+    """
+    lacks, row = result.quality.missing, _row(logs)
+    if result.quality.verdict not in ("bad", "unexplained") or row <= result.settings.dt:
+        return False
+    if DELAY in result.values:
+        # Of a delay that was found, half a row may be of rows that are held.
+        return True
+    return lacks is not None and -1.5 * row < lacks.delay < -row / 8
+
+
+def _row(logs: Sequence[MeasuredLog]) -> float:
+    """Return the usual time between two rows of controls [s]; 0 of a single row."""
+    rows = np.concatenate([np.diff(log.controls.times) for log in logs])
+    return float(np.median(rows)) if len(rows) else 0.0
+
+
+def _explains(one: Quality, other: Quality) -> bool:
+    """Return whether one fit leaves less of what is more than noise in another, which is bad: less
+    than half, and less than the value that is missing there would; or any less, and is not bad.
+    """
+    lacks = other.missing
+    rest = 0.5 if lacks is None or is_delay(lacks.label) else min(0.5, 1 - lacks.share)
+    rest = 1.0 if one.verdict in LIMITS and other.verdict == "bad" else rest
+    return beyond(one.misfits, other.misfits) < rest * beyond(other.misfits, other.misfits)
 
 
 def _from_pieces(
@@ -210,8 +268,8 @@ def _from_pieces(
     return values
 
 
-def _read(model: Model, logs: Sequence[Log]) -> list[MeasuredLog]:
-    return [read_log(model, log, f"logs[{k}]") for k, log in enumerate(logs)]
+def _read(model: Model, logs: Sequence[Log], linear: bool) -> list[MeasuredLog]:
+    return [read_log(model, log, f"logs[{k}]", linear) for k, log in enumerate(logs)]
 
 
 def _bounds(
@@ -227,19 +285,21 @@ def _bounds(
         low, high = (checks.number(x) for x in pair) if len(pair) == 2 else (None, None)
         if low is None or high is None or not low < high:
             raise ValueError(f"parameters[{checks.shown(path)}]: must be a range (low, high)")
-        limit, allowed, own = "a range without 0", low > 0 or high < 0, {path: low}
+        small = math.copysign(min(1e-6, 1e-3 * max(high, -low)), high)
+        limit = f"a range without 0: use {small:g} in its place"
+        allowed, own = low > 0 or high < 0, {path: min(max(0.0, low), high)}
         if path == DELAY:
-            limit, allowed = "a range of times [s] from 0 on, of a model with controls", low >= 0
-            allowed = allowed and model.nu > 0
+            limit, allowed = "of a model with controls", model.nu > 0
         elif isinstance(path, str) and is_delay(path):
             late_entries(model, path)
-            own, allowed = {path: min(max(0.0, low), high)}, True
+            allowed = True
         elif allowed:
             model, own = _begun(model, path, low, high)
-            off = next((x for x in own.items() if not low <= x[1] <= high), None)
-            if off is not None:
-                path, allowed = off[0], False
-                limit = f"a range around {off[1]:g}, the model's value"
+            off = {label: value for label, value in own.items() if not low <= value <= high}
+            if off:
+                path, allowed = ", ".join(off), False
+                values = ", ".join(f"{value:g}" for value in off.values())
+                limit = f"a range around {values}, the model's value{'s' * (len(off) > 1)}"
         if not allowed:
             shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
             raise ValueError(f"{shown}: must be {limit}")
@@ -270,7 +330,8 @@ def _begun(model: Model, path: str, low: float, high: float) -> tuple[Model, dic
 class Search:
     """The search for the values x that fit best, which ends early when its time is over.
 
-    x, jacobian: the best values so far, and the derivatives of the residuals there.
+    x, jacobian: the best values so far, and the derivatives of the residuals there. begun: the
+        first values.
     settled: whether the values no longer change.
     """
 
@@ -290,6 +351,7 @@ class Search:
         self._origin = np.concatenate([low, np.zeros(fit.free)])
         free = np.full(fit.free, np.inf)
         self._ends = np.concatenate([0 * low, -free]), np.concatenate([0 * low + 1, free])
+        self.begun = np.array(start, float)
         self.settled, self._known = False, dict[Predictions, tuple[np.ndarray, np.ndarray]]()
         with workers.bar("iterations at most", most) as self._bar:
             self._run(np.append(start, np.zeros(fit.free)))
@@ -361,29 +423,38 @@ def _result(
 ) -> Identification:
     """Return what is known after the search. first: the predictions with the first guess."""
     fit, x, after = search.fit, search.x, search.fit.predicted(search.x)
-    ends, finer = predictable(fit, x), after
+    ends, finer = predictable(fit, x), np.full(len(after), np.nan)
+    low, high = np.array(list(search.bounds.values())).T
     with limit.stage("the error of the time step"):
         finer = fit.predicted(x, FINER)
     found = misfits(fit, after, fit.rms(after, finer))
     spreads, kinds = [each.spread for each in found.values()], fit.kinds[fit.known]
     sure = certainty(search.jacobian, fit.residual(x), kinds, fit.labels, spreads)
-    half, lacks = SIGMAS * sure.errors, None
+    rest, lacks = spare(search.jacobian), None
+    half = need("scipy.special", "identify", "identify").stdtrit(max(1, rest), 0.975) * sure.errors
     shorter = fit.residual_of(finer) - fit.residual_of(after)
+    # One step of Gauss and Newton from the estimates, by what shorter steps change.
+    moved, refined = x - sure.inverse @ shorter, False
+    moved[: len(low)] = np.clip(moved[: len(low)], low, high)
     # Of an exact log nothing is left to explain.
-    if any(each.residual > WEAK * fit.scales[label] for label, each in found.items()):
+    if rest > 0 and any(each.residual > WEAK * fit.scales[label] for label, each in found.items()):
+        if np.isfinite(moved).all():
+            with limit.stage("a run with shorter steps"):
+                refined = refines(fit, found, finer, moved)
         with limit.stage("the value that would explain the residual"):
-            lacks = missing(fit, x, search.jacobian, shorter, found)
-    quality = Quality(found, lacks)
-    if quality.verdict == "bad":
+            lacks = missing(fit, x, search.jacobian, shorter if refined else None, found)
+    quality = Quality(found, lacks, rest, refined)
+    if quality.verdict in ("bad", "few"):
         half = np.full(len(half), np.inf)
     elif quality.verdict == "unexplained" and lacks is not None:
         half = half + np.abs(lacks.shift)
-    whole = sum(log.duration for log in fit.logs)
-    # One step of Gauss and Newton from the estimates, by what shorter steps change.
-    moved = x - sure.inverse @ shorter
-    if quality.verdict == "step":
+    elif quality.verdict == "step":
         half = half + np.abs(moved - x)[: len(half)]
-    low, high = np.array(list(search.bounds.values())).T
+    if not search.settled:
+        # What a further iteration would change, by more than half of the interval, is not known.
+        next_step = np.abs(sure.inverse @ fit.residual(x))[: len(half)]
+        half = np.where((next_step > half) | (x[: len(half)] == search.begun), np.inf, half)
+    whole = sum(log.duration for log in fit.logs)
     ranges = zip((x[: len(half)] - half).tolist(), (x[: len(half)] + half).tolist(), strict=True)
 
     def named(values: np.ndarray) -> dict[str, float]:
@@ -403,10 +474,11 @@ def _result(
         correlations=sure.correlations,
         quality=quality,
         before=fit.rms(fit.measured, first),
-        finer=named(np.clip(moved[: len(low)], low, high)),
+        finer=named(moved[: len(low)]),
         predictable=ends,
         findings=[*findings, *fit_findings(fit, first), *horizon_findings(fit.logs, ends)],
         curves=_curves(fit, first, after),
+        kept=[] if search.settled else np.array(fit.labels)[x[: len(low)] == search.begun].tolist(),
         model=fit.model(x),
         steps=fit.steps,
         linearised=fit.linearised,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepcore.engine.actuator import actuators
+from stepcore.engine.actuator import SERVO, actuators
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
@@ -62,6 +62,7 @@ def log_findings(
         alike = dict[tuple[str, str, str], tuple[list[int], str]]()
         for kind, own, problem, cure in [
             *_velocity_doubts(model, log, joints, searched),
+            *_servo_doubts(model, log),
             *_control_doubts(model, log, searched),
         ]:
             pair = " and ".join(each.name for each in named(model, "joint", own)[1:])
@@ -132,6 +133,25 @@ def _velocity_doubts(
             word, array = ("velocity", "qvel") if late > 0 else ("position", "qpos")
             what = f"its {word} is {seconds(abs(late))} late"
             yield "delay", [joint], what, f'search "delay/{array}" too'
+
+
+def _servo_doubts(model: Model, log: MeasuredLog) -> Iterator[Doubt]:
+    """Yield hinges whose positions follow the targets of their servos in another unit."""
+    times, qpos = log.measured["qpos"]
+    for drive in actuators(model):
+        if drive.kind != SERVO or drive.joint is None or model.jnt_type[drive.joint] != "hinge":
+            continue
+        known = np.isfinite(own := qpos[:, drive.qposadr])
+        given = np.interp(times[known], log.controls.times, log.controls.rows[:, drive.index])
+        asked = np.array([drive.target(each) for each in given.tolist()]) / drive.gear
+        if known.sum() < 8 or not asked.std() or not own[known].std():
+            continue
+        alike = float(np.corrcoef(asked, own[known])[0, 1])
+        ratio = alike * float(own[known].std() / asked.std())
+        unit = next((unit for unit in (DEGREES, 1 / DEGREES) if _near(ratio, unit)), None)
+        if alike > SIGN and unit is not None:
+            what = f"its position is {times_said(ratio)} the target of its servo"
+            yield "units", [drive.joint], what, f"it looks like {RATIOS[unit]}"
 
 
 def _control_doubts(model: Model, log: MeasuredLog, searched: Sequence[str]) -> Iterator[Doubt]:
@@ -298,6 +318,11 @@ class Certainty:
     inverse: np.ndarray
 
 
+def spare(jacobian: np.ndarray) -> int:
+    """Return the count of measured numbers less that of estimated ones that move them."""
+    return len(jacobian) - int(jacobian.any(axis=0).sum())
+
+
 def certainty(
     jacobian: np.ndarray,
     residual: np.ndarray,
@@ -313,10 +338,10 @@ def certainty(
 
     The estimates are off by J⁺ e, whose covariance is J⁺ V J⁺ᵀ with the variances V of e.
     """
-    spare = max(1, len(residual) - jacobian.shape[1]) / len(residual)
+    share = max(1, spare(jacobian)) / len(residual)
     variances = np.array(
         [
-            spread * np.mean(residual[kinds == kind] ** 2) / spare
+            spread * np.mean(residual[kinds == kind] ** 2) / share
             for kind, spread in enumerate(spreads)
         ]
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -124,8 +124,10 @@ def driven(model: Model, logs: Iterable[Any]) -> Model:
     return model
 
 
-def read_log(model: Model, log: Any, name: str) -> MeasuredLog:
+def read_log(model: Model, log: Any, name: str, linear: bool = False) -> MeasuredLog:
     """Return a log, opened or as a user gives it, as numbers of a model; see `identify`.
+
+    linear: whether controls between rows are interpolated.
 
     Raises ValueError for what is no log of this model, and OSError for a file.
     """
@@ -157,7 +159,7 @@ def read_log(model: Model, log: Any, name: str) -> MeasuredLog:
         raise ValueError(f"{name}: ctrl is missing of {actuator}: name a column {actuator}.control")
     measured = {key: each for key, each in moved.items() if np.isfinite(each.values).any()}
     return MeasuredLog(
-        name, measured, ControlLog(*controls), first_state(model, moved), tuple(notes)
+        name, measured, ControlLog(*controls, linear), first_state(model, moved), tuple(notes)
     )
 
 
@@ -213,17 +215,30 @@ def within(
     """
     measured = dict(log.measured)
     for label, (low, high) in bounds.items():
-        if not is_delay(label) or label == DELAY:
-            continue
-        array, entries = late_entries(model, label)
-        if array not in measured:
-            continue
-        times, values = measured[array]
-        outside = (times < high) | (times > log.duration + low)
-        values = np.array(values)
-        values[np.ix_(outside, np.array(entries))] = np.nan
-        if not np.isfinite(values[:, entries]).any():
-            limit = f"a range that {log.name} outlasts, which ends at {log.duration:g} s"
-            raise ValueError(f"parameters['{label}'] = ({low:g}, {high:g}): must be {limit}")
-        measured[array] = Series(times, values)
+        for array, entries, first, last in _known(model, log, label, low, high):
+            times, values = measured[array]
+            outside = (times < first) | (times > last)
+            values = np.array(values)
+            values[np.ix_(outside, np.array(entries))] = np.nan
+            if not np.isfinite(values[:, entries]).any():
+                limit = f"a range that {log.name} outlasts, which ends at {log.duration:g} s"
+                raise ValueError(f"parameters['{label}'] = ({low:g}, {high:g}): must be {limit}")
+            measured[array] = Series(times, values)
     return replace(log, measured=measured)
+
+
+def _known(
+    model: Model, log: MeasuredLog, label: str, low: float, high: float
+) -> Iterator[tuple[str, Sequence[int], float, float]]:
+    """Yield arrays and entries of a log that a delay moves, and between which times [s] its range
+    leaves them known.
+    """
+    if label == DELAY and low < 0:
+        # Controls from after the end of the log would act on its last rows.
+        end = max(log.duration, float(log.controls.times[-1])) + low
+        for array, series in log.measured.items():
+            yield array, range(series.values.shape[1]), -np.inf, end
+    elif label != DELAY and is_delay(label):
+        array, entries = late_entries(model, label)
+        if array in log.measured:
+            yield array, entries, high, log.duration + low

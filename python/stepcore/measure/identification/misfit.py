@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
@@ -16,7 +17,7 @@ from stepcore.engine.parameters import named_columns
 from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change
 from stepcore.measure.identification.doubts import WEAK
-from stepcore.measure.identification.log import DELAY
+from stepcore.measure.identification.log import DELAY, is_delay
 from stepcore.measure.identification.predictions import Predictions
 
 # Noise passes for more than noise once in ten thousand logs, of a hundred values and lags tried.
@@ -30,9 +31,10 @@ class Misfit:
     """The residual of one quantity, in its unit.
 
     residual: RMS. noise: RMS of the part that differs at random from row to row, by differences of
-    neighbouring rows of up to the fourth order (Gasser, Sroka & Jennen-Steinmetz 1986). step: RMS
-    change of the prediction with shorter steps. white: whether the autocorrelation of the residual
-    is that of noise. spread: how many times the variance of a mean is that of white noise.
+    neighbouring measured rows of up to the fourth order (Gasser, Sroka & Jennen-Steinmetz 1986), at
+    most the residual. step: RMS change of the prediction with shorter steps; NaN if not computed.
+    white: whether the autocorrelation of the residual is that of noise. spread: how many times the
+    variance of a mean is that of white noise.
     """
 
     residual: float
@@ -66,14 +68,18 @@ def misfits(fit: Predictions, after: np.ndarray, steps: Mapping[str, float]) -> 
     found = {}
     for label in fit.quantities:
         own = [k for k, part in enumerate(fit.parts) if part.label == label]
-        rows = [off[k] for k in own]
+        rows = [off[k][np.isfinite(off[k])] for k in own]
         square = _mean([row**2 for row in rows])
         noise = min(
-            _mean([np.diff(row, order) ** 2 for row in rows]) / math.comb(2 * order, order)
-            for order in range(1, 5)
+            square,
+            *(
+                _mean([np.diff(row, order) ** 2 for row in rows]) / math.comb(2 * order, order)
+                for order in range(1, 5)
+            ),
         )
         # Numbers that were rounded differ by their last digit, or not at all.
-        apart = np.concatenate([np.abs(np.diff(fit.parts[k].values)) for k in own])
+        values = [fit.parts[k].values for k in own]
+        apart = np.concatenate([np.abs(np.diff(each[np.isfinite(each)])) for each in values])
         digit = np.min(apart[apart > 0], initial=np.inf)
         if math.isfinite(digit):
             noise = min(square, max(noise, digit**2 / 12))
@@ -86,7 +92,6 @@ def misfits(fit: Predictions, after: np.ndarray, steps: Mapping[str, float]) -> 
 
 def _mean(rows: Sequence[np.ndarray]) -> float:
     every = np.concatenate(rows)
-    every = every[np.isfinite(every)]
     return float(every.mean()) if len(every) else math.inf
 
 
@@ -95,12 +100,12 @@ def _autocorrelation(rows: Sequence[np.ndarray], square: float) -> tuple[bool, f
 
     Of white noise the sum of the autocorrelations at m lags has a variance of m/n.
     """
-    known = sum(int(np.isfinite(row).sum()) for row in rows)
+    known = sum(map(len, rows))
     most = min(max(map(len, rows)) // 4, int(LAGS[-1] ** 2))
     if most < 1:
         return True, 1.0
     each = [
-        sum(float(np.nansum(row[lag:] * row[:-lag])) for row in rows) / (known * square)
+        sum(float(row[lag:] @ row[:-lag]) for row in rows) / (known * square)
         for lag in range(1, most + 1)
     ]
     sums = np.cumsum(each)
@@ -108,6 +113,32 @@ def _autocorrelation(rows: Sequence[np.ndarray], square: float) -> tuple[bool, f
     if (sums[lags - 1] * np.sqrt(known / lags)).max() <= SURE:
         return True, 1.0
     return False, 1.0 + 2.0 * float(sums.max())
+
+
+def beyond(found: Mapping[str, Misfit], usual: Mapping[str, Misfit]) -> float:
+    """Return the squared residuals beyond the noise, in units of that of usual misfits."""
+    noise = {key: max(each.noise, WEAK * each.residual) for key, each in usual.items()}
+    ratios = [each.residual / (noise[key] or 1.0) for key, each in found.items()]
+    return sum(max(0.0, ratio**2 - 1) for ratio in ratios)
+
+
+def refines(
+    fit: Predictions, found: Mapping[str, Misfit], finer: np.ndarray, moved: np.ndarray
+) -> bool:
+    """Return whether shorter steps leave less than half of the squared residual beyond the noise.
+
+    finer: the predictions with shorter steps. moved: the values that these would give, which are
+    run too.
+    """
+    runs = [finer]
+    with suppress(SimulationError):
+        runs.append(fit.predicted(moved, FINER))
+    for run in runs:
+        off = fit.rms(fit.measured, run)
+        after = {key: replace(each, residual=off[key]) for key, each in found.items()}
+        if beyond(after, found) <= beyond(found, found) / 2:
+            return True
+    return False
 
 
 # What a log may show of values that are not searched.
@@ -118,7 +149,9 @@ LOOKS = {
 }
 
 
-# What explains a residual if steps four times shorter do.
+# The step whose integration error is looked at is this many times shorter.
+FINER = 4
+# What explains a residual if these steps do.
 STEP = "the time step"
 
 
@@ -126,12 +159,16 @@ STEP = "the time step"
 class Missing:
     """The value whose addition to the search would explain most, to first order.
 
-    label: its path; STEP if it is the length of the steps. share: of what is more than noise.
+    label: its path; STEP if it is the length of the steps. change: by how much it would change, to
+    first order; delay: the same of the delay of the controls, 0 if noise may look like it.
+    share: of what is more than noise.
     absent: whether it is zero in the model. sure: whether noise would hardly look like it.
     shift: how much the estimates would change, shape (n,).
     """
 
     label: str
+    change: float
+    delay: float
     share: float
     absent: bool
     sure: bool
@@ -150,11 +187,15 @@ class Quality:
     """How good a fit is.
 
     misfits: how much of the residual of each quantity is noise. missing: the value whose addition
-    would explain most of the rest; None if there was no time to look for it.
+    would explain most of the rest; None if there was no time to look for it. spare: measured
+    numbers less estimated ones, first states included. refined: whether steps four times shorter,
+    in a run, leave less than half of what is more than noise.
     """
 
     misfits: Mapping[str, Misfit]
     missing: Missing | None
+    spare: int
+    refined: bool
 
     @property
     def worst(self) -> str:
@@ -163,7 +204,11 @@ class Quality:
 
     @property
     def verdict(self) -> str:
-        """What the residual is: "noise", "step", "unexplained", or "bad" if more than the noise."""
+        """What the residual is: "noise", "step", "unexplained", or "bad" if more than the noise;
+        "few" if there are as many values to estimate as measured numbers.
+        """
+        if self.spare <= 0:
+            return "few"
         worst, lacks = self.misfits[self.worst], self.missing
         if not worst.unexplained and not (lacks is not None and lacks.sure):
             return "noise"
@@ -171,7 +216,7 @@ class Quality:
             short = lacks.label == STEP
         else:
             short = all(each.unexplained <= each.step for each in self.misfits.values())
-        if short:
+        if short and self.refined:
             return "step"
         return "bad" if worst.unexplained > worst.noise else "unexplained"
 
@@ -180,12 +225,13 @@ def missing(
     fit: Predictions,
     x: np.ndarray,
     own: np.ndarray,
-    finer: np.ndarray,
+    finer: np.ndarray | None,
     found: Mapping[str, Misfit],
-) -> Missing:
+) -> Missing | None:
     """Return which further value would explain most, from its derivatives at the estimates.
 
-    own: the Jacobian at x. finer: what shorter steps change of the residuals. found: the misfit of
+    own: the Jacobian at x. finer: what shorter steps change of the residuals, None if they do not
+    explain them. found: the misfit of
     each quantity, whose noise is its weight.
 
     Each value's column c, less what the estimates make of it, explains (cᵀr)²/cᵀc of the squared
@@ -195,10 +241,13 @@ def missing(
     least = [max(found[label].noise, WEAK * fit.scales[label]) for label in fit.quantities]
     noise = fit.in_units(least)[:, None]
     model, values = _candidates(fit)
+    if not values:
+        return None
     wide = Predictions(model, fit.logs, [*fit.labels, *values], fit.scales, fit.threads)
     first = np.concatenate([x[:count], list(values.values()), x[count:]])
     columns = wide.jacobian(first)[:, count : count + len(values)]
-    columns = np.column_stack([columns, finer]) / noise
+    steps = [] if finer is None else [STEP]
+    columns = np.column_stack([columns, *([] if finer is None else [finer])]) / noise
     basis, _ = np.linalg.qr(own / noise)
     residual = fit.residual(x) / noise[:, 0]
     left = residual - basis @ (basis.T @ residual)
@@ -206,18 +255,21 @@ def missing(
     sizes = np.linalg.norm(added, axis=0)
     seen = sizes > WEAK * np.linalg.norm(columns, axis=0)
     change = np.where(seen, -(left @ added) / np.where(seen, sizes, 1.0) ** 2, 0.0)
-    # What the model does not have can only be added; but what was measured may be early.
-    labels = [*values, STEP]
-    absent = np.array([*(value in (0.0, WEAK) for value in values.values()), True])
-    can = (change > 0) | ~absent | [label.startswith(f"{DELAY}/") for label in labels]
+    # What the model does not have can only be added; but what was measured may be early or late.
+    labels = [*values, *steps]
+    absent = np.array([*(value in (0.0, WEAK) for value in values.values()), *map(bool, steps)])
+    can = (change > 0) | ~absent | [is_delay(label) for label in labels]
     explained = np.where(can, (change * sizes) ** 2, 0.0)
     best = int(np.argmax(explained))
-    most = float(explained[best])
+    most, enough = float(explained[best]), SURE**2 * max(each.spread for each in found.values())
+    late = labels.index(DELAY) if DELAY in labels else best
     return Missing(
         label=labels[best],
+        change=float(change[best]),
+        delay=float(change[late]) if labels[late] == DELAY and explained[late] > enough else 0.0,
         share=most / max(float(left @ left) - len(left), most, math.ulp(0.0)),
         absent=bool(absent[best]),
-        sure=most > SURE**2 * max(each.spread for each in found.values()),
+        sure=most > enough,
         shift=np.linalg.lstsq(own / noise, columns[:, best] * change[best], rcond=None)[0][:count],
     )
 

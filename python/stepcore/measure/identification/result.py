@@ -13,15 +13,13 @@ from stepcore.engine.axes import units_of
 from stepcore.engine.model import Model
 from stepcore.experiment.log import SAID, entries_of
 from stepcore.measure.identification.log import DELAY, is_delay
-from stepcore.measure.identification.misfit import Quality
+from stepcore.measure.identification.misfit import FINER, Quality
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, seconds, times
 from stepcore.scene.value_paths import WHOLE
 
-# The step whose integration error is looked at is this many times shorter.
-FINER = 4
 # What explains a log, by the verdict on the fit.
 LIMITS = {"noise": "its noise", "step": "the error of its time step"}
 # The columns of estimates that are numbers.
@@ -67,15 +65,18 @@ class Identification(Result):
     settings: of the runs. logs: how many there were. samples: measured numbers in all.
     values: the estimates by path. start: the values before. bounds: the ranges given.
     intervals: 95 % intervals by path, (low, high), widened by what is not noise in the residuals;
-        infinite where the logs say nothing, and if more is unexplained than the noise.
+        infinite where the logs say nothing, if more is unexplained than the noise, for values that
+        the search had no time to settle, and without more measured numbers than estimated ones.
+    kept: parameters that the search had no time to change; they have their first values.
     quality: how much of the residual of each quantity is noise, and the value that would explain
         most of the rest.
     alike: sets of parameters that the logs cannot tell apart.
     correlations: of the estimates, shape (n, n), in the order of `values`.
     residuals, before: RMS residual of each quantity after and before, such as "qpos[knee]" [m or
         rad], "qvel[knee]" [m/s or rad/s] and "sensordata[imu.0]".
-    integration: RMS change of each prediction when steps are four times shorter.
-    finer: the estimates by path with these steps, to first order.
+    integration: RMS change of each prediction when steps are four times shorter; NaN if there was
+        no time to compute it.
+    finer: the estimates by path with these steps, to first order; NaN likewise.
     predictable: until when each log can be predicted [s]; inf to its end.
     findings: what is doubtful about the logs: units, gaps, horizons; see `Finding`.
     curves: what was measured and predicted over time.
@@ -111,6 +112,7 @@ class Identification(Result):
     predictable: list[float]
     findings: list[Finding]
     curves: list[Curve]
+    kept: list[str]
     model: Model
     steps: int
     linearised: int
@@ -150,6 +152,12 @@ class Identification(Result):
         label, lacks, verdict = self.quality.worst, self.quality.missing, self.quality.verdict
         if verdict in LIMITS:
             return f"The model explains the {logs} to within {LIMITS[verdict]}."
+        if verdict == "few":
+            unknown = counted(self.samples - self.quality.spare, "number")
+            return (
+                f"The fit cannot be judged: {unknown}, first states included, were estimated from "
+                f"{counted(self.samples, 'measured number')}."
+            )
         worst = self.quality.misfits[label]
         said = f"{self._amount(label, worst.residual)}, {times(worst.ratio)} the noise"
         said = f"The fit is bad: {said}"
@@ -159,6 +167,8 @@ class Identification(Result):
             return f"{said}."
         if lacks.share < 0.5:
             return f"{said}; no single value besides these explains most of it."
+        if is_delay(lacks.label):
+            return f"{said}; it looks as if {shifted(lacks.label, lacks.change)}."
         return f"{said}; it looks like {lacks.looks} ({in_words(lacks.label)}?)."
 
     def _amount(self, label: str, value: float) -> str:
@@ -180,7 +190,12 @@ class Identification(Result):
             low, high = self.intervals[path]
             known = np.isfinite(high - low)
             interval = f"95 %: {low:.6g} to {high:.6g}" if known else "no interval"
+            if path in self.kept:
+                yield f"{path} was not estimated: {value:.6g} is its first value."
+                continue
             yield f"{path} = {value:.6g} ({interval}; begun at {self.start[path]:.6g})."
+            if path == DELAY and value < 0:
+                yield f"P{shifted(path, value)[1:]}."
 
     def _doubts(self) -> Iterator[str]:
         for paths in self.alike:
@@ -190,7 +205,7 @@ class Identification(Result):
                 if others
                 else f"The logs say nothing of the {last}."
             )
-        told = {path for paths in self.alike for path in paths}
+        told = {path for paths in self.alike for path in paths} | {*self.kept}
         for path in self.unknown:
             if path not in told:
                 yield f"The logs say little of {path}: its interval is half of its range or more."
@@ -204,12 +219,19 @@ class Identification(Result):
             self.residuals, key=lambda key: self.integration[key] / (self.residuals[key] or 1.0)
         )
         after, step = self.residuals[worst], self.integration[worst]
-        dt = seconds(float(self.settings.dt) / FINER)
-        shorter = f": take shorter steps, such as {dt} (timestep in the file, dt in Python)."
+        if np.isnan(step):
+            yield (
+                f"The residual of {worst} is {after:.3g} RMS ({self.before[worst]:.3g} before); "
+                "what shorter steps change was not computed."
+            )
+            return
+        dt, shorter = seconds(float(self.settings.dt) / FINER), "."
+        if step > after / 2 and self.quality.verdict != "bad":
+            shorter = f": take shorter steps, such as {dt} (timestep in the file, dt in Python)."
         yield (
             f"The residual of {worst} is {after:.3g} RMS ({self.before[worst]:.3g} before); steps "
             f"{FINER} times shorter change the prediction by {step:.3g}, the most of all beside "
-            f"their residuals{shorter if step > after / 2 else '.'}"
+            f"their residuals{shorter}"
         )
         for path, value in self.values.items():
             (low, high), finer = self.intervals[path], self.finer[path]
@@ -224,9 +246,9 @@ class Identification(Result):
     def unknown(self) -> list[str]:
         """The parameters of which the logs say little: the interval is half of the range.
 
-        None of a bad fit, which has no intervals.
+        None of a fit that is bad or cannot be judged, which has no intervals.
         """
-        if self.quality.verdict == "bad":
+        if self.quality.verdict in ("bad", "few"):
             return []
         spans = {
             path: (np.ptp(self.intervals[path]), np.ptp(own)) for path, own in self.bounds.items()
@@ -297,6 +319,19 @@ class Identification(Result):
             "fit": self.quality.verdict,
             "missing": lacks and {"path": lacks.label, "share": lacks.share},
         }
+
+
+def shifted(path: str, change: float) -> str:
+    """Return what a delay says of a log, by its sign.
+
+    >>> shifted("delay", -0.005), shifted("delay/qpos", 0.02)
+    ('positions in the log lead the commands by 5 ms', '`qpos` in the log is 20 ms late')
+    """
+    name, time = path.partition("/")[2], seconds(float(f"{abs(change):.2g}"))
+    if not name:
+        way = "lead the commands by" if change < 0 else "follow the commands late, by"
+        return f"positions in the log {way} {time}"
+    return f"`{name}` in the log is {time} {'early' if change < 0 else 'late'}"
 
 
 def in_words(path: str) -> str:

@@ -15,7 +15,8 @@ from stepcore.experiment.motion_words import scene_in_words, start_in_words
 from stepcore.experiment.schedule import home
 from stepcore.measure.tune.contacts import resting_geoms, tuned_contact
 from stepcore.measure.tune.goal import At, Goal, Tuned
-from stepcore.measure.tune.servos import for_motors, hung, servos_of, tuned_servos
+from stepcore.measure.tune.ground import asking, ground_of, hung
+from stepcore.measure.tune.servos import for_motors, servos_of, tuned_servos
 from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.settings import label
@@ -167,10 +168,17 @@ def tune(
     driven, motors = for_motors(compiled, _names(servo)) if is_servo else (compiled, set())
     servos = servos_of(driven, _names(servo)) if is_servo else []
     if servos:
-        hanging, at = hung(driven, at, setup.engine.size)
-        base = ", the base held in the air" if hanging is not driven else ""
+        at = asking(driven, at)
+        ground, base, falls = ground_of(driven, at, goal.name)
+        hanging, lifted = hung(driven, at, setup.engine.size)
         place = f" in place of {counted(len(motors), 'motor')}" if motors else ""
-        found = tuned_servos(hanging, at, servos, goal, motors, workers.deadline)
+        if falls and goal.name == "sag":
+            called = driven.called("actuator")
+            found = [
+                Tuned("servo", called[drive.index], goal, "rad", why=falls) for drive in servos
+            ]
+        else:
+            found = tuned_servos(hanging, lifted, servos, goal, motors, workers.deadline, ground)
         ran = f"{'servos' if motors else 'the servos'}{place} hold the pose{base}"
     elif goal.name in CONTACT:
         law, ran = compiled.settings.law, "2 s or more to come to rest"

@@ -6,10 +6,9 @@ to 1/√2 at PASSES ω, its steps settle in SETTLES/ω, and under a load F it sa
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change, Servo
 from stepcore.experiment.choose import least
-from stepcore.experiment.moves import moves_about, roots
 from stepcore.measure.monitors.finding import listed, named
 from stepcore.measure.monitors.servos import gained, strength
 from stepcore.measure.tune.goal import (
@@ -37,13 +35,12 @@ from stepcore.measure.tune.goal import (
     settling,
     steps_of,
 )
+from stepcore.measure.tune.ground import Ground, fall
 from stepcore.report.units import rounded, seconds
 from stepcore.scene.layout import Layout
 
 # The width of the motion with which gains are tried [rad or m]; of a range, the same share.
 WIDTH = 0.1
-# The armature of a base that is held, in masses of the scene.
-HEAVY = 1e6
 
 
 def servos_of(model: Model, names: Sequence[str] | None) -> list[Actuator]:
@@ -91,34 +88,6 @@ def in_place(model: Model, drive: Actuator, kp: float, kv: float) -> tuple[str, 
         fields["forcerange"] = " ".join(f"{end:g}" for end in drive.forcerange)
     said = " ".join(f'{field}="{value}"' for field, value in fields.items() if value)
     return (f"<position {said}/>",)
-
-
-def hung(model: Model, at: At, size: float) -> tuple[Model, At]:
-    """Return a model, and a start whose servos ask for its own pose.
-
-    A robot that moves about hangs in the air by its base, which a large armature holds: on its feet
-    it would fall before anything is known of a servo. size: how far it is lifted [m].
-    """
-    drives = actuators(model)
-    ctrl, qpos = at.ctrl.copy(), at.start.qpos.copy()
-    for drive in drives:
-        if drive.kind == SERVO and drive.joint is not None and drive.gain:
-            asked = drive.holding(drive.gear * qpos[drive.qposadr])
-            ctrl[drive.index] = np.clip(asked, *drive.ctrlrange)
-    if not moves_about(model, drives):
-        return model, At(at.start, ctrl)
-    trees, driven = roots(model, drives), {drive.joint for drive in drives}
-    heavy = {
-        f"joint/#{joint}/armature": HEAVY * float(model.body_mass.sum())
-        for joint, body in enumerate(model.jnt_body.tolist())
-        if body in trees and joint not in driven
-    }
-    up = -np.array(model.scene.gravity) / max(float(np.linalg.norm(model.scene.gravity)), 1e-9)
-    for joint in np.flatnonzero(np.isin(model.jnt_body, list(trees))).tolist():
-        if model.jnt_type[joint] == "free":
-            qpos[model.jnt_qposadr[joint] :][:3] += size * up
-    start = dataclasses.replace(at.start, qpos=qpos)
-    return Change(heavy).of(model), At(start, ctrl)
 
 
 def shown(
@@ -211,11 +180,13 @@ class Servos:
 
     drives: the servos. inertia: that each moves while the other joints are held. damping: of its
     joint. spring: the stiffness of its joint. friction: the dry friction of its joint. load: its
-    force that the pose needs at rest [N or N·m].
+    force that the pose needs at rest [N or N·m], of a robot that stands on the ground there.
     off, widths: of the last run; see `shown`.
     """
 
-    def __init__(self, model: Model, at: At, drives: Sequence[Actuator]) -> None:
+    def __init__(
+        self, model: Model, at: At, drives: Sequence[Actuator], ground: Ground | None = None
+    ) -> None:
         self.model, self.at, self.drives = model, at, drives
         sim, joints = Sim(model), Layout(model.scene).joints
         at.start.put(sim)
@@ -228,7 +199,7 @@ class Servos:
         self.spring = np.array([float(np.ravel(one.stiffness)[0]) * sprung for one in own])
         rubs = model.scene.features.constraint and model.scene.features.frictionloss
         self.friction = np.array([joint.frictionloss if rubs else 0.0 for joint in own])
-        self.load = loads(sim)[dofs] / self.gear
+        self.load = (loads(sim)[dofs] if ground is None else ground.load(dofs)) / self.gear
         self.units = ["m" if joint.type == "slide" else "rad" for joint in own]
 
     def omegas(self, goal: str, asked: np.ndarray) -> np.ndarray:
@@ -274,12 +245,17 @@ class Servos:
         slowest = self.slowest(np.sqrt(own))
         return self.hold_longer(self.model, Goal("settling", SETTLES / slowest), slowest)
 
+    def change(self, goal: str, asked: np.ndarray, **settings: Any) -> Change:
+        """Return the gains of what is asked of a goal, as a change of the model."""
+        values = dict[str, Any]()
+        for drive, gains in zip(self.drives, self.gains(self.omegas(goal, asked)), strict=True):
+            values |= gained(self.model, drive.index, *gains)
+        return Change(values, **settings)
+
     def run(self, goal: Goal, asked: np.ndarray, **settings: Any) -> np.ndarray:
         """Return the values of a goal with the gains of what is asked; nan without a margin."""
-        omegas, values = self.omegas(goal.name, asked), dict[str, Any]()
-        for k, gains in enumerate(self.gains(omegas)):
-            values |= gained(self.model, self.drives[k].index, *gains)
-        model, slowest = Change(values, **settings).of(self.model), self.slowest(omegas)
+        model = self.change(goal.name, asked, **settings).of(self.model)
+        slowest = self.slowest(self.omegas(goal.name, asked))
         found, self.off, self.widths = self.shown(model, goal, slowest)
         if np.isfinite(found).any() and self.margin.any():
             found[self.margin & ~self.hold_longer(model, goal, slowest)] = math.nan
@@ -327,12 +303,14 @@ def tuned_servos(
     goal: Goal,
     motors: set[int],
     deadline: Deadline,
+    ground: Ground | None = None,
 ) -> list[Tuned]:
     """Return gains for each servo. All servos are changed together, and verified together.
 
-    motors: the indices of those that stand in place of motors.
+    motors: the indices of those that stand in place of motors. ground: where the robot stands.
     """
-    called, servos, idle = model.called("actuator"), Servos(model, at, drives), list[Tuned]()
+    called, idle = model.called("actuator"), list[Tuned]()
+    servos = Servos(model, at, drives, ground)
     if goal.name == "sag":
         # A thousandth of the largest load is none.
         load = np.abs(servos.load * servos.gear)
@@ -344,23 +322,31 @@ def tuned_servos(
                 held = strength(model, drives[k].index, float(servos.friction[k]))
                 why = f"Dry friction ({held}) bears its load in this pose; its gains are left"
             idle.append(Tuned("servo", called[drives[k].index], goal, servos.units[k], why=why))
-        servos = Servos(model, at, [drives[k] for k in np.flatnonzero(bears).tolist()])
+        servos = Servos(model, at, [drives[k] for k in np.flatnonzero(bears).tolist()], ground)
         if not servos.drives:
             return idle
-    count = len(servos.drives)
+    count, stands = len(servos.drives), goal.name == "sag" and ground is not None
 
     def tried(first: np.ndarray | None = None) -> tuple[Any, ...]:
         asked, values = goal.corrected(count, lambda asked: servos.run(goal, asked), first)
         return asked, values, servos.off, servos.widths
 
-    ours, limits = tried(), dict[int, tuple[float, str]]()
+    falls, limits, ours = "", dict[int, tuple[float, str]](), tuple[Any, ...]()
+    if ground is not None and stands:
+        asked, values, falls = ground.sag(servos.drives, goal, partial(servos.change, goal.name))
+        ours = asked, values, values, np.full(count, math.nan)
+    else:
+        ours = tried()
     with deadline.stage("what the time step holds of the servos that are not reached"):
-        limits = servos.limits(goal, ours[0], np.flatnonzero(np.isnan(ours[1])).tolist())
+        unknown = np.flatnonzero(np.isnan(ours[1]) & (not stands))
+        limits = servos.limits(goal, ours[0], unknown.tolist())
         held = ours[0].copy()
         held[[*limits]] = [asked for asked, _ in limits.values()]
         if limits:
             ours = max(ours, tried(held), key=lambda one: sum(map(goal.near, one[1])))
     asked, values, off, widths = ours
+    if ground is not None and not stands:
+        falls = fall(ground.run(servos.change(goal.name, asked)))
     found, gains = [], servos.gains(servos.omegas(goal.name, asked))
     # Of the model as it was given, which may have motors.
     own, placed = dict[str, Any](), list[Servo]()
@@ -373,12 +359,15 @@ def tuned_servos(
     change, contacts = Change(own, servos=placed), at.contacts(Sim(model), at.start)
     for k, (drive, unit) in enumerate(zip(servos.drives, servos.units, strict=True)):
         (kp, kv), reached, also = gains[k], goal.near(values[k]), ""
+        if stands:
+            # Joints of one leg sag together: most of them less than they may.
+            reached, also = bool(values[k] <= (1 + WITHIN) * goal.value), ", on the ground"
         why = f"The run shows {goal.words(values[k], unit)} with kp={kp:g}"
         if math.isnan(values[k]):
             why = "The run does not show it, or one with steps twice as long does not"
         if k in limits:
             why = limits[k][1]
-        if goal.name == "sag" and kp * goal.value * abs(drive.gear) > drive.bound:
+        if goal.name == "sag" and not stands and kp * goal.value * abs(drive.gear) > drive.bound:
             why = f"The pose needs more than its forcerange of {drive.bound:g}"
         full = share_of_range(model, drive) / abs(drive.gear)
         far, width = (Goal("sag", x).words(x, unit) for x in (off[k], widths[k]))
@@ -390,10 +379,12 @@ def tuned_servos(
             )
         elif goal.name != "sag" and widths[k] < full:
             also = f", of a motion of {width}, for which half of the force is left"
+        if falls:
+            reached, why = False, falls
         way = kp * drive.gear**2 / (kp * drive.gear**2 + servos.spring[k])
         if goal.name != "sag" and way < 1 - WITHIN:
             also += f"; the joint's spring lets it come {way:.0%} of the way to its target"
-        if k in limits or not 0.5 < values[k] / asked[k] < 2:
+        if k in limits or (not stands and not 0.5 < values[k] / asked[k] < 2):
             rubs = touched(model, contacts, drive)
             why += f"; {rubs} acts there" * bool(rubs)
             also = f", which leaves out {rubs}" * bool(rubs) + also
