@@ -381,10 +381,17 @@ class Study:
             largest=np.maximum(largest(far, truth.scored), truth.unsure),
             work=self.work(change),
             cost=self.cost(change),
-            failure=tracks.failure,
+            failure=tracks.failure_from(truth.starts),
             tracks=tracks,
             modelled=modelled,
         )
+
+    def score_everywhere(self, change: Change) -> Trial:
+        """Score settings from all starts from which they and the converged motion ran."""
+        known = self._truths[SHIPPED].known
+        starts = [s for s in self.schedule.indices if s in known and self.ran(change, s)]
+        (tracks,) = self.tracks([change], starts)
+        return self.score(change, tracks, self.truth(math.inf, starts))
 
     def times(self, changes: Sequence[Change]) -> dict[Change, float]:
         """Measure the computing time of changes from the first start [µs per simulated second].

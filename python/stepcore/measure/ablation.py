@@ -431,7 +431,7 @@ class Choice:
             largest=largest(far, scored),
             work=study.engine.work(change, study.schedule),
             cost=study.cost(change),
-            failure=tracks.failure,
+            failure=tracks.failure_from(starts),
         )
 
     def scored(self, starts: Sequence[int]) -> np.ndarray:
