@@ -415,7 +415,7 @@ class Trade(Result):
         """Name the cheaper settings that exceed the error asked for, and from how many starts."""
         some = self.refused[:REFUSALS]
         named = "; ".join(
-            f"{self.label(row)} ({self._least(row)}, {self.missed(row)} of "
+            f"{self.label(row)} ({self._least(row)}, from {self.missed(row)} of "
             f"{counted(len(row.starts), 'start')})"
             for row in some
         )
