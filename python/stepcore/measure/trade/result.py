@@ -193,12 +193,17 @@ class Trade(Result):
         """The settings for `verified`, where the requested error cannot be verified."""
         return None if self.verified is None else self.chosen
 
+    @property
+    def _searched(self) -> set[int]:
+        """The starts of the search."""
+        return set(self.reference.starts)
+
     def partial(self, row: Trial) -> bool:
         """Return whether a row ran from some starts of the search only: its error is at least that.
 
         It exceeded the error that was asked for there, or the effort did not last for the others.
         """
-        return not set(self.reference.starts) <= set(row.starts)
+        return not self._searched <= set(row.starts)
 
     @property
     def whole(self) -> list[Trial]:
@@ -543,8 +548,11 @@ class Trade(Result):
         return row.change.label(self.settings)
 
     def _wrong(self, row: Trial) -> str:
-        # The worst start need not be the least sure one.
-        unsure = max(row.bound - row.error, row.error - float((row.errors - row.unsure).max()))
+        if math.isinf(row.error):
+            return "infinite"
+        # A held-out start that is known less well counts by what it may be above the worst.
+        of_search = [u for s, u in zip(row.starts, row.unsure, strict=True) if s in self._searched]
+        unsure = max(row.bound - row.error, *of_search, 0.0)
         sure = "" if unsure < 0.005 * row.error else f" (± {metres(unsure).removeprefix('< ')})"
         return f"{metres(row.error)}{sure}"
 
