@@ -481,16 +481,15 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     finer = SimpleNamespace(truth=ball.reference, study=study, moved=1.0, ended=False)
     finer.trials, finer.whole = {row.change: row for row in ball.rows}, ball.whole
     finer.row = lambda change, error: finer.trials[change]
-    finer.held = lambda error: search.Search.held(finer, error)
     worse.take(finer)
     assert worse.chosen.error <= 1e-4 and worse.chosen.cost <= ball.chosen.cost
     # Where the time ended the search, settings that ran from some of the starts are an answer.
-    some = {row.change: replace(row, starts=(0,)) for row in ball.rows if row.error <= 1e-4}
+    some = {row.change: row.part((0,)) for row in ball.whole if row.error <= 1e-4}
     finer.trials, worse.chosen = {ball.shipped.change: ball.shipped} | some, None
     finer.whole = [ball.shipped]
     worse.take(finer)
     assert worse.chosen.starts == (0,) and ball.shipped.error > 1e-4
-    lost.unsure, lost.proof, lost.chosen = np.inf, None, replace(ball.chosen, starts=(0,))
+    lost.unsure, lost.proof, lost.chosen = np.inf, None, ball.chosen.part((0,))
     assert "untouched starts, and may miss the error from others." in " ".join(lost._answer())
     said = "100 µm cannot be verified: from some start no run converges."
     assert next(lost._answer()).startswith(said) and compact(np.inf) == "inf"

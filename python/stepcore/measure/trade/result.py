@@ -124,14 +124,14 @@ class Trade(Result):
         """Take over what a search has tried, whose truth may be finer since it chose; no poses."""
         self.reference = search.truth
         self.moved, self.ended, self.pace = search.moved, search.ended, search.study.lasts(1.0)
-        chosen = self.chosen and search.trials[self.chosen.change]
-        if self.target is not None and (chosen is None or chosen.error > self.asked):
-            self.chosen = search.held(self.asked) or chosen
         self.score(search)
-        if self.target is not None and self.chosen is None:
-            # The time was over before anything ran from all starts.
-            some = [row for row in self.rows if row.error <= self.asked]
-            self.chosen = min(some, key=COST, default=None)
+        if self.target is not None and (self.chosen is None or self.chosen.error > self.asked):
+            # Of rows from fewer starts, where the time was over before any ran from all.
+            holds = [row for row in self.rows if row.error <= self.asked]
+            by = (self.partial, lambda row: row.error > MARGIN * self.asked, COST)
+            best = min(holds, key=lambda row: [rank(row) for rank in by], default=None)
+            if self.chosen is None or (best is not None and not self.partial(best)):
+                self.chosen = best
 
     def score(self, search: Search) -> None:
         """Score all rows from every start that they ran from."""
