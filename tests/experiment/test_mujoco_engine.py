@@ -83,13 +83,13 @@ def test_a_control_function_gets_mujocos_state():
         seen.append((time, float(sim.qpos[0]), sim.body("arm").xquat[2]))
         return [0.5 * np.cos(time)]
 
-    study = Study(ARM, Motion(horizon=0.1, control=control), engine="mujoco", starts=1)
+    study = Study(ARM, Motion(horizon=0.1, control=control, starts=1), engine="mujoco")
     called = study.engine.follow(Change(), study.schedule, [0])
     assert [time for time, *_ in seen[:3]] == pytest.approx([0.0, 0.005, 0.01])
     assert all(np.isclose(np.sin(angle / 2), turn) for _, angle, turn in seen)
     assert seen[0][1] != seen[-1][1]
     rows = np.array([[0.5 * np.cos(time)] for time, *_ in seen])
-    table = Study(ARM, Motion(horizon=0.1, ctrl=rows), engine="mujoco", starts=1)
+    table = Study(ARM, Motion(horizon=0.1, ctrl=rows, starts=1), engine="mujoco")
     played = table.engine.follow(Change(), table.schedule, [0])
     np.testing.assert_array_equal(called.com, played.com)
 
@@ -138,7 +138,7 @@ def test_a_run_that_diverges_fails_and_is_not_begun_again():
 
 
 def test_what_mujoco_does_not_have_is_a_failure_that_says_so():
-    study = Study(ARM, Motion(horizon=0.1), engine="mujoco", starts=1)
+    study = Study(ARM, Motion(horizon=0.1, starts=1), engine="mujoco")
     for change, why in (
         (Change(integrator="semi-implicit"), "integrator = 'semi-implicit'"),
         (Change(accuracy=1e-3), "accuracy = 0.001: MuJoCo has no such setting"),

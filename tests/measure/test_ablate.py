@@ -318,8 +318,19 @@ def test_what_few_starts_refute_is_not_run_from_all_and_that_is_said() -> None:
     )
     short = [row for row in result.rows if len(row.trial.starts) == 2]
     assert short and all(row.trial.error > result.tolerance for row in short)
-    (note,) = [note for note in result.notes if "not run from the others" in note]
-    assert note.startswith(f"{len(short)} feature") and "in the first 2 of 4 starts" in note
+    named = {row.removal.label for row in short}
+    cells = {cell["without"]: cell for cell in result.tables(full=True)[0]}
+    assert {n for n, cell in cells.items() if cell["added"].startswith("≥")} == named
+    assert {n for n, cell in cells.items() if cell["starts"] == 2} == named
+    assert {row["name"] for row in result.table if row["at_least"]} == {
+        row.removal.name for row in short
+    }
+    assert all(row["starts"] == (2 if row["at_least"] else 4) for row in result.table)
+    largest = max((r for r in result.rows if not r.trial.failure), key=lambda r: r.trial.error)
+    (said,) = [said for said in result.sentences if said.startswith("The largest effect")]
+    assert ("2 starts of 4" in said) == (largest in short)
+    drawn = {text.get_text() for axes in result.plot().axes for text in axes.texts}
+    assert any(text.startswith("≥") for text in drawn)
 
 
 def test_a_gain_is_named_only_if_timing_can_tell_it() -> None:

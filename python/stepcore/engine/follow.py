@@ -131,6 +131,13 @@ def follow(
     return Followed(times, run.data, run.failures, *made, clock() - begun)
 
 
+def of_one_run(error: SimulationError) -> SimulationError:
+    """Remove the world from the text of an error, where each world is a run on its own."""
+    text, *more = error.args
+    error.args = (text.replace(f" in world {error.world}.", ".", 1), *more)
+    return error
+
+
 class _Run:
     """The arguments of `follow`, checked, and its result as it grows."""
 
@@ -226,7 +233,7 @@ class _Run:
             error.args = (str(error).replace(f" in world {world}", "", 1),)
             if "_start" in error.__dict__:
                 attach(error, self.model, arrays["qpos"][world], arrays["qvel"][world])
-            self.end(world, error)
+            self.end(world, of_one_run(error))
         if self.model.settings.accuracy is not None:
             self.inner[:] = evaluations
         _keep_batch(key, kept)

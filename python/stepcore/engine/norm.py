@@ -69,7 +69,12 @@ class Tracks:
     @property
     def failure(self) -> str:
         """Why the first run that failed did; "" if none did."""
-        return next((f"start {k}: {why}" for k, why in sorted(self.failures.items())), "")
+        return self.failure_from(range(len(self)))
+
+    def failure_from(self, starts: Sequence[int]) -> str:
+        """Return why the first run that failed did, with the index of its start; "" for none."""
+        failed = sorted(self.failures.items())
+        return next((f"start {starts[k]}: {why}" for k, why in failed), "")
 
     def some(self, indices: Sequence[int]) -> Tracks:
         """Return the tracks of some of the starts, by their places."""

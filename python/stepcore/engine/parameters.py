@@ -17,7 +17,7 @@ from stepcore.engine.arrays import Floats, frozen, numbers
 from stepcore.engine.compilation import compile_data
 from stepcore.scene.elements import Body
 from stepcore.scene.records import Variation
-from stepcore.scene.value_paths import WHOLE, find
+from stepcore.scene.value_paths import WHOLE, find, present
 
 if TYPE_CHECKING:
     from stepcore import _core
@@ -52,7 +52,7 @@ def own_value(model: Model, path: str) -> Floats:
     if path in WHOLE:
         return np.asarray(getattr(scene, path), dtype=np.float64)
     element, field = find(scene, path)
-    value = getattr(element, field)
+    value = present(element, field)
     if field == "mass" and isinstance(element, Body) and value is None:
         value = model.body_mass[model.index("body", element.name)]
     table = np.asarray(value if value is not None else 0.0)

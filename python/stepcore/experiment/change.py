@@ -15,7 +15,7 @@ from stepcore.engine.features import Removal, without
 from stepcore.engine.model import Model
 from stepcore.mjcf.option import said, shortest
 from stepcore.report.settings import label
-from stepcore.report.units import metres, seconds
+from stepcore.report.units import metres, seconds, time
 from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS
 from stepcore.scene.layout import Layout
 
@@ -53,7 +53,7 @@ class Change:
     without: features to leave out: names of flags of the scene ("gravity", "contact", "limit", …),
         or `Removal`s.
     servos: `Servo`s that take the place of actuators.
-    settings: fields of `Settings`, such as ``dt=0.001, integrator="rk4"``.
+    settings: fields of `Settings`, such as ``dt=0.001, integrator="rk4"``; ``dt="1ms"`` is a time.
 
     Changes are constant, can be compared, hashed and pickled. An empty one is the scene as shipped.
 
@@ -85,6 +85,8 @@ class Change:
             for one in without
         }
         fields: dict[str, Any] = {**settings}
+        if isinstance(fields.get("dt"), str):
+            fields["dt"] = time("dt", fields["dt"])
         object.__setattr__(self, "settings", tuple(sorted(fields.items())))
         object.__setattr__(self, "values", tuple(sorted(own.items())))
         object.__setattr__(self, "without", tuple(sorted(removed, key=lambda r: r.label)))

@@ -119,6 +119,10 @@ class Engine(ABC):
         """Return all settings of a change; ValueError for what the engine does not have."""
         return self.shipped.replace(**dict(change.settings))
 
+    @abstractmethod
+    def compile(self, change: Change, schedule: Schedule) -> None:
+        """Make the changed model; ValueError for what the scene or the engine does not have."""
+
     def work(self, change: Change, schedule: Schedule) -> float:
         """Count the operations of a simulated second; inf where no step can be made.
 
@@ -213,6 +217,9 @@ class Stepcore(Engine):
         if physics not in self._models:
             self._models[physics] = physics.of(self.model)
         return change.with_settings(self._models[physics])
+
+    def compile(self, change: Change, schedule: Schedule) -> None:
+        schedule.on(self.of(change))
 
     def follow(
         self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1

@@ -245,6 +245,10 @@ class MuJoCo(Engine):
             self._free.append(world)
             del self._free[:-KEPT]
 
+    def compile(self, change: Change, schedule: Schedule) -> None:
+        with self._world(schedule.change.also(change)):
+            pass
+
     def follow(
         self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
     ) -> Tracks:
@@ -585,17 +589,24 @@ def _assign(model: Any, path: str, value: Any) -> None:
     known = VALUES.get(kind, ())
     if field not in known:
         raise ValueError(f"{path}: MuJoCo's engine changes {', '.join(known) or 'no such value'}")
-    index = mujoco().mj_name2id(model, getattr(mujoco().mjtObj, f"mjOBJ_{kind.upper()}"), name)
+    object_type = getattr(mujoco().mjtObj, f"mjOBJ_{kind.upper()}")
+    index = mujoco().mj_name2id(model, object_type, name)
     if index < 0:
-        raise ValueError(f"{path}: MuJoCo's model has no {kind} of this name")
+        count = getattr(model, {"joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}"))
+        names = [mujoco().mj_id2name(model, object_type, k) for k in range(count)]
+        near = checks.nearest(name, filter(None, names))
+        raise ValueError(f"{path}: no {kind} is named {checks.quoted(name)}{near}")
     if field in ("kp", "kv"):
-        order = 1 + (field == "kv")
-        if not model.actuator_biasprm[index, order]:
+        gain, bias = model.actuator_gainprm[index], model.actuator_biasprm[index]
+        place = 1 + (field == "kv")
+        if not (bias[1] or bias[place]):
             raise ValueError(f"{path}: the actuator has no {field}")
-        # The gain that multiplies the control is that of the servo's own error.
-        if model.actuator_gainprm[index, 0] == -model.actuator_biasprm[index, order]:
-            model.actuator_gainprm[index, 0] = value
-        model.actuator_biasprm[index, order] = -value
+        # As `Actuator.set_servo_gain`: the main gain scales what the control asks for.
+        if field == "kp" or not bias[1]:
+            old = -bias[place]
+            gain[0] = value if gain[0] == old else gain[0] * value / old
+            bias[0] *= value / old
+        bias[place] = -value
         return
     of_dofs = kind == "joint" and field != "stiffness"
     array = getattr(model, f"{'dof' if of_dofs else {'joint': 'jnt'}.get(kind, kind)}_{field}")

@@ -258,10 +258,10 @@ def time_steps(
     if dts is not None:
         chosen = sorted({units.time("dts", dt) for dt in dts} | {shipped}, reverse=True)
         period = control_dt or _common(chosen, horizon)
-        _check_divide(chosen, period)
+        check_divide(chosen, period)
     elif control_dt is not None:
         # The shipped step is kept; the others are rounded to divisors of the period.
-        _check_divide([shipped], control_dt)
+        check_divide([shipped], control_dt)
         parts = {max(1, round(control_dt / dt)) for dt in wanted if dt <= 1.5 * control_dt}
         chosen, period = sorted((control_dt / n for n in parts), reverse=True), control_dt
         chosen = [shipped if math.isclose(dt, shipped, rel_tol=1e-9) else dt for dt in chosen]
@@ -308,13 +308,16 @@ def often(period: float, dt: float, horizon: float) -> float:
     return period
 
 
-def _check_divide(dts: Sequence[float], period: float) -> None:
+def check_divide(dts: Sequence[float], period: float) -> None:
+    """Raise ValueError, with the nearest valid steps, for a step that does not divide a period."""
     for dt in dts:
         if not divides(dt, period):
-            near = period / max(1, round(period / dt))
+            counts = dict.fromkeys(max(1, int(period / dt) + more) for more in (1, 0))
+            # Enough digits that the written step divides the period.
+            near = " and ".join(f"{period / n:.9g} s" for n in counts)
             raise ValueError(
                 f"dt = {dt:g} s: must divide the control period of {period:g} s "
-                f"(nearest: {near:g} s; control_dt sets the period)"
+                f"(nearest: {near}; control_dt sets the period)"
             )
 
 

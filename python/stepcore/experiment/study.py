@@ -8,26 +8,29 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Unpack, overload
 
 import numpy as np
 
-from stepcore import deadline
+from stepcore import checks, deadline
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Tracks, apart, largest, rms
+from stepcore.engine.parameters import own_value
+from stepcore.experiment.answer import Answer
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, check_repeatable
-from stepcore.experiment.motion import Motion
+from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import engine_of
 from stepcore.experiment.price import OPERATION, OVERHEAD, computing_time
-from stepcore.experiment.schedule import STARTS, Schedule, time_steps
+from stepcore.experiment.schedule import STARTS, Schedule, check_divide, time_steps
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Converging, Truth
-from stepcore.report.units import metres, rounded, seconds
+from stepcore.report import units
+from stepcore.report.units import counted, metres, rounded, seconds
 
 # Starts that run together: the worlds of a vector register.
 TOGETHER = STARTS
@@ -43,12 +46,12 @@ class Study:
     """Runs changes of one scene in one motion, scores them, and remembers what was run.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
-    motion: a `Motion`; by default one that the machine could make, of about one second.
+    motion: a `Motion`, its kind ("hold"), or its fields as arguments (``horizon=0.5``); by default
+        one that the machine could make, of about one second.
     engine: runs the changes: "stepcore", or "mujoco", which also runs files that stepcore cannot
         load; or an `Engine`, whose scene is then the study's, and `model` need not be given.
-    period: the control period [s]; every time step divides it. By default that of the motion, or
-        four shipped time steps.
-    starts: the number of starts of the search.
+    period: the control period: seconds, or a text such as "8ms". Every time step divides it. By
+        default that of the motion, or four shipped time steps.
     effort: the most operations of the study. When they are spent, truths stay as they are.
     by: what trials cost: "time" by their counted work, or "flops".
     workers: threads or an executor for the runs; see `stepcore.experiment.arguments.Workers`.
@@ -68,25 +71,28 @@ class Study:
     True
     """
 
+    @takes_motion()
     def __init__(
         self,
         model: Any = None,
-        motion: Motion | None = None,
+        motion: Motion | str | None = None,
         *,
         engine: Engine | str = "stepcore",
-        period: float | None = None,
-        starts: int | None = None,
+        period: float | str | None = None,
         effort: float = EFFORT,
         by: str = "time",
         workers: Workers | None = None,
+        **fields: Unpack[MotionFields],
     ) -> None:
-        self.motion = motion or Motion()
+        checks.one_of("time", "flops")("study", "by", by)
+        effort = checks.real(low=0)("study", "effort", effort)
+        self.motion = Motion.of(motion, fields, Study)
         self.engine = engine_of(model, engine, self.motion)
         shipped, self.size = self.engine.dt, self.engine.size
         if period is None:
             horizon = self.motion.horizon or 1.0
             period = time_steps(shipped, None, self.motion.period(shipped), horizon)[1]
-        count = starts or self.motion.starts or STARTS
+        period, count = units.time("period", period), self.motion.starts or STARTS
         self.schedule: Schedule = self.engine.scheduled(self.motion, period, starts=count)
         self.starts: tuple[int, ...] = tuple(self.schedule.indices)
         self.workers, self.effort, self.by = workers or Workers(), effort, by
@@ -113,6 +119,11 @@ class Study:
         schedule = self.schedule.part(0, len(self.starts))
         return motion_in_words(self.model, self.motion, schedule)
 
+    def value(self, path: str) -> Any:
+        """Return the scene's value at a path: a number, or an array; see `Change`."""
+        own = own_value(self.model, path)
+        return own if own.ndim else float(own)
+
     def fresh(self, count: int) -> tuple[int, ...]:
         """Return the indices of further starts, from which nothing has been run."""
         self._blocks += 1
@@ -124,8 +135,13 @@ class Study:
         return tuple(range(first, first + count))
 
     def steps(self, change: Change = SHIPPED) -> int:
-        """Return the number of time steps in a control period."""
-        return self.schedule.steps(float(self.engine.settings(change).dt))
+        """Return the number of time steps in a control period.
+
+        Raises ValueError, with the nearest valid steps, if the step does not divide the period.
+        """
+        dt = float(self.engine.settings(change).dt)
+        check_divide([dt], self.schedule.period)
+        return self.schedule.steps(dt)
 
     def price(self, change: Change, starts: int) -> float:
         """Return the operations of runs from some starts; inf if the settings are refused.
@@ -262,44 +278,84 @@ class Study:
 
     def truth(
         self,
-        error: float | None = None,
+        error: float | str | None = None,
         starts: Sequence[int] | None = None,
         physics: Change = SHIPPED,
     ) -> Truth:
         """Return the converged motion, sure to a tenth of an error, or as the effort allows.
 
-        error: the error in question [m]; by default a tenth of the shipped settings' own.
+        error: the error in question: metres, "1mm", or "0.1%" of the scene's size; by default a
+            tenth of the shipped settings' own.
         starts: by index; by default those of the search. physics: what is modelled differently.
 
         Where a deadline leaves no time for all of the search's starts, they are fewer from then on.
 
         Raises ValueError if no converged motion can be run.
         """
+        if isinstance(error, str):
+            error = units.length("truth", "error", error, self.size)
+        if error is None:
+            # The shipped settings run too.
+            self.steps()
         own, goal = starts is None and physics == SHIPPED, None if error is None else SHARE * error
         starts = self.starts if starts is None else starts
         if physics not in self._truths:
+            self.engine.compile(physics, self.schedule)
             self._truths[physics] = Converging(self, physics, starts[0], goal)
         truth = self._truths[physics].upto(starts, goal, fewer=own)
         if own:
             self.starts = truth.starts
         return truth
 
+    @overload
+    def run(
+        self,
+        changes: Change,
+        starts: Sequence[int] | None = None,
+        error: float | str | None = None,
+        bar: str | None = None,
+    ) -> Trial: ...
+    @overload
     def run(
         self,
         changes: Sequence[Change],
         starts: Sequence[int] | None = None,
-        error: float | None = None,
+        error: float | str | None = None,
         bar: str | None = None,
-    ) -> list[Trial]:
+    ) -> list[Trial]: ...
+    def run(
+        self,
+        changes: Change | Sequence[Change],
+        starts: Sequence[int] | None = None,
+        error: float | str | None = None,
+        bar: str | None = None,
+    ) -> Trial | list[Trial]:
         """Run changes from some starts, and score each against its own converged motion.
 
         Settings are scored against the scene's converged motion. A change of what is modelled is
         scored against the converged motion of the changed model (its numerical error), and
         `Trial.modelled` has how far that is from the scene's own (its modelling error).
 
+        changes: one `Change`, for one `Trial`; or several, for a list.
         starts: by index; by default those of the search.
-        error: the error in question [m], of which the converged motion is known to a tenth.
+        error: the error in question, of which the converged motion is known to a tenth: metres,
+            "1mm", or "0.1%" of the scene's size.
+
+        Raises ValueError before anything runs for a change that the scene or the engine does not
+        have, with the nearest names, and for a step that does not divide the control period, with
+        the nearest steps. Raises ValueError if no converged motion can be run.
         """
+        if isinstance(changes, Change):
+            return self.run([changes], starts, error, bar)[0]
+        if error is not None:
+            error = units.length("run", "error", error, self.size)
+        for start in starts or ():
+            if start not in self.schedule.indices:
+                known = f"below {len(self.schedule.indices)}; fresh() makes others"
+                raise ValueError(f"starts: {checks.shown(start)}: must be {known}")
+        for change in dict.fromkeys(changes):
+            self.steps(change)
+            self.engine.compile(change, self.schedule)
         starts = self.starts if starts is None else starts
         made = zip(changes, self.tracks(changes, starts, bar), strict=True)
         return [
@@ -325,10 +381,17 @@ class Study:
             largest=np.maximum(largest(far, truth.scored), truth.unsure),
             work=self.work(change),
             cost=self.cost(change),
-            failure=tracks.failure,
+            failure=tracks.failure_from(truth.starts),
             tracks=tracks,
             modelled=modelled,
         )
+
+    def score_everywhere(self, change: Change) -> Trial:
+        """Score settings from all starts from which they and the converged motion ran."""
+        known = self._truths[SHIPPED].known
+        starts = [s for s in self.schedule.indices if s in known and self.ran(change, s)]
+        (tracks,) = self.tracks([change], starts)
+        return self.score(change, tracks, self.truth(math.inf, starts))
 
     def times(self, changes: Sequence[Change]) -> dict[Change, float]:
         """Measure the computing time of changes from the first start [µs per simulated second].
@@ -347,6 +410,56 @@ class Study:
             made = self._evaluations(change) or [1.0]
             times[change] *= 1e6 / self.schedule.horizon * float(np.mean(made)) / made[0]
         return times
+
+    def answer(
+        self,
+        title: str,
+        sentences: Sequence[str],
+        rows: Sequence[Mapping[str, Any]],
+        units: Mapping[str, str] | None = None,
+        plot: tuple[str, str] | None = None,
+    ) -> Answer:
+        """Return the answer to a question as a result: text, table, JSON, page and plot.
+
+        title: the quantity measured. sentences: the answer first. rows: the numbers, by column.
+        units: of the columns. plot: the columns along the axes; by default the first two.
+        """
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+        return Answer(
+            name=self.engine.title,
+            ran=self.motion_ran,
+            notes=self.schedule.notes,
+            subject=title,
+            said=list(sentences),
+            rows=list(rows),
+            of_columns=dict(units or {}),
+            axes=plot or (columns[0], columns[1]),
+            motion=self.motion,
+            settings=self.engine.shipped,
+        )
+
+    def __repr__(self) -> str:
+        starts = counted(len(self.starts), "start")
+        horizon = seconds(self.schedule.horizon)
+        ran = counted(self.runs, "run")
+        return f"<Study of {self.engine.title}: {horizon} from {starts}, {ran}>"
+
+    def __str__(self) -> str:
+        """Describe the scene, the motion, the steps that can be run, and the runs so far."""
+        period, dt = self.schedule.period, self.engine.dt
+        ran = f"{counted(self.runs, 'run')} so far."
+        if SHIPPED in self._truths:
+            known = self._truths[SHIPPED].error(self.starts)
+            ran += f" The uncertainty of the converged motion is {metres(known)}."
+        return "\n".join(
+            [
+                f"Study of {self.engine.title} under {self.engine.name}, size {metres(self.size)}.",
+                f"The motion: {self.motion_ran}.",
+                f"Time steps divide the control period of {seconds(period)}; the shipped one is "
+                f"{seconds(dt)}.",
+                ran,
+            ]
+        )
 
     def tell(self, wrong: float, moved: float, goal: float, needs: float) -> None:
         """Say how far a search for the converged motion has come.

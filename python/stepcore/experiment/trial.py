@@ -92,6 +92,14 @@ class Trial:
         over = np.flatnonzero(~(self.errors <= error))
         return [self.starts[k] for k in sorted(over, key=lambda k: -self.errors[k])]
 
+    def part(self, starts: Sequence[int]) -> Trial:
+        """Return the trial from some of its starts, without poses."""
+        places = [self.starts.index(start) for start in starts]
+        errors, unsure, largest = self.errors[places], self.unsure[places], self.largest[places]
+        return replace(
+            self, starts=tuple(starts), errors=errors, unsure=unsure, largest=largest, tracks=None
+        )
+
     @classmethod
     def joined(cls, parts: Sequence[Trial]) -> Trial:
         """Return the trial of one change from all starts of some parts."""
@@ -112,6 +120,9 @@ class Trial:
             "error": None if self.failure else self.error,
             "median": None if self.failure else self.median,
             "largest": None if self.failure else float(np.max(self.largest)),
+            "unsure": float(np.max(self.unsure, initial=0.0)),
+            "modelled": None if self.modelled is None else float(np.max(self.modelled)),
+            "starts": len(self.starts),
             "work": self.work,
             "cost": self.cost,
             "failure": self.failure or None,

@@ -219,6 +219,10 @@ class Converging:
             needs=self._needs(starts, goal),
         )
 
+    def error(self, starts: Sequence[int]) -> float:
+        """Return how far the motion may be off in the worst of some starts [m]."""
+        return max((self.known[s].unsure for s in starts if s in self.known), default=math.inf)
+
     @property
     def _coarse(self) -> float:
         """What is asked where the shipped settings have no error [m], as they explode."""

@@ -134,6 +134,14 @@ class Ablation(Result):
         whole = self.whole.trial.work
         return math.nan if row.trial.failure else (whole - row.trial.work) / whole
 
+    def partial(self, row: FeatureEffect) -> bool:
+        """Return whether a row ran from some of the starts only: its error is at least that."""
+        return len(row.trial.starts) < self.starts
+
+    def least(self, row: FeatureEffect, error: str) -> str:
+        """Return an error of a row in words, as a lower bound if it ran from some starts only."""
+        return f"≥ {error}" if self.partial(row) else error
+
     def measurable(self, row: FeatureEffect) -> bool:
         """Return whether the error that a row adds is more than rounding."""
         return row.trial.error >= MEASURABLE * self.tolerance
@@ -165,6 +173,8 @@ class Ablation(Result):
             "added": own["error"],
             "added_median": own["median"],
             "added_max": own["largest"],
+            "starts": own["starts"],
+            "at_least": self.partial(row),
             "error": row.error,
             "left_out": row.removal in self.removed,
             "failure": own["failure"],
@@ -199,8 +209,14 @@ class Ablation(Result):
             first = sorted(features, key=lambda row: row.removal not in self.removed)[:SHORT]
             legend += f" {not_shown(counted(len(features) - SHORT, 'feature'))}"
             features = [row for row in features if row in first]
-        cells = [self._cells(row) for row in (self.whole, *features, self.best)]
-        formats = dict.fromkeys(("saved", "µs", "added", "max", "error"), "")
+        shown = (self.whole, *features, self.best)
+        cells = [self._cells(row) for row in shown]
+        if any(self.partial(row) for row in shown):
+            cells = [c | {"starts": len(r.trial.starts)} for c, r in zip(cells, shown, strict=True)]
+            legend += (
+                f" ≥: it ran from {SCREENED} of {self.starts} starts, and exceeds the tolerance."
+            )
+        formats = dict.fromkeys(("saved", "µs", "added", "max", "error", "starts"), "")
         return [Table(cells, formats=formats, legend=legend)]
 
     def _cells(self, row: FeatureEffect) -> dict[str, Any]:
@@ -210,7 +226,7 @@ class Ablation(Result):
         spared = "" if math.isnan(row.cost) else f"{self.whole.cost - row.cost:.0f}"
         least = MEASURABLE * self.tolerance
         wrong = [] if trial.failure else [trial.error, float(trial.largest.max())]
-        added = ["0" if far < least else compact(far) for far in wrong] or ["", ""]
+        added = ["0" if far < least else self.least(row, compact(far)) for far in wrong] or ["", ""]
         return {
             "": "*" if row.removal in self.removed else "",
             "without": names.get(id(row), row.removal.label),
@@ -218,7 +234,7 @@ class Ablation(Result):
             "µs": "" if row is self.whole else spared,
             "added": added[0],
             "max": added[1],
-            "error": "" if row.error is None else compact(row.error),
+            "error": "" if row.error is None else self.least(row, compact(row.error)),
         }
 
     @property
@@ -230,12 +246,14 @@ class Ablation(Result):
         if alike:
             labels = "; ".join(row.removal.label for row in alike)
             said.append(f"The motion is bit-identical without: {labels}.")
-        ran = [row for row in self.rows if not row.trial.failure]
-        largest = max(ran, key=lambda row: row.trial.error, default=None)
+        done = [row for row in self.rows if not row.trial.failure]
+        largest = max(done, key=lambda row: row.trial.error, default=None)
         if largest is not None and largest.trial.error > self.tolerance:
+            ran = counted(len(largest.trial.starts), "start")
+            some = f"the {ran} of {self.starts} that ran" if self.partial(largest) else ran
             said.append(
-                f"The largest effect: without {largest.removal.label} the error in the worst start "
-                f"is {metres(largest.trial.error)}."
+                f"The largest effect: without {largest.removal.label} the error in the worst of "
+                f"{some} is {metres(largest.trial.error)}."
             )
         failed = [row for row in self.rows if row.trial.failure]
         return said + [
@@ -350,9 +368,6 @@ def ablate(
     with time.closing(), time.stage("all timing"):
         every = [SHIPPED, *(trial.change for trial in choice.alone.values()), choice.best.change]
         times = study.times([*every, twin])
-    if cut := sum(len(one.starts) < len(choice.starts) for one in choice.alone.values()):
-        few = f"in the first {SCREENED} of {len(choice.starts)} starts exceeds the tolerance"
-        notes.append(f"{counted(cut, 'feature')} did not run from the others: the error {few}")
 
     def effect(removal: Removal, trial: Trial) -> FeatureEffect:
         off = None if truth is None else choice.off(trial.change, truth)
@@ -431,7 +446,7 @@ class Choice:
             largest=largest(far, scored),
             work=study.engine.work(change, study.schedule),
             cost=study.cost(change),
-            failure=tracks.failure,
+            failure=tracks.failure_from(starts),
         )
 
     def scored(self, starts: Sequence[int]) -> np.ndarray:

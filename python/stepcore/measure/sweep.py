@@ -20,6 +20,7 @@ from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
 from stepcore.engine.batch import unwatched as unwatched_batch
+from stepcore.engine.follow import of_one_run
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import Variants
 from stepcore.engine.sim import Sim, unwatched
@@ -240,7 +241,7 @@ def _worlds(
             raise TypeError(f'measure: "{name}" has shape {np.shape(values)}: must be {limit}')
     failures = batch.failures
     return [
-        _failure(failures[world])
+        _failure(of_one_run(failures[world]))
         if world in failures
         else {name: values[world] for name, values in table.items()}
         for world in range(n)

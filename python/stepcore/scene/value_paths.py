@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore.scene.element import table
-from stepcore.scene.elements import Body, Element
+from stepcore.scene.elements import Actuator, Body, Element
+from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS
 from stepcore.scene.layout import LISTS, Layout
 
 if TYPE_CHECKING:
@@ -93,8 +94,17 @@ def _indexed(scene: Scene, kind: str, name: str) -> Element | None:
     return elements[index]
 
 
+def present(element: Element, field: str) -> Any:
+    """Return the value of a field; None only where it has no value and no default."""
+    law = isinstance(element, Actuator) and field in ALL_LAW_FIELDS
+    return element.law_value(field) if law else getattr(element, field)  # type: ignore[attr-defined]
+
+
 def _set(element: Element, field: str, value: Any) -> None:
     """Assign a field; a single number replaces the first entry of a vector."""
+    if isinstance(element, Actuator) and field in element.servo_gains:
+        element.set_servo_gain(field, value)
+        return
     old = getattr(element, field)
     first = checks.number(value)
     if isinstance(old, tuple) and first is not None:

@@ -145,6 +145,8 @@ def trade(
     else:
         with workers.deadline.stage("the rest of the search", SEARCHED):
             _searched(result, search_, further)
+        with workers.deadline.stage("some settings of the frontier from all starts", SEARCHED):
+            search_.complete(result.asked)
     search_.score_again()
     if target is not None and not full:
         search_.remember(result.asked)
@@ -168,6 +170,7 @@ def _proven_and_timed(result: Trade, search: Search, further: int) -> None:
         with deadline.stage(f"the test on {further} untouched starts", PROVEN):
             result.proof = proven(study, result.chosen.change, result.asked, further)
     result.runs = study.runs
+    result.score(search)
     if result.by == "time":
         with deadline.closing(), deadline.stage("all timing"):
             named = [result.shipped, *result.named]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -26,7 +25,7 @@ from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Truth
 from stepcore.measure.monitors import Finding
-from stepcore.measure.trade.search import KNOWING, UNSURE, Search
+from stepcore.measure.trade.search import COST, KNOWING, MARGIN, UNSURE, Search
 from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import differences, solver_words
@@ -48,8 +47,8 @@ if TYPE_CHECKING:
 
 # Default error of `Trade.best` [m].
 ERROR = 1e-3
-# What settings are ranked by.
-COST = operator.attrgetter("cost")
+# How many cheaper settings that exceed the error are named in the answer.
+REFUSALS = 2
 # A slope of log error over log dt counts as an order if it is so near to 1, 2 or 4.
 CLOSE = 0.15
 UNITS = {
@@ -73,7 +72,8 @@ class Trade(Result):
     engine: "stepcore" or "mujoco".
     model: the scene as shipped; None for a file that MuJoCo alone can load.
     reference: the converged motion, with its error.
-    rows: every setting that ran from all starts, and those that failed; coarsest step first.
+    rows: every setting that ran, with the errors from all starts that it ran from; coarsest step
+        first. `whole` are those that ran from all starts of the search.
     shipped: the trial of the scene's own settings.
     target, budget: the requested error [m] or the requested budget.
     unsure: to what the converged motion was known when the settings were chosen [m].
@@ -122,16 +122,24 @@ class Trade(Result):
 
     def take(self, search: Search) -> None:
         """Take over what a search has tried, whose truth may be finer since it chose; no poses."""
-        self.reference, self.schedule = search.truth, search.study.schedule
+        self.reference = search.truth
         self.moved, self.ended, self.pace = search.moved, search.ended, search.study.lasts(1.0)
-        light = {c: dataclasses.replace(trial, tracks=None) for c, trial in search.trials.items()}
-        self.rows = sorted(light.values(), key=lambda trial: (-trial.dt, trial.cost))
-        self.shipped = light[SHIPPED]
-        self.chosen = self.chosen and light[self.chosen.change]
+        self.score(search)
         if self.target is not None and (self.chosen is None or self.chosen.error > self.asked):
-            held = search.held(self.asked)
-            some = [] if self.chosen else [row for row in self.rows if row.error <= self.asked]
-            self.chosen = light[held.change] if held else min(some, key=COST, default=self.chosen)
+            # Of rows from fewer starts, where the time was over before any ran from all.
+            holds = [row for row in self.rows if row.error <= self.asked]
+            by = (self.partial, lambda row: row.error > MARGIN * self.asked, COST)
+            best = min(holds, key=lambda row: [rank(row) for rank in by], default=None)
+            if self.chosen is None or (best is not None and not self.partial(best)):
+                self.chosen = best
+
+    def score(self, search: Search) -> None:
+        """Score all rows from every start that they ran from."""
+        self.schedule = search.study.schedule
+        rows = {change: search.row(change, self.asked) for change in search.trials}
+        self.rows = sorted(rows.values(), key=lambda trial: (-trial.dt, trial.cost))
+        self.shipped = rows[SHIPPED]
+        self.chosen = self.chosen and rows[self.chosen.change]
 
     def compare(self, beside: Trade) -> None:
         """Take over the same trade with a second engine."""
@@ -186,9 +194,46 @@ class Trade(Result):
         return None if self.verified is None else self.chosen
 
     @property
+    def _searched(self) -> set[int]:
+        """The starts of the search."""
+        return set(self.reference.starts)
+
+    def partial(self, row: Trial) -> bool:
+        """Return whether a row ran from some starts of the search only: its error is at least that.
+
+        It exceeded the error that was asked for there, or the effort did not last for the others.
+        """
+        return not self._searched <= set(row.starts)
+
+    @property
+    def whole(self) -> list[Trial]:
+        """The rows that ran from all starts of the search."""
+        return [row for row in self.rows if not self.partial(row)]
+
+    @property
     def front(self) -> list[Trial]:
-        """The settings that no others beat in price and error, the cheapest first."""
-        return frontier(self.rows, COST)
+        """The settings that no others beat in price and error, the cheapest first.
+
+        They ran from all starts of the search.
+        """
+        return frontier(self.whole, COST)
+
+    def missed(self, row: Trial) -> int:
+        """Return from how many of its starts a row exceeds the error that was asked for."""
+        return int((~(row.errors <= self.asked)).sum())
+
+    @property
+    def refused(self) -> list[Trial]:
+        """The settings that cost less than the chosen ones and exceed the error asked for.
+
+        Those that exceed it from the smallest share of their starts come first, and of these the
+        cheapest.
+        """
+        chosen = self.chosen
+        if chosen is None or self.target is None:
+            return []
+        some = [row for row in self.rows if row.cost < chosen.cost and row.error > self.asked]
+        return sorted(some, key=lambda row: (self.missed(row) / len(row.starts), row.cost))
 
     @property
     def named(self) -> list[Trial]:
@@ -213,12 +258,10 @@ class Trade(Result):
         return self.reference.growth.overall
 
     def error(self, row: Trial) -> float:
-        """Return the RMS position error of a row's worst start [m]; inf if it failed.
+        """Return the RMS position error of the worst start that a row ran from [m].
 
-        That of the chosen settings includes the untouched starts.
+        That of the chosen settings includes the untouched starts. It is inf if a run failed.
         """
-        if self.proof is not None and row.change == self.proof.trial.change:
-            return max(row.error, self.proof.trial.error)
         return row.error
 
     def best(self, error: float | str | None = None) -> Settings:
@@ -239,23 +282,20 @@ class Trade(Result):
         limit = self.target or ERROR
         if error is not None:
             limit = length("best", "error", error, self.size)
-        good = [row for row in self.rows if self.error(row) <= limit]
+        good = [row for row in self.whole if row.error <= limit]
         if not good:
-            least = min((self.error(row) for row in self.rows), default=math.inf)
+            least = min((row.error for row in self.whole), default=math.inf)
             raise ValueError(f"error = {limit:g} m: the smallest in this trade is {least:.3g} m")
         return min(good, key=lambda row: (row.cost, row.error))
 
     def next_better(self, error: float | str | None = None) -> Trial | None:
         """Return the cheapest row with at most half of an error; None if there is none.
 
-        error: as in `best`; by default that of the chosen settings on the starts of the search, or
-            of the shipped ones.
+        error: as in `best`; by default that of the chosen settings, or of the shipped ones.
         """
         own = self.chosen or self.shipped
         half = (own.error if error is None else length("best", "error", error, self.size)) / 2
-        # Others ran from fewer starts, and failed on one that joined.
-        whole = [row for row in self.rows if len(row.starts) >= len(own.starts)]
-        good = [row for row in whole if row.error <= half and not row.failure]
+        good = [row for row in self.whole if row.error <= half < math.inf]
         return min(good, key=COST) if good and half > 0 else None
 
     def _same(self) -> Trial | None:
@@ -272,7 +312,7 @@ class Trade(Result):
         count.
         """
         lines: dict[Change, list[tuple[float, float]]] = {}
-        for row in self.rows:
+        for row in (row.part(self.reference.starts) for row in self.whole):
             plain = row.settings.precision == "f64" and row.settings.accuracy is None
             if plain and self.reference.error / SHARE < row.error < SHARE * self.moved:
                 family = Change.between(row.settings.replace(dt=self.settings.dt), self.settings)
@@ -335,17 +375,20 @@ class Trade(Result):
                 within = f"a cost of at most {self._amount(self.budget)} per simulated second"
             choice = f"Recommended for {within}: {self.label(row)}"
             if self.budget is None and row.error > self.asked:
-                choice = f"No setting tried has {within} in every start. The fewest exceed it with "
-                choice += self.label(row)
-            ran = counted(len(row.starts), "start")
-            where = f"in the worst of {ran}" if len(row.starts) > 1 else "in the one start that ran"
-            wrong = f"{self._wrong(row)} {where}"
-            yield f"{choice}. Its RMS position error is {wrong}, for {self._priced_beside(row)}."
+                held, ran = len(row.starts) - self.missed(row), counted(len(row.starts), "start")
+                choice = f"Recommended for {within} from {held} of {ran}: {self.label(row)}"
+                if not any(other.error <= self.asked for other in self.whole):
+                    choice = f"No setting tried has {within} in every start. The fewest exceed it "
+                    choice += f"with {self.label(row)}"
+            wrong, priced = self._wrong_in(row), self._priced_beside(row)
+            yield f"{choice}. Its RMS position error is {wrong}, for {priced}."
             if self.proof is not None:
                 yield self.proof.words
             elif target is not None:
                 also = ", and may miss the error from others" * (len(row.starts) < self.starts)
                 yield f"It was not tried on untouched starts{also}."
+            if self.refused:
+                yield self._refusals()
             for finding in self.chatter:
                 yield f"Under these settings {finding.text[0].lower()}{finding.text[1:]}"
             if self.engine == "mujoco" and row.change.settings:
@@ -353,12 +396,43 @@ class Trade(Result):
             yield self._halved()
         elif target is not None:
             yield f"No setting tried has an error of at most {metres(self.asked)} in every start."
-            done = [row for row in self.rows if row.error < math.inf]
+            done = [row for row in self.whole if row.error < math.inf]
             if done:
                 least = min(done, key=lambda row: row.error)
                 yield f"The smallest is {self._wrong(least)}: {self.label(least)}."
         elif self.budget is not None:
             yield f"No setting costs at most {self._amount(self.budget)} per simulated second."
+
+    def _wrong_in(self, row: Trial) -> str:
+        """Describe the error of a row in the worst start that it ran from."""
+        ran, count = counted(len(row.starts), "start"), len(row.starts)
+        if row.failure:
+            rest = [float(error) for error in row.errors if error < math.inf]
+            most = f" of at most {metres(max(rest))} from {len(rest)} of {ran}" if rest else ""
+            return (
+                f"infinite, because a run fails ({beginning(row.failure)}){most and ', and'}{most}"
+            )
+        return f"{self._wrong(row)} " + (
+            f"in the worst of {ran}" if count > 1 else "in the one start that ran"
+        )
+
+    def _refusals(self) -> str:
+        """Name the cheaper settings that exceed the error asked for, and from how many starts."""
+        some = self.refused[:REFUSALS]
+        named = "; ".join(
+            f"{self.label(row)} ({self._least(row)}, from {self.missed(row)} of "
+            f"{counted(len(row.starts), 'start')})"
+            for row in some
+        )
+        more = len(self.refused) - len(some)
+        others = f"; and {counted(more, 'other')}" if more else ""
+        return f"Cheaper settings that exceed {metres(self.asked)}: {named}{others}."
+
+    def _least(self, row: Trial) -> str:
+        """Return the error of a row, of which a row from fewer starts is only a lower bound."""
+        if row.failure:
+            return "fails"
+        return f"at least {metres(row.error)}" if self.partial(row) else metres(row.error)
 
     def _surer(self) -> str:
         """Say what it takes to verify the error that was asked for."""
@@ -410,7 +484,7 @@ class Trade(Result):
     def _improvements(self) -> Iterator[str]:
         """Yield the cost of half the shipped error, and of the shipped error itself."""
         if self.shipped.failure:
-            ran = [row for row in self.rows if not row.failure]
+            ran = [row for row in self.whole if not row.failure]
             if ran:
                 least = min(ran, key=COST)
                 wrong = f"with an error of {self._wrong(least)}"
@@ -474,7 +548,11 @@ class Trade(Result):
         return row.change.label(self.settings)
 
     def _wrong(self, row: Trial) -> str:
-        unsure = float(row.unsure.max())
+        if math.isinf(row.error):
+            return "infinite"
+        # A held-out start that is known less well counts by what it may be above the worst.
+        of_search = [u for s, u in zip(row.starts, row.unsure, strict=True) if s in self._searched]
+        unsure = max(row.bound - row.error, *of_search, 0.0)
         sure = "" if unsure < 0.005 * row.error else f" (± {metres(unsure).removeprefix('< ')})"
         return f"{metres(row.error)}{sure}"
 
@@ -515,11 +593,11 @@ class Trade(Result):
         front = {id(one) for one in self.front}
         return record | {
             **row.record(),
-            "unsure": float(row.unsure.max()),
+            "at_least": self.partial(row),
+            "missed": None if self.target is None else self.missed(row),
             "worst_start": row.worst,
             "measured": self.times.get(row.change),
             "pareto": id(row) in front,
-            "starts": len(row.starts),
             "shipped": row.change == SHIPPED,
             "recommended": self.chosen is not None and row.change == self.chosen.change,
         }
@@ -536,16 +614,18 @@ class Trade(Result):
             known = [w for w in differences(s, self.settings) if w not in solver_words(s)]
             wrong = (row.error, row.median, float(row.largest.max()))
             errors = ["failed", "", ""] if row.failure else [compact(value) for value in wrong]
+            if self.partial(row) and not row.failure:
+                errors = [f"≥ {errors[0]}", "", f"≥ {errors[2]}"]
             record = {"": mark, "dt": f"{1e3 * s.dt:.4g}", "integrator": s.integrator}
             record |= {"solver": solver_words(s), "also": ", ".join(known)}
             record["cost"] = f"{row.cost / self.shipped.cost:.2f}×"
             record["measured"] = "" if here is None else f"{here:.0f}"
-            records.append(record | dict(zip(("error", "median", "max"), errors, strict=True)))
+            record |= dict(zip(("error", "median", "max"), errors, strict=True))
+            records.append(record | {"starts": f"{len(row.starts)}"})
+        counts = {len(row.starts) for row in shown}
         columns = [n for n in records[0] if any(r[n] for r in records) or n in ("", "dt")]
-        counts = sorted({len(row.starts) for row in shown})
-        ran = counted(counts[-1], "start")
-        if len(counts) > 1:
-            ran = f"the {counts[0]} to {ran} that a setting ran from"
+        columns = [n for n in columns if n != "starts" or len(counts) > 1]
+        ran = counted(max(counts), "start") if len(counts) == 1 else "the starts that it ran from"
         legend = (
             "*: no other setting is cheaper and at least as accurate; s: shipped; r: chosen. dt "
             "[ms]; cost: by counted work, of the shipped settings'; measured: computing time here "
@@ -553,20 +633,25 @@ class Trade(Result):
             "rotations included as arcs; median: of the median start; max: the largest of any body "
             "at any time."
         )
-        chosen = self.chosen if self.budget is None else None
-        if any(chosen and row.cost < chosen.cost and row.within(self.asked) for row in shown):
+        if any(self.partial(row) for row in shown):
+            most = counted(len(self.reference.starts), "start")
+            legend += f" ≥: it did not run from all {most} of the search."
+        chosen = self.chosen if self.budget is None and self.target is not None else None
+        near = [row for row in shown if chosen and row.cost < chosen.cost]
+        if any(row.error <= self.asked and not self.partial(row) for row in near):
             legend += (
-                " Cheaper settings within the error that was asked for come within a tenth of it, "
-                "or miss it from other starts."
+                f" Cheaper settings within the error are above {metres(MARGIN * self.asked)}, or "
+                "were not tested on other starts."
             )
         if len(shown) < len(self.rows):
             legend += f" {not_shown(counted(len(self.rows) - len(shown), 'setting'))}"
-        numbers = dict.fromkeys(("dt", "cost", "measured", "error", "median", "max"), "")
+        right = ("dt", "cost", "measured", "error", "median", "max", "starts")
+        numbers = dict.fromkeys(right, "")
         return [Table(records, columns, numbers, legend=legend)]
 
     def _main_rows(self) -> list[Trial]:
         """Return about a screen of rows: those that the answer names, and others of the front."""
-        named = {row.change for row in (self.shipped, *self.named)}
+        named = {row.change for row in (self.shipped, *self.named, *self.refused[:REFUSALS])}
         others = [row for row in self.front if row.change not in named]
         left = min(len(others), max(0, SHORT - len(named)))
         kept = named | {others[int(k)].change for k in np.linspace(0, len(others) - 1, left)}

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,13 +20,15 @@ import numpy as np
 from stepcore.deadline import OutOfTime
 from stepcore.engine.norm import Tracks, apart, rms
 from stepcore.experiment.change import Change
-from stepcore.experiment.choose import JOIN, ROUNDS, Proof, least
+from stepcore.experiment.choose import JOIN, ROUNDS, Proof, frontier, least
 from stepcore.experiment.schedule import FINEST
 from stepcore.experiment.study import SHIPPED, TOGETHER, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import ROUNDING, SHARE, Truth
 from stepcore.report.units import metres, times
 
+# What settings are ranked by.
+COST = operator.attrgetter("cost")
 # The search keeps to this share of the error, because starts that were not run may be harder.
 MARGIN = 0.9
 # An error can be told if the converged motion is known to this share of it.
@@ -49,8 +52,8 @@ class Search:
 
     study: runs them. truth: the converged motion from the starts of the search.
     steps: the numbers of time steps in a control period that may be recommended.
-    trials: by change; those from fewer starts were made before others joined. hard: the start that
-    goes alone first. ended: whether the effort ended it.
+    trials: by change; those from fewer starts were made before others joined, or were refused by
+    one start. hard: the start that goes alone first. ended: whether the effort ended it.
     """
 
     study: Study
@@ -172,6 +175,34 @@ class Search:
             self.allow(SETTLING, since=SEARCHING)
         return self._adaptive(error, best)
 
+    def row(self, change: Change, error: float) -> Trial:
+        """Score a change from every start that it ran from, those of the tests included.
+
+        error: [m]; a start of the tests whose converged motion does not tell whether the change
+        holds it is left out.
+        """
+        trial = self.study.score_everywhere(change)
+        known = max(UNSURE * error, self.truth.error)
+        tells = (trial.unsure <= known) | (np.abs(trial.errors - error) > trial.unsure)
+        told = dict(zip(trial.starts, tells, strict=True))
+        return trial.part([s for s in trial.starts if told[s] or s in self.truth.starts])
+
+    def complete(self, error: float) -> None:
+        """Run what may be on the frontier from all starts of the search.
+
+        What one start refused, or what ran before others joined, is at least as wrong as it was
+        there. Where nothing that ran from all starts beats that, it runs from the others too.
+        """
+        rows, every = {c: self.row(c, error) for c in self.trials}, set(self.truth.starts)
+        while part := [t for t in frontier(rows.values(), COST) if not every <= set(t.starts)]:
+            change = part[0].change
+            if self.study.affords(change, len(every - set(part[0].starts))):
+                self.trial(change)
+                rows[change] = self.row(change, error)
+            else:
+                self.ended = True
+                del rows[change]
+
     @property
     def whole(self) -> list[Trial]:
         """The trials from all starts of the search, the cheapest first."""
@@ -222,6 +253,7 @@ class Search:
                 (alone,) = self.study.tracks([change], [self.hard])
                 one = self.study.score(change, alone, self.truth.part([self.hard]))
                 if one.refuted(error):
+                    self.trials.setdefault(change, one)
                     return one.bound
             found[steps] = self.trial(change, error)
             if not found[steps].failure and not found[steps].within(error):
@@ -244,7 +276,9 @@ class Search:
             if not study.affords(change, len(truth.starts)) or study.cost(change) >= most:
                 break
             (alone,) = study.tracks([change], [self.hard])
-            if study.score(change, alone, truth.part([self.hard])).within(error):
+            one = study.score(change, alone, truth.part([self.hard]))
+            self.trials.setdefault(change, one)
+            if one.within(error):
                 trial = self.trial(change)
                 if trial.within(error):
                     return trial

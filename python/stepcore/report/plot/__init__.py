@@ -15,7 +15,9 @@ from stepcore.report.outputs import remark
 # The module of the plotting function, by kind of result.
 MODULES = {
     **dict.fromkeys(("ablation", "check", "diagnosis", "plan", "tuning"), "bars"),
-    **dict.fromkeys(("convergence", "postmortem", "predictability", "trajectory"), "curves"),
+    **dict.fromkeys(
+        ("answer", "convergence", "postmortem", "predictability", "trajectory"), "curves"
+    ),
     **{kind: kind for kind in ("identification", "stability", "trade")},
 }
 

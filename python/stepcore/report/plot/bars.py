@@ -169,7 +169,7 @@ def ablation(result: Ablation) -> Any:
         colour = GREEN if row.removal in result.removed else RED
         colour = "black" if row is result.best else colour
         bar(work, place, share, colour, f"{share:.1f}" if abs(share) < 10 else f"{share:.0f}")
-        text = metres(added) if result.measurable(row) else "none"
+        text = result.least(row, metres(added)) if result.measurable(row) else "none"
         bar(error, place, added, colour, text, left=low)
     error.set_xscale("log")
     error.set_xlim(low, 40 * max(*(row.trial.error for row in rows), tolerance))

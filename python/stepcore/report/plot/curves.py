@@ -29,6 +29,7 @@ from stepcore.report.units import joules, metres, seconds
 if TYPE_CHECKING:
     from stepcore.engine.replay import PostMortem
     from stepcore.engine.trajectory import Trajectory
+    from stepcore.experiment.answer import Answer
     from stepcore.measure.convergence import Convergence
     from stepcore.measure.predictability import Predictability
 
@@ -81,6 +82,28 @@ def trajectory(run: Trajectory) -> Any:
         frame(axes, y=words)
     frame(panels[-1], x="time [s]")
     panels[-1].set_xlim(0.0, float(time[-1]) or None)
+    return figure
+
+
+def answer(answer: Answer) -> Any:
+    """Draw one column of a user's answer over another; axes of positive numbers are logarithmic."""
+    figure = new_figure()
+    axes, (across, up) = figure.add_subplot(), answer.axes
+    pairs = [(row[across], row[up]) for row in answer.rows if None not in (row[across], row[up])]
+    pairs = [pair for pair in pairs if np.isfinite(pair).all()]
+    axes.plot(*np.reshape(pairs, (-1, 2)).T, "o-", color=BLUE)
+    for scale, axis, column in (
+        (axes.set_xscale, axes.xaxis, [x for x, _ in pairs]),
+        (axes.set_yscale, axes.yaxis, [y for _, y in pairs]),
+    ):
+        if pairs and min(column) > 0:
+            scale("log")
+            log_ticks(axis)
+    names = [
+        f"{name} [{answer.of_columns[name]}]" if name in answer.of_columns else name
+        for name in answer.axes
+    ]
+    frame(axes, answer.title, *names)
     return figure
 
 

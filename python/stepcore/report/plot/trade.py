@@ -27,11 +27,13 @@ if TYPE_CHECKING:
 MARKERS = {"newton": "o", "pgs": "s"}
 # MuJoCo's points, in the same colours.
 THEIRS = "*"
+AT_LEAST = r"$\uparrow$"
 
 
 def trade(trade: Trade) -> Any:
     """Draw a point for each setting, and a line through the best settings of each engine.
 
+    Where a setting did not run from all starts an arrow at its error points up.
     Colours are integrators, markers are solvers, hollow markers are single precision, and stars are
     MuJoCo. Rings mark the shipped and the chosen settings. Crosses at the upper edge are failures.
     """
@@ -39,7 +41,8 @@ def trade(trade: Trade) -> Any:
     axes = figure.add_subplot()
     good, far = _split(trade)
     beside = trade.beside
-    theirs, fronts = ([], []) if beside is None else (_split(beside)[0], beside.front)
+    theirs = [] if beside is None else [r for r in _split(beside)[0] if not beside.partial(r)]
+    fronts = [] if beside is None else beside.front
     for rows, front, style in ((good, trade.front, "-"), (theirs, fronts, ":")):
         for row in rows:
             _point(axes, trade, row, best=row in front, theirs=rows is theirs)
@@ -77,6 +80,7 @@ def trade(trade: Trade) -> Any:
     timed = "computing time per simulated second, by counted work [ms]"
     counts = "floating-point operations per simulated second"
     starts = counted(trade.starts, "start")
+    starts += " or more" if any(len(row.starts) > trade.starts for row in good) else ""
     title = f"{trade.name}: error over {seconds(trade.horizon)} against cost, {starts}"
     error_words = "RMS position error of the worst start [m]"
     frame(axes, title, counts if flops else timed, error_words)
@@ -103,6 +107,10 @@ def _split(trade: Trade) -> tuple[list[Trial], list[Trial]]:
 def _point(axes: Any, trade: Trade, row: Trial, *, best: bool, theirs: bool) -> None:
     s = row.settings
     colour = COLOURS.get(s.integrator, GREY)
+    if trade.partial(row) and not theirs:
+        style: dict[str, Any] = {"marker": AT_LEAST, "ls": "none", "alpha": 0.55}
+        axes.plot(_cost(trade, row), row.error, ms=7, color=colour, zorder=2.5, **style)
+        return
     axes.plot(
         _cost(trade, row),
         row.error,
@@ -165,6 +173,8 @@ def _legend(figure: Any, trade: Trade, good: Sequence[Trial], failed: bool) -> N
     if theirs:
         entries.append(line("MuJoCo", marker=THEIRS, mec="black", ms=11, **hollow))
         entries.append(line("MuJoCo's best for its cost", color="black", lw=1.1, ls=":"))
+    if any(trade.partial(row) for row in good):
+        entries.append(line("at least, not all starts", marker=AT_LEAST, color=GREY, **point))
     if failed:
         entries.append(line("failed or far off", marker="x", color=GREY, mew=2, **point))
     legend(figure, entries)

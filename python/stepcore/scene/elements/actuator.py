@@ -241,9 +241,43 @@ class Actuator(Element):
         return field, getattr(self, field)
 
     def law_value(self, field: str) -> Any:
-        """Return the value of a field of the law, with None replaced by the type's default."""
-        value = getattr(self, field)
-        return LAW_FIELDS[self.type].get(field) if value is None else value
+        """Return the value of a field of the law, with None replaced by the type's default.
+
+        kp and kv of a general servo are those of its bias.
+        """
+        value, own = getattr(self, field), LAW_FIELDS[self.type]
+        if value is None and field in ("kp", "kv") and field not in own:
+            return self.servo_gains.get(field)
+        return own.get(field) if value is None else value
+
+    @property
+    def servo_gains(self) -> dict[str, float]:
+        """kp and kv of a general position servo, or kv of a general velocity servo.
+
+        The force is gain × control + bias₀ − kp × length − kv × velocity.
+        """
+        if self.type != "general" or (self.law.gaintype, self.law.biastype) != ("fixed", "affine"):
+            return {}
+        gains = {"kp": 0.0 - self.law.bias[1], "kv": 0.0 - self.law.bias[2]}
+        return gains if gains["kp"] else {"kv": gains["kv"]} if gains["kv"] else {}
+
+    def set_servo_gain(self, field: str, value: Any) -> None:
+        """Assign kp or kv of a general servo; what the control asks for stays the same.
+
+        The servo's main gain is kp, or kv without one: gain and bias₀ are scaled with it.
+        """
+        old, main = self.servo_gains[field], next(iter(self.servo_gains))
+        # The field itself checks the value.
+        setattr(self, field, value)
+        new: float = getattr(self, field)
+        setattr(self, field, None)
+        law = self.law.general()
+        (gain, *more), bias = law["gainprm"], [*law["biasprm"], *ORIGIN]
+        if field == main:
+            self.gainprm = (new if gain == old else gain * new / old, *more)
+            bias[0] *= new / old
+        bias[1 if field == "kp" else 2] = -new
+        self.biasprm = tuple(bias[: max(3, len(law["biasprm"]))])
 
     @property
     def law(self) -> Law:
