@@ -138,7 +138,6 @@ def press(monkeypatch, after):
 COMMAND = ("predict", "lesson:stack", "--horizon", "0.2", "--threads", "1", "--starts", "3")
 
 
-@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_prints_what_is_known_and_how_to_go_on(capsys, monkeypatch):
     press(monkeypatch, 1)
     status = main(COMMAND)
@@ -148,7 +147,6 @@ def test_ctrl_c_prints_what_is_known_and_how_to_go_on(capsys, monkeypatch):
     assert "what is known follows" in err
 
 
-@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_before_any_answer_is_one_line(capsys, monkeypatch):
     press(monkeypatch, 0)
     status = main(COMMAND)
@@ -158,7 +156,6 @@ def test_ctrl_c_before_any_answer_is_one_line(capsys, monkeypatch):
     assert re.match(r"stepcore: interrupted after .*, too early for any answer \(0 of \d+ ", last)
 
 
-@pytest.mark.usefixtures("interruptible")
 def test_a_second_ctrl_c_ends_at_once(capsys, monkeypatch):
     press(monkeypatch, 1)
     closing = Deadline.stop
