@@ -1,4 +1,4 @@
-"""Calls that wait until another thread steps a world, so that no test depends on how soon it does."""
+"""Calls that wait until another thread steps a world, however long that takes on this machine."""
 
 import threading
 import time

@@ -123,7 +123,9 @@ def test_a_log_is_run_to_its_end(count, gap, length):
     assert ("of which 10 s are run" in found.words) == (length == 10)
 
 
-PENDULUM = 'type="capsule" size=".02" fromto="0 0 0 .06 0 -.08" mass="1" contype="0" conaffinity="0"'
+PENDULUM = (
+    'type="capsule" size=".02" fromto="0 0 0 .06 0 -.08" mass="1" contype="0" conaffinity="0"'
+)
 
 
 def test_a_body_that_repeats_does_not_hide_one_that_topples():

@@ -316,8 +316,14 @@ INF, COARSE, FINEST, OTHER = math.inf, ("implicitfast", 2), ("implicitfast", 5),
         ({COARSE: (INF, 3.0)}, INF),
         ({COARSE: (INF, 300.0), OTHER: (INF, 900.0)}, INF),
         # Where it does not, the shortest steps of the first decide.
-        ({COARSE: (INF, 300.0), OTHER: (2.3, 1e6), ("rk4", 3): (2.3, 1e6), FINEST: (2.4, 1e6)}, 2.4),
-        ({COARSE: (INF, 300.0), OTHER: (2.3, 1e6), ("rk4", 3): (2.3, 1e6), FINEST: (INF, 9e2)}, INF),
+        (
+            {COARSE: (INF, 300.0), OTHER: (2.3, 1e6), ("rk4", 3): (2.3, 1e6), FINEST: (2.4, 1e6)},
+            2.4,
+        ),
+        (
+            {COARSE: (INF, 300.0), OTHER: (2.3, 1e6), ("rk4", 3): (2.3, 1e6), FINEST: (INF, 9e2)},
+            INF,
+        ),
     ],
 )
 def test_a_start_that_coarse_steps_do_not_lose_must_be_kept_by_another_method(told, end):

@@ -162,7 +162,11 @@ def test_long_work_looks_at_the_deadline(monkeypatch):
     sensed = sc.loads("""<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body>
       </worldbody><sensor><jointpos joint="j"/></sensor></mujoco>""").compile()
     count = 10 * WORLDS
-    state = {"qpos": np.zeros((count, 1)), "qvel": np.zeros((count, 1)), "act": np.zeros((count, 0))}
+    state = {
+        "qpos": np.zeros((count, 1)),
+        "qvel": np.zeros((count, 1)),
+        "act": np.zeros((count, 0)),
+    }
     looks.clear()
     Readings(sensed, state | {"ctrl": np.zeros((count, 0))}).values()
     assert len(looks) == 10
