@@ -39,7 +39,7 @@ def without_time_limits(monkeypatch):
         monkeypatch.setitem(deadline.SECONDS, command, math.inf)
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def interruptible():
     """Python's own handler of Ctrl-C: a process started in the background may ignore it."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -5,6 +5,7 @@ from stepcore._core import EnergyWarning as EnergyWarning
 from stepcore._core import Settings as Settings
 from stepcore._core import SimulationError as SimulationError
 from stepcore._core import empty_caches as empty_caches
+from stepcore.deadline import OutOfTime as OutOfTime
 from stepcore.engine.batch import Batch as Batch
 from stepcore.engine.error_bar import ErrorBar as ErrorBar
 from stepcore.engine.gradients import Gradients as Gradients

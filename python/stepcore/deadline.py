@@ -43,8 +43,10 @@ SECONDS = {
     "tune": 60.0,
     "identify": 60.0,
 }
-# The time in which an answer is completed from the runs made, after the deadline or Ctrl-C [s].
-CLOSING = 3.0
+# The time in which an answer is completed from the runs made, after the deadline or Ctrl-C [s]; and
+# after a deadline its largest share of the time, so that `seconds` holds within 20 % even though
+# work ends only at its next check.
+CLOSING, CLOSING_SHARE = 3.0, 0.15
 # The shares of the time at which a search ends, and the test of what it chose.
 SEARCHED, PROVEN = 0.7, 0.9
 
@@ -82,6 +84,8 @@ class Deadline:
         self.left_out: list[str] = []
         self._end: float = self.begun + self.seconds
         self._stop: threading.Event = threading.Event() if outer is None else outer._stop
+        # When the last answer must be complete, whichever measurement gives it.
+        self._last = self._end + min(CLOSING, CLOSING_SHARE * self.seconds)
         self._closing = False
         self._news = self._said = ""
         self._told = -math.inf
@@ -110,7 +114,12 @@ class Deadline:
 
     def stop(self) -> None:
         """End this measurement and all measurements around it with the answer so far."""
+        self._outermost._last = min(self._outermost._last, clock() + CLOSING)
         self._stop.set()
+
+    @property
+    def _outermost(self) -> Deadline:
+        return self if self.outer is None else self.outer._outermost
 
     def so_far(self, words: str) -> None:
         """Set the answer so far, which the `listener` receives if the work still runs at its time.
@@ -163,9 +172,11 @@ class Deadline:
 
     @contextmanager
     def closing(self) -> Iterator[None]:
-        """Complete the answer from what was run, for which some time is always left."""
-        before = self._end, self._closing
-        self._end, self._closing = max(self._end, clock() + CLOSING), True
+        """Complete the answer from what was run; all closings share the time kept for them."""
+        before, last = (self._end, self._closing), self._outermost._last
+        if not self.interrupted:
+            last = min(last, max(self._end, clock() + CLOSING))
+        self._end, self._closing = last, True
         try:
             yield
         finally:

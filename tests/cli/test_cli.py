@@ -277,14 +277,24 @@ def test_times_and_lengths_take_units(capsys, ball):
     assert first[0] == 0 and first == second
 
 
-def test_ctrl_c_ends_a_run_and_keeps_what_it_showed(capsys, ball, tmp_path):
-    save, timer = str(tmp_path / "run.npz"), threading.Timer(0.5, signal.raise_signal, [2])
+def test_ctrl_c_ends_a_run_and_keeps_what_it_showed(capsys, monkeypatch, ball, tmp_path):
+    from stepcore.report.progress import Progress
+
+    advance, calls, save = Progress.advance, [], str(tmp_path / "run.npz")
+
+    def advanced(bar, count=1):
+        advance(bar, count)
+        calls.append(count)
+        if len(calls) == 12:
+            # In another thread, while the engine makes the next steps.
+            threading.Thread(target=signal.raise_signal, args=(signal.SIGINT,)).start()
+
+    monkeypatch.setattr(Progress, "advance", advanced)
     run = ["run", ball, "--horizon", 4e4, "--save", save, "--record", "qpos", "--json"]
-    timer.start()
     status, out, _ = call(capsys, *run)
     assert status == 130 and json.loads(out)["success"] is False
     kept, steps = sc.Trajectory.load(save), json.loads(out)["steps"]
-    # Up to a look at the run, some milliseconds before.
+    # Up to the last look at the run.
     assert 0.9 * steps < len(kept) <= steps + 1 and np.isfinite(kept["qpos"]).all()
 
 

@@ -15,7 +15,7 @@ from stepcore.experiment import mujoco_engine
 def output(*args, encoding="utf-8", columns=100, **more):
     environment = os.environ | {"PYTHONIOENCODING": encoding, "COLUMNS": str(columns)} | more
     command = [sys.executable, "-m", "stepcore", *args]
-    return subprocess.run(command, env=environment, capture_output=True, timeout=60)
+    return subprocess.run(command, env=environment, capture_output=True, timeout=600)
 
 
 def test_a_result_is_printed_on_an_ascii_terminal():

@@ -4,11 +4,11 @@ import copy
 import os
 import pickle
 import signal
-import threading
 
 import numpy as np
 import peers
 import pytest
+from busy import when_busy
 from small import ball, pendulum, unstable
 
 import stepcore as sc
@@ -216,7 +216,6 @@ def test_divergence_stops_every_world_at_the_same_step(lanes, threads):
     assert batch.time == alone.time
 
 
-@pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_batch_stands_between_two_steps():
     model = pendulum(dt=1e-4).compile()
     batch = sc.Batch(model, 9, threads=2)
@@ -230,7 +229,7 @@ def test_an_interrupted_batch_stands_between_two_steps():
         signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        threading.Timer(0.1, meddle).start()
+        when_busy(batch, meddle)
         batch.step(10**9)
     assert refused == ["this Batch is busy in another thread"]
     sim = sc.Sim(model)

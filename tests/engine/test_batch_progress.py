@@ -4,9 +4,11 @@ import io
 import signal
 import sys
 import threading
+from functools import partial
 
 import numpy as np
 import pytest
+from busy import when_busy
 
 import stepcore as sc
 from stepcore.report import progress as bars
@@ -66,7 +68,6 @@ def test_a_bar_shows_in_long_calls_only(model, monkeypatch):
     assert sys.stderr.getvalue() == ""
 
 
-@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
 def test_what_was_stepped_before_an_interrupt_counts(model, error):
     def ends(label, done, total):
@@ -88,15 +89,19 @@ def test_what_was_stepped_before_an_interrupt_counts(model, error):
         assert set(batch.state()) == {sim.state()}
 
 
-@pytest.mark.usefixtures("interruptible")
 def test_a_rollout_is_interrupted_between_two_steps():
     batch = sc.Batch("gymnasium:inverted_pendulum", 9, threads=2)
     ctrl = np.broadcast_to(np.linspace(-1, 1, 10**5)[:, None], (9, 10**5, 1))
     for record in ((), "energy"):
         batch.reset()
+        begun = threading.Event()
+
+        def told(*_, begun=begun):
+            begun.set()
+
         with pytest.raises(KeyboardInterrupt):
-            threading.Timer(0.1, signal.raise_signal, (signal.SIGINT,)).start()
-            batch.rollout(ctrl, record)
+            when_busy(batch, begun.wait, partial(signal.raise_signal, signal.SIGINT))
+            batch.rollout(ctrl, record, progress=told)
         steps = round(batch.time / batch.settings.dt)
         assert 0 < steps < 10**5
         assert (batch.ctrl == ctrl[:, steps - 1]).all()

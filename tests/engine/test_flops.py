@@ -126,7 +126,6 @@ def test_memory():
     assert resting.nbytes == held
 
 
-@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_stops_it_and_the_sim_stays_free_meanwhile():
     """What is counted is a copy: other threads read and step the Sim itself."""
     sim, seen = Sim(pendulum()), []

@@ -46,7 +46,7 @@ print("ends")
 def test_a_program_ends_while_threads_step(kind, steps):
     """A daemon thread that takes the GIL back while the interpreter ends is not torn down."""
     command = [sys.executable, "-c", END, kind, str(steps)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert (done.returncode, done.stdout) == (0, "ends\n"), done.stderr
 
 

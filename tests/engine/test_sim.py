@@ -3,10 +3,11 @@
 import copy
 import pickle
 import signal
-import threading
+from functools import partial
 
 import numpy as np
 import pytest
+from busy import when_busy
 from small import ball, pendulum, unstable
 
 import stepcore as sc
@@ -200,7 +201,6 @@ def test_divergence_names_its_element_and_keeps_the_last_finite_state(precision)
     assert (twin.step, twin.element, str(twin)) == (error.step, error.element, str(error))
 
 
-@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_stops_a_long_call_between_two_steps_and_a_second_thread_is_refused(model):
     sim = sc.Sim(model, dt=1e-4)
     refused = []
@@ -214,9 +214,8 @@ def test_an_interrupt_stops_a_long_call_between_two_steps_and_a_second_thread_is
                 refused.append(str(error))
         signal.raise_signal(signal.SIGINT)
 
-    started = threading.Timer(0.1, meddle)
     with pytest.raises(KeyboardInterrupt):
-        started.start()
+        started = when_busy(sim, meddle)
         sim.step(10**9)
     started.join()
     assert refused == ["this Sim is busy in another thread"] * 5
@@ -233,16 +232,14 @@ STACK = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
 </mujoco>"""
 
 
-@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("settings", [{"sweeps": 10**9}, {"sweeps": 5}], ids=["sweeps", "noslip"])
 def test_an_interrupt_ends_a_step_of_a_billion_sweeps_which_is_not_taken(settings):
     scene = sc.loads(STACK)
     noslip = {"noslip_iterations": 10**9} if settings["sweeps"] == 5 else {}
     sim = sc.Sim(scene, solver="pgs", tolerance=0.0, **settings, **noslip)
     before = sim.state()
-    started = threading.Timer(0.2, signal.raise_signal, (signal.SIGINT,))
     with pytest.raises(KeyboardInterrupt):
-        started.start()
+        started = when_busy(sim, partial(signal.raise_signal, signal.SIGINT))
         sim.step()
     started.join()
     assert sim.state() == before and sim.time == 0

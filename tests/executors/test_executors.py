@@ -95,10 +95,14 @@ class Interrupted(ThreadPoolExecutor):
 
 
 def test_ctrl_c_cancels_what_has_not_begun():
+    over = threading.Event()
     with Interrupted() as pool:
         with pytest.raises(KeyboardInterrupt):
-            jobs.each(workers.asleep, range(20), bar=Progress("", 20, False), executor=pool)
-        assert sum(future.cancelled() for future in pool.made) >= 3
+            points = [600.0] * 20
+            jobs.each(over.wait, points, bar=Progress("", 20, False), executor=pool)
+        # One of the five may have begun.
+        assert sum(future.cancelled() for future in pool.made) >= 4
+        over.set()
 
 
 def test_a_long_point_ends_at_its_next_checkpoint():
@@ -126,7 +130,7 @@ def test_after_an_error_threads_begin_no_other_point():
         if point == 0:
             failed.set()
             raise ValueError("zero")
-        assert failed.wait(60)
+        assert failed.wait(600)
         # Until the error has stopped the others, which it does whatever else this machine does.
         while True:
             jobs.checkpoint()

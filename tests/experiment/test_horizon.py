@@ -121,3 +121,43 @@ def test_a_log_is_run_to_its_end(count, gap, length):
     assert found.length == pytest.approx(length)
     assert ("lasts" in found.words) == (length > 1)
     assert ("of which 10 s are run" in found.words) == (length == 10)
+
+
+PENDULUM = (
+    'type="capsule" size=".02" fromto="0 0 0 .06 0 -.08" mass="1" contype="0" conaffinity="0"'
+)
+
+
+def test_a_body_that_repeats_does_not_hide_one_that_topples():
+    """A pendulum of 0.46 s beside a rod on its tip, which has hardly moved after 1 s."""
+    rod = 'type="capsule" size=".02" fromto="0 0 0 0 0 .5" mass="1" contype="0" conaffinity="0"'
+    both = body("0 0 1", HINGE.format(0.0), PENDULUM)
+    both += body("2 0 1", HINGE.format(0.2).replace('"h"', '"rod"'), rod)
+    model = scene(both, more='<keyframe><key qpos="0 1e-5"/></keyframe>')
+    found = horizon_of(model, Motion())
+    sim = sc.Sim(model)
+    sim.reset(key=0)
+    sim.step(round(found.length / 0.002))
+    assert found.length > 1.5 and abs(sim.qpos[1]) > 0.5
+
+
+def still(time, sim):
+    return ()
+
+
+def test_what_a_control_drives_on_steadily_repeats():
+    """A puck without friction; but neither one that creeps, nor one without a control."""
+    for speed, control, length in ((2.0, still, 1.0), (0.02, still, 10.0), (2.0, None, 10.0)):
+        joint = '<joint type="slide" axis="1 0 0"/>'
+        keys = f'<keyframe><key qvel="{speed}"/></keyframe>'
+        puck = scene(body("0 0 1", joint, 'size=".1" mass="1" contype="0"'), more=keys)
+        assert horizon_of(puck, Motion(control=control)).length == pytest.approx(length)
+
+
+def test_calls_of_a_control_count_as_work():
+    model = scene(body("0 0 300"))
+    lengths = [
+        horizon_of(model, Motion(control=still, control_dt=dt), cost=3e8).length
+        for dt in (0.002, 0.02)
+    ]
+    assert lengths[0] < 10 and lengths[1] == 10

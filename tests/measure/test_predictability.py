@@ -12,7 +12,9 @@ import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
 from stepcore.experiment import predictable
+from stepcore.experiment.engines import Way
 from stepcore.experiment.predictable import Growth, _end
+from stepcore.measure.predictability import growing
 
 QUIET = {"threads": 1, "progress": False}
 
@@ -273,3 +275,64 @@ def ladder(monkeypatch, rungs, known):
 )
 def test_a_second_method_ends_where_it_cannot_matter(monkeypatch, rungs, rung):
     assert ladder(monkeypatch, rungs, known=2.0) == rung
+
+
+class Ways:
+    """An engine of two methods."""
+
+    def ways(self, schedule, goal):
+        return [Way(name, lambda k, name=name: (name, k)) for name in ("implicitfast", "rk4")]
+
+
+def asked_and_answered(told):
+    """The runs that `growing` asks for, and what it answers; told: end and growth of each run."""
+    schedule, asked = Driven(), []
+    asking = growing(Ways(), schedule)
+    run, over = next(asking)
+    while True:
+        asked.append(run)
+        end, most = told[run]
+        times = 0.1 * np.arange(1, over.periods + 1)
+        factor = np.full((1, len(times)), most)
+        try:
+            run, over = asking.send(Growth(times, factor, np.array([end])))
+        except StopIteration as stop:
+            return asked, stop.value[0].overall
+
+
+@dataclass(frozen=True)
+class Driven(Steps):
+    control: object = None
+    driven: str = ""
+
+
+INF, COARSE, FINEST, OTHER = math.inf, ("implicitfast", 2), ("implicitfast", 5), ("rk4", 2)
+
+
+@pytest.mark.parametrize(
+    ("told", "end"),
+    [
+        # What does not grow is believed at once; what grows, where the other method agrees.
+        ({COARSE: (INF, 3.0)}, INF),
+        ({COARSE: (INF, 300.0), OTHER: (INF, 900.0)}, INF),
+        # Where it does not, the shortest steps of the first decide.
+        (
+            {COARSE: (INF, 300.0), OTHER: (2.3, 1e6), ("rk4", 3): (2.3, 1e6), FINEST: (2.4, 1e6)},
+            2.4,
+        ),
+        (
+            {COARSE: (INF, 300.0), OTHER: (2.3, 1e6), ("rk4", 3): (2.3, 1e6), FINEST: (INF, 9e2)},
+            INF,
+        ),
+    ],
+)
+def test_a_start_that_coarse_steps_do_not_lose_must_be_kept_by_another_method(told, end):
+    asked, found = asked_and_answered(told)
+    assert asked == list(told) and found == end
+
+
+def test_a_fall_that_coarse_steps_miss_is_found():
+    """Steps of a quarter and an eighth let a perturbation of the humanoid grow 64 and 38 times;
+    a 32nd, and rk4 at three steps, lose the motion between 1.5 s and 2.8 s."""
+    found = sc.predict("gymnasium:humanoid", horizon=3.0, starts=1, **QUIET)
+    assert 1.5 < found.time < 2.8

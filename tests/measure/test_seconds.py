@@ -8,12 +8,17 @@ import math
 import re
 import signal
 
+import numpy as np
 import pytest
 
 import stepcore as sc
 from stepcore import deadline, lesson
 from stepcore.cli import main
-from stepcore.deadline import Deadline, OutOfTime
+from stepcore.deadline import Deadline
+from stepcore.experiment.engines import visits
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.study import Study
+from stepcore.measure.identification.readings import WORLDS, Readings
 from stepcore.report.progress import Progress
 
 
@@ -66,7 +71,7 @@ def test_a_measurement_ends_at_its_deadline_with_what_it_has(hinge, clock, name)
     for power in range(6, 50):
         try:
             result = measure(1.3**power)
-        except OutOfTime as error:
+        except sc.OutOfTime as error:
             said = re.fullmatch(
                 r"stopped after ([\d.e+]+) s, too early for any answer.*; `--seconds \d+` .*",
                 str(error),
@@ -81,7 +86,9 @@ def test_a_measurement_ends_at_its_deadline_with_what_it_has(hinge, clock, name)
         if not result.unfinished:
             ends.append("all")
             break
-        assert re.match(r"Stopped after [\d.e+]+ s\. Not done: ", result.unfinished)
+        said = re.match(r"Stopped after ([\d.e+]+) s\. Not done: ", result.unfinished)
+        # Every stage that is left out asks the clock a few times.
+        assert said and float(said[1]) <= 1.2 * 1.3**power + 60
         assert result.not_done and not result.interrupted
         ends.append("part")
     assert ends[-1] == "all" and "part" in ends
@@ -117,6 +124,55 @@ def test_stages_end_at_their_shares_and_an_answer_is_still_completed(clock):
     assert deadline.current() is None
 
 
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_all_closings_share_the_time_kept_for_them(clock, interrupted):
+    """As those of `diagnose` within `check`: three that each take what they get."""
+    with Deadline(None if interrupted else 100.0).opened() as limit:
+        with limit.stage("the work"):
+            while True:
+                deadline.check()
+                if interrupted and limit.spent > 100:
+                    limit.stop()
+        begun = limit.spent
+        with Deadline(None, limit).opened() as inner:
+            for one in (inner, inner, limit):
+                with one.closing(), one.stage("the rest"):
+                    while True:
+                        deadline.check()
+    assert inner.left_out == limit.left_out[1:] == ["the rest"]
+    asked = 16  # ticks of the clock
+    assert limit.spent - begun <= deadline.CLOSING + asked and limit.spent <= 120 + asked
+
+
+@pytest.mark.parametrize("seconds", [10.0, 1000.0])
+def test_closings_end_within_a_share_of_the_time(clock, seconds):
+    with Deadline(seconds).opened() as limit:
+        next(itertools.dropwhile(lambda spent: spent < seconds, iter(lambda: limit.spent, None)))
+        with limit.closing():
+            assert limit.left <= min(deadline.CLOSING, 0.15 * seconds)
+
+
+def test_long_work_looks_at_the_deadline(monkeypatch):
+    """At every state that is visited, and at every block of readings."""
+    looks = []
+    monkeypatch.setattr(deadline, "check", lambda: looks.append(1))
+    model = lesson.stack().compile()
+    schedule = Study(model, Motion(starts=2, horizon=0.5)).schedule
+    states = sum(1 for _ in visits(model, schedule, [0, 1], schedule.every))
+    assert states > 20 and len(looks) > states
+    sensed = sc.loads("""<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body>
+      </worldbody><sensor><jointpos joint="j"/></sensor></mujoco>""").compile()
+    count = 10 * WORLDS
+    state = {
+        "qpos": np.zeros((count, 1)),
+        "qvel": np.zeros((count, 1)),
+        "act": np.zeros((count, 0)),
+    }
+    looks.clear()
+    Readings(sensed, state | {"ctrl": np.zeros((count, 0))}).values()
+    assert len(looks) == 10
+
+
 def press(monkeypatch, after):
     """Press Ctrl-C when so many of the runs are done."""
     advance, begin = Progress.advance, Progress.__enter__
@@ -139,7 +195,6 @@ def press(monkeypatch, after):
 COMMAND = ("predict", "lesson:stack", "--horizon", "0.2", "--threads", "1", "--starts", "3")
 
 
-@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_prints_what_is_known_and_how_to_go_on(capsys, monkeypatch):
     press(monkeypatch, 1)
     status = main(COMMAND)
@@ -149,7 +204,6 @@ def test_ctrl_c_prints_what_is_known_and_how_to_go_on(capsys, monkeypatch):
     assert "what is known follows" in err
 
 
-@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_before_any_answer_is_one_line(capsys, monkeypatch):
     press(monkeypatch, 0)
     status = main(COMMAND)
@@ -159,7 +213,6 @@ def test_ctrl_c_before_any_answer_is_one_line(capsys, monkeypatch):
     assert re.match(r"stepcore: interrupted after .*, too early for any answer \(0 of \d+ ", last)
 
 
-@pytest.mark.usefixtures("interruptible")
 def test_a_second_ctrl_c_ends_at_once(capsys, monkeypatch):
     press(monkeypatch, 1)
     closing = Deadline.stop
@@ -236,7 +289,7 @@ def test_a_tenth_of_the_first_start_is_an_answer_of_predict(clock):
     for ticks in range(2, 200):
         try:
             parts.append(sc.predict(lesson.spring(), horizon=2.0, progress=False, seconds=ticks))
-        except OutOfTime:
+        except sc.OutOfTime:
             continue
         if not parts[-1].unfinished:
             break

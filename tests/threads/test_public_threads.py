@@ -21,7 +21,7 @@ FOUND = {
     "friction1000": ("passes through", 'cone="elliptic" leaves none', "a friction of 1 on both"),
     "boxes": ("look like mm",),
     "cubedrop": ("`cube` passes through geom `table`", "leaves none that passes"),
-    "cup fast": ("pass through geom `w6`", "3.69 mm in a step", 'solref="0.004 1"'),
+    "cup fast": ("pass through geom `w6`", "4.68 mm in a step", 'solref="0.004 1"'),
     "frictionloss": ("creep at 2.02 mrad/s", 'solreffriction="0.004 1"', "leaves 38.7 µrad/s"),
     "fl": ("creep at 49.2 mrad/s", 'solimpfriction="0.99 0.999" leaves 942 µrad/s'),
     "friceq": ("friction loss of joint `B` lets the joint creep at",),

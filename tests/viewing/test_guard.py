@@ -60,12 +60,15 @@ def drive(view, url, **options):
     sent = [msgspec.msgpack.encode(each.as_serializable_dict()) for each in (CAMERA, message)]
     options.setdefault("subprotocols", [f"viser-v{viser.__version__}"])
     try:
-        with connect(url, max_size=None, open_timeout=5, **options) as page:
-            read = len(page.recv(timeout=5)) > 0
+        with connect(url, max_size=None, open_timeout=60, **options) as page:
+            read = len(page.recv(timeout=60)) > 0
             for each in sent:
                 # viser hears a page once it has told where it looks from.
                 page.send(each)
                 time.sleep(0.5)
+            end = time.monotonic() + 60
+            while ctrl(view) != 0.75 and time.monotonic() < end:
+                time.sleep(0.05)
             return read
     except (WebSocketException, OSError, TimeoutError):
         return False
@@ -120,7 +123,7 @@ def test_two_origins_or_an_odd_upgrade_are_no_way_around(view):
 
 
 def answer(port, path, **headers):
-    connection = http.client.HTTPConnection("localhost", port, timeout=5)
+    connection = http.client.HTTPConnection("localhost", port, timeout=60)
     try:
         connection.request("GET", path, headers=headers)
         response = connection.getresponse()

@@ -27,6 +27,7 @@ from stepcore.engine.norm import Matter, Tracks
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
+from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
@@ -269,6 +270,7 @@ class Stepcore(Engine):
         counts, evaluations, failed = list[int](), 0, None
         sim = unwatched(Sim(model))
         for look in self._looks:
+            checkpoint()
             sim.reset()
             for name, values in zip(names, look, strict=True):
                 getattr(sim, name)[:] = values
@@ -380,6 +382,7 @@ def visits(
     for place, start in enumerate(starts):
         schedule.starts[start].put(sim)
         for time, *state in zip(seen.times, *(seen[name][place] for name in names), strict=True):
+            checkpoint()
             if not np.isfinite(state[0]).all():
                 break
             for name, values in zip(names, state, strict=True):

@@ -5,7 +5,8 @@ pilot run under the shipped settings, from the first start, therefore goes on un
 
 - the motion has come to rest: at its speed, and at the speed to which this would grow by the bound,
   no body would move 1 % of the scene's size in 10 s;
-- or it repeats: over a whole period every body is where it was a period before, to 2 % of its way;
+- or it repeats: over a whole period every body is where it was a period before, to 2 % of its own
+  way, or at rest; a body that a control drives through the scene may be a constant way further on;
 - or the bound is reached, in simulated time or in computing.
 
 Motions that repeat or have no end by their making (`Motion.kind` "move", "sines" and "random"), and
@@ -39,6 +40,8 @@ from stepcore.report.units import seconds
 LONGEST, STEPS, COST = 10.0, 20_000, 1e9
 # The share of the cost of a converged motion that one run from each start may have.
 SHARE = 1 / 30
+# The operations that take as long as a call of a control function: 20 µs.
+CALL = 9e4
 # The time between two judgements, and the shortest period of a motion that repeats [s].
 LOOK = 0.1
 # The time over which a speed is averaged [s]. Growth is that from one such time to the next.
@@ -132,6 +135,9 @@ class _Pilot:
         self.every = self.count * period
         self.schedule = replace(scheduled(whole, model, period), every=self.count)
         self.matter, self.size = Matter.of(model), scene_size(model.scene)
+        self.driven, gravity = motion.control is not None, np.asarray(model.scene.gravity)
+        self.up = gravity / max(np.linalg.norm(gravity), 1e-300)
+        self.calls = CALL * dt / period if self.driven else 0.0
         self.ran: Followed | None = None
 
     def horizon(self) -> Horizon:
@@ -192,7 +198,7 @@ class _Pilot:
                 getattr(sim, name)[:] = ran[name][0, k]
             # A run that is about to fail has states from which no step can be made.
             with contextlib.suppress(SimulationError):
-                flops.append(sim.count_flops())
+                flops.append(sim.count_flops() + self.calls)
         paid = _paid(sim, float(np.mean(flops)), self.cost) if flops else 0.0
         return np.concatenate([xpos, turned], axis=2), paid, bool(ran.failures)
 
@@ -201,28 +207,44 @@ class _Pilot:
 
     def _rests(self, places: np.ndarray) -> bool:
         """Return whether the bodies move slowly at the end, and will."""
-        count, time = round(WINDOW / self.every), (len(places) - 1) * self.every
-        if len(places) < 2 * count:
-            return False
-        steps = np.diff(places[-2 * count :], axis=0)
-        way = np.linalg.norm(steps, axis=2).max(axis=1)
-        before, now = (float(part.mean()) / self.every for part in (way[:count], way[count:]))
+        return len(places) >= 2 * round(WINDOW / self.every) and self._still(
+            np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1), len(places)
+        )
+
+    def _still(self, way: np.ndarray, samples: int) -> bool:
+        """Return whether a way from sample to sample [m] is short at the end, and will be."""
+        count, time = round(WINDOW / self.every), (samples - 1) * self.every
+        parts = way[-2 * count : -count], way[-count:]
+        before, now = (float(part.mean()) / self.every for part in parts)
         growth = math.log(now / before) / WINDOW if now > before > 0 else 0.0
         exponent = min(growth * (self.longest - time), GROWTH)
         return now * LONGEST * math.exp(exponent) <= STILL * self.size
 
     def _repeats(self, places: np.ndarray) -> bool:
-        """Return whether the bodies are where they were a period before, for a whole period."""
-        back = places[::-1]
+        """Return whether every body that moves is, for a whole period, where it was before."""
+        way = np.linalg.norm(np.diff(places, axis=0), axis=2)
+        moves = [k for k, own in enumerate(way.T) if not self._still(own, len(places))]
+        back = places[::-1, moves]
         lags = np.arange(max(1, round(LOOK / self.every)), (len(places) - 1) // 2 + 1)
-        if not len(lags):
+        if not (len(lags) and moves):
             return False
         spans = np.maximum.accumulate(back) - np.minimum.accumulate(back)
-        ways = ALIKE * np.linalg.norm(spans, axis=2).max(axis=1)[2 * lags - 1]
+        ways = ALIKE * np.linalg.norm(spans, axis=2)[2 * lags - 1]
         # The last sample first: it rules most periods out.
-        last = np.linalg.norm(back[lags] - back[0], axis=2).max(axis=1)
-        some = np.flatnonzero(last <= ways)
+        last = back[0] - back[lags]
+        if self.driven:
+            last = (last - back[lags // 2] + back[lags + lags // 2]) / 2
+        some = np.flatnonzero((np.linalg.norm(last, axis=2) <= ways).all(axis=1))
         return any(
-            np.linalg.norm(back[:lag] - back[lag : 2 * lag], axis=2).max() <= way
-            for lag, way in zip(lags[some].tolist(), ways[some].tolist(), strict=True)
+            self._alike(back[:lag] - back[lag : 2 * lag], lag, own)
+            for lag, own in zip(lags[some].tolist(), ways[some], strict=True)
         )
+
+    def _alike(self, moved: np.ndarray, lag: int, ways: np.ndarray) -> bool:
+        """Return whether bodies moved little in a period [m], or as much at all of its times."""
+        mean = moved.mean(axis=0) * [1, 1, 1, 0, 0, 0, 0]
+        # What falls or climbs does not drive, and what is slow creeps.
+        mean[:, :3] -= np.outer(mean[:, :3] @ self.up, self.up)
+        fast = np.linalg.norm(mean, axis=1) * LONGEST >= self.size * lag * self.every
+        moved = moved - mean * (self.driven & fast)[:, None]
+        return bool((np.linalg.norm(moved, axis=2) <= ways).all())

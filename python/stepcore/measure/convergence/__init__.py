@@ -490,6 +490,7 @@ def converge(
     every = list(dict.fromkeys([SHIPPED, solved, *dts, *splits.values(), *more]))
     # The answer needs two of the settings, which come first.
     two = study.run([SHIPPED, solved], bar="runs")
+    has_rows = study.engine.has_rows(study.schedule)
     said = f"as shipped the error is {metres(two[0].error)}, with converged forces "
     said += f"{metres(two[1].error)}, ± {metres(truth.error)}; other settings are run now"
     workers.deadline.so_far(said)
@@ -526,7 +527,7 @@ def converge(
         splits=[Split(*at, trials[change]) for at, change in splits.items() if change in trials],
         more=next((trials[change] for change in more if change in trials), None),
         histories=histories,
-        has_rows=study.engine.has_rows(study.schedule),
+        has_rows=has_rows,
         reference=truth,
         size=study.size,
         ending=_ending(study, trials[SHIPPED], trials[solved], truth),

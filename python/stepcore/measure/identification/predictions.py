@@ -162,7 +162,9 @@ class Run:
         count = self.log.steps(self.dt)
         # Those of one more step, which sensors at the end read.
         self.ctrl = self.log.controls.steps(-self.delay, self.dt, count + 1)
-        self.steps = Steps(batch, self.ctrl[None, :-1], fit.paths).roll()
+        steps = Steps(batch, self.ctrl[None, :-1], fit.paths)
+        # A long log ends at the deadline too.
+        self.steps = steps.roll(lambda *_: checkpoint())
         fit.steps += count
 
     @cached_property

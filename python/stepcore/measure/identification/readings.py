@@ -16,6 +16,7 @@ from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import AROUND, SHARE, Column, models_around
 from stepcore.engine.run_settings import converged_settings
+from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 
 # Readings that no change of state or of a parameter moves smoothly.
@@ -49,6 +50,7 @@ class Readings:
         worlds, count, parts = len(self.batch), len(states["qpos"]), []
         self.batch._core.set_models(list(models), [k % len(models) for k in range(worlds)])
         for first in range(0, count, worlds):
+            checkpoint()
             rows = np.minimum(np.arange(first, first + worlds), count - 1)
             for name, table in states.items():
                 getattr(self.batch, name)[...] = table[rows]
