@@ -132,8 +132,8 @@ def diagnose(
     if own not in limits:
         with workers.deadline.closing():
             limits[own] = case.known(own)
-    if limits[own].ran:
-        longest = seconds(min(limits[own].dt, limits[own].longest))
+    if limits[own].holds:
+        longest = seconds(np.fmin(limits[own].dt, limits[own].holds))
         workers.deadline.so_far(f"runs hold under {own} up to dt {longest}; the rest is run now")
     found: list[Limit | None] = []
 
@@ -214,6 +214,10 @@ class Case:
         motions.keep_usual(self.judge.fine)
 
     def limit(self, integrator: str) -> Limit:
+        limit = self._limit(integrator)
+        return self._with_runs(limit, self.judge.tried(Change(integrator=integrator)))
+
+    def _limit(self, integrator: str) -> Limit:
         near, change = self.motions.model.settings.dt, Change(integrator=integrator)
         dt, longest, ran = math.nan, LONGEST, self.judge.runaway is None
         if self.judge.loop is not None:
@@ -242,12 +246,15 @@ class Case:
         return dataclasses.replace(limit, outcome=outcome.kind, time=outcome.time)
 
     def known(self, integrator: str) -> Limit:
-        """Return what is known of an integrator when the time is over: no limit below some step."""
-        tried = self.judge.tried(Change(integrator=integrator))
+        """Return what was run under an integrator when the time is over: its limit is NaN."""
+        limit = Limit(integrator, math.nan, math.nan, ran=self.judge.runaway is None)
+        return self._with_runs(limit, self.judge.tried(Change(integrator=integrator)))
+
+    def _with_runs(self, limit: Limit, tried: dict[float, bool]) -> Limit:
+        good = max((dt for dt, holds in tried.items() if holds), default=0.0)
         bad = min((dt for dt, holds in tried.items() if not holds), default=math.inf)
-        good = max((dt for dt, holds in tried.items() if holds and dt < bad), default=0.0)
-        longest, ran = good or self.judge.fine.dt, self.judge.runaway is None
-        return Limit(integrator, math.inf, math.nan, longest=longest, ran=ran)
+        longest = limit.longest if limit.known else max(tried, default=0.0)
+        return dataclasses.replace(limit, longest=longest, holds=good, fails=bad)
 
     def _state(self, dt: float, each: Sequence[float]) -> int:
         """Return the state whose linearised step has a limit; -1 if none has."""
@@ -258,8 +265,13 @@ class Case:
         return int(np.argmin(gaps)) if min(gaps) <= 2 * math.log(STEP) else -1
 
     def limiters(self, limit: Limit) -> tuple[Element, ...]:
-        """Return the elements that limit an integrator, or the fastest one if nothing does."""
+        """Return the elements that limit an integrator, or the fastest one if nothing does.
+
+        A limit that is not known has none.
+        """
         name, dt = limit.integrator, limit.dt
+        if not limit.known:
+            return ()
         if dt == math.inf or (dt <= 0 and not self.controlled):
             at = self.held[-1]
             own = list(shares(at, name, min(limit.longest, 1.0) if dt else self.wanted))

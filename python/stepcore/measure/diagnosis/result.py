@@ -111,8 +111,8 @@ class Diagnosis(Result):
         """Return the largest stable dt [s] under an integrator (default: the scene's).
 
         Runs of the motion hold at 0.98 of it and fail at 1.03 of it; both were run. The value is
-        inf if no step that was tried fails, and 0 if none holds. Raises ValueError for an
-        integrator that was not diagnosed.
+        inf if no step that was tried fails, 0 if none holds, and NaN if the time was over before
+        the limit was found. Raises ValueError for an integrator that was not diagnosed.
         """
         return self.limits[self._known(integrator)].dt
 
@@ -164,6 +164,26 @@ class Diagnosis(Result):
         name = self._known(integrator)
         elements = self.limiters[name]
         return () if math.isinf(self.limits[name].dt) and INERTIAL in elements else elements
+
+    def _unknown(self) -> str:
+        """Return what was run where the limit is not known."""
+        limit, step = self.own, f"step of {seconds(self.wanted)}"
+        own = limit.integrator
+        if self.observed is None:
+            does = f"Whether a {step} is stable under {own} is not known"
+        elif self.observed.holds:
+            does = f"A {step} is stable under {own} over {seconds(self.horizon)}"
+        else:
+            does = f"A {step} {self._failure(())} under {own}"
+        if self.observed is not None and self.observed.holds:
+            tried = f"steps of up to {seconds(limit.holds)} hold, and the limit was not found"
+        elif limit.holds and limit.erratic is None:
+            tried = f"a step of {seconds(limit.holds)} holds, and the limit was not found"
+        elif limit.holds:
+            tried = "the limit was not found"
+        else:
+            tried = "no stable step was found"
+        return f"{does}; {tried} in the time available."
 
     def _known(self, integrator: str | None) -> str:
         name = self.settings.integrator if integrator is None else integrator
@@ -222,6 +242,8 @@ class Diagnosis(Result):
 
     def _answer(self) -> str:
         limit, step = self.own, f"A step of {seconds(self.wanted)}"
+        if not limit.known:
+            return self._unknown()
         elements, own = self._limiters(None), limit.integrator
         name = Elements(elements).together or "the motion as a whole"
         traits, fails = self._traits(elements), self._failure(elements)
@@ -230,11 +252,6 @@ class Diagnosis(Result):
             judged = "by the linearised step"
         if math.isinf(limit.dt):
             below = seconds(min(limit.longest, max(self.wanted, self.horizon / 10)))
-            if limit.longest < self.wanted:
-                does = "is not known yet" if self.observed is None else "fails"
-                held = f"Runs hold up to {seconds(limit.longest)} under {own}"
-                more = "The limit is not known yet: it takes more time (seconds)."
-                return f"{held}; {step[0].lower()}{step[1:]} {does}. {more}"
             return f"No element limits dt below {below} under {own}, {judged}."
         if limit.dt <= 0 and self.longest_period:
             return f"{step} {fails} under {own}: the control function is sampled too rarely."
@@ -294,7 +311,7 @@ class Diagnosis(Result):
     def _differs(self) -> Iterator[str]:
         limit = self.own
         run, held = limit.dt, limit.held
-        if not limit.ran or run == held or run <= 0 or math.isnan(held):
+        if not limit.ran or run == held or not run > 0 or math.isnan(held):
             return
         elements = self._limiters(None)
         if self.motion.control is not None and "control" in {of.kind for of in elements}:
@@ -393,6 +410,9 @@ class Diagnosis(Result):
             yield "the whole motion at so short a step would take too many operations"
         if 0 < limit.dt < math.inf and limit.ran:
             yield f"runs hold at {seconds(HOLDS * limit.dt)}, and fail just above the limit"
+        if limit.erratic is not None:
+            low, high = map(seconds, limit.erratic)
+            yield f"between {low} and {high} stability is erratic: some steps hold and others fail"
         if not self.confirmed and self.runaway is None:
             yield "no two short steps agree on the motion itself"
         if self._grows and not (self._late and self.fails):
@@ -487,14 +507,15 @@ class Diagnosis(Result):
         return [together, alone]
 
     def _limit_record(self, limit: Limit) -> dict[str, Any]:
-        name = limit.integrator
+        name, fails = limit.integrator, limit.outcome
+        if limit.erratic is not None:
+            fails += f" (erratic up to {seconds(limit.holds)})"
         return {
             "integrator": name + (" *" if name == self.settings.integrator else ""),
-            # What time cut off is not known, and bears nothing.
-            DT: limit.dt if limit.dt < math.inf or not math.isnan(limit.held) else None,
+            DT: limit.dt if limit.known else None,
             HELD: limit.held,
             "by": self.stiffest(name) if math.isfinite(limit.dt) else "",
-            "fails": limit.outcome,
+            "fails": fails,
         }
 
     def _extremes(self) -> str:
@@ -502,7 +523,6 @@ class Diagnosis(Result):
             x
             for limit in self.limits.values()
             for x in (limit.dt, limit.held)
-            if not math.isnan(limit.held)
         ]
         meanings = []
         if any(limit <= 0 for limit in every):
@@ -512,6 +532,8 @@ class Diagnosis(Result):
         if any(math.isinf(limit) for limit in every):
             longest = max(limit.longest for limit in self.limits.values())
             meanings.append(f"inf: no step that was tried fails, up to {seconds(longest)}.")
+        if not self.own.known:
+            meanings.append("Empty: not found in the time available.")
         return " ".join(meanings)
 
     def details(self) -> dict[str, Any]:
@@ -520,11 +542,14 @@ class Diagnosis(Result):
             name: {
                 "dt": limit.dt,
                 "held": limit.held,
-                "limited": math.isfinite(limit.dt),
+                "limited": math.isfinite(limit.dt) if limit.known else None,
                 "stiffest": self.stiffest(name),
                 "together": self.together(name),
                 "state": limit.state,
                 "longest": limit.longest,
+                "holds": limit.holds,
+                "fails": limit.fails,
+                "erratic": limit.erratic,
                 "outcome": limit.outcome,
             }
             for name, limit in self.limits.items()

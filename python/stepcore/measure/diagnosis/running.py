@@ -300,6 +300,10 @@ class Motions:
         """Whether a pair of runs takes more than a fiftieth of the most operations."""
         return 2 * LEAST * self.flops > WORK / 50
 
+    def cheap(self, dt: float) -> bool:
+        """Whether a pair of runs at a step takes no more than a fiftieth of the most operations."""
+        return 2 * self.steps(dt) * self.flops <= WORK / 50
+
     @property
     def longest(self) -> float:
         return min(LONGEST, AMPLE * self.wanted) if self.costly else LONGEST
@@ -488,6 +492,7 @@ class Judge:
     runaway: Runaway | None = None
     loop: Loop | None = None
     _known: dict[tuple[Change, float, Loop | None], Outcome] = field(default_factory=dict)
+    _lasting: set[tuple[Change, float, Loop | None]] = field(default_factory=set)
 
     @classmethod
     def of(cls, motions: Motions, dt: float, loop: Loop | None = None) -> Judge:
@@ -562,6 +567,26 @@ class Judge:
                 found = replace(found, kind="chatters")
             self._known[key] = found
         return self._known[key]
+
+    def lasts(self, change: Change, dt: float, loop: Loop | None = None) -> bool:
+        """Return whether a step holds; for a sensitive motion, in a longer run as well.
+
+        Steps of a sensitive motion hold by luck. A longer run that fails replaces the outcome.
+        """
+        key = change, float(f"{dt:.12g}"), loop
+        if self.outcome(change, dt, loop).holds and key not in self._lasting:
+            self._lasting.add(key)
+            if self.sensitive and self.motions.cheap(dt):
+                pair = self.motions.pair(change, dt, LONGER * self.motions.steps(dt), loop)
+                found = self._longer(self.judged(pair), pair)
+                self._known[key] = self._known[key] if found.holds else found
+        return self._known[key].holds
+
+    @property
+    def sensitive(self) -> bool:
+        """Whether perturbations grow by orders of magnitude in the converged motion."""
+        apart = self.fine.apart
+        return float(np.nanmax(apart)) > GROWN**2 * float(apart[0])
 
     def tried(self, change: Change) -> dict[float, bool]:
         """Return the steps that were run under a change, and whether each holds."""
