@@ -243,7 +243,13 @@ class Case:
         limit = Limit(integrator, dt, last, self._state(dt, each), longest=longest)
         if outcome is None:
             return limit
-        return dataclasses.replace(limit, outcome=outcome.kind, time=outcome.time)
+        limit = dataclasses.replace(limit, outcome=outcome.kind, time=outcome.time)
+        if outcome.kind == "chatters" and limit.state >= 0:
+            # Actuators chatter: another element with this limit has it by chance.
+            linear = linear_limiters(self.model, self.held[limit.state], integrator, dt)
+            if {element.kind for element in linear} - {"actuator"}:
+                return dataclasses.replace(limit, state=-1)
+        return limit
 
     def known(self, integrator: str) -> Limit:
         """Return what was run under an integrator when the time is over: its limit is NaN."""
@@ -296,6 +302,8 @@ class Case:
         ropes = [Element.of(self.model, "tendon spring", k) for k in slack_lengths(self.model)]
         every = list(dict.fromkeys((*every_element(self.model, self.states), *ropes)))
         every.sort(key=lambda e: order.index(e) if e in order else len(order))
+        if limit.outcome == "chatters":
+            every.sort(key=lambda e: e.kind != "actuator")
         found = run_limiters(self.judge, every, name, dt, nu, linear)
         spins = [e for e in every if e.kind == "spin"]
         last = self._seen((*spins[:1], INERTIAL)[:1], limit)

@@ -146,6 +146,17 @@ class Diagnosis(Result):
         return next((row for row in self.rows if row.name == name), None)
 
     @property
+    def _bounded(self) -> bool:
+        """Whether saturation takes away the damping that the limiting element has.
+
+        It is no cause where the linearised step has the limit of the runs, where the element has no
+        damping, and where chatter saturates it.
+        """
+        row, limit = self.limiting(), self.own
+        damped = row is not None and (row.ratio > 0 or row.rate > 0)
+        return bool(self.saturated) and damped and limit.state < 0 and limit.outcome != "chatters"
+
+    @property
     def _late(self) -> bool:
         """Whether a run just above the limit fails only after the motion."""
         own = self.own
@@ -276,7 +287,9 @@ class Diagnosis(Result):
 
         The frequency of an element on its own has nothing to do with a limit while it saturates.
         """
-        if self.saturated:
+        if self.saturated and self.own.state < 0 and self.own.outcome == "chatters":
+            return ""
+        if self._bounded:
             return ", while saturated," if len(self.saturated) == len(elements) else ""
         row = self.limiting()
         if row is None:
@@ -325,8 +338,10 @@ class Diagnosis(Result):
             bears = "bears no step"
         if run < held:
             why = "the motion passes through other states than its end"
-            if self.saturated:
-                servos = Elements(self.saturated)
+            servos = Elements(self.saturated)
+            if self.saturated and limit.outcome == "chatters" and limit.state < 0:
+                why = f"in longer steps {servos.name} {_verb(servos, 'jump')} between force bounds"
+            elif self._bounded:
                 has = "their force ranges" if len(servos) > 1 else "its force range"
                 why = f"in longer steps {servos.name} {_verb(servos, 'reach')} {has}, "
                 why += "where damping has no effect"

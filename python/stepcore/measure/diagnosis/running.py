@@ -360,22 +360,26 @@ class Motions:
         return full
 
     def jumps(self, pair: Pair, apart: float = 0.0) -> bool:
-        """Return whether a run moves at its end by forces of actuators that jump between bounds.
+        """Return whether a run moves at its end by forces of actuators that jump between bounds."""
+        return bool(self.jumping(pair, apart)[1].any())
 
-        From sample to sample, or from call to call of a user's function, they change by a quarter
+    def jumping(self, pair: Pair, apart: float = 0.0) -> tuple[Floats, np.ndarray]:
+        """Return how much forces of actuators change at the end of a run, and which of them jump.
+
+        From sample to sample, or from call to call of a user's function, these change by a quarter
         of what they do in all of the motion, and again and again they are at their largest: the
         force of a spring that swings without a damper changes as much, and has no bound.
 
         apart: the least time between samples [s].
         """
         if self.rests(pair) or pair.ran is None or len(pair.times) < 2:
-            return False
+            return np.zeros(self.driven.nu), np.zeros(self.driven.nu, bool)
         force, between = pair.ran["actuator_force"][0], max(self.period or 0.0, apart)
         late = force[pair.late][:: max(1, round(between / pair.times[1]))]
-        jumps = np.abs(np.diff(late, axis=0)).sum(axis=0) / max(1, len(late) - 1)
+        changes = np.abs(np.diff(late, axis=0)).sum(axis=0) / max(1, len(late) - 1)
         low, high, span = force.min(axis=0), force.max(axis=0), np.ptp(force, axis=0)
         bound = np.minimum(late - low, high - late) <= np.finfo(float).eps * span
-        return bool(((jumps > span / 4) & _often(bound)).any())
+        return changes, (changes > span / 4) & _often(bound)
 
     def presses(self, pair: Pair) -> bool:
         """Return whether a run moves at its end, where actuators are at ends of their ranges."""
@@ -664,15 +668,16 @@ class Judge:
         """
         motions, dt = self.motions, pair.dt
         steps = math.ceil(2 * motions.horizon / dt)
-        jumps, presses = motions.jumps(pair), motions.presses(pair)
-        if (jumps or presses) and steps > motions.steps(dt):
+        if (motions.jumps(pair) or motions.presses(pair)) and steps > motions.steps(dt):
             pair = motions.pair(change, dt, steps, loop)
-            jumps, presses = motions.jumps(pair), motions.presses(pair)
-        if not (jumps or presses):
+        (changes, jumping), presses = motions.jumping(pair), motions.presses(pair)
+        if not (jumping.any() or presses):
             return False
         self._cover(float(pair.times[-1]))
         known = self.long or self.fine
-        if jumps and not motions.jumps(known, float(pair.times[1])):
+        usual, jumped = motions.jumping(known, float(pair.times[1]))
+        # An undamped servo that saturates swings between its bounds in the converged motion, too.
+        if not jumped.any() and (jumping & (changes > SAME * usual)).any():
             return True
         calm = known.times >= CALM * min(known.times[-1], pair.times[-1])
         return float(pair.energy[pair.late].min()) > GROWN * float(known.energy[calm].max())
