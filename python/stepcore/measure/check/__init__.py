@@ -95,9 +95,9 @@ class Check(Result):
     def _following(self) -> Iterator[Next]:
         dt = self.settings.dt
         limit = self.diagnosis.limit() if self.diagnosis else math.inf
-        if self.diagnosis is not None and self.diagnosis.fails:
-            # What runs hold up to, where the limit is not known.
-            limit = min(limit, self.diagnosis.own.longest)
+        if self.diagnosis is not None and not math.isfinite(limit):
+            # The longest step that holds, where the limit is not known.
+            limit = self.diagnosis.own.holds
         if HALF * limit < dt:
             yield Next("diagnose", "every element's largest stable dt, and all the advice")
         for finding in self.findings:
@@ -146,7 +146,7 @@ class Check(Result):
     @property
     def sentences(self) -> list[str]:
         """The problems with their cures, the diagnosis' answer, and the commands to run next."""
-        explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
+        explodes = self.diagnosis and self.diagnosis.fails
         said = [
             text
             for finding in self.findings
@@ -343,7 +343,7 @@ def _monitored(
 
 def _caused(failure: Finding, diagnosis: Diagnosis | None) -> Finding:
     """Return a failure with the cause that the diagnosis of the same motion found."""
-    if diagnosis is None or not diagnosis.fails or math.isinf(diagnosis.limit()):
+    if diagnosis is None or not diagnosis.fails or not math.isfinite(diagnosis.limit()):
         return failure
     answer = diagnosis.sentences[0].rstrip(".")
     said = f"The run fails: {answer[0].lower()}{answer[1:]}"
@@ -367,7 +367,8 @@ def _unblamed(findings: list[Finding]) -> Iterator[Finding]:
     """
     for finding in findings:
         if finding.kind == "servo does not follow":
-            problem = f"{finding.problem.partition(', because ')[0]}, in a run whose time step fails"
+            does = finding.problem.partition(", because ")[0]
+            problem = f"{does}, in a run whose time step fails"
             yield dataclasses.replace(finding, problem=problem, cure="", commands=())
         elif finding.kind != "saturation":
             yield finding

@@ -178,6 +178,7 @@ def diagnose(
         with workers.deadline.stage("all changes that make the step stable"):
             for advice in case.advice(limits, named[own]):
                 result.advice.append(advice)
+        result.untried = tuple(case.untried)
     result.advice.sort(key=lambda advice: advice.rank)
     return result
 
@@ -188,7 +189,10 @@ class Case:
     motions: the runs. wanted: the step in question [s]. judge: the converged motion.
     controlled: whether a control function of the user may limit dt.
     states: of the converged motion, the last one at its end. held: the linearised step at each.
+    untried: the changes that were not tried yet.
     """
+
+    untried: Sequence[str] = ()
 
     def __init__(self, motions: Motions, wanted: float) -> None:
         self.motions, self.wanted = motions, wanted
@@ -220,9 +224,10 @@ class Case:
     def _limit(self, integrator: str) -> Limit:
         near, change = self.motions.model.settings.dt, Change(integrator=integrator)
         dt, longest, ran = math.nan, LONGEST, self.judge.runaway is None
-        if self.judge.loop is not None:
+        short = self.judge.fine.dt
+        if self.judge.loop is not None and not self.judge.outcome(change, short).holds:
             bears = self.held[-1].limit(integrator, near)
-            return Limit(integrator, 0.0, bears, shortest=self.judge.fine.dt)
+            return Limit(integrator, 0.0, bears, shortest=short)
         if ran and self.motions.costly and self.motions.users is None:
             # What nobody may wait for comes first; the linearised step of such a scene takes long.
             dt, longest = run_limit(self.judge, change, [])
@@ -377,9 +382,18 @@ class Case:
         known = [e for e in elements if e != INERTIAL]
         linear = not own.ran or (own.state >= 0 and not self.controlled)
         search = Search(self.judge, own, at, linear, self.wanted, known, every, self.states)
+        found = search.candidates()
+        self.untried = [*(["another integrator"] if own.ran else []), *found]
+        if not own.known:
+            self.untried.append("changes of the element that limits dt")
         if own.ran:
             # One word in the file, whatever was asked for: the integrator of the converged motion.
             fine = "implicitfast"
             more = {} if fine in limits else {fine: self.limit(fine)}
             yield from other_integrators(search, limits | more)
-        yield from search.advice()
+            self.untried.pop(0)
+        for what, make in found.items():
+            advice = make()
+            if advice is not None:
+                yield advice
+            self.untried.remove(what)

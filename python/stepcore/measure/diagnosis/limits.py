@@ -128,7 +128,7 @@ def _lower(
     """
     for guess in sorted(guesses, reverse=True):
         dt = HOLDS * guess
-        if SHORTEST <= dt and dt * STEP < bad:
+        if SHORTEST <= dt < bad / STEP:
             if holds(dt):
                 return dt, bad
             bad = dt

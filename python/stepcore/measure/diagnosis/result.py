@@ -50,7 +50,8 @@ class Diagnosis(Result):
     limiters: by integrator, the elements that limit dt; several where no single element does. Where
         nothing limits dt, the element of the fastest motion.
     rows: the elements, each on its own: those that limit dt, then the others by frequency.
-    advice: changes that make the wanted step stable.
+    advice: changes that make the wanted step stable. untried: those not tried before the time was
+        over.
     physical: the fastest growth of the motion itself [1/s].
     observed: what the motion does at the wanted step; None where it blows up at every step.
     saturated: the limiting servos whose force is at an end of its range beyond the limit.
@@ -79,6 +80,7 @@ class Diagnosis(Result):
     rows: list[Figures]
     covered: Pair = field(repr=False)
     advice: list[Advice] = field(default_factory=list)
+    untried: tuple[str, ...] = ()
     physical: float = 0.0
     observed: Outcome | None = None
     saturated: tuple[Element, ...] = ()
@@ -186,14 +188,12 @@ class Diagnosis(Result):
             does = f"A {step} is stable under {own} over {seconds(self.horizon)}"
         else:
             does = f"A {step} {self._failure(())} under {own}"
-        if self.observed is not None and self.observed.holds:
-            tried = f"steps of up to {seconds(limit.holds)} hold, and the limit was not found"
-        elif limit.holds and limit.erratic is None:
-            tried = f"a step of {seconds(limit.holds)} holds, and the limit was not found"
-        elif limit.holds:
-            tried = "the limit was not found"
-        else:
-            tried = "no stable step was found"
+        tried = "no stable step was found"
+        if limit.holds:
+            holds, fails = seconds(limit.holds), seconds(limit.fails)
+            tried = f"a step of {holds} holds, and the limit was not found"
+            if math.isfinite(limit.fails):
+                tried = f"{holds} holds, {fails} fails, and the limit was not found"
         return f"{does}; {tried} in the time available."
 
     def _known(self, integrator: str | None) -> str:
@@ -402,11 +402,14 @@ class Diagnosis(Result):
                 "last."
             )
         elif failed:
-            yield f"No change that was tried makes {wanted} stable."
+            left = f" ({len(failed)} tried, {len(self.untried)} not tried)" * bool(self.untried)
+            yield f"No change that was tried makes {wanted} stable{left}."
         else:
             yield f"Which changes make {wanted} stable is not known: none was run."
         if failed:
             yield f"Tried without success: {', '.join(failed)}."
+        if self.untried:
+            yield f"Not tried in the time available: {', '.join(self.untried)}."
         if 0 < limit < math.inf and self.runaway is None and not self._late:
             safe = round_number(min(limit, self.wanted) / MARGIN, up=False)
             yield f"Unchanged, the scene needs a step of {seconds(safe)} for the same margin."
@@ -534,11 +537,7 @@ class Diagnosis(Result):
         }
 
     def _extremes(self) -> str:
-        every = [
-            x
-            for limit in self.limits.values()
-            for x in (limit.dt, limit.held)
-        ]
+        every = [x for limit in self.limits.values() for x in (limit.dt, limit.held)]
         meanings = []
         if any(limit <= 0 for limit in every):
             meanings.append(
@@ -575,7 +574,7 @@ class Diagnosis(Result):
         ]
         plain = (
             *("wanted", "advice", "physical", "ran", "horizon", "observed", "saturated", "runaway"),
-            *("longest_period", "confirmed", "fails"),
+            *("longest_period", "confirmed", "fails", "untried"),
         )
         return {"limits": limits, "states": states} | {name: getattr(self, name) for name in plain}
 
