@@ -169,7 +169,9 @@ class Check(Result):
                 # A run that fails is not followed by how stable another part of the motion is.
                 answers = [f"{beginning(answers[0])}."] if fails or not self.failed else []
             # The failure has the answer already, and the motion is said once, below.
-            told = (self.failed and known) or any(f.kind == UNSTABLE for f in self.findings)
+            told = bool(answers) and any(
+                answers[0].rstrip(".")[1:] in f.problem for f in self.findings
+            )
             once = (f"The motion: {self.diagnosis.ran}.", *answers[: int(told)])
             said += [text for text in answers if text not in once]
         return [*said, "Next:", *(f"- {command} ({why})" for command, why in self.commands)]
@@ -343,7 +345,9 @@ def _monitored(
 
 def _caused(failure: Finding, diagnosis: Diagnosis | None) -> Finding:
     """Return a failure with the cause that the diagnosis of the same motion found."""
-    if diagnosis is None or not diagnosis.fails or not math.isfinite(diagnosis.limit()):
+    if diagnosis is None or not diagnosis.fails:
+        return failure
+    if not math.isfinite(diagnosis.limit()) and not diagnosis.together():
         return failure
     answer = diagnosis.sentences[0].rstrip(".")
     said = f"The run fails: {answer[0].lower()}{answer[1:]}"

@@ -44,6 +44,7 @@ from stepcore.measure.diagnosis.running import (
     LONGEST,
     SHORTEST,
     Judge,
+    Loop,
     Motions,
     Outcome,
     State,
@@ -128,6 +129,8 @@ def diagnose(
     limits, observed = dict[str, Limit](), None
     with workers.deadline.stage(f"the limit under {own}, beyond the steps that hold"):
         observed = case.observed(own)
+        # The cause of a failure takes less time than the limit.
+        case.fed(own)
         limits[own] = case.limit(own)
     if own not in limits:
         with workers.deadline.closing():
@@ -281,8 +284,9 @@ class Case:
         A limit that is not known has none.
         """
         name, dt = limit.integrator, limit.dt
+        controls = tuple(Element.of(self.motions.model, "control", k) for k in self.fed(name))
         if not limit.known:
-            return ()
+            return controls
         if dt == math.inf or (dt <= 0 and not self.controlled):
             at = self.held[-1]
             own = list(shares(at, name, min(limit.longest, 1.0) if dt else self.wanted))
@@ -312,7 +316,7 @@ class Case:
         found = run_limiters(self.judge, every, name, dt, nu, linear)
         spins = [e for e in every if e.kind == "spin"]
         last = self._seen((*spins[:1], INERTIAL)[:1], limit)
-        return tuple(self._theirs(found or self._lost(limit) or last))
+        return tuple(self._theirs(found or self._lost(limit) or controls or last))
 
     def _seen(self, elements: tuple[Element, ...], limit: Limit) -> tuple[Element, ...]:
         """Leave out forces of inertia where the motion is too slow for these to have a limit.
@@ -351,6 +355,18 @@ class Case:
         if self.judge.runaway is not None:
             return None
         return self.judge.outcome(Change(integrator=integrator), self.wanted)
+
+    def fed(self, integrator: str) -> range:
+        """Return the controls of a user's function if these make the wanted step fail.
+
+        With the controls of the converged motion it holds, or fails after the motion only.
+        """
+        seen, nu = self.observed(integrator), self.motions.model.nu
+        if seen is None or seen.holds or self.motions.usual is None:
+            return range(0)
+        frozen = Loop(frozen=tuple(range(nu)))
+        held = self.judge.outcome(Change(integrator=integrator), self.wanted, frozen)
+        return range(nu if held.holds or seen.time < self.horizon < held.time else 0)
 
     def saturated(self, limit: Limit, elements: Sequence[Element]) -> tuple[Element, ...]:
         """Return the servos among elements whose force is at an end of its range beyond a limit."""

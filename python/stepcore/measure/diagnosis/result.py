@@ -187,7 +187,9 @@ class Diagnosis(Result):
         elif self.observed.holds:
             does = f"A {step} is stable under {own} over {seconds(self.horizon)}"
         else:
-            does = f"A {step} {self._failure(())} under {own}"
+            elements = self._limiters(None)
+            fed = f", fed by {Elements(elements).together}" if elements else ""
+            does = f"A {step} {self._failure(elements)} under {own}{fed}"
         tried = "no stable step was found"
         if limit.holds:
             holds, fails = seconds(limit.holds), seconds(limit.fails)
