@@ -400,7 +400,7 @@ class Case:
         search = Search(self.judge, own, at, linear, self.wanted, known, every, self.states)
         found = search.candidates()
         self.untried = [*(["another integrator"] if own.ran else []), *found]
-        if not own.known:
+        if not elements:
             self.untried.append("changes of the element that limits dt")
         if own.ran:
             # One word in the file, whatever was asked for: the integrator of the converged motion.
