@@ -86,7 +86,9 @@ def test_a_step_that_explodes_is_not_nothing():
     motor = '<actuator><motor joint="knee"/></actuator>'
     scene = sc.loads(f"<mujoco><worldbody>{body}</worldbody>{motor}</mujoco>")
     result = sc.check(scene, control=pd, horizon=0.2, threads=1, progress=False)
-    assert result.findings == [] and result.sentences[0] == result.diagnosis.sentences[0]
+    assert [finding.kind for finding in result.findings] == ["time step"]
+    assert result.sentences[0] == f"Error: {result.diagnosis.sentences[0]}"
+    assert result.diagnosis.sentences[0] not in result.sentences
 
 
 @pytest.mark.parametrize(

@@ -155,7 +155,7 @@ def test_a_diagnosis_shows_the_largest_stable_dt_of_each_integrator(results):
     (axes,) = figure.axes
     assert axes.get_xlabel() == "largest stable dt" and axes.get_xscale() == "log"
     assert ticks(axes)[0] == diagnosis.own.integrator and set(ticks(axes)) == set(diagnosis.limits)
-    assert names(figure)[-1] == "no limit" and names(figure)[-2].startswith("dt ")
+    assert names(figure)[-1] == "no limit up to here" and names(figure)[-2].startswith("dt ")
     left = axes.get_xlim()[0]
     ends = {round(left + bar.get_width(), 9) for bar in axes.patches}
     finite = [limit.dt for limit in diagnosis.limits.values() if 0 < limit.dt < math.inf]

@@ -41,6 +41,8 @@ from stepcore.report.units import beginning, counted, seconds
 __all__ = ["Check", "check"]
 
 AS_SHIPPED, TIME_STEP = "the run as shipped", "the diagnosis of the time step"
+# The kind of the finding on a time step that fails.
+UNSTABLE = "time step"
 # Commands for any scene.
 ALWAYS = (
     Next("trade", "how large the error is, and what is cheaper", ("--error", "1mm")),
@@ -107,9 +109,9 @@ class Check(Result):
     def _following(self) -> Iterator[Next]:
         dt = self.settings.dt
         limit = self.diagnosis.limit() if self.diagnosis else math.inf
-        if self.diagnosis is not None and self.diagnosis.fails:
-            # What runs hold up to, where the limit is not known.
-            limit = min(limit, self.diagnosis.own.longest)
+        if self.diagnosis is not None and not math.isfinite(limit):
+            # The longest step that holds, where the limit is not known.
+            limit = self.diagnosis.own.holds
         if HALF * limit < dt:
             yield Next("diagnose", "every element's largest stable dt, and all the advice")
         for finding in self.findings:
@@ -197,7 +199,10 @@ class Check(Result):
                 # A run that fails is not followed by how stable another part of the motion is.
                 answers = [f"{beginning(answers[0])}."] if fails or not self.failed else []
             # The failure has the answer already, and the motion is said once, below.
-            once = (f"The motion: {self.diagnosis.ran}.", *answers[: int(self.failed and known)])
+            told = bool(answers) and any(
+                answers[0].rstrip(".")[1:] in f.problem for f in self.findings
+            )
+            once = (f"The motion: {self.diagnosis.ran}.", *answers[: int(told)])
             said += [text for text in answers if text not in once]
         return [*said, "Next:", *(f"- {command} ({why})" for command, why in self.commands)]
 
@@ -293,6 +298,8 @@ def check(
     diagnosis, notes = _diagnosis(setup, dataclasses.replace(judged, horizon=horizon))
     merged = list(_merged(read, seen))
     found = [*(_caused(finding, diagnosis) for finding in failure), *merged]
+    if diagnosis is not None and diagnosis.fails and not failure:
+        found = [_unstable(diagnosis), *_unblamed(found)]
     if any(finding.kind == ENDLESS for finding in read):
         # What grows at every time step is the cause, and no step is.
         found = [*merged, *failure]
@@ -389,11 +396,37 @@ def _monitored(
 
 def _caused(failure: Finding, diagnosis: Diagnosis | None) -> Finding:
     """Return a failure with the cause that the diagnosis of the same motion found."""
-    if diagnosis is None or not diagnosis.fails or math.isinf(diagnosis.limit()):
+    if diagnosis is None or not diagnosis.fails:
+        return failure
+    if not math.isfinite(diagnosis.limit()) and not diagnosis.together():
         return failure
     answer = diagnosis.sentences[0].rstrip(".")
     said = f"The run fails: {answer[0].lower()}{answer[1:]}"
     return dataclasses.replace(failure, problem=said)
+
+
+def _unstable(diagnosis: Diagnosis) -> Finding:
+    """Return the finding on a time step that fails, with what the diagnosis knows of it."""
+    limiting = diagnosis.limiting()
+    elements = () if limiting is None else (limiting.element,)
+    limit = diagnosis.limit()
+    value, unit = (limit, "s") if math.isfinite(limit) else (None, "")
+    problem = next(iter(diagnosis.sentences)).rstrip(".")
+    return Finding(UNSTABLE, "error", problem, "", elements, value, unit)
+
+
+def _unblamed(findings: list[Finding]) -> Iterator[Finding]:
+    """Yield findings without the causes that a run shows whose time step fails.
+
+    Chatter saturates servos, and a servo that chatters does not follow.
+    """
+    for finding in findings:
+        if finding.kind == "servo does not follow":
+            does = finding.problem.partition(", because ")[0]
+            problem = f"{does}, in a run whose time step fails"
+            yield dataclasses.replace(finding, problem=problem, cure="", commands=())
+        elif finding.kind != "saturation":
+            yield finding
 
 
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:

@@ -44,6 +44,7 @@ from stepcore.measure.diagnosis.running import (
     LONGEST,
     SHORTEST,
     Judge,
+    Loop,
     Motions,
     Outcome,
     State,
@@ -128,12 +129,14 @@ def diagnose(
     limits, observed = dict[str, Limit](), None
     with workers.deadline.stage(f"the limit under {own}, beyond the steps that hold"):
         observed = case.observed(own)
+        # The cause of a failure takes less time than the limit.
+        case.fed(own)
         limits[own] = case.limit(own)
     if own not in limits:
         with workers.deadline.closing():
             limits[own] = case.known(own)
-    if limits[own].ran:
-        longest = seconds(min(limits[own].dt, limits[own].longest))
+    if limits[own].holds:
+        longest = seconds(np.fmin(limits[own].dt, limits[own].holds))
         workers.deadline.so_far(f"runs hold under {own} up to dt {longest}; the rest is run now")
     found: list[Limit | None] = []
 
@@ -178,6 +181,7 @@ def diagnose(
         with workers.deadline.stage("all changes that make the step stable"):
             for advice in case.advice(limits, named[own]):
                 result.advice.append(advice)
+        result.untried = tuple(case.untried)
     result.advice.sort(key=lambda advice: advice.rank)
     return result
 
@@ -188,7 +192,10 @@ class Case:
     motions: the runs. wanted: the step in question [s]. judge: the converged motion.
     controlled: whether a control function of the user may limit dt.
     states: of the converged motion, the last one at its end. held: the linearised step at each.
+    untried: the changes that were not tried yet.
     """
+
+    untried: Sequence[str] = ()
 
     def __init__(self, motions: Motions, wanted: float) -> None:
         self.motions, self.wanted = motions, wanted
@@ -214,11 +221,16 @@ class Case:
         motions.keep_usual(self.judge.fine)
 
     def limit(self, integrator: str) -> Limit:
+        limit = self._limit(integrator)
+        return self._with_runs(limit, self.judge.tried(Change(integrator=integrator)))
+
+    def _limit(self, integrator: str) -> Limit:
         near, change = self.motions.model.settings.dt, Change(integrator=integrator)
         dt, longest, ran = math.nan, LONGEST, self.judge.runaway is None
-        if self.judge.loop is not None:
+        short = self.judge.fine.dt
+        if self.judge.loop is not None and not self.judge.outcome(change, short).holds:
             bears = self.held[-1].limit(integrator, near)
-            return Limit(integrator, 0.0, bears, shortest=self.judge.fine.dt)
+            return Limit(integrator, 0.0, bears, shortest=short)
         if ran and self.motions.costly and self.motions.users is None:
             # What nobody may wait for comes first; the linearised step of such a scene takes long.
             dt, longest = run_limit(self.judge, change, [])
@@ -239,15 +251,24 @@ class Case:
         limit = Limit(integrator, dt, last, self._state(dt, each), longest=longest)
         if outcome is None:
             return limit
-        return dataclasses.replace(limit, outcome=outcome.kind, time=outcome.time)
+        limit = dataclasses.replace(limit, outcome=outcome.kind, time=outcome.time)
+        if outcome.kind == "chatters" and limit.state >= 0:
+            # Actuators chatter: another element with this limit has it by chance.
+            linear = linear_limiters(self.model, self.held[limit.state], integrator, dt)
+            if {element.kind for element in linear} - {"actuator"}:
+                return dataclasses.replace(limit, state=-1)
+        return limit
 
     def known(self, integrator: str) -> Limit:
-        """Return what is known of an integrator when the time is over: no limit below some step."""
-        tried = self.judge.tried(Change(integrator=integrator))
+        """Return what was run under an integrator when the time is over: its limit is NaN."""
+        limit = Limit(integrator, math.nan, math.nan, ran=self.judge.runaway is None)
+        return self._with_runs(limit, self.judge.tried(Change(integrator=integrator)))
+
+    def _with_runs(self, limit: Limit, tried: dict[float, bool]) -> Limit:
+        good = max((dt for dt, holds in tried.items() if holds), default=0.0)
         bad = min((dt for dt, holds in tried.items() if not holds), default=math.inf)
-        good = max((dt for dt, holds in tried.items() if holds and dt < bad), default=0.0)
-        longest, ran = good or self.judge.fine.dt, self.judge.runaway is None
-        return Limit(integrator, math.inf, math.nan, longest=longest, ran=ran)
+        longest = limit.longest if limit.known else max(tried, default=0.0)
+        return dataclasses.replace(limit, longest=longest, holds=good, fails=bad)
 
     def _state(self, dt: float, each: Sequence[float]) -> int:
         """Return the state whose linearised step has a limit; -1 if none has."""
@@ -258,8 +279,14 @@ class Case:
         return int(np.argmin(gaps)) if min(gaps) <= 2 * math.log(STEP) else -1
 
     def limiters(self, limit: Limit) -> tuple[Element, ...]:
-        """Return the elements that limit an integrator, or the fastest one if nothing does."""
+        """Return the elements that limit an integrator, or the fastest one if nothing does.
+
+        A limit that is not known has none.
+        """
         name, dt = limit.integrator, limit.dt
+        controls = tuple(Element.of(self.motions.model, "control", k) for k in self.fed(name))
+        if not limit.known:
+            return controls
         if dt == math.inf or (dt <= 0 and not self.controlled):
             at = self.held[-1]
             own = list(shares(at, name, min(limit.longest, 1.0) if dt else self.wanted))
@@ -284,10 +311,12 @@ class Case:
         ropes = [Element.of(self.model, "tendon spring", k) for k in slack_lengths(self.model)]
         every = list(dict.fromkeys((*every_element(self.model, self.states), *ropes)))
         every.sort(key=lambda e: order.index(e) if e in order else len(order))
+        if limit.outcome == "chatters":
+            every.sort(key=lambda e: e.kind != "actuator")
         found = run_limiters(self.judge, every, name, dt, nu, linear)
         spins = [e for e in every if e.kind == "spin"]
         last = self._seen((*spins[:1], INERTIAL)[:1], limit)
-        return tuple(self._theirs(found or self._lost(limit) or last))
+        return tuple(self._theirs(found or self._lost(limit) or controls or last))
 
     def _seen(self, elements: tuple[Element, ...], limit: Limit) -> tuple[Element, ...]:
         """Leave out forces of inertia where the motion is too slow for these to have a limit.
@@ -327,6 +356,18 @@ class Case:
             return None
         return self.judge.outcome(Change(integrator=integrator), self.wanted)
 
+    def fed(self, integrator: str) -> range:
+        """Return the controls of a user's function if these make the wanted step fail.
+
+        With the controls of the converged motion it holds, or fails after the motion only.
+        """
+        seen, nu = self.observed(integrator), self.motions.model.nu
+        if seen is None or seen.holds or self.motions.usual is None:
+            return range(0)
+        frozen = Loop(frozen=tuple(range(nu)))
+        held = self.judge.outcome(Change(integrator=integrator), self.wanted, frozen)
+        return range(nu if held.holds or seen.time < self.horizon < held.time else 0)
+
     def saturated(self, limit: Limit, elements: Sequence[Element]) -> tuple[Element, ...]:
         """Return the servos among elements whose force is at an end of its range beyond a limit."""
         servos = [e for e in elements if e.kind == "actuator"]
@@ -357,9 +398,18 @@ class Case:
         known = [e for e in elements if e != INERTIAL]
         linear = not own.ran or (own.state >= 0 and not self.controlled)
         search = Search(self.judge, own, at, linear, self.wanted, known, every, self.states)
+        found = search.candidates()
+        self.untried = [*(["another integrator"] if own.ran else []), *found]
+        if not elements:
+            self.untried.append("changes of the element that limits dt")
         if own.ran:
             # One word in the file, whatever was asked for: the integrator of the converged motion.
             fine = "implicitfast"
             more = {} if fine in limits else {fine: self.limit(fine)}
             yield from other_integrators(search, limits | more)
-        yield from search.advice()
+            self.untried.pop(0)
+        for what, make in found.items():
+            advice = make()
+            if advice is not None:
+                yield advice
+            self.untried.remove(what)

@@ -385,22 +385,27 @@ class Search:
     def model(self) -> Model:
         return self.judge.motions.of(Change())
 
-    def advice(self) -> Iterator[Advice]:
-        """Yield the least change of each kind that leaves the margin, or that it fails."""
-        settings = self.model.settings
+    def candidates(self) -> dict[str, Callable[[], Advice | None]]:
+        """Return the kinds of changes to try, each with what finds the least that is enough."""
+        settings, found = self.model.settings, dict[str, Callable[[], Advice | None]]()
         if settings.law == "solref" and not settings.refsafe:
-            yield self._set("use refsafe=True, which softens rows that are too stiff", refsafe=True)
+            words = "use refsafe=True, which softens rows that are too stiff"
+            found["refsafe"] = lambda: self._set(words, refsafe=True)
         first = self.elements[0] if self.elements else None
         if first is None or (first.kind == "control" and self.judge.motions.users is None):
-            return
+            return found
         if settings.law == "penalty" and first.kind == "contact":
-            yield self._softer_penalty()
+            found["penalty_stiffness"] = self._softer_penalty
         met = list[Advice]()
-        for what in WAYS.get(first.kind, ()):
-            found = self._loop(what) if what in (LOOP_GAIN, PERIOD) else self._least(what)
-            if found is not None and not _repeats(found, met):
-                met.append(found)
-                yield found
+
+        def new(what: str) -> Advice | None:
+            one = self._loop(what) if what in (LOOP_GAIN, PERIOD) else self._least(what)
+            if one is None or _repeats(one, met):
+                return None
+            met.append(one)
+            return one
+
+        return found | {w: functools.partial(new, w) for w in WAYS.get(first.kind, ())}
 
     def _set(self, words: str, size: float = 0.0, **settings: Any) -> Advice:
         ((name, _),), change = settings.items(), Change(**settings)

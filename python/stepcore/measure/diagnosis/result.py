@@ -50,7 +50,8 @@ class Diagnosis(Result):
     limiters: by integrator, the elements that limit dt; several where no single element does. Where
         nothing limits dt, the element of the fastest motion.
     rows: the elements, each on its own: those that limit dt, then the others by frequency.
-    advice: changes that make the wanted step stable.
+    advice: changes that make the wanted step stable. untried: those not tried before the time was
+        over.
     physical: the fastest growth of the motion itself [1/s].
     observed: what the motion does at the wanted step; None where it blows up at every step.
     saturated: the limiting servos whose force is at an end of its range beyond the limit.
@@ -79,6 +80,7 @@ class Diagnosis(Result):
     rows: list[Figures]
     covered: Pair = field(repr=False)
     advice: list[Advice] = field(default_factory=list)
+    untried: tuple[str, ...] = ()
     physical: float = 0.0
     observed: Outcome | None = None
     saturated: tuple[Element, ...] = ()
@@ -111,8 +113,8 @@ class Diagnosis(Result):
         """Return the largest stable dt [s] under an integrator (default: the scene's).
 
         Runs of the motion hold at 0.98 of it and fail at 1.03 of it; both were run. The value is
-        inf if no step that was tried fails, and 0 if none holds. Raises ValueError for an
-        integrator that was not diagnosed.
+        inf if no step that was tried fails, 0 if none holds, and NaN if the time was over before
+        the limit was found. Raises ValueError for an integrator that was not diagnosed.
         """
         return self.limits[self._known(integrator)].dt
 
@@ -146,6 +148,17 @@ class Diagnosis(Result):
         return next((row for row in self.rows if row.name == name), None)
 
     @property
+    def _bounded(self) -> bool:
+        """Whether saturation takes away the damping that the limiting element has.
+
+        It is no cause where the linearised step has the limit of the runs, where the element has no
+        damping, and where chatter saturates it.
+        """
+        row, limit = self.limiting(), self.own
+        damped = row is not None and (row.ratio > 0 or row.rate > 0)
+        return bool(self.saturated) and damped and limit.state < 0 and limit.outcome != "chatters"
+
+    @property
     def _late(self) -> bool:
         """Whether a run just above the limit fails only after the motion."""
         own = self.own
@@ -164,6 +177,26 @@ class Diagnosis(Result):
         name = self._known(integrator)
         elements = self.limiters[name]
         return () if math.isinf(self.limits[name].dt) and INERTIAL in elements else elements
+
+    def _unknown(self) -> str:
+        """Return what was run where the limit is not known."""
+        limit, step = self.own, f"step of {seconds(self.wanted)}"
+        own = limit.integrator
+        if self.observed is None:
+            does = f"Whether a {step} is stable under {own} is not known"
+        elif self.observed.holds:
+            does = f"A {step} is stable under {own} over {seconds(self.horizon)}"
+        else:
+            elements = self._limiters(None)
+            fed = f", fed by {Elements(elements).together}" if elements else ""
+            does = f"A {step} {self._failure(elements)} under {own}{fed}"
+        tried = "no stable step was found"
+        if limit.holds:
+            holds, fails = seconds(limit.holds), seconds(limit.fails)
+            tried = f"a step of {holds} holds, and the limit was not found"
+            if math.isfinite(limit.fails):
+                tried = f"{holds} holds, {fails} fails, and the limit was not found"
+        return f"{does}; {tried} in the time available."
 
     def _known(self, integrator: str | None) -> str:
         name = self.settings.integrator if integrator is None else integrator
@@ -222,6 +255,8 @@ class Diagnosis(Result):
 
     def _answer(self) -> str:
         limit, step = self.own, f"A step of {seconds(self.wanted)}"
+        if not limit.known:
+            return self._unknown()
         elements, own = self._limiters(None), limit.integrator
         name = Elements(elements).together or "the motion as a whole"
         traits, fails = self._traits(elements), self._failure(elements)
@@ -230,11 +265,6 @@ class Diagnosis(Result):
             judged = "by the linearised step"
         if math.isinf(limit.dt):
             below = seconds(min(limit.longest, max(self.wanted, self.horizon / 10)))
-            if limit.longest < self.wanted:
-                does = "is not known yet" if self.observed is None else "fails"
-                held = f"Runs hold up to {seconds(limit.longest)} under {own}"
-                more = "The limit is not known yet: it takes more time (seconds)."
-                return f"{held}; {step[0].lower()}{step[1:]} {does}. {more}"
             return f"No element limits dt below {below} under {own}, {judged}."
         if limit.dt <= 0 and self.longest_period:
             return f"{step} {fails} under {own}: the control function is sampled too rarely."
@@ -259,7 +289,9 @@ class Diagnosis(Result):
 
         The frequency of an element on its own has nothing to do with a limit while it saturates.
         """
-        if self.saturated:
+        if self.saturated and self.own.state < 0 and self.own.outcome == "chatters":
+            return ""
+        if self._bounded:
             return ", while saturated," if len(self.saturated) == len(elements) else ""
         row = self.limiting()
         if row is None:
@@ -294,7 +326,7 @@ class Diagnosis(Result):
     def _differs(self) -> Iterator[str]:
         limit = self.own
         run, held = limit.dt, limit.held
-        if not limit.ran or run == held or run <= 0 or math.isnan(held):
+        if not limit.ran or run == held or not run > 0 or math.isnan(held):
             return
         elements = self._limiters(None)
         if self.motion.control is not None and "control" in {of.kind for of in elements}:
@@ -308,8 +340,10 @@ class Diagnosis(Result):
             bears = "bears no step"
         if run < held:
             why = "the motion passes through other states than its end"
-            if self.saturated:
-                servos = Elements(self.saturated)
+            servos = Elements(self.saturated)
+            if self.saturated and limit.outcome == "chatters" and limit.state < 0:
+                why = f"in longer steps {servos.name} {_verb(servos, 'jump')} between force bounds"
+            elif self._bounded:
                 has = "their force ranges" if len(servos) > 1 else "its force range"
                 why = f"in longer steps {servos.name} {_verb(servos, 'reach')} {has}, "
                 why += "where damping has no effect"
@@ -370,11 +404,14 @@ class Diagnosis(Result):
                 "last."
             )
         elif failed:
-            yield f"No change that was tried makes {wanted} stable."
+            left = f" ({len(failed)} tried, {len(self.untried)} not tried)" * bool(self.untried)
+            yield f"No change that was tried makes {wanted} stable{left}."
         else:
             yield f"Which changes make {wanted} stable is not known: none was run."
         if failed:
             yield f"Tried without success: {', '.join(failed)}."
+        if self.untried:
+            yield f"Not tried in the time available: {', '.join(self.untried)}."
         if 0 < limit < math.inf and self.runaway is None and not self._late:
             safe = round_number(min(limit, self.wanted) / MARGIN, up=False)
             yield f"Unchanged, the scene needs a step of {seconds(safe)} for the same margin."
@@ -393,6 +430,9 @@ class Diagnosis(Result):
             yield "the whole motion at so short a step would take too many operations"
         if 0 < limit.dt < math.inf and limit.ran:
             yield f"runs hold at {seconds(HOLDS * limit.dt)}, and fail just above the limit"
+        if limit.erratic is not None:
+            low, high = map(seconds, limit.erratic)
+            yield f"between {low} and {high} stability is erratic: some steps hold and others fail"
         if not self.confirmed and self.runaway is None:
             yield "no two short steps agree on the motion itself"
         if self._grows and not (self._late and self.fails):
@@ -487,23 +527,19 @@ class Diagnosis(Result):
         return [together, alone]
 
     def _limit_record(self, limit: Limit) -> dict[str, Any]:
-        name = limit.integrator
+        name, fails = limit.integrator, limit.outcome
+        if limit.erratic is not None:
+            fails += f" (erratic up to {seconds(limit.holds)})"
         return {
             "integrator": name + (" *" if name == self.settings.integrator else ""),
-            # What time cut off is not known, and bears nothing.
-            DT: limit.dt if limit.dt < math.inf or not math.isnan(limit.held) else None,
+            DT: limit.dt if limit.known else None,
             HELD: limit.held,
             "by": self.stiffest(name) if math.isfinite(limit.dt) else "",
-            "fails": limit.outcome,
+            "fails": fails,
         }
 
     def _extremes(self) -> str:
-        every = [
-            x
-            for limit in self.limits.values()
-            for x in (limit.dt, limit.held)
-            if not math.isnan(limit.held)
-        ]
+        every = [x for limit in self.limits.values() for x in (limit.dt, limit.held)]
         meanings = []
         if any(limit <= 0 for limit in every):
             meanings.append(
@@ -512,6 +548,8 @@ class Diagnosis(Result):
         if any(math.isinf(limit) for limit in every):
             longest = max(limit.longest for limit in self.limits.values())
             meanings.append(f"inf: no step that was tried fails, up to {seconds(longest)}.")
+        if not self.own.known:
+            meanings.append("Empty: not found in the time available.")
         return " ".join(meanings)
 
     def details(self) -> dict[str, Any]:
@@ -520,11 +558,14 @@ class Diagnosis(Result):
             name: {
                 "dt": limit.dt,
                 "held": limit.held,
-                "limited": math.isfinite(limit.dt),
+                "limited": math.isfinite(limit.dt) if limit.known else None,
                 "stiffest": self.stiffest(name),
                 "together": self.together(name),
                 "state": limit.state,
                 "longest": limit.longest,
+                "holds": limit.holds,
+                "fails": limit.fails,
+                "erratic": limit.erratic,
                 "outcome": limit.outcome,
             }
             for name, limit in self.limits.items()
@@ -535,7 +576,7 @@ class Diagnosis(Result):
         ]
         plain = (
             *("wanted", "advice", "physical", "ran", "horizon", "observed", "saturated", "runaway"),
-            *("longest_period", "confirmed", "fails"),
+            *("longest_period", "confirmed", "fails", "untried"),
         )
         return {"limits": limits, "states": states} | {name: getattr(self, name) for name in plain}
 

@@ -300,6 +300,10 @@ class Motions:
         """Whether a pair of runs takes more than a fiftieth of the most operations."""
         return 2 * LEAST * self.flops > WORK / 50
 
+    def cheap(self, dt: float) -> bool:
+        """Whether a pair of runs at a step takes no more than a fiftieth of the most operations."""
+        return 2 * self.steps(dt) * self.flops <= WORK / 50
+
     @property
     def longest(self) -> float:
         return min(LONGEST, AMPLE * self.wanted) if self.costly else LONGEST
@@ -356,22 +360,26 @@ class Motions:
         return full
 
     def jumps(self, pair: Pair, apart: float = 0.0) -> bool:
-        """Return whether a run moves at its end by forces of actuators that jump between bounds.
+        """Return whether a run moves at its end by forces of actuators that jump between bounds."""
+        return bool(self.jumping(pair, apart)[1].any())
 
-        From sample to sample, or from call to call of a user's function, they change by a quarter
+    def jumping(self, pair: Pair, apart: float = 0.0) -> tuple[Floats, np.ndarray]:
+        """Return how much forces of actuators change at the end of a run, and which of them jump.
+
+        From sample to sample, or from call to call of a user's function, these change by a quarter
         of what they do in all of the motion, and again and again they are at their largest: the
         force of a spring that swings without a damper changes as much, and has no bound.
 
         apart: the least time between samples [s].
         """
         if self.rests(pair) or pair.ran is None or len(pair.times) < 2:
-            return False
+            return np.zeros(self.driven.nu), np.zeros(self.driven.nu, bool)
         force, between = pair.ran["actuator_force"][0], max(self.period or 0.0, apart)
         late = force[pair.late][:: max(1, round(between / pair.times[1]))]
-        jumps = np.abs(np.diff(late, axis=0)).sum(axis=0) / max(1, len(late) - 1)
+        changes = np.abs(np.diff(late, axis=0)).sum(axis=0) / max(1, len(late) - 1)
         low, high, span = force.min(axis=0), force.max(axis=0), np.ptp(force, axis=0)
         bound = np.minimum(late - low, high - late) <= np.finfo(float).eps * span
-        return bool(((jumps > span / 4) & _often(bound)).any())
+        return changes, (changes > span / 4) & _often(bound)
 
     def presses(self, pair: Pair) -> bool:
         """Return whether a run moves at its end, where actuators are at ends of their ranges."""
@@ -488,6 +496,7 @@ class Judge:
     runaway: Runaway | None = None
     loop: Loop | None = None
     _known: dict[tuple[Change, float, Loop | None], Outcome] = field(default_factory=dict)
+    _lasting: set[tuple[Change, float, Loop | None]] = field(default_factory=set)
 
     @classmethod
     def of(cls, motions: Motions, dt: float, loop: Loop | None = None) -> Judge:
@@ -562,6 +571,26 @@ class Judge:
                 found = replace(found, kind="chatters")
             self._known[key] = found
         return self._known[key]
+
+    def lasts(self, change: Change, dt: float, loop: Loop | None = None) -> bool:
+        """Return whether a step holds; for a sensitive motion, in a longer run as well.
+
+        Steps of a sensitive motion hold by luck. A longer run that fails replaces the outcome.
+        """
+        key = change, float(f"{dt:.12g}"), loop
+        if self.outcome(change, dt, loop).holds and key not in self._lasting:
+            self._lasting.add(key)
+            if self.sensitive and self.motions.cheap(dt):
+                pair = self.motions.pair(change, dt, LONGER * self.motions.steps(dt), loop)
+                found = self._longer(self.judged(pair), pair)
+                self._known[key] = self._known[key] if found.holds else found
+        return self._known[key].holds
+
+    @property
+    def sensitive(self) -> bool:
+        """Whether perturbations grow by orders of magnitude in the converged motion."""
+        apart = self.fine.apart
+        return float(np.nanmax(apart)) > GROWN**2 * float(apart[0])
 
     def tried(self, change: Change) -> dict[float, bool]:
         """Return the steps that were run under a change, and whether each holds."""
@@ -639,15 +668,16 @@ class Judge:
         """
         motions, dt = self.motions, pair.dt
         steps = math.ceil(2 * motions.horizon / dt)
-        jumps, presses = motions.jumps(pair), motions.presses(pair)
-        if (jumps or presses) and steps > motions.steps(dt):
+        if (motions.jumps(pair) or motions.presses(pair)) and steps > motions.steps(dt):
             pair = motions.pair(change, dt, steps, loop)
-            jumps, presses = motions.jumps(pair), motions.presses(pair)
-        if not (jumps or presses):
+        (changes, jumping), presses = motions.jumping(pair), motions.presses(pair)
+        if not (jumping.any() or presses):
             return False
         self._cover(float(pair.times[-1]))
         known = self.long or self.fine
-        if jumps and not motions.jumps(known, float(pair.times[1])):
+        usual, jumped = motions.jumping(known, float(pair.times[1]))
+        # An undamped servo that saturates swings between its bounds in the converged motion, too.
+        if not jumped.any() and (jumping & (changes > SAME * usual)).any():
             return True
         calm = known.times >= CALM * min(known.times[-1], pair.times[-1])
         return float(pair.energy[pair.late].min()) > GROWN * float(known.energy[calm].max())

@@ -146,7 +146,7 @@ def _reason(model: Model, at: Following) -> str:
     """Return why a servo is behind, in words; "" if none of these shows it."""
     of, said = at.actuator, ""
     say: Callable[[float], str] = functools.partial(strength, model, of.index)
-    if at.full > THIRD:
+    if at.full > THIRD and not at.rings:
         more = f", and the motion needs {say(at.need)}" if at.need > of.bound else ""
         return f"its force ends at {say(of.bound)} for {percent(at.full)} of the run{more}"
     if at.weak:
@@ -234,7 +234,8 @@ def _behind(run: Recording, found: list[Following]) -> Finding:
         does += f" ({say(first.error)} of error)"
     problem = f"{listed(elements, 'servo')} {does}, because {_reason(model, first)}"
     ways = [tuple(_gained(model, found, part, False) for part in PARTS)]
-    if first.full > THIRD:
+    # A servo without damping swings between the ends of its force: a wider range damps nothing.
+    if first.full > THIRD and not first.rings:
         ways = [tuple(_gained(model, found, part, True) for part in PARTS)]
 
     def left(other: Recording) -> float:

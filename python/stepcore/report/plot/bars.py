@@ -43,20 +43,25 @@ GROUP = 0.8
 def diagnosis(result: Diagnosis) -> Any:
     """Draw the largest stable dt of each integrator, the scene's first: runs, and the held pose.
 
-    A bar with an arrow at the right edge has no limit. The vertical line is the wanted dt.
+    A bar ends with an arrow at the longest step that was tried if no step fails. A limit that is
+    not known has a bar with a question mark, up to the longest step that holds. A red line spans
+    the steps of which some hold and some fail. The vertical line is the wanted dt.
     """
     limits = sorted(result.limits.values(), key=lambda limit: limit is not result.own)
     figure = new_figure(8.0, 1.9 + 0.5 * len(limits))
     axes = figure.add_subplot()
-    every = [dt for limit in limits for dt in (limit.dt, limit.held)]
-    low, high = _range([result.wanted, *every])
+    low, high = _range([result.wanted, *(dt for limit in limits for dt in limit.ends)])
     for place, limit in enumerate(limits):
-        colours = (BLUE, GREY)
+        ends, colours = limit.ends, (BLUE, GREY)
         for k, dt in enumerate((limit.dt, limit.held)):
             at = place + GROUP * (k / 2 - 0.25)
-            _bar(axes, at, dt, (low, high), 0.42 * GROUP, colours[k])
-        name = result.stiffest(limit.integrator) if math.isfinite(limit.dt) else ""
-        _named(axes, name.replace("`", ""), place - 0.25 * GROUP, limit.dt, (low, high))
+            _bar(axes, at, ends[k], (low, high), 0.42 * GROUP, colours[k], math.isinf(dt))
+        at, name = place - 0.25 * GROUP, "?"
+        if limit.known:
+            name = result.stiffest(limit.integrator) if math.isfinite(limit.dt) else ""
+        _named(axes, name.replace("`", ""), at, ends[0], (low, high))
+        if limit.erratic is not None:
+            axes.plot(limit.erratic, (at, at), color=RED, lw=1.3, zorder=4)
     axes.axvline(result.wanted, color="black", lw=1.3, zorder=4)
     names = [limit.integrator for limit in limits]
     name_places(axes, names, range(len(limits)), ELEMENT_LETTERS)
@@ -68,7 +73,10 @@ def diagnosis(result: Diagnosis) -> Any:
     axes.grid(False, axis="y")
     entries = patches({"runs of the motion": BLUE, "held pose, linearised": GREY})
     entries.append(line(f"dt {seconds(result.wanted)}", color="black", lw=1.3))
-    entries.append(line("no limit", marker=">", ls="none", ms=5, color=GREY))
+    if any(limit.erratic for limit in limits):
+        entries.append(line("erratic", color=RED, lw=1.3))
+    if any(math.isinf(dt) for limit in limits for dt in (limit.dt, limit.held)):
+        entries.append(line("no limit up to here", marker=">", ls="none", ms=5, color=GREY))
     legend(figure, entries, columns=4)
     return figure
 
@@ -82,15 +90,23 @@ def _range(values: Sequence[float]) -> tuple[float, float]:
 
 
 def _bar(
-    axes: Any, place: float, dt: float, limits: tuple[float, float], height: float, colour: str
+    axes: Any,
+    place: float,
+    dt: float,
+    limits: tuple[float, float],
+    height: float,
+    colour: str,
+    endless: bool,
 ) -> None:
     low, high = limits
+    if math.isnan(dt):
+        return
     if dt <= low:
         axes.plot(low, place, "x", ms=5, mew=1.6, color=colour, clip_on=False, zorder=5)
         return
     axes.barh(place, min(dt, high) - low, left=low, height=height, color=colour, zorder=3)
-    if math.isinf(dt):
-        axes.plot(high, place, ">", ms=4.5, color=colour, clip_on=False, zorder=5)
+    if endless:
+        axes.plot(dt, place, ">", ms=4.5, color=colour, clip_on=False, zorder=5)
 
 
 def _named(axes: Any, name: str, place: float, dt: float, limits: tuple[float, float]) -> None:
