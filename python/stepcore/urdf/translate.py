@@ -291,8 +291,6 @@ class Robot:
             if joint is not None and joint.values["type"] == "floating":
                 if _value(joint, "parent", "link") != root:
                     raise joint.error("a floating joint needs the root link as its parent")
-                # The root link is fixed at the world's origin.
-                parent = world
             body = self._body(self.links[name], joint, equality)
             if name == root == "world":
                 # A root link named "world" is the world, which has no mass.
