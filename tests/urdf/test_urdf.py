@@ -143,7 +143,8 @@ def test_floating_links_keep_their_place_among_siblings(place, fuse):
     kinds[place] = "floating"
     joints = [joint(f"j{k}", kinds[k], "base", f"l{k}") for k in range(3)]
     deep = joint("deep", "continuous", f"l{place}", "tip")
-    text = robot(*map(link, ("base", "l0", "l1", "l2", "tip")), *joints, deep)
+    links = map(link, ("base", "l0", "l1", "l2", "tip"))
+    text = robot(*links, *joints, deep, extension="")
     scene = sc.loads(text, fuse=fuse)
     theirs = mujoco.MjModel.from_xml_string(text)
     if fuse is None:
