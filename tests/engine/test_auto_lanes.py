@@ -97,13 +97,20 @@ def wild():
 READ = ("qpos", "qvel", "qacc", "residual", "constraint_force", "actuator_force", "cfrc_int")
 
 
+def numbers(batch, name):
+    """An array's bytes, or the error with which it is refused."""
+    try:
+        return getattr(batch, name).tobytes()
+    except sc.SimulationError as error:
+        return str(error)
+
+
 def what_is_read(batch):
-    arrays = {name: getattr(batch, name).tobytes() for name in READ}
-    return arrays | {
-        "rows": [table.force.tobytes() for table in batch.rows],
-        "contacts": [len(table) for table in batch.contacts],
+    return {name: numbers(batch, name) for name in READ} | {
+        "rows": repr([table.tolist() for table in batch.rows]),
+        "contacts": repr([table.tolist() for table in batch.contacts]),
         "time": batch.time,
-        "energy": batch.energy().tobytes(),
+        "energy": batch.energy.tolist(),
         "state": batch.state(),
         "failures": {world: str(error) for world, error in batch.failures.items()},
     }
@@ -134,8 +141,8 @@ def test_what_is_read_after_a_failure_tells_nothing_of_the_way(lanes, portions, 
                 except sc.SimulationError as error:
                     messages.append(str(error))
                     break
-        found.append((messages, what_is_read(batch)))
-    assert found[0] == found[1]
+        found.append({"messages": messages, **what_is_read(batch)})
+    assert [name for name in found[0] if found[0][name] != found[1][name]] == []
 
 
 def test_the_words_of_lanes():
