@@ -275,6 +275,8 @@ impl<R: Real> Worlds for Batch<R> {
         // holds another's impulses.
         lists[..Array::CHANGED].clone_from_slice(&failed.state);
         memo.forget();
+        let now = self.state(world).0;
+        (memo.start, memo.steps) = (now.start, now.steps);
         let qacc = vec![0.0; qacc.len()];
         Some(Solve { of: Last::Forward, qacc, lists, memo })
     }
