@@ -514,6 +514,8 @@ class Batch(_World):
         """The worlds that failed while the others went on; errors of those that are not known."""
     def restart(self, time: float) -> None:
         """Sets the time of all worlds and forgets the impulses of the last step."""
+    def turn_at_every_step(self) -> None:
+        """For tests: with lanes "auto", change between lanes and single worlds at every step."""
     def forget(self, worlds: list[int]) -> None:
         """Forgets the impulses, the failures and the last solves of some worlds."""
     def set_models(self, models: list[Model], model_of: list[int]) -> None:

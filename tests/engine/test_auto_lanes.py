@@ -84,6 +84,67 @@ def test_failures_are_the_same(on_failure):
     assert np.array_equal(auto.residual, alone.residual)
 
 
+def wild():
+    """Two masses on springs: that of one gains energy until it overflows."""
+    scene = sc.Scene(gravity=(0, 0, 0)).with_settings(dt=0.1, integrator="semi-implicit")
+    for name, stiffness in (("calm", 1.0), ("wild", 1e4)):
+        body = scene.add_body(name)
+        scene.add_joint(body, "slide", name=name, stiffness=stiffness)
+        scene.add_geom(body, "sphere", 0.1, mass=1.0, contype=0, conaffinity=0)
+    return scene.compile()
+
+
+READ = ("qpos", "qvel", "qacc", "residual", "constraint_force", "actuator_force", "cfrc_int")
+
+
+def numbers(batch, name):
+    """An array's bytes, or the error with which it is refused."""
+    try:
+        return getattr(batch, name).tobytes()
+    except sc.SimulationError as error:
+        return str(error)
+
+
+def what_is_read(batch):
+    return {name: numbers(batch, name) for name in READ} | {
+        "rows": repr([table.tolist() for table in batch.rows]),
+        "contacts": repr([table.tolist() for table in batch.contacts]),
+        "time": batch.time,
+        "energy": batch.energy.tolist(),
+        "state": batch.state(),
+        "failures": {world: str(error) for world, error in batch.failures.items()},
+    }
+
+
+@pytest.mark.filterwarnings("ignore")
+@every_pair(
+    on_failure=["stop", "go on"],
+    scene=["wild", "walker"],
+    portions=[(1,) * 60, (60,), (7, 1, 2, 50), (3, 57)],
+    lanes=["auto", True],
+)
+def test_what_is_read_after_a_failure_tells_nothing_of_the_way(lanes, portions, scene, on_failure):
+    """With the way changed at every step, and whatever the calls in which the steps are made."""
+    model = wild() if scene == "wild" else sc.loads(WALKER).compile()
+    found = []
+    for way, calls in ((lanes, portions), (False, (60,))):
+        batch = sc.Batch(model, 9, lanes=way, threads=1, on_failure=on_failure)
+        if way == "auto":
+            batch._core.turn_at_every_step()
+        batch.qvel[:] = np.random.default_rng(3).normal(size=batch.qvel.shape)
+        batch.qvel[4, -1] = 1e60
+        messages = []
+        for _ in range(2):  # The second time where all stand.
+            for steps in calls:
+                try:
+                    batch.step(steps)
+                except sc.SimulationError as error:
+                    messages.append(str(error))
+                    break
+        found.append({"messages": messages, **what_is_read(batch)})
+    assert [name for name in found[0] if found[0][name] != found[1][name]] == []
+
+
 def test_the_words_of_lanes():
     with pytest.raises(ValueError, match="lanes = 'fast': must be one of True, False, 'auto'"):
         sc.Batch(sc.loads(WALKER), 2, lanes="fast")

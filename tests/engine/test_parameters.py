@@ -6,6 +6,7 @@ world's values, whoever its neighbours are.
 
 import copy
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stepcore as sc
-from stepcore.engine.parameters import ModelVariation
+from stepcore.engine.parameters import ModelVariation, own_value
 from stepcore.scene.records import Variation
 from stepcore.scene.value_paths import changed
 
@@ -348,3 +349,66 @@ def test_worlds_of_their_own_impedances_share_lanes():
         sim = sc.Sim(model.with_values({"geom/b/solimp": row.tolist()}))
         sim.step(200)
         assert np.array_equal(sim.qpos, batch.qpos[world])
+
+
+EVERY_ACTUATOR = """<mujoco><option timestep="0.004"/><worldbody>
+<geom type="plane" size="5 5 1" pos="0 0 -1"/><site name="o" pos="0 0 1"/>
+<body pos="0 0 .5"><joint name="h" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/>
+<site name="s" pos=".3 0 0"/><body pos=".4 0 0"><joint name="b" type="ball"/>
+<geom type="box" size=".1 .2 .05" pos=".1 0 0"/></body></body>
+<body name="g" pos="2 0 -.905"><freejoint/><geom size=".1"/></body></worldbody>
+<tendon><spatial name="t"><site site="o"/><site site="s"/></spatial></tendon><actuator>
+<motor name="motor" joint="h" gear="2" ctrlrange="-1 1" forcerange="-3 3"/>
+<position name="position" joint="h" kp="5" kv=".3" timeconst=".1"/>
+<velocity name="velocity" tendon="t" kv="2"/>
+<intvelocity name="intvelocity" joint="h" kp="3" actrange="-1 1"/>
+<damper name="damper" joint="h" kv="1" ctrlrange="0 1"/>
+<cylinder name="cylinder" tendon="t" timeconst=".2" bias="1 -2 -.3"/>
+<muscle name="muscle" tendon="t" lengthrange=".2 2" force="5"/>
+<adhesion name="adhesion" body="g" gain="3" ctrlrange="0 1"/>
+<general name="general" site="s" refsite="o" gear="1 0 0 0 0 0" gainprm="3" biastype="affine"
+ biasprm="1 -3 -.2" dyntype="filterexact" dynprm=".05"/>
+<pid name="pid" joint="h" input="pos vel" kp="4" kv=".2" ki="1" imax=".1" slewmax="2"
+ delay=".01" nsample="4"/>
+<dcmotor name="dcmotor" joint="h" nominal="12 3 20" input="pos" controller="3 1 .1"
+ lugre="10 .1 .2 .3 .1" cogging=".1 7 .3" thermal="2 30 0 .004 20 25" inductance=".01"
+ saturation="2"/>
+<orientation name="orientation" joint="b" kp="5" kv=".3" forcerange="0 2" input="quat"/>
+</actuator></mujoco>"""
+
+
+def varied_values(base, actuator):
+    """(path, two values) of every number of an actuator that the scene takes."""
+    for field in actuator.values():
+        path = f"actuator/{actuator.name}/{field}"
+        try:
+            own = own_value(base, path)
+            values = [(own * k + 0.01 * (own != 0)).tolist() for k in (1.25, 0.8)]
+            [base.with_values({path: value}) for value in values]
+        except ValueError:
+            continue
+        if any(value != own.tolist() for value in values):
+            yield path, values
+
+
+@pytest.mark.parametrize(
+    "name", re.findall(r'<\w+ name="(\w+)" (?:joint|tendon|body|site)="', EVERY_ACTUATOR)
+)
+def test_every_number_of_every_actuator_reaches_its_world(name):
+    base = sc.loads(EVERY_ACTUATOR).compile()
+    numbers = list(varied_values(base, base.scene.actuator(name)))
+    assert numbers
+    for path, values in numbers:
+        variation = Variation(base.scene, [path], base.masses())
+        for value in values:
+            scene = changed(base.scene, {path: value}, base.masses())
+            assert variation.data({path: value}) == scene.to_dict(), path
+        batch = sc.Batch(base, 2)
+        batch.param[path] = np.array(values)
+        sims = [sc.Sim(base.with_values({path: value})) for value in values]
+        for world in (batch, *sims):
+            world.ctrl[:], world.qvel[:] = 0.5, 0.3
+            world.step(5)
+        for k, sim in enumerate(sims):
+            assert np.array_equal(batch.qpos[k], sim.qpos), path
+            assert np.array_equal(batch.act[k], sim.act), path

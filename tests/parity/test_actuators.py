@@ -442,3 +442,35 @@ def test_adhesion_pulls_contacts_together(integrator):
         sim.step()
         assert peers.apart(sim.qvel, data.qvel) < 1e-6
     assert len(counts) > 3
+
+
+CRANKS = """<mujoco><worldbody><site name="w" pos="0 0 {z}"/><body>
+<joint name="j"/><joint name="k" axis="1 0 0"/>
+<inertial pos="0.0006921 0.00697 0.08874" mass="1.796" diaginertia="0.1102 0.1323 0.1543"/>
+<site name="a" pos="-0.4201 -0.3336 -0.03299" axisangle="1.056 -0.8446 -0.6518 -72.12"/>
+<site name="b" pos=".1 .2 0"/></body></worldbody>
+<tendon><spatial name="t"><site site="w"/><site site="a"/></spatial></tendon>
+<actuator><position {along} dampratio="0.3" kp="2"/></actuator></mujoco>"""
+ALONG = (
+    'cranksite="b" slidersite="a" cranklength="0.5431"',
+    'cranksite="w" slidersite="a" cranklength="1.5"',
+    'cranksite="b" slidersite="w" cranklength="1.5"',
+    'site="a" refsite="w" gear="1 0 0 0 0 0"',
+    'tendon="t"',
+    'joint="j" gear="3"',
+    'joint="j" gear="5e-9"',
+    'joint="j" gear="2e-8"',
+)
+
+
+@pytest.mark.parametrize("z", [0.5, 0])
+@pytest.mark.parametrize("along", ALONG)
+def test_a_damping_ratio_of_arms_that_are_rounding(along, z):
+    """Law: MuJoCo's damping and force; none below its smallest inverse inertia, 1e-15."""
+    text = CRANKS.format(along=along, z=z)
+    model = mujoco.MjModel.from_xml_string(text)
+    data, sim = mujoco.MjData(model), sc.Sim(sc.loads(text))
+    data.qvel[:] = sim.qvel[:] = 0.5, -0.7
+    mujoco.mj_forward(model, data)
+    sim.forward()
+    assert sim.actuator_force == pytest.approx(data.actuator_force, rel=1e-9)

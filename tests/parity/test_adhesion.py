@@ -68,6 +68,18 @@ def test_of_two_geoms_and_pairs(given):
     same(*ball(**given))
 
 
+@every_pair(
+    off=[(), ("spring",), ("damper",), ("spring", "damper")],
+    condim=[1, 3, 6],
+    cone=["pyramidal", "elliptic"],
+    height=[0.0995, 0.102],
+)
+def test_without_passive_forces_contacts_do_not_pull(cone, condim, height, off):
+    flags = " ".join(f'{flag}="disable"' for flag in off)
+    extra = f"<option><flag {flags}/></option>"
+    same(*ball(cone=cone, condim=condim, height=height, extra=extra), steps=5)
+
+
 def test_a_ball_hangs_from_a_ceiling_until_it_is_too_heavy():
     """It holds 20 N and no more: with 19.9 N it stays within the gap, with 20.1 N it falls."""
     for weight, stays in ((19.9, True), (20.1, False)):

@@ -157,6 +157,14 @@ def test_runs(actuators, integrator):
     check(TEXT.format(option=option, default="", actuators="".join(actuators)))
 
 
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("actuators", LISTS.values(), ids=LISTS)
+def test_runs_of_what_is_disabled(actuators, integrator):
+    """Law: the bristles of a disabled motor keep moving, and nothing else does."""
+    option = f'integrator="{integrator}" actuatorgroupdisable="0"'
+    check(TEXT.format(option=option, default="", actuators="".join(actuators)))
+
+
 @pytest.mark.parametrize(
     "actuators",
     [

@@ -77,3 +77,50 @@ def test_fast_turns(speed):
     """Law: Coriolis and centrifugal forces are implicit under `implicit`, as in MuJoCo."""
     assert step_errors("", "implicit", 0.002, speed) < 1e-9
     assert step_errors("", "discrete", 0.002, speed) < 1e-9
+
+
+OFFSET = """<mujoco><option timestep=".005" integrator="discrete"/><worldbody><site name="o"/>
+<body pos=".1 .2 .3">{free}<geom type="box" size=".1 .2 .15" pos="{com}" mass="2"/>
+<site name="a" pos=".1 .1 0"/></body>
+<body pos="1 2 3"><freejoint/><geom type="box" size=".1 .2 .3" pos=".1 0 0"/><site name="b"/></body>
+</worldbody><tendon><spatial name="t" {tendon}><site site="o"/><site site="a"/></spatial>
+<spatial name="u" {other}><site site="b"/><site site="a"/></spatial></tendon>
+<actuator>{drive}</actuator></mujoco>"""
+DRIVES = (
+    "",
+    '<motor site="a" gear="1 2 0 0 0 1"/>',
+    '<position kp="{kp}" kv="1" site="a" refsite="o" gear="1 .3 .2 0 0 0"/>',
+    '<position kp="{kp}" site="a" gear="1 .3 .2 .1 0 0"/>',
+    '<position kp="{kp}" kv="1" cranksite="a" slidersite="o" cranklength=".8"/>',
+    '<position kp="{kp}" kv="1" joint="f" gear="1 0 0 0 .5 0"/>',
+    '<position kp="{kp}" site="a" refsite="o" gear="1 0 0 0 0 0" forcerange="-.1 .1"/>',
+    '<velocity kv="3" site="b" gear="1 0 0 0 0 0"/>',
+    '<general gaintype="affine" gainprm="3 -2 -3" site="a" refsite="o" gear="0 1 0 0 0 0"/>',
+    '<general biastype="affine" biasprm="0 90 0" site="a" refsite="o" gear="0 1 0 0 0 0"/>',
+)
+
+
+@every_pair(
+    drive=DRIVES,
+    kp=(1, 2000),
+    com=("0 0 0", ".02 .03 .04"),
+    tendon=("", 'stiffness="50" springlength=".1"', 'stiffness="50" springlength="0 9"'),
+    other=("", 'damping="5"', 'stiffness="50" springlength="0 9"'),
+    free=('<freejoint name="f"/>', '<joint name="f" type="free" damping=".3" stiffness="9"/>'),
+)
+def test_a_free_body_turns_as_in_mujoco(drive, kp, com, tendon, other, free):
+    """Law: the same acceleration and step, whatever holds the body in this step."""
+    drive = drive.format(kp=kp)
+    text = OFFSET.format(free=free, com=com, tendon=tendon, other=other, drive=drive)
+    theirs = peers.strict(mujoco.MjModel.from_xml_string(text))
+    data, sim, rng = mujoco.MjData(theirs), sc.Sim(sc.loads(text)), np.random.default_rng(3)
+    for _ in range(4):
+        data.qvel[:] = sim.qvel[:] = rng.normal(size=theirs.nv)
+        data.ctrl[:] = sim.ctrl[:] = rng.normal(size=theirs.nu)
+        mujoco.mj_forward(theirs, data)
+        sim.forward()
+        assert peers.apart(sim.qacc, data.qacc) < 1e-10
+        mujoco.mj_step(theirs, data)
+        sim.step()
+        assert peers.apart(sim.qvel, data.qvel) < 1e-11
+        assert peers.apart(sim.qacc, data.qacc) < 1e-10

@@ -139,3 +139,20 @@ def test_what_a_scene_refuses():
     for field, value in (("density", -1.0), ("viscosity", math.inf), ("wind", (0, 0))):
         with pytest.raises(ValueError, match=field):
             setattr(scene, field, value)
+
+
+@pytest.mark.parametrize("shares", [(-0.5,), (0.5,), (-0.5, 0.4), (-0.5, 0.0), (-1.0, -0.3)])
+@pytest.mark.parametrize("driven", ["false", "true"])
+def test_compensation_below_zero(shares, driven):
+    """Law: MuJoCo's rule, by which a share below 0 counts only beside one above 0."""
+    arm = """<body pos="{0} 0 0" gravcomp="{1}"><geom size=".1" pos=".3 0 0"/>
+    <joint name="j{0}" axis="0 1 0" actuatorgravcomp="{2}"/></body>"""
+    bodies = "".join(arm.format(k, share, driven) for k, share in enumerate(shares))
+    drive = '<actuator><motor joint="j0"/></actuator>'
+    text = f"<mujoco><worldbody>{bodies}</worldbody>{drive}</mujoco>"
+    model = mujoco.MjModel.from_xml_string(text)
+    data, sim = mujoco.MjData(model), sc.Sim(sc.loads(text))
+    mujoco.mj_forward(model, data)
+    sim.forward()
+    assert sim.qacc == pytest.approx(data.qacc, rel=1e-12)
+    assert sim.qfrc_passive == pytest.approx(data.qfrc_passive, abs=1e-12)

@@ -135,6 +135,26 @@ def test_a_floating_link_falls():
     assert sim.qvel[2] == pytest.approx(-9.81 * sim.time, rel=1e-2)
 
 
+@pytest.mark.parametrize("fuse", [None, False])
+@pytest.mark.parametrize("place", range(3))
+def test_floating_links_keep_their_place_among_siblings(place, fuse):
+    """Law: bodies and joints have the order of the file, as in MuJoCo's import."""
+    kinds = ["continuous"] * 3
+    kinds[place] = "floating"
+    joints = [joint(f"j{k}", kinds[k], "base", f"l{k}") for k in range(3)]
+    deep = joint("deep", "continuous", f"l{place}", "tip")
+    links = map(link, ("base", "l0", "l1", "l2", "tip"))
+    text = robot(*links, *joints, deep, extension="")
+    scene = sc.loads(text, fuse=fuse)
+    theirs = mujoco.MjModel.from_xml_string(text)
+    if fuse is None:
+        bodies = [theirs.body(k).name for k in range(theirs.nbody)]
+        assert [body.name for body in scene.bodies] == bodies
+        assert scene.compile().jnt_qposadr.tolist() == theirs.jnt_qposadr.tolist()
+        assert [j.name for j in scene.joints] == [theirs.joint(k).name for k in range(4)]
+    assert scene.body(f"l{place}").parent is scene.world
+
+
 def test_a_root_called_world_is_the_world():
     box = '<collision><geometry><box size=".2 .4 .6"/></geometry></collision>'
     scene = sc.loads(

@@ -55,6 +55,8 @@ pub struct Auto {
     change: bool,
     /// A world failed: how it goes on is known here only.
     fixed: bool,
+    /// Every step is a trial.
+    always: bool,
 }
 
 impl Auto {
@@ -75,6 +77,7 @@ impl Auto {
             gap: LEAST,
             change: false,
             fixed: false,
+            always: false,
         })
     }
 
@@ -86,7 +89,7 @@ impl Auto {
     ) -> Result<()> {
         let mut left = n;
         while left > 0 {
-            let due = self.steps >= self.next && self.may_change();
+            let due = (self.always || self.steps >= self.next) && self.may_change();
             let trial = due && self.worlds <= KEPT;
             if due && !trial {
                 self.try_sample()?;
@@ -107,7 +110,8 @@ impl Auto {
             let took = started.elapsed() / portion.min(u32::MAX.into()) as u32;
             let before = std::mem::replace(&mut self.cost, took);
             if let Err(error) = outcome {
-                self.fixed = true;
+                // What the other way has to say is of a part of the steps.
+                (self.fixed, self.other) = (true, None);
                 return Err(error);
             }
             (self.steps, left) = (self.steps + portion, left - portion);
@@ -313,6 +317,9 @@ impl Worlds for Auto {
     }
     fn in_lanes(&self) -> bool {
         self.in_lanes
+    }
+    fn turn_at_every_step(&mut self) {
+        self.always = true;
     }
     fn bytes(&self) -> usize {
         self.now.bytes() + self.other.as_ref().map_or(0, |other| other.bytes())

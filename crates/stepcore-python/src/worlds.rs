@@ -79,6 +79,8 @@ pub trait Worlds: Send + Sync {
     fn unwatch(&mut self);
     /// In lanes now.
     fn in_lanes(&self) -> bool;
+    /// For tests: the way changes at every step, whichever takes less time.
+    fn turn_at_every_step(&mut self) {}
     /// Memory [bytes]; models are not in it.
     fn bytes(&self) -> usize;
     fn model(&self, world: usize) -> &Arc<Model>;
@@ -236,12 +238,14 @@ impl<R: Real> Worlds for Batch<R> {
         self.before(world, into)?;
         let (.., last) = self.last(world);
         match last {
-            _ if Batch::failed(self, world).is_some() => {
-                let _ = into.forward();
-                Ok(())
+            // Where it fails, as where the world failed, there is nothing to read.
+            _ if last == Last::Forward || Batch::failed(self, world).is_some() => {
+                match into.forward() {
+                    Err(Error::Diverged(_)) => Ok(()),
+                    outcome => outcome,
+                }
             }
-            Last::Nothing => Ok(()),
-            Last::Forward => into.forward(),
+            Last::Nothing | Last::Forward => Ok(()),
             Last::Step => into.step(1),
         }
     }
@@ -264,13 +268,16 @@ impl<R: Real> Worlds for Batch<R> {
         if of == Last::Nothing && failed.is_none() {
             return None;
         }
-        let qacc = Batch::qacc(self, world).collect();
+        let qacc: Vec<f64> = Batch::qacc(self, world).collect();
         let (mut lists, mut memo) = (lists(state, inputs, lane), Memo::of(state, lane));
         let Some(failed) = failed else { return Some(Solve { of, qacc, lists, memo }) };
         // Its last solve led nowhere: what is read is that of the state it stands in. Its lane
         // holds another's impulses.
         lists[..Array::CHANGED].clone_from_slice(&failed.state);
         memo.forget();
+        let now = self.state(world).0;
+        (memo.start, memo.steps) = (now.start, now.steps);
+        let qacc = vec![0.0; qacc.len()];
         Some(Solve { of: Last::Forward, qacc, lists, memo })
     }
 

@@ -9,6 +9,7 @@ use crate::elements::force::Moment;
 use crate::error::Result;
 use crate::integrator::Stages;
 use crate::observer::Observer;
+use crate::plan::Commit;
 use crate::real::{Mask, Real, Stage};
 use crate::shapes::searched;
 use crate::sim::{At, Sim};
@@ -61,6 +62,9 @@ impl<R: Real> Sim<R> {
         self.wake_where_off();
         self.set_dt(self.period);
         self.place_detect_solve(At::State)?;
+        if self.plan.commit.contains(&Commit::Spinning) {
+            self.spin();
+        }
         let bad = all_finite(&self.qacc).not();
         if bad.any() {
             return Err(

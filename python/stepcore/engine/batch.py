@@ -69,9 +69,10 @@ class Batch(World):
         register does the work of all its worlds, so walkers in contact may be faster one by one.
     on_failure: the treatment of a world that fails as in `Sim.step`. With "stop", SimulationError
         names the world, and all worlds keep the state before the first step in which a world
-        failed. With "go on", the other worlds continue bit-identically. The failed world keeps its
-        last finite state, and its error is in `failures`; it moves again once its qpos or qvel is
-        written, or after `reset` or `restore`.
+        failed. `rows`, `contacts`, `qacc` and the like are then those of these states. With "go
+        on", the other worlds continue bit-identically. The failed world keeps its last finite
+        state, and its error is in `failures`; it moves again once its qpos or qvel is written, or
+        after `reset` or `restore`.
     fields: single fields of `Settings` to change, such as ``dt=0.005``.
 
     The results are bit-identical with any number of threads, with and without lanes, and in a

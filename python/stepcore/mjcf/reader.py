@@ -209,6 +209,11 @@ def finish(world: WorldReader, chosen: bool | None) -> None:
     # The mass of a fused body is the sum of the masses computed above.
     if fusestatic:
         fuse(world)
+    if scene._source is not None and scene._source.urdf:
+        # Floating links are children of the root link, which stands at the world's origin.
+        for joint in scene.joints:
+            if joint.type == "free":
+                joint.body.parent = scene.world
     # This pass removes names by which the passes above find elements.
     for node in option.own_texts(inside(world.root, "custom")):
         world.refusals.at(node, partial(option.read_own_text, scene))

@@ -115,10 +115,11 @@ class Variation:
         self._layout = Layout(self.scene)
         touched: list[list[Any]] = []
         for element, field in (find(self.scene, path) for path in paths if path not in WHOLE):
-            # A mass that comes from geoms changes these.
+            # A mass that comes from geoms changes these. An input has the values of what it feeds.
             inferred = field == "mass" and isinstance(element, Body) and element.mass is None
             geoms = [geom for geom in self.scene.geoms if geom.body is element]
-            touched.append(geoms if inferred else [element])
+            inputs = [one for one in self.scene.actuators if one.feeds is element]
+            touched.append(geoms if inferred else [element, *inputs])
         self._initial = [
             (element, dict(element.__dict__)) for elements in touched for element in elements
         ]

@@ -289,11 +289,12 @@ class Robot:
             name, parent = pending.pop()
             placed.add(name)
             joint = self.above.get(name)
-            if joint is not None and joint.values["type"] == "floating":
-                if _value(joint, "parent", "link") != root:
-                    raise joint.error("a floating joint needs the root link as its parent")
-                # The root link is fixed at the world's origin.
-                parent = world
+            if (
+                joint is not None
+                and joint.values["type"] == "floating"
+                and _value(joint, "parent", "link") != root
+            ):
+                raise joint.error("a floating joint needs the root link as its parent")
             body = self._body(self.links[name], joint, equality)
             if name == root == "world":
                 # A root link named "world" is the world, which has no mass.

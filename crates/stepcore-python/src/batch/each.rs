@@ -25,6 +25,12 @@ impl Batch {
         gil::lock(&self.worlds, "Batch")
     }
 
+    /// The worlds that failed while the others went on.
+    pub(super) fn failed(&self) -> PyResult<Vec<usize>> {
+        let guard = self.lock()?;
+        Ok((0..self.arrays.worlds).filter(|world| guard.failed(*world).is_some()).collect())
+    }
+
     /// Says, once, what there is to say of the energies.
     pub(super) fn warn(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
         let Some(text) = worlds.take_warning() else { return Ok(()) };

@@ -80,7 +80,7 @@ impl Batch {
         let shape = what.shape(&self.model);
         match what {
             Readout::Placed(what) => self.placed(py, what),
-            Readout::Solved(Solved::Acceleration) => {
+            Readout::Solved(Solved::Acceleration) if self.failed()?.is_empty() => {
                 result(py, self.lock()?.qacc(), &[self.arrays.worlds, self.model.nv])
             }
             Readout::Solved(Solved::ActuatorForce) => {
@@ -219,9 +219,8 @@ impl Batch {
         py: Python<'py>,
         known: Vec<usize>,
     ) -> PyResult<(Vec<usize>, Vec<Bound<'py, PyBaseException>>)> {
+        let failed = self.failed()?;
         let guard = self.lock()?;
-        let failed = (0..self.arrays.worlds).filter(|world| guard.failed(*world).is_some());
-        let failed: Vec<usize> = failed.collect();
         let new = failed.iter().filter(|world| !known.contains(world));
         let errors = new.filter_map(|world| guard.failed(*world));
         let errors = errors.map(|error| raise(py, error.clone()).into_value(py).into_bound(py));
@@ -291,6 +290,12 @@ impl Batch {
     #[getter]
     fn in_lanes(&self) -> PyResult<bool> {
         Ok(self.lock()?.in_lanes())
+    }
+
+    /// For tests: with lanes "auto", every step goes the other way than the one before.
+    fn turn_at_every_step(&self) -> PyResult<()> {
+        self.lock()?.turn_at_every_step();
+        Ok(())
     }
 
     /// Forgets the impulses, the failures and the last solves of some worlds.

@@ -195,9 +195,32 @@ impl<R: Real> Group<R> {
             (0..R::LANES).for_each(|lane| self.past.forget(lane));
         }
         self.start.copy_to(&mut self.state);
-        self.start.copy_to(&mut self.before);
-        self.last.fill(Last::Forward);
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
+    }
+
+    /// All worlds stop here because one failed, that in lane `failed` if it is here: what is read is
+    /// that of the states at hand, and nothing tells into which calls the steps were divided.
+    pub fn stop(&mut self, watched: &mut Watched<R>, failed: Option<usize>) {
+        for lane in (0..R::LANES).filter(|lane| Some(*lane) != failed) {
+            self.past.forget(lane);
+        }
+        failed.into_iter().for_each(|lane| self.ended[lane] = true);
+        self.ledger.iter_mut().for_each(|ledger| ledger.forget());
+        drop(self.take_said());
+        self.state.copy_to(&mut self.before);
+        self.last.fill(Last::Forward);
+        self.keeps_actuator = false;
+        watched.sim.qacc.fill(R::zero());
+        // Where that fails there is no acceleration.
+        let _ = self.look(watched, |watched| watched.sim.forward());
+        for lane in 0..R::LANES {
+            let qacc = watched.sim.qacc.iter().map(|a| a.lane(lane));
+            let some = qacc.clone().all(f64::is_finite);
+            self.qacc
+                .iter_mut()
+                .zip(qacc)
+                .for_each(|(to, a)| to.set_lane(lane, if some { a } else { 0.0 }));
+        }
     }
 
     /// Lets `look` see its worlds in a thread's working space.

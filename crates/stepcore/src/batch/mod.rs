@@ -467,16 +467,17 @@ impl<R: Real> Batch<R> {
             run(workspace, index, group, n);
         });
         let Some((done, error)) = first_failure(groups, layout) else { return Ok(()) };
-        groups.iter_mut().for_each(|group| drop(group.take_said()));
+        let failed = match &error {
+            Error::Diverged(divergence) => Some(layout.of(divergence.world)),
+            _ => None,
+        };
         // All worlds go back, and then on to where this one was still well.
         workers.share(groups, done, |workspace, index, group| {
             group.go_back(done);
             run(workspace, index, group, done);
+            let lane = failed.filter(|(group, _)| *group == index).map(|(_, lane)| lane);
+            group.stop(workspace.space(layout.kind(index)), lane);
         });
-        if let Error::Diverged(divergence) = &error {
-            let (group, lane) = self.layout.of(divergence.world);
-            self.groups[group].ended[lane] = true;
-        }
         Err(error)
     }
 }

@@ -19,7 +19,7 @@ use crate::integrator::Late;
 use crate::model::Model;
 use crate::place::{Metric, Placed};
 use crate::plan::LateTrees;
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::spatial::{rotate, rotate_back, M3, V3};
 
 /// Factors of M + dt·D, and the impulse of the step.
@@ -105,24 +105,32 @@ impl<R: Real> Damped<R> {
             }
         }
         for (block, &tree) in self.blocks.iter().zip(&late.spinning) {
-            self.spin(solved, tree, *block, out);
+            self.spin(solved, tree, *block, R::Mask::of(true), out);
         }
     }
 
-    /// The same for the gyroscopic forces alone, of free bodies that nothing couples to others, after
-    /// rows were solved in M̂.
+    /// The same for the gyroscopic forces alone, after rows were solved in M̂: of free bodies at which
+    /// no tendon and no actuator has slopes now, as in MuJoCo.
     pub fn spin_all(&mut self, solved: &Solved<R>, late: &LateTrees, out: &mut [R]) {
         let Some(effective) = &solved.placed.effective else { return };
         solved.impulse(&mut self.impulse);
         for &tree in &late.spinning {
             let first = solved.now.model.trees[tree].dofs.start;
             let entry = |i, j| effective.entry(&solved.placed.metric, i, j);
-            self.spin(solved, tree, free_block(first, entry), out);
+            let block = free_block(first, entry);
+            self.spin(solved, tree, block, effective.tied[tree].not(), out);
         }
     }
 
-    /// v⁺ = v + (A + dt·B)⁻¹ P of one free body.
-    fn spin(&self, solved: &Solved<R>, tree: usize, mut matrix: [[R; 6]; 6], out: &mut [R]) {
+    /// v⁺ = v + (A + dt·B)⁻¹ P of one free body, in some lanes.
+    fn spin(
+        &self,
+        solved: &Solved<R>,
+        tree: usize,
+        mut matrix: [[R; 6]; 6],
+        lanes: R::Mask,
+        out: &mut [R],
+    ) {
         let &Solved { ref now, placed, dt, .. } = solved;
         let first = now.model.trees[tree].dofs.start;
         placed.add_gyroscopic(now.model, tree, now.qvel, dt, &mut matrix);
@@ -130,7 +138,8 @@ impl<R: Real> Damped<R> {
         x.copy_from_slice(&self.impulse[first..first + 6]);
         solve_six(&mut matrix, &mut x);
         for k in 0..6 {
-            out[first + k] = now.qvel[first + k] + x[k];
+            let spun = now.qvel[first + k] + x[k];
+            out[first + k] = R::select(lanes, spun, out[first + k]);
         }
     }
 }

@@ -2,14 +2,18 @@
 
 use super::damped::Solved;
 use super::{advance, Next};
+use crate::clock::Clock;
 use crate::elements::activation;
 use crate::elements::force::Moment;
 use crate::error::Result;
 use crate::integrator::Stages;
+use crate::model::Model;
 use crate::observer::Observer;
+use crate::place::Placed;
 use crate::plan::Commit;
 use crate::real::Real;
 use crate::sim::{At, Sim};
+use crate::state::{Inputs, State};
 
 impl<R: Real> Sim<R> {
     /// One step of the integrator, into `next`.
@@ -34,7 +38,11 @@ impl<R: Real> Sim<R> {
     fn commit(&mut self, commit: Commit) {
         let Self { model, state, inputs, placed, next, .. } = self;
         match commit {
-            Commit::Damped | Commit::Spinning | Commit::Turning => self.damp(commit),
+            Commit::Damped | Commit::Turning => self.damp(),
+            Commit::Spinning => {
+                self.spin();
+                self.next.qvel.copy_from_slice(&self.velocity);
+            }
             Commit::Positions { first } => {
                 let moving = if first { &state.qvel } else { &next.qvel };
                 advance(model, &state.qpos, moving, self.clock.dt, &mut next.qpos);
@@ -55,25 +63,42 @@ impl<R: Real> Sim<R> {
     }
 
     /// What is implicit beside the rows: see `damped.rs`, `implicit.rs`.
-    fn damp(&mut self, commit: Commit) {
-        let (placed, u, late) = (&self.placed, &self.rows.u, &self.plan.late);
-        let now = Moment {
-            model: &self.model,
-            frames: placed.frames(),
-            qpos: &self.state.qpos,
-            qvel: &self.state.qvel,
-            act: self.state.activations(self.clock),
-            inputs: &self.inputs,
-        };
-        let solved = Solved { now, placed, u, dt: self.clock.dt };
-        let Next { damped, implicit, qvel, .. } = &mut self.next;
+    fn damp(&mut self) {
+        let Self { model, state, inputs, placed, rows, plan, clock, next, .. } = self;
+        let solved = solved(model, state, inputs, placed, &rows.u, *clock);
+        let Next { damped, implicit, qvel, .. } = next;
         if let Some(implicit) = implicit {
-            implicit.damp(&solved, &late.damped, qvel);
+            implicit.damp(&solved, &plan.late.damped, qvel);
         } else if let Some(damped) = damped {
-            match commit {
-                Commit::Spinning => damped.spin_all(&solved, late, qvel),
-                _ => damped.damp(&solved, late, qvel),
-            }
+            damped.damp(&solved, &plan.late, qvel);
         }
     }
+
+    /// The gyroscopic forces of free bodies under `discrete`, whose acceleration is that of the whole
+    /// step, as in MuJoCo.
+    pub(crate) fn spin(&mut self) {
+        let Self { model, state, inputs, placed, rows, plan, clock, next, velocity, qacc, .. } =
+            self;
+        let solved = solved(model, state, inputs, placed, &rows.u, *clock);
+        if let Some(damped) = &mut next.damped {
+            damped.spin_all(&solved, &plan.late, velocity);
+        }
+        for (qacc, (new, old)) in qacc.iter_mut().zip(velocity.iter().zip(&state.qvel)) {
+            *qacc = (*new - *old) * clock.rate;
+        }
+    }
+}
+
+/// The solve at the start of a step.
+fn solved<'a, R: Real>(
+    model: &'a Model<R::Value>,
+    state: &'a State<R>,
+    inputs: &'a Inputs<R>,
+    placed: &'a Placed<R>,
+    u: &'a [R],
+    clock: Clock<R>,
+) -> Solved<'a, R> {
+    let (frames, act) = (placed.frames(), state.activations(clock));
+    let now = Moment { model, frames, qpos: &state.qpos, qvel: &state.qvel, act, inputs };
+    Solved { now, placed, u, dt: clock.dt }
 }

@@ -8,9 +8,10 @@
 //! that are the same which is nearest to w. At the end of a step w itself is the one which is nearest
 //! to the length at its start (`midpoint`: in its middle), be it out of bounds.
 
+use super::controller::{self, BRISTLE};
 use super::delay::nearest;
 pub(crate) use super::delay::Activations;
-use super::{controller, muscle};
+use super::muscle;
 use crate::clock::Clock;
 use crate::model::transmission::Pulls;
 use crate::model::{Model, Span};
@@ -140,9 +141,9 @@ pub(crate) fn rates<R: Real>(
     if rates.is_empty() || !model.features.actuation {
         return;
     }
-    for index in model.controlled() {
+    for (index, places) in model.controlled() {
         let Some(work) = controller::work(model, index, at, now, inputs, pulls) else { continue };
-        for (kind, k) in controller::places(model, index) {
+        for (kind, k) in places {
             [rates[k], fading[k]] = work.rate(kind);
         }
     }
@@ -169,9 +170,9 @@ pub(crate) fn advance<R: Real>(
     if !model.features.actuation {
         return;
     }
-    for index in model.controlled() {
+    for (index, places) in model.controlled() {
         let Some(own) = &model.actuators[index].controller else { continue };
-        for (kind, k) in controller::places(model, index) {
+        for (kind, k) in places {
             let moved = act[k] + rates[k] * controller::span(fading[k], seconds);
             out[k] = controller::bounded(own, kind, moved);
         }
@@ -187,12 +188,10 @@ pub(crate) fn advance<R: Real>(
 
 /// Bristles move through a step of `rk4` as they begin it, as in MuJoCo.
 pub(crate) fn hold_bristles<R: Real>(model: &Model<R::Value>, first: &[R], rates: &mut [R]) {
-    for index in model.controlled() {
-        for (_, k) in
-            controller::places(model, index).filter(|(kind, _)| *kind == controller::BRISTLE)
-        {
-            rates[k] = first[k];
-        }
+    for (_, k) in
+        model.controlled().flat_map(|(_, places)| places).filter(|(kind, _)| *kind == BRISTLE)
+    {
+        rates[k] = first[k];
     }
 }
 
@@ -290,12 +289,18 @@ impl<N: Constant> Model<N> {
         (span.len > 0 && plain).then_some((index, span.start))
     }
 
-    /// Actuators with a controller that remembers something.
-    fn controlled(&self) -> impl Iterator<Item = usize> + '_ {
+    /// Actuators with a controller that remembers something: the kinds and places of the activations
+    /// that change. In MuJoCo the bristles of a disabled actuator keep moving, and nothing else of it.
+    fn controlled(
+        &self,
+    ) -> impl Iterator<Item = (usize, impl Iterator<Item = (usize, usize)> + '_)> {
         let all = self.actuators.iter().zip(&self.activations).enumerate();
         let own = |(_, (actuator, span)): &(usize, (&scene::Actuator<N>, &Span))| {
-            actuator.enabled && actuator.controller.is_some() && span.len > 0
+            actuator.controller.is_some() && span.len > 0
         };
-        all.filter(own).map(|(index, _)| index)
+        all.filter(own).map(|(index, (actuator, _))| {
+            let changes = |(kind, _): &(usize, usize)| actuator.enabled || *kind == BRISTLE;
+            (index, controller::places(self, index).filter(changes))
+        })
     }
 }

@@ -30,9 +30,10 @@ pub(super) struct Normal<R: Real> {
 }
 
 impl<N: Constant> Model<N> {
-    /// Under this law some contacts pull with forces that stand beside their rows.
+    /// Under this law some contacts pull with forces that stand beside their rows. These are passive
+    /// forces: without them the targets of the rows rise all the same, as in MuJoCo.
     pub(crate) fn pulls_beside_rows(&self, law: Law) -> bool {
-        self.sticks && law == Law::SolRef
+        self.sticks && law == Law::SolRef && self.features.passive()
     }
 }
 
@@ -102,6 +103,9 @@ impl<R: Real> Rows<R> {
             let row = &mut self.rows[first + k];
             let own = mask.and(row.lo.ge(zero).or(R::Mask::of(!edges)));
             row.t += row.c * R::select(own, impulse * share, zero);
+        }
+        if !now.model.pulls_beside_rows(now.settings.law) {
+            return;
         }
         let (dofs, mut y) = (self.rows[first].dofs, self.rows[first].y);
         if edges && count > 1 {

@@ -33,7 +33,8 @@ impl<R: Real> Rows<R> {
         let damping = R::of(2.0 * settings.penalty_damping_ratio) * (k * mass).sqrt();
         let force = -(k * contact.dist) - damping * row.velocity;
         let material = now.model.material(pair);
-        let net = force - material.adhesion.get();
+        let pull = material.adhesion.get();
+        let net = if now.model.features.passive() { force - pull } else { force };
         self.push_apart(now, contact, row.dofs, row.y, dt * net, mask);
         let ways = Ways::plain(pair.still, material);
         if material.condim > 1 && ways.rubs && mask.any() {

@@ -100,18 +100,6 @@ impl<N: Constant> Model<N> {
         });
     }
 
-    /// By tree: the metric of `discrete` couples it to another one.
-    pub(crate) fn coupled(&self) -> Vec<bool> {
-        let mut coupled = vec![false; self.trees.len()];
-        sloped(self, &mut |dofs| {
-            let trees = dofs.iter().map(|dof| self.dofs[*dof].tree);
-            if trees.clone().any(|tree| tree != self.dofs[dofs[0]].tree) {
-                trees.for_each(|tree| coupled[tree] = true);
-            }
-        });
-        coupled
-    }
-
     /// By tree: some element can have slopes on it.
     pub fn sloped(&self) -> Vec<bool> {
         let mut found = vec![false; self.trees.len()];

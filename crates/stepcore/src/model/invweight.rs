@@ -16,6 +16,9 @@ const SINGULAR: f64 = 1e-14;
 /// inverse of its tree's mass is none.
 const WEIGHTLESS: f64 = 1e-20;
 
+/// MuJoCo's `mjMINVAL`: the weight of an actuator whose arms are rounding is below it.
+const MINVAL: f64 = 1e-15;
+
 /// The mass matrix at qpos0 and its factors, and room for a row.
 struct Factors<'a> {
     model: &'a Model,
@@ -126,12 +129,12 @@ pub fn weigh(scene: &Scene, model: &mut Model, aligned: &[bool]) -> Result<()> {
     share_axes(model, &mut pulled);
     for (actuator, [weight, square]) in model.actuators.iter_mut().zip(pulled) {
         if actuator.dampratio != 0.0 {
-            let inertia = if weight > 0.0 { 1.0 / weight } else { 0.0 };
+            let inertia = if weight > MINVAL { 1.0 / weight } else { 0.0 };
             actuator.bias[2] = -2.0 * actuator.dampratio * (-actuator.bias[1] * inertia).sqrt();
         }
         let muscles = [&mut actuator.muscle_gain, &mut actuator.muscle_bias];
         for muscle in muscles.into_iter().flatten().filter(|muscle| muscle.force < 0.0) {
-            muscle.force = muscle.scale / square.sqrt().max(1e-15);
+            muscle.force = muscle.scale / square.sqrt().max(MINVAL);
         }
     }
     for joint in model.joints.iter().filter(|j| matches!(j.kind, JointType::Ball | JointType::Free))

@@ -52,11 +52,10 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     model
 }
 
-/// MJCF's flags of springs and dampers, both off, switch off all that is passive.
+/// Weight is compensated. As in MuJoCo, a share below 0 counts only where some body has one above 0.
 fn compensates(scene: &Scene) -> bool {
-    let features = &scene.features;
-    let on = features.gravity && (features.spring || features.damper);
-    on && scene.bodies.iter().any(|body| body.gravcomp != 0.0)
+    let on = scene.features.gravity && scene.features.passive();
+    on && scene.bodies.iter().any(|body| body.gravcomp > 0.0)
 }
 
 /// Appends body `i` with its joints, its dofs and its chain.

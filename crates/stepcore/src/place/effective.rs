@@ -11,9 +11,10 @@ use super::{spread, Metric, Placed};
 use crate::elements::activation::Activations;
 use crate::elements::force::{Frames, Moment};
 use crate::elements::forces::holding;
+use crate::elements::Kind;
 use crate::model::transmission::Pulls;
 use crate::model::Model;
-use crate::real::{Real, Stage};
+use crate::real::{Mask, Real, Stage};
 use crate::state::Inputs;
 
 /// M̂ and what goes with it.
@@ -29,9 +30,11 @@ pub struct Effective<R: Real> {
     pub(super) shift: Vec<R>,
     /// Dofs whose M̂ a step changes, and which are factored together.
     parts: Vec<Range<usize>>,
+    /// By tree, where M̂ has slopes of a tendon or an actuator.
+    pub(crate) tied: Vec<R::Mask>,
 }
 
-room!(Effective<R>: dt, held, matrix, places, shift, parts);
+room!(Effective<R>: dt, held, matrix, places, shift, parts, tied);
 
 impl<R: Real> Effective<R> {
     pub(crate) fn new(model: &Model<R::Value>, metric: &Metric<R>, dt: R) -> Self {
@@ -47,7 +50,8 @@ impl<R: Real> Effective<R> {
         };
         let zero = R::zero();
         let (matrix, shift) = (vec![zero; metric.l.len()], vec![zero; model.nv]);
-        Self { dt, held: true, matrix, places, shift, parts }
+        let tied = vec![R::Mask::of(false); model.trees.len()];
+        Self { dt, held: true, matrix, places, shift, parts, tied }
     }
 
     /// M + T D alone, without stiffness, over a time T.
@@ -76,15 +80,21 @@ impl<R: Real> Effective<R> {
     }
 
     fn assemble(&mut self, now: &Moment<R>, mass: &[R], metric: &Metric<R>) {
-        let Self { dt, held, matrix, places, shift, .. } = self;
+        let Self { dt, held, matrix, places, shift, tied, .. } = self;
         let dt = *dt;
         let held = if *held { dt } else { R::zero() };
         spread(mass, places, matrix);
         shift.fill(R::zero());
-        holding(now, &mut |_, i, j, [stiffness, damping]| {
-            if let Some((at, x)) = metric.share(i, j, dt * (damping + held * stiffness)) {
+        tied.fill(R::Mask::of(false));
+        holding(now, &mut |element, i, j, [stiffness, damping]| {
+            let slope = damping + held * stiffness;
+            if let Some((at, x)) = metric.share(i, j, dt * slope) {
                 matrix[at] += x;
                 shift[i] += dt * stiffness * now.qvel[j];
+            }
+            if matches!(element.kind, Kind::Actuator | Kind::TendonSpring | Kind::TendonDamper) {
+                let tied = &mut tied[now.model.dofs[i].tree];
+                *tied = tied.or(slope.abs().gt(R::zero()));
             }
         });
     }

@@ -350,6 +350,9 @@ impl<R: Real> Placed<R> {
         if !self.held {
             self.carry(inputs);
             self.positions_in_step(model, qpos);
+        } else if model.adheres {
+            // The arms at contacts are zero until these are known.
+            self.place_linkages(model);
         }
         self.dynamics(model, qpos, qvel, act, inputs);
         self.held = false;

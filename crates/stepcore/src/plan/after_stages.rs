@@ -65,15 +65,12 @@ impl LateTrees {
         let Some(late) = scheme.late(model.features.eulerdamp) else { return Self::default() };
         let trees = &model.trees;
         let damped = model.damped(late);
-        let coupled = model.coupled();
         let turns = |tree: usize| match scheme.turning {
             Some(Turning::Trees) => model.turns(&trees[tree]),
             _ => false,
         };
         let spins = |tree: usize| {
-            scheme.turning == Some(Turning::FreeBodies)
-                && model.gyroscopic(&trees[tree])
-                && !(scheme.stiffness && coupled[tree])
+            scheme.turning == Some(Turning::FreeBodies) && model.gyroscopic(&trees[tree])
         };
         let of =
             |test: &dyn Fn(usize) -> bool| (0..trees.len()).filter(|tree| test(*tree)).collect();

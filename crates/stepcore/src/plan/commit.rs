@@ -93,9 +93,7 @@ impl Print {
             let (turns, lack): (Vec<usize>, Vec<usize>) =
                 free.into_iter().partition(|tree| model.gyroscopic(&trees[*tree]));
             let name = "gyroscopic derivative (by free body)";
-            let tied = turns.into_iter().filter(|tree| !late.spinning.contains(tree)).collect();
-            self.does("commit", name, Of::Tree, late.spinning.clone());
-            self.omits("commit", name, Of::Tree, tied, "coupled to other trees");
+            self.does("commit", name, Of::Tree, turns);
             let why = if on.coriolis { "isotropic" } else { "switched off" };
             self.omits("commit", name, Of::Tree, lack, why);
         }

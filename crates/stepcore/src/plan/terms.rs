@@ -99,7 +99,9 @@ impl Print {
         if model.compensates {
             self.does("place", name, Of::Body, held);
         } else {
-            self.omits("place", name, Of::Body, held, "switched off");
+            let above = model.bodies.iter().any(|body| body.gravcomp > 0.0);
+            let why = if above { "switched off" } else { "none is above 0, as MuJoCo requires" };
+            self.omits("place", name, Of::Body, held, why);
         }
         let joints = (0..model.joints.len()).collect();
         self.does("place", "velocity before constraints (by joint)", Of::Joint, joints);

@@ -65,6 +65,13 @@ pub struct Features {
     pub coriolis: bool,
 }
 
+impl Features {
+    /// MJCF's flags `spring` and `damper`, both off, switch all passive forces off.
+    pub fn passive(&self) -> bool {
+        self.spring || self.damper
+    }
+}
+
 impl Default for Features {
     fn default() -> Self {
         Self {

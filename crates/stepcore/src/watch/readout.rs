@@ -114,8 +114,8 @@ impl<R: Real> Sim<R> {
         let (slot, blocks) = (self.model.slot(element), &self.rows.blocks);
         if let Ok(at) = blocks.binary_search_by_key(&slot, |block| block.slot) {
             self.parts_of_block(&blocks[at], &ways, lane, &mut parts);
-            if self.model.pulls_beside_rows(law) {
-                parts[0] += self.pull_of(element, lane);
+            if self.model.sticks && law == Law::SolRef {
+                parts[0] += self.pull_of(contact, lane);
                 let margin = self.model.material(pair).margin.lane(lane);
                 if contact.dist.lane(lane) >= margin {
                     // Beyond it the normal alone pulls, with the first row.
@@ -146,9 +146,15 @@ impl<R: Real> Sim<R> {
         wrench
     }
 
-    /// What the adhesion of a contact gave beside its rows, along the normal.
-    fn pull_of(&self, element: Element, lane: usize) -> f64 {
-        self.pushes_of(element).iter().map(|push| push.impulse.lane(lane)).sum()
+    /// What the adhesion of a contact gave beside its rows, along the normal. Without passive forces
+    /// MuJoCo counts it all the same.
+    fn pull_of(&self, contact: &Contact<R>, lane: usize) -> f64 {
+        let material = self.model.material(&contact.pair);
+        if !self.model.features.passive() && contact.dist.lane(lane) < material.listed_in(lane) {
+            return -material.adhesion.lane(lane) * self.clock.seconds;
+        }
+        let pushes = self.pushes_of(contact.element()).iter();
+        pushes.map(|push| push.impulse.lane(lane)).sum()
     }
 
     /// The pushes of a contact, which stand in the order of slots as blocks do.
