@@ -448,7 +448,7 @@ MISTAKES = {
     '<mesh name="m" builtin="cone" params="3 0 0"/>': "requires 2 parameters",
     '<mesh name="m" builtin="plate" params="3 4"/>': "coplanar vertices",
     '<mesh name="m" builtin="supertorus" params="5000 .5 1 1"/>': "at most 128",
-    '<mesh name="m" builtin="wedge" params="9 5000 9 9 .5"/>': "params = (9.0, 5000.0, 9.0, 9.0, 0.5)",
+    '<mesh name="m" builtin="wedge" params="9 5000 9 9 .5"/>': "= (9.0, 5000.0, 9.0, 9.0, 0.5)",
     '<mesh name="m" builtin="cone" params="2001 1"/>': "at most 2000",
     '<mesh name="m" builtin="grid" params="41 2 2 1 1 1"/>': "at most 40",
     '<mesh name="m" file="" />': "the name of a file",

@@ -468,6 +468,10 @@ impl<R: Real> Batch<R> {
         });
         let Some((done, error)) = first_failure(groups, layout) else { return Ok(()) };
         groups.iter_mut().for_each(|group| drop(group.take_said()));
+        if error == Error::Interrupted {
+            groups.iter_mut().for_each(|group| group.go_back(0));
+            return Err(error);
+        }
         // All worlds go back, and then on to where this one was still well.
         workers.share(groups, done, |workspace, index, group| {
             group.go_back(done);
