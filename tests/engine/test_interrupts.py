@@ -1,4 +1,4 @@
-"""Ctrl-C ends what takes long within a second of processor time, and a step that it ends is not taken."""
+"""Ctrl-C ends a long call within a second of processor time; a step that it ends is not taken."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("interruptible")
 
 
 def seconds_to_stop(call: Callable[[], object]) -> float:
-    """Return the processor time from Ctrl-C, which comes within the call, to the end of the call."""
+    """Return the processor time from a Ctrl-C within the call to the end of the call."""
     sent: list[float] = []
 
     def interrupt() -> None:
