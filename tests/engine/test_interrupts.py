@@ -93,7 +93,7 @@ def test_stepping(scene, call, threads):
 
 
 def test_batches():
-    batch = sc.Batch(many_contacts().compile(), 3, 2)
+    batch = sc.Batch(many_contacts().compile(), 3, threads=2)
     before = batch.state()
     assert seconds_to_stop(lambda: batch.step(3)) < 1
     assert batch.state() == before
