@@ -1,17 +1,24 @@
-//! Whether somebody wants a long computation to end: solvers ask now and then, within a step.
+//! Whether somebody wants a long computation to end: loops that may take long ask now and then.
+//!
+//! A computation that is to end is unwound up to `caught`, without the message of a panic (salsa cancels
+//! queries in the same way), so that loops deep inside need no way to return. What is half made then
+//! is dropped: a model that is being compiled, and the working space of a `Sim` (`Sim::whole`).
 
+use std::any::Any;
 use std::cell::Cell;
+use std::panic::{catch_unwind, resume_unwind, AssertUnwindSafe};
+
+use crate::error::{Error, Result};
 
 thread_local! {
     static ASK: Cell<Option<fn() -> bool>> = const { Cell::new(None) };
 }
 
-/// Sweeps, or stretches of a step, between two questions; and iterations of Newton's method.
-const SWEEPS: u32 = 256;
-const ITERATIONS: u32 = 8;
+/// What unwinds a computation.
+struct Interruption;
 
-/// Runs `work`, whose solvers ask `ask` now and then, in this thread, whether to end.
-pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> T) -> T {
+/// Runs `work`, which asks `ask` now and then, in this thread, whether to end.
+pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> Result<T>) -> Result<T> {
     /// Puts back what was asked before, after a panic too.
     struct Before(Option<fn() -> bool>);
     impl Drop for Before {
@@ -20,17 +27,63 @@ pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> T) -> T {
         }
     }
     let _before = Before(ASK.replace(Some(ask)));
-    work()
+    caught(work)
 }
 
-/// After this sweep the solver is to end, or the step after this stretch.
-#[inline]
-pub(crate) fn ends_after(sweep: u32) -> bool {
-    sweep % SWEEPS == SWEEPS - 1 && ASK.get().is_some_and(|ask| ask())
+/// Runs `work`; `Error::Interrupted` if it was unwound.
+pub(crate) fn caught<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(ended)
 }
 
-/// After this iteration Newton's method is to end.
-#[inline]
-pub(crate) fn ends_after_iteration(iteration: u32) -> bool {
-    iteration % ITERATIONS == ITERATIONS - 1 && ASK.get().is_some_and(|ask| ask())
+#[cold]
+fn ended<T>(panic: Box<dyn Any + Send>) -> Result<T> {
+    if panic.is::<Interruption>() {
+        return Err(Error::Interrupted);
+    }
+    resume_unwind(panic)
+}
+
+/// From now on computations of this thread ask so.
+pub(crate) fn ask(ask: fn() -> bool) {
+    ASK.set(Some(ask));
+}
+
+/// Whether the computation is to end.
+pub(crate) fn asked() -> bool {
+    ASK.get().is_some_and(|ask| ask())
+}
+
+/// Unwinds the computation if it is to end. To ask takes less than 100 ns.
+#[cold]
+#[inline(never)]
+pub(crate) fn checkpoint() {
+    if asked() {
+        resume_unwind(Box::new(Interruption));
+    }
+}
+
+/// Work between two questions, in units of some nanoseconds: below a millisecond, and a thousand
+/// times what asking takes.
+const MUCH: usize = 1 << 14;
+
+/// Work of a row that is swept, an exact test of two shapes, and a part of a step within an accuracy:
+/// the least of each, as the unit is rough.
+pub(crate) const ROW: usize = 16;
+pub(crate) const TEST: usize = 64;
+pub(crate) const STRETCH: usize = 1024;
+
+/// Counts the work of a loop, and asks now and then.
+#[derive(Default)]
+pub(crate) struct Meter(usize);
+
+impl Meter {
+    /// So much work, in units of some nanoseconds, is done or about to be.
+    #[inline(always)]
+    pub fn count(&mut self, work: usize) {
+        self.0 += work;
+        if self.0 >= MUCH {
+            self.0 = 0;
+            checkpoint();
+        }
+    }
 }

@@ -6,11 +6,13 @@
 //! order of the parts: which thread did which, and how many there are, shows in no bit.
 
 use crate::error::{Error, Result};
+use crate::interrupt::{ask, asked};
 use crate::room::Room;
 use std::any::Any;
+use std::cell::RefCell;
 use std::hint::spin_loop;
 use std::panic::{catch_unwind, resume_unwind, AssertUnwindSafe};
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -20,6 +22,8 @@ pub(crate) const MOST_THREADS: usize = 1024;
 pub(crate) const WORTH_SHARING: usize = 1024;
 /// The same of rows that are solved.
 pub(crate) const ROWS_WORTH_SHARING: usize = 4 * WORTH_SHARING;
+/// How long the caller waits for the others to end theirs, until it asks again whether they are to.
+const ASLEEP: Duration = Duration::from_millis(20);
 /// How long a thread waits awake for more work, or for the others to end theirs.
 const AWAKE: Duration = Duration::from_micros(50);
 
@@ -43,6 +47,11 @@ pub(crate) struct Pool {
     shared: Arc<Shared>,
 }
 
+thread_local! {
+    /// Whose thread this is.
+    static SERVES: RefCell<Option<Arc<Shared>>> = const { RefCell::new(None) };
+}
+
 /// What the threads look at.
 struct Shared {
     state: Mutex<State>,
@@ -54,6 +63,8 @@ struct Shared {
     round: AtomicU64,
     /// Threads that have begun the work at hand.
     busy: AtomicUsize,
+    /// Somebody wants the work at hand to end: what the threads ask, as the caller asks its own.
+    ended: AtomicBool,
 }
 
 /// Changes of `round` and `busy` are made while it is locked: who sleeps misses none.
@@ -96,6 +107,7 @@ impl Pool {
             next: AtomicUsize::new(0),
             round: AtomicU64::new(0),
             busy: AtomicUsize::new(0),
+            ended: AtomicBool::new(false),
         });
         // Those that have started stop when it is dropped.
         let pool = Self { threads, process: std::process::id(), shared };
@@ -136,13 +148,16 @@ impl Pool {
         if asleep {
             shared.begin.notify_all();
         }
+        shared.ended.store(false, Ordering::Relaxed);
         let own = catch_unwind(AssertUnwindSafe(|| shared.take_parts(work, parts)));
         // Whoever comes from now on finds nothing to do.
         lock(&shared.state).work = None;
         awake_until(|| shared.busy.load(Ordering::Acquire) == 0);
         let mut state = lock(&shared.state);
         while shared.busy.load(Ordering::Acquire) > 0 {
-            state = shared.end.wait(state).unwrap_or_else(PoisonError::into_inner);
+            shared.ended.fetch_or(asked(), Ordering::Relaxed);
+            let waited = shared.end.wait_timeout(state, ASLEEP);
+            (state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         }
         let other = state.panic.take();
         drop(state);
@@ -176,7 +191,9 @@ impl Shared {
     }
 
     /// A thread's life.
-    fn serve(&self) {
+    fn serve(self: &Arc<Self>) {
+        SERVES.set(Some(self.clone()));
+        ask(|| SERVES.with_borrow(|own| own.iter().any(|own| own.ended.load(Ordering::Relaxed))));
         let mut seen = 0;
         loop {
             let fresh = || self.round.load(Ordering::Acquire) != seen;
@@ -225,6 +242,7 @@ fn awake_until(holds: impl Fn() -> bool) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::interrupt::{checkpoint, while_asking};
 
     /// Every part is done once, whoever does it.
     #[test]
@@ -256,6 +274,19 @@ mod tests {
             sum.fetch_add(part, Ordering::Relaxed);
         });
         assert_eq!(sum.load(Ordering::Relaxed), 190);
+    }
+
+    /// Who asks whether to end asks for all threads.
+    #[test]
+    fn an_interrupt_ends_the_parts_of_all_threads() {
+        let pool = Pool::new(3).unwrap().unwrap();
+        let work = |_| loop {
+            checkpoint();
+        };
+        for _ in 0..3 {
+            let outcome = while_asking(|| true, || Ok(pool.share(20, &work)));
+            assert_eq!(outcome, Err(Error::Interrupted));
+        }
     }
 
     #[test]

@@ -179,6 +179,28 @@ impl<R: Real> Sim<R> {
         Self::solved_by(Box::new(Solvers::new()), models, settings)
     }
 
+    /// Makes the working space anew, which an interrupted step has left half made.
+    #[cold]
+    pub(crate) fn renew(&mut self) {
+        let (model, pool) = (&self.model, self.rows.pool.take());
+        (self.clock, self.settings.dt) = (Clock::new(self.period), self.period);
+        self.placed = Placed::for_steps(model, &self.settings);
+        self.detected = Detected::new(model, self.settings.max_contacts);
+        self.rows = Rows::new(model);
+        self.next = Next::new(model, &self.plan);
+        self.solver.renew();
+        self.noslip = Noslip::new();
+        self.sleeper =
+            if self.settings.sleep { Sleeper::new(&self.models[0]) } else { Sleeper::off() };
+        if self.extrapolation.is_some() {
+            self.extrapolation = Some(Box::new(Extrapolation::new(&self.placed, model)));
+        }
+        self.stands = false;
+        self.detected.pool.clone_from(&pool);
+        self.rows.pool = pool;
+        self.clear_solve();
+    }
+
     /// The models of its worlds.
     pub(crate) fn models(&self) -> SideBySide<R> {
         SideBySide { models: self.models.clone(), model: self.model.clone() }
@@ -314,13 +336,10 @@ impl<R: Real> Sim<R> {
         }
         let free = Unconstrained { dof_lists, inv_d, guess: &self.placed.guess };
         let report = self.solver.solve(&self.settings, free, &mut self.rows)?;
-        if report.interrupted {
-            return Err(Error::Interrupted);
-        }
         self.effort.note(&report, self.rows.rows.len());
         if self.plan.noslip > 0 {
             let Plan { noslip, noslip_cost, .. } = self.plan;
-            self.noslip.solve(free, &mut self.rows, noslip, noslip_cost)?;
+            self.noslip.solve(free, &mut self.rows, noslip, noslip_cost);
         }
         Ok(())
     }

@@ -6,8 +6,9 @@
 use crate::commit::Next;
 use crate::detect::Detected;
 use crate::elements::force::Moment;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::integrator::Stages;
+use crate::interrupt::caught;
 use crate::observer::Observer;
 use crate::plan::Commit;
 use crate::real::{Mask, Real, Stage};
@@ -16,6 +17,15 @@ use crate::sim::{At, Sim};
 use crate::solve::{Choice, Part, Situation};
 
 impl<R: Real> Sim<R> {
+    /// Runs `work`; where it is interrupted, state and inputs are those of the last whole step.
+    pub(crate) fn whole<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
+        let outcome = caught(|| work(self));
+        if matches!(outcome, Err(Error::Interrupted)) {
+            self.renew();
+        }
+        outcome
+    }
+
     /// Advances by `n` steps, or to the last finite state before an error.
     pub fn step(&mut self, n: u64) -> Result<()> {
         self.step_watched(n, &mut ())

@@ -155,11 +155,12 @@ class Batch(World):
             end; False for no bar. None shows a bar in a terminal or a notebook, once the call has
             taken two seconds.
 
-        Ctrl-C, or an error raised by `progress`, interrupts between steps; steps already taken are
-        kept. The residuals are checked after 64, 128, 256, … steps. The batch warns once
-        (`UnsolvedWarning`) if a world's residual exceeds the speed that gravity adds in one step at
-        three consecutive checks. The batch warns once (`EnergyWarning`) if one of about 32 evenly
-        spread worlds has far more energy than it can have gained.
+        An error raised by `progress` interrupts between steps, and Ctrl-C also within a long step,
+        which is then discarded; steps already taken are kept. The residuals are checked after 64,
+        128, 256, … steps. The batch warns once (`UnsolvedWarning`) if a world's residual exceeds
+        the speed that gravity adds in one step at three consecutive checks. The batch warns once
+        (`EnergyWarning`) if one of about 32 evenly spread worlds has far more energy than it can
+        have gained.
         """
         with self._long(n, progress) as bar:
             self._call(self._core.step, n, bar.advance if bar else None)

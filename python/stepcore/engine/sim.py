@@ -98,7 +98,7 @@ class Sim(World):
         SimulationError if the motion becomes non-finite or, with the setting ``ledger``, has more
         energy than is physically possible; the last finite state is kept. Without ``ledger``, a
         large excess of energy gives one warning (`EnergyWarning`). Ctrl-C interrupts between steps,
-        and within a step of many sweeps, which is then discarded.
+        and within a long step, which is then discarded.
         """
         if self._finer is not None:
             self._finer.step(n)

@@ -46,6 +46,16 @@ from stepcore.scene.elements import MassRules
 # The maximum number of elements that one file makes, and the maximum depth of attached models.
 MOST_ELEMENTS = 1_000_000
 MOST_NESTED = 50
+# By the form of a builtin mesh: how many of its first parameters are counts of vertices, and their
+# maximum. MuJoCo 4.0.0 compiles a mesh of these sizes in up to 0.6 s, which Ctrl-C cannot end; the
+# time for a cone grows with the square of its count.
+MOST_VERTICES = {
+    "cone": (1, 2000),
+    "supersphere": (1, 128),
+    "supertorus": (1, 128),
+    **dict.fromkeys(("wedge", "plate", "square", "disc"), (2, 128)),
+    **dict.fromkeys(("grid", "box", "cylinder", "ellipsoid"), (3, 40)),
+}
 # Name prefixes of the MjModel arrays that affect the simulation.
 PHYSICS = (
     *("body_", "jnt_", "dof_", "geom_", "site_", "tendon_", "actuator_", "eq_", "sensor_", "pair_"),
@@ -120,6 +130,7 @@ class Expansion:
             raise cause.error(f"<{cause.tag}> is expanded by {how}") from None
         heard = warnings.catch_warnings(record=True, action="always")
         with tempfile.TemporaryDirectory() as self._folder, quiet(), heard as warned:
+            _check_meshes(self.root)
             models = self._models(self.root, self.compiler, [self.root.file])
             _size(self.root, models)
             lines = _lines(self.root, self.compiler)
@@ -180,6 +191,7 @@ class Expansion:
             root = read_named(node, str(path))
             self.notes += expand(root, path.parent, path)
             self.check(root)
+            _check_meshes(root)
             self.files += [inner.file for inner in below(root)]
             if node.values.get("name", root.attrs.get("model", "")) in bare:
                 _name_classes(root, f"{len(self.files)}.", self._classes)
@@ -269,6 +281,16 @@ def _attributes(node: Node, compiler: Compiler) -> dict[str, str]:
         if name.startswith("file") and text and node.tag != "model":
             attrs[name] = compiler.asset(node, text, folder) or text
     return attrs
+
+
+def _check_meshes(root: Node) -> None:
+    """Raise MJCFError if a builtin mesh has too many vertices."""
+    for node in inside(root, "asset"):
+        if node.tag == "mesh" and node.values.get("builtin") in MOST_VERTICES:
+            counts, most = MOST_VERTICES[node.values["builtin"]]
+            params = node.values.get("params", ())
+            if any(number > most for number in params[:counts]):
+                raise bad(node, "params", params, f"at most {most} where it counts vertices")
 
 
 def _size(root: Node, models: Mapping[str, Attached]) -> int:

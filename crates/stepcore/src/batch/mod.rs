@@ -467,6 +467,13 @@ impl<R: Real> Batch<R> {
             run(workspace, index, group, n);
         });
         let Some((done, error)) = first_failure(groups, layout) else { return Ok(()) };
+        if error == Error::Interrupted {
+            groups.iter_mut().for_each(|group| {
+                drop(group.take_said());
+                group.go_back(0);
+            });
+            return Err(error);
+        }
         let failed = match &error {
             Error::Diverged(divergence) => Some(layout.of(divergence.world)),
             _ => None,

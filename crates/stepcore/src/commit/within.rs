@@ -16,7 +16,7 @@ use crate::clock::Clock;
 use crate::elements::activation::remember;
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Fault, Result};
-use crate::interrupt::ends_after;
+use crate::interrupt::{caught, Meter, STRETCH};
 use crate::real::{Mask, Real};
 use crate::sim::{At, Sim, Stretches};
 
@@ -52,7 +52,7 @@ impl<R: Real> Sim<R> {
         // Controls are sampled once a step, and its parts read the same samples.
         self.next.ctrl_history.copy_from_slice(&self.state.ctrl_history);
         self.effort.stretches = Stretches { shortest: self.period, refused: None };
-        let outcome = self.stretches(&mut space, asked);
+        let outcome = caught(|| self.stretches(&mut space, asked));
         if outcome.is_ok() {
             self.swap_states();
         }
@@ -66,13 +66,9 @@ impl<R: Real> Sim<R> {
     /// Takes the state to the end of the step.
     fn stretches(&mut self, space: &mut Extrapolation<R>, asked: f64) -> Result<()> {
         let (whole, mut at, mut level) = (1_u64 << FINEST, 0, 0);
-        for tries in 0.. {
-            if at == whole {
-                break;
-            }
-            if ends_after(tries) {
-                return Err(Error::Interrupted);
-            }
+        let mut meter = Meter::default();
+        while at != whole {
+            meter.count(STRETCH);
             if self.effort.evaluations > self.most {
                 return Err(self.too_dear());
             }

@@ -11,6 +11,8 @@
 //! What is found is every pair of boxes that overlap, whatever the grids: they change the work and
 //! not the answer. The work grows with the number of boxes and of what is found.
 
+use crate::interrupt::{Meter, TEST};
+
 /// Boxes of one size up to which a list is quicker than a grid.
 const LISTED: usize = 32;
 /// The bits of a double's exponent: one size for each.
@@ -111,7 +113,9 @@ impl Broad {
         self.fill_cells();
         self.found.clear();
         self.compare_with_listed();
+        let mut meter = Meter::default();
         for at in 0..self.boxes.len() {
+            meter.count(TEST);
             if (self.size[at] as usize) < SIZES {
                 self.compare_with_grids(at);
             }
@@ -193,7 +197,9 @@ impl Broad {
             }
         };
         listed.sort_unstable_by(|a, b| begin(a).total_cmp(&begin(b)));
+        let mut meter = Meter::default();
         for (k, &one) in listed.iter().enumerate() {
+            meter.count(boxes.len());
             let one = &boxes[one as usize];
             let lies = one.finite();
             for &two in &listed[k + 1..] {

@@ -7,6 +7,7 @@
 
 use super::broad::{Bounds, Broad, Fixed};
 use crate::error::{Error, Result};
+use crate::interrupt::{Meter, TEST};
 use crate::model::{DynamicPairs, Model, Pair, Span};
 use crate::real::array::from_fn;
 use crate::real::Constant;
@@ -177,7 +178,9 @@ impl Kept {
         }
         lists.clear();
         self.pairs.clear();
+        let mut meter = Meter::default();
         for &(number, a, b) in &self.numbers {
+            meter.count(TEST);
             let mut pair = model.near_pair(heap, number, a as usize, b as usize);
             let bodies = [pair.geom1, pair.geom2].map(|geom| model.geoms[geom].body);
             pair.dofs = lists.union(model, bodies);
@@ -227,7 +230,9 @@ impl Kept {
         let leaves = |geom: u32| left.binary_search(&places[geom as usize]).is_ok();
         numbers.extend(before.iter().filter(|(_, a, b)| !leaves(*a) && !leaves(*b)));
         broad.found.clear();
+        let mut meter = Meter::default();
         for &place in &*left {
+            meter.count(spare.len());
             let own = &spare[place as usize];
             let others = spare.iter().filter(|other| other.geom != own.geom);
             others.for_each(|other| broad.found.note(own, other));

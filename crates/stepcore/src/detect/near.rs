@@ -6,6 +6,7 @@ use super::kept::Kept;
 use super::swept::Swept;
 use super::{listed, meet, push, rests, within, Contact, Detected};
 use crate::error::Result;
+use crate::interrupt::{Meter, TEST};
 use crate::model::{DynamicPairs, Model, Pair};
 use crate::place::Placed;
 use crate::pool::{inside, lock, Pool, WORTH_SHARING};
@@ -61,7 +62,9 @@ impl<R: Real> Near<'_, R> {
     /// Gives the contacts of some pairs to `take`.
     fn meet(&self, pairs: &[Pair], mut take: impl FnMut(Contact<R>)) {
         let Self { model, placed, kept, swept } = *self;
+        let mut meter = Meter::default();
         for pair in pairs.iter().filter(|pair| kept.overlap(pair)) {
+            meter.count(TEST);
             let more = swept.map(|swept| swept.of(model, pair));
             if near(model, &placed.geom, pair, more).none() {
                 continue;

@@ -7,6 +7,7 @@
 //! Every dof's row is its whole chain of these parents, so that the factors of a tree serve as they
 //! are. Where nothing couples branches, parents are those of the tree.
 
+use crate::interrupt::checkpoint;
 use crate::real::Constant;
 use std::collections::{BTreeSet, HashMap};
 
@@ -23,6 +24,7 @@ struct Lists {
 impl Lists {
     fn closed(&mut self, model: &mut Model, span: Span) -> Span {
         let own = span.of(&model.dof_lists);
+        checkpoint();
         let all: BTreeSet<usize> = own.iter().flat_map(|k| &self.chains[*k]).copied().collect();
         if all.len() == own.len() {
             return span;
@@ -60,6 +62,7 @@ pub(super) fn close(model: &mut Model) {
     }
     let mut parents = vec![None; model.nv];
     for k in (0..model.nv).rev() {
+        checkpoint();
         let mut rest = std::mem::take(&mut touched[k]);
         parents[k] = rest.pop_last();
         if let Some(parent) = parents[k] {

@@ -5,6 +5,7 @@
 use super::{tendons, Body, Dof, Model, Tendon, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
+use crate::interrupt::Meter;
 use crate::place::Placed;
 use crate::scene::{JointType, Scene};
 
@@ -24,13 +25,14 @@ struct Factors<'a> {
     model: &'a Model,
     placed: Placed<f64>,
     row: Vec<f64>,
+    meter: Meter,
 }
 
 impl<'a> Factors<'a> {
     fn new(model: &'a Model) -> Result<Self> {
         let mut placed = Placed::<f64>::new(model);
         placed.masses(model, &model.qpos0);
-        let factors = Self { model, placed, row: vec![0.0; model.nv] };
+        let factors = Self { model, placed, row: vec![0.0; model.nv], meter: Meter::default() };
         factors.check()?;
         Ok(factors)
     }
@@ -60,6 +62,7 @@ impl<'a> Factors<'a> {
 
     /// j M⁻¹ jᵀ of a row on these dofs, each with all that move it.
     fn weight(&mut self, dofs: &[usize], entry: impl Fn(usize, usize) -> f64) -> f64 {
+        self.meter.count(dofs.len() * dofs.len());
         dofs.iter().enumerate().for_each(|(at, k)| self.row[*k] = entry(at, *k));
         self.placed.metric.lift(dofs, &mut self.row);
         let inv_d = &self.placed.metric.inv_d;

@@ -6,6 +6,7 @@ use super::tree::Unions;
 use super::{Material, Model, Pair, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
+use crate::interrupt::{Meter, ROW};
 use crate::real::Constant;
 use crate::scene::{ExplicitPair, GeomType, Scene};
 use crate::shapes::ShapeTest;
@@ -120,8 +121,10 @@ pub fn list(
     let mut explicit = explicit(scene, model).into_iter().peekable();
     let mut list = List { scene, model, poses, unions };
     let full: Vec<usize> = (0..geoms.len()).filter(|b| !geoms[*b].is_empty()).collect();
+    let mut meter = Meter::default();
     for (k, &body1) in full.iter().enumerate() {
         for &body2 in &full[k + 1..] {
+            meter.count(geoms[body1].len() * geoms[body2].len() + ROW);
             while let Some((_, index)) = explicit.next_if(|(bodies, _)| *bodies <= [body1, body2]) {
                 list.add_explicit(index)?;
             }

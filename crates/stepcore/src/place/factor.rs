@@ -7,6 +7,7 @@
 use super::Placed;
 use std::ops::Range;
 
+use crate::interrupt::Meter;
 use crate::model::{Model, Span, Tree};
 use crate::real::array::from_fn;
 use crate::real::Real;
@@ -154,8 +155,9 @@ impl<R: Real> Metric<R> {
     /// Factors the rows `dofs` of a matrix that was copied into `l`: dofs of one chain together, so that
     /// a row above them is read and written once for all of them.
     pub fn factor(&mut self, dofs: Range<usize>) {
-        let mut end = dofs.end;
+        let (mut end, mut meter) = (dofs.end, Meter::default());
         while end > dofs.start {
+            meter.count(self.rows[end - 1].len);
             end -= match self.chained[end - 1] {
                 1 => self.factor_next::<1>(end),
                 2 => self.factor_next::<2>(end),

@@ -19,6 +19,7 @@ use super::separation::{Cause, Separation};
 use super::solid::{self, plain, Core, Solid};
 use super::touch::Touches;
 use super::Shape;
+use crate::interrupt::checkpoint;
 use crate::real::{Mask, Real};
 use crate::scene::GeomType;
 use crate::spatial::{Pose, V3};
@@ -27,6 +28,8 @@ use crate::spatial::{Pose, V3};
 pub const MOST: usize = 16;
 /// Slopes from a corner of a prism's top to a triangle's up to which that goes on in its plane.
 const SAME_PLANE: f64 = 1e-3;
+/// Cells between two questions whether to end.
+const CELLS: usize = 1024;
 /// Over the pair's size: what is in one place, and what lies as far along a direction.
 const SAME: f64 = 1e-9;
 
@@ -249,6 +252,10 @@ impl Stretch {
         self.0.into_iter().flat_map(move |[rows, columns]| {
             (rows.0..=rows.1).flat_map(move |row| {
                 (columns.0..=columns.1).flat_map(move |col| {
+                    // One field can have as many cells in a row as in all.
+                    if (row * near.field.ncol + col) % CELLS == 0 {
+                        checkpoint();
+                    }
                     [false, true].into_iter().filter_map(move |upper| near.prism(row, col, upper))
                 })
             })

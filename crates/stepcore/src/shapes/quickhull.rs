@@ -6,6 +6,7 @@
 //! decision is exact: the hull is a closed convex surface whatever the input.
 
 use super::grid::{Plane, Point, NOISE};
+use crate::interrupt::{Meter, ROW};
 use std::collections::BinaryHeap;
 
 /// A closed surface of triangles: corners counter-clockwise from outside, and the triangle beyond
@@ -155,7 +156,9 @@ impl Growing<'_> {
 
     /// Gives each of these points to the first triangle from `from` on that it is outside of.
     fn share(&mut self, points: &[usize], from: usize) {
+        let mut meter = Meter::default();
         for &point in points {
+            meter.count(self.triangles.len() - from);
             let place = &self.points[point];
             let holder = self.triangles[from..].iter_mut().find(|t| t.plane.beyond_noise(place));
             if let Some(triangle) = holder {
@@ -218,8 +221,9 @@ impl Growing<'_> {
         self.horizon.clear();
         self.seen.push(triangle);
         self.triangles[triangle].alive = false;
-        let mut at = 0;
+        let (mut at, mut meter) = (0, Meter::default());
         while at < self.seen.len() {
+            meter.count(ROW);
             let here = self.seen[at];
             for edge in 0..3 {
                 let beyond = self.triangles[here].across[edge];

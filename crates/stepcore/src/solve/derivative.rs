@@ -112,6 +112,10 @@ impl Solve<Dual> for Differentiated {
         self.carried.solve(settings, free, rows)
     }
 
+    fn renew(&mut self) {
+        *self = Self::new();
+    }
+
     fn take_degenerate(&mut self) -> Vec<Element> {
         std::mem::take(&mut self.degenerate)
     }

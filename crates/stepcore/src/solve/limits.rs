@@ -53,8 +53,6 @@ pub struct Report<R: Real> {
     pub decrement: R,
     /// Lanes in which some island used up its sweeps or iterations.
     pub open: R::Mask,
-    /// It ended because somebody wanted it to, and nothing that it found counts.
-    pub interrupted: bool,
 }
 
 impl<R: Real> Report<R> {
@@ -64,7 +62,6 @@ impl<R: Real> Report<R> {
             updates: Count::ZERO,
             decrement: R::zero(),
             open: R::Mask::of(false),
-            interrupted: false,
         }
     }
 
@@ -74,14 +71,13 @@ impl<R: Real> Report<R> {
         self.updates.add_each(R::Mask::of(true), &other.updates);
         self.decrement = self.decrement.max(other.decrement);
         self.open = self.open.or(other.open);
-        self.interrupted |= other.interrupted;
     }
 }
 
 impl Report<f64> {
     /// The same in numbers that carry slopes.
     pub fn in_numbers<R: Real<Mask = bool>>(self) -> Report<R> {
-        let Self { sweeps, updates, decrement, open, interrupted } = self;
-        Report { sweeps, updates, decrement: R::of(decrement), open, interrupted }
+        let Self { sweeps, updates, decrement, open } = self;
+        Report { sweeps, updates, decrement: R::of(decrement), open }
     }
 }

@@ -17,7 +17,7 @@ use super::limits::{Limits, Report};
 use super::momentum::Momentum;
 use super::rows::{Rows, Set};
 use super::solver::Unconstrained;
-use crate::interrupt::ends_after;
+use crate::interrupt::{Meter, ROW};
 use crate::real::{Count, Mask, Real};
 pub(crate) use noslip::Noslip;
 use sweep::Sweeps;
@@ -118,7 +118,7 @@ impl<R: Real> Pgs<R> {
             let judged = R::zero().lt(tolerance);
             let (count, mut done) = (row_count(rows, blocks), Count::ZERO);
             let plain = momentum.is_none();
-            let mut interrupted = false;
+            let (mut meter, work) = (Meter::default(), ROW * blocks.len());
             for sweep in 0..limits.sweeps {
                 if todo.none() {
                     break;
@@ -148,17 +148,11 @@ impl<R: Real> Pgs<R> {
                     let residual = rows.residual_of(dof_lists, blocks);
                     todo = todo.and(close.and(residual.le(tolerance)).not());
                 }
-                if ends_after(sweep) {
-                    (interrupted, todo) = (true, R::Mask::of(false));
-                }
+                meter.count(work);
                 // Whatever sweep is the last one ends within the sets.
                 if todo.any() && sweep + 1 < limits.sweeps {
                     sweeps.go_on();
                 }
-            }
-            if interrupted {
-                report.interrupted = true;
-                return report;
             }
             if plain {
                 sweeps.store(rows, blocks);

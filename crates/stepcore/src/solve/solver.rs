@@ -33,6 +33,9 @@ pub(crate) trait Solve<R: Real>: Room + Send + Sync {
         rows: &mut Rows<R>,
     ) -> Result<Report<R>>;
 
+    /// Makes its memory anew, which an interrupted solve has left half made.
+    fn renew(&mut self);
+
     /// Elements at which the slopes were those of one side since this was last asked; ascending.
     fn take_degenerate(&mut self) -> Vec<Element> {
         Vec::new()
@@ -61,6 +64,10 @@ impl<R: Real> Default for Solvers<R> {
 }
 
 impl<R: Real> Solve<R> for Solvers<R> {
+    fn renew(&mut self) {
+        *self = Self::new();
+    }
+
     fn solve(
         &mut self,
         settings: &Settings,
@@ -88,7 +95,7 @@ impl<R: Real> Solvers<R> {
         rows: &mut Rows<R>,
     ) -> Report<R> {
         let mut report = self.pgs.solve(free, rows, limits);
-        if report.open.none() || report.interrupted {
+        if report.open.none() {
             return report;
         }
         let Self { pgs, newton, proximal } = self;

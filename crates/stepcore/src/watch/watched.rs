@@ -90,12 +90,12 @@ impl<R: Real> Watched<R> {
     /// Advances by `n` steps, or to the last finite state before an error.
     pub fn step(&mut self, n: u64) -> Result<()> {
         let Self { sim, past, ledger, others, .. } = self;
-        let outcome = match ledger {
+        let outcome = sim.whole(|sim| match ledger {
             None => sim.step_watched(n, past),
             Some(ledger) => ledger.step(sim, n, past, |ledger, sim, past, lane, gained| {
                 suspect(*others, ledger, sim, past, lane, gained)
             }),
-        };
+        });
         outcome.map_err(|error| self.failed(error))
     }
 
@@ -110,23 +110,29 @@ impl<R: Real> Watched<R> {
     /// Takes one step and writes down what each element did in it, in one lane.
     pub fn taped_step(&mut self, lane: usize) -> Result<StepGains> {
         let Self { sim, past, ledger, others, .. } = self;
-        let outcome = taped(sim, lane, |sim, tape| {
-            let mut watchers: (&mut Past<R>, &mut Tape) = (past, tape);
-            match ledger {
-                None => sim.step_watched(1, &mut watchers),
-                Some(ledger) => {
-                    ledger.step(sim, 1, &mut watchers, |ledger, sim, (past, _), lane, gained| {
-                        suspect(*others, ledger, sim, past, lane, gained)
-                    })
+        let taped = |sim: &mut Sim<R>| {
+            taped(sim, lane, |sim, tape| {
+                let mut watchers: (&mut Past<R>, &mut Tape) = (past, tape);
+                match ledger {
+                    None => sim.step_watched(1, &mut watchers),
+                    Some(ledger) => ledger.step(
+                        sim,
+                        1,
+                        &mut watchers,
+                        |ledger, sim, (past, _), lane, gained| {
+                            suspect(*others, ledger, sim, past, lane, gained)
+                        },
+                    ),
                 }
-            }
-        });
+            })
+        };
+        let outcome = sim.whole(taped);
         outcome.map_err(|error| self.failed(error))
     }
 
     /// Place, detect and solve at the present state. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
-        let outcome = self.sim.forward().map_err(|error| self.explained(error));
+        let outcome = self.sim.whole(Sim::forward).map_err(|error| self.explained(error));
         if outcome.is_err() {
             self.sim.clear_solve();
         }
@@ -135,7 +141,7 @@ impl<R: Real> Watched<R> {
 
     /// See `Sim::go_to_last_stage`.
     pub fn go_to_last_stage(&mut self) -> Result<()> {
-        self.sim.go_to_last_stage().map_err(|error| self.explained(error))
+        self.sim.whole(Sim::go_to_last_stage).map_err(|error| self.explained(error))
     }
 
     /// At the end of a call of `n` steps, in however many portions these were made: balances
@@ -144,8 +150,10 @@ impl<R: Real> Watched<R> {
     pub fn balance_at_end(&mut self, n: u64) -> Result<()> {
         let Self { sim, past, ledger, others, .. } = self;
         let Some(ledger) = ledger else { return Ok(()) };
-        let outcome = ledger.balance_at_end(sim, n, |ledger, sim, lane, gained| {
-            suspect(*others, ledger, sim, past, lane, gained)
+        let outcome = sim.whole(|sim| {
+            ledger.balance_at_end(sim, n, |ledger, sim, lane, gained| {
+                suspect(*others, ledger, sim, past, lane, gained)
+            })
         });
         outcome.map_err(|error| self.failed(error))
     }
@@ -168,8 +176,8 @@ impl<R: Real> Watched<R> {
     /// A step failed.
     fn failed(&mut self, error: Error) -> Error {
         if error == Error::Interrupted {
-            // What was solved last is no solution.
-            self.sim.clear_solve();
+            // Where the account of energies was interrupted is not known.
+            self.forget();
             return error;
         }
         self.failed = true;
@@ -178,7 +186,7 @@ impl<R: Real> Watched<R> {
         let error = self.explained(error);
         // What was solved last led nowhere: what can be read is that of the last finite state.
         let effort = self.sim.effort;
-        if self.sim.forward().is_err() {
+        if self.sim.whole(Sim::forward).is_err() {
             self.sim.clear_solve();
         }
         self.sim.effort = effort;

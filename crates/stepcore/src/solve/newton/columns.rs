@@ -14,6 +14,7 @@
 use super::bundles::Bundles;
 use super::free_blocks::{add_outer, add_upper, ActiveRows, Scaled, FREE};
 use super::nodes::{Member, NodePair, Nodes};
+use crate::interrupt::Meter;
 use crate::real::{Mask, Real};
 
 pub(super) struct Columns<R> {
@@ -76,6 +77,7 @@ impl<R: Real> Columns<R> {
     /// Factors D + Σ y s″ yᵀ.
     pub fn factor(&mut self, nodes: &Nodes, d: &[R], curved: Curved<R>) {
         self.mark(nodes, &curved);
+        let mut meter = Meter::default();
         for j in 0..nodes.count() {
             if !self.stale[j] {
                 continue;
@@ -86,9 +88,13 @@ impl<R: Real> Columns<R> {
             }
             self.open(nodes, j, d);
             for pair in &nodes.pairs[nodes.meets[j]..nodes.meets[j + 1]] {
+                meter.count(FREE * FREE);
                 self.add(nodes, *pair, &curved);
             }
             for (k, at) in &nodes.left[nodes.left_start[j]..nodes.left_start[j + 1]] {
+                meter.count(
+                    FREE * (nodes.offsets[nodes.order.start[*k + 1] - 1] - nodes.offsets[*at]),
+                );
                 self.update(nodes, j, *k, *at);
             }
             self.close(nodes, j);

@@ -5,7 +5,7 @@ use super::columns::Curved;
 use super::pattern::Pattern;
 use super::penalty::{interval, Line};
 use super::system::System;
-use crate::interrupt::ends_after_iteration;
+use crate::interrupt::checkpoint;
 use crate::real::{Count, Mask, Real};
 use crate::solve::limits::{Limits, Report};
 
@@ -25,6 +25,8 @@ const STAGNANT: f64 = 1e-4;
 /// The line search ends when the slope has fallen by this factor (a fifth fewer evaluations than at
 /// 1e-4, and as many steps, on five robots in contact).
 const FLAT: f64 = 1e-2;
+/// Iterations between two questions whether to end.
+const ITERATIONS: u32 = 8;
 /// Limit of the line search's evaluations.
 const TRIALS: usize = 60;
 
@@ -110,9 +112,8 @@ impl<R: Real> System<R> {
             self.floor = R::select(todo, floor, self.floor);
             last = R::select(todo.and(guessed.not()), fall, last);
             todo = todo.and(end.not());
-            if ends_after_iteration(iteration) {
-                report.interrupted = true;
-                break;
+            if iteration % ITERATIONS == ITERATIONS - 1 {
+                checkpoint();
             }
         }
         // An unfinished lane has nothing to refine.

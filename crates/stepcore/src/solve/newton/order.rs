@@ -7,6 +7,7 @@
 //! graph alone.
 
 use crate::bits::ones;
+use crate::interrupt::Meter;
 
 /// A graph's order of elimination, and what each node still touches when its turn comes.
 #[derive(Default)]
@@ -59,7 +60,9 @@ impl Order {
         self.sequence.clear();
         self.start.clear();
         self.rows.clear();
+        let mut meter = Meter::default();
         for _ in 0..count {
+            meter.count(count);
             let least = self.degree.iter().enumerate().min_by_key(|(_, degree)| **degree);
             let Some((k, _)) = least else { return };
             self.degree[k] = GONE;
@@ -69,6 +72,7 @@ impl Order {
             self.pivot.extend_from_slice(&self.bits[k * words..(k + 1) * words]);
             for i in ones(&self.pivot) {
                 self.rows.push(i);
+                meter.count(words);
                 let row = &mut self.bits[i * words..(i + 1) * words];
                 for (word, pivot) in row.iter_mut().zip(&self.pivot) {
                     *word |= pivot;

@@ -13,8 +13,7 @@ use super::super::solver::Unconstrained;
 use super::cones::{Cones, Narrow, Tie, Wide};
 use super::point::{gain, gain_in_cone};
 use crate::elements::Role;
-use crate::error::{Error, Result};
-use crate::interrupt::ends_after;
+use crate::interrupt::{Meter, ROW};
 use crate::real::{Mask, Real};
 
 /// What friction rows hold beside others.
@@ -54,22 +53,15 @@ impl<R: Real> Noslip<R> {
     ///
     /// An island stops after a sweep that gains less than `cost` times `Rows::inertia`; what the
     /// regulariser was in what is minimised counts to the first, as in MuJoCo.
-    pub fn solve(
-        &mut self,
-        free: Unconstrained<R>,
-        rows: &mut Rows<R>,
-        sweeps: u32,
-        cost: f64,
-    ) -> Result<()> {
+    pub fn solve(&mut self, free: Unconstrained<R>, rows: &mut Rows<R>, sweeps: u32, cost: f64) {
         rows.main.clear();
         rows.main.extend(rows.rows.iter().map(|row| row.impulse));
         self.prepare(free, rows);
         let Self { list, cones, wide, todo, gain } = self;
         let Rows { rows, blocks, y, u, inertia, .. } = rows;
-        for sweep in 0..sweeps {
-            if ends_after(sweep) {
-                return Err(Error::Interrupted);
-            }
+        let (mut meter, work) = (Meter::default(), ROW * list.len().max(1));
+        for _ in 0..sweeps {
+            meter.count(work);
             for (at, friction) in list.iter() {
                 let block = &blocks[*at];
                 let mask = block.mask.and(todo[block.island]);
@@ -97,7 +89,6 @@ impl<R: Real> Noslip<R> {
                 }
             }
         }
-        Ok(())
     }
 
     fn prepare(&mut self, free: Unconstrained<R>, rows: &Rows<R>) {
