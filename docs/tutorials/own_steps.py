@@ -34,7 +34,7 @@ scene = sc.loads(BALL)
 # %%
 sim = sc.Sim(scene, dt=0.02, accuracy="0.1mm", error_bar=True)
 run = sim.run(1.0, record=("qpos",))
-print(f"asked for 0.1 mm, at most {1e3 * run.error.max():.3f} mm off")
+print(f"requested 0.1 mm, at most {1e3 * run.error.max():.3f} mm off")
 
 # %%
 fig, (above, below) = plt.subplots(2, 1, sharex=True, figsize=(7, 4))

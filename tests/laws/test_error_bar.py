@@ -171,7 +171,7 @@ def test_what_cannot_be_judged_is_refused():
 def test_a_run_says_what_was_asked_and_delivered(tmp_path, capsys):
     model = sc.loads(BALL).compile().with_settings(dt=0.02, accuracy="1mm")
     result = sc.run(model, horizon=0.5, record=("energy", "xpos"))
-    assert "asked for 1 mm" in result.judged
+    assert "requested: 1 mm" in result.judged
     assert result.judged in " ".join(str(result).split())
     # The accuracy is that of the end: twice as much a second.
     assert result.sim.settings.accuracy == 2e-3

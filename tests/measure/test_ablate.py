@@ -289,7 +289,7 @@ def test_a_scene_without_motion_is_refused(tmp_path: Path, capsys) -> None:
 def test_the_smallest_model_is_proven_on_untouched_starts() -> None:
     result = known()
     assert (result.proof.starts, result.proof.missed) == (32, 0)
-    assert any("None of 32 untouched starts missed it" in said for said in result.sentences)
+    assert any("None of 32 held-out starts missed it" in said for said in result.sentences)
     assert result.to_dict()["smallest"]["proof"]["starts"] == 32
 
 

@@ -151,7 +151,7 @@ def test_growth_at_every_step_is_physical_and_named():
     # x = e^(20 t)/20, a run ends at 1e4 sizes and 1e4 m/s² · t²/2: between 1e3 and 1e5 m.
     assert math.log(2e4) / 20 < d.runaway.times[1] < math.log(2e6) / 20
     assert d.sentences[0].startswith("The motion itself blows up after ")
-    assert "No dt cures that." in d.sentences[0]
+    assert "No dt prevents that." in d.sentences[0]
     assert any("two fine steps agree" in note for note in d.notes)
 
 

@@ -280,7 +280,7 @@ def test_a_recommendation_keeps_to_the_error_and_says_what_less_would_cost(ball)
     answer, proof, refused, half, *_ = ball.sentences
     assert answer.startswith("Recommended for an error of at most 100 µm: ")
     # 0 of 8: a share p of misses passes with (1 - p)^8, which is 5 % at 31.2 %.
-    assert proof.startswith("None of 8 untouched starts missed it (")
+    assert proof.startswith("None of 8 held-out starts missed it (")
     assert proof.endswith("with 95 % confidence at most 32 % of starts do.")
     assert refused.startswith("Cheaper settings that exceed 100 µm: ")
     assert half.startswith("Half that error or less comes at ")
@@ -352,7 +352,9 @@ def test_a_proof_of_starts_of_which_none_is_known_proves_nothing(ball):
     trial = replace(ball.proof.trial, unsure=np.full(8, 1.0))
     proof = Proof.of(trial, ball.proof.error)
     assert (proof.missed, proof.unclear, proof.share) == (0, 8, 1.0)
-    assert proof.words.startswith("It is not proven: the converged motion from 8 untouched starts")
+    assert proof.words.startswith(
+        "It is not validated: the converged motion from 8 held-out starts"
+    )
 
 
 def test_untouched_starts_from_which_nothing_is_told_end_the_test(ball, monkeypatch):
@@ -456,7 +458,7 @@ def test_a_budget_buys_the_least_error_it_can():
 def test_what_cannot_be_verified_is_said():
     result = sc.trade(lesson.drop(), error=1e-12, starts=2, further=2, effort=1e5, **COUNTED)
     assert result.recommended is None
-    known = "1 pm cannot be verified: the converged motion is known to "
+    known = "1 pm cannot be verified: the uncertainty of the converged motion is "
     assert result.sentences[0].startswith(known) and result.reference.error > 1e-12
     # It says what can be verified instead, and the settings for that.
     assert result.verified >= result.reference.error
@@ -490,7 +492,7 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     worse.take(finer)
     assert worse.chosen.starts == (0,) and ball.shipped.error > 1e-4
     lost.unsure, lost.proof, lost.chosen = np.inf, None, ball.chosen.part((0,))
-    assert "untouched starts, and may miss the error from others." in " ".join(lost._answer())
+    assert "held-out starts, and may miss the error from others." in " ".join(lost._answer())
     said = "100 µm cannot be verified: from some start no run converges."
     assert next(lost._answer()).startswith(said) and compact(np.inf) == "inf"
 
@@ -499,8 +501,12 @@ def test_what_finer_runs_of_the_search_have_shown_to_be_unknown_is_said(ball):
     """A robot that falls: known to 309 µm when the search began, and to 1.3 mm at its end."""
     found, surer = copy.copy(ball), copy.copy(ball)
     found.reference, surer.unsure = replace(ball.reference, unsure=np.full(8, 1.3e-3)), 2e-4
-    assert "cannot be verified: the converged motion is known to 1.3 mm" in next(found._answer())
-    assert "cannot be verified: the converged motion was known to 200 µm" in next(surer._answer())
+    assert "cannot be verified: the uncertainty of the converged motion is 1.3 mm" in next(
+        found._answer()
+    )
+    assert "cannot be verified: the uncertainty of the converged motion was 200 µm" in next(
+        surer._answer()
+    )
     # From other starts enough is known for the choice.
     found.reference = replace(ball.reference, unsure=np.array([1e-6] * 7 + [1.3e-3]))
     assert "100 µm cannot be verified from 1 of 8 starts: the con" in next(found._answer())

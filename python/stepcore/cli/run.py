@@ -77,7 +77,7 @@ Example:
 OPTIONS_OF_RUN: dict[str, dict[str, Any]] = {
     "accuracy": {
         "metavar": "LENGTH",
-        "help": "the error asked for at the end of the run, such as 1mm: each time step is made of "
+        "help": "the requested error at the end of the run, such as 1mm: each time step is made of "
         "as many shorter ones as this takes (default: steps of --dt)",
     },
     "error_bar": {"action": argparse.BooleanOptionalAction},

@@ -164,17 +164,17 @@ class Proof:
     @property
     def words(self) -> str:
         """The proof as a sentence."""
-        starts = counted(self.starts, "untouched start")
+        starts = counted(self.starts, "held-out start")
         if self.unclear == self.starts:
-            return f"It is not proven: the converged motion from {starts} is not known well enough."
+            return f"It is not validated: the converged motion from {starts} is too uncertain."
         number = "None" if not self.missed else f"{self.missed}"
         share = math.ceil(100 * self.share)
         worst = "fails" if self.trial.failure else f"has {metres(self.trial.error)}"
         over = f"; the worst one {worst}" if self.missed else f" ({worst[4:]} in the worst)"
         if self.unclear:
             over = (
-                f", and {self.unclear} cannot be told, because the converged motion is not known "
-                "well enough there"
+                f", and {self.unclear} cannot be judged, because the converged motion is too "
+                "uncertain there"
             )
         return (
             f"{number} of {starts} missed it{over}: with "

@@ -183,7 +183,7 @@ class Bar:
         if self.error > 0:
             body = sim.model.element_name("body", self.body)
             said += f" and at most {metres(self.error)} ({body} at {seconds(self.time)})"
-        against = "" if asked is None else f"; asked for {metres(asked)}"
+        against = "" if asked is None else f"; requested: {metres(asked)}"
         return f"{said}, from a finer run{against}."
 
 

@@ -361,7 +361,7 @@ def ablate(
         choice.choose()
         choice.settle(further)
         complete = True
-    with time.stage(f"the test on {further} untouched starts"):
+    with time.stage(f"the test on {further} held-out starts"):
         if further and choice.removed:
             proof = Proof.of(choice.trial(choice.removed, study.fresh(further)), tolerance)
     times, twin = dict[Change, float](), Change(dt=study.engine.dt)

@@ -293,7 +293,7 @@ def check(
     if failure:
         # The step is judged on the very motion that failed.
         judged, horizon = holds, schedule.horizon
-    with deadline.stage("runs of the cures that the scene alone suggests", HALF):
+    with deadline.stage("runs of the fixes that the scene alone suggests", HALF):
         read = verified(read, compiled)
     diagnosis, notes = _diagnosis(setup, dataclasses.replace(judged, horizon=horizon))
     merged = list(_merged(read, seen))

@@ -370,7 +370,7 @@ class Diagnosis(Result):
         if runaway.alike:
             return (
                 f"The motion itself blows up after {after}, at a step of {fine} as at {coarse}. No "
-                "dt cures that."
+                "dt prevents that."
             )
         how = f": after {before} at {coarse}, after {after} at {fine}. These do not agree"
         if min(runaway.dts) < self.own.shortest:

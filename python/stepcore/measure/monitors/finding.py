@@ -329,7 +329,7 @@ class _Trials:
         nudge: the change of gravity.
         """
         found = None
-        with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
+        with (deadline.current() or deadline.Deadline()).stage("runs of all fixes"):
             try:
                 changed = change.of(self.model)
                 if nudge:
@@ -344,7 +344,7 @@ class _Trials:
         """Return why a cure that holds may not hold elsewhere; "" if nothing shows that."""
         if remedy.again is not None or not self.model.npair:
             return ""
-        with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
+        with (deadline.current() or deadline.Deadline()).stage("runs of all fixes"):
             if seen.unsolved:
                 return ", but its rows are not solved, so that it may fail with another solver"
         cost = self._cost(cure.change, 1.0)
@@ -375,7 +375,7 @@ def _commands(change: Change) -> tuple[Next, ...]:
         for name, value in change.settings
     )
     sets = tuple(word for value in values for word in ("--set", value))
-    return (Next("run", "the same with this cure", sets),)
+    return (Next("run", "the same with this fix", sets),)
 
 
 def assigned(

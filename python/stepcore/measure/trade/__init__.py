@@ -162,12 +162,12 @@ def trade(
 
 
 def _proven_and_timed(result: Trade, search: Search, further: int) -> None:
-    """Test the choice on untouched starts, measure times, and look for findings."""
+    """Test the choice on held-out starts, measure times, and look for findings."""
     study, deadline = search.study, search.study.workers.deadline
     if further and result.chosen is not None:
-        test = f"{counted(further, 'untouched start')}"
+        test = f"{counted(further, 'held-out start')}"
         deadline.so_far(f"{search.so_far(result.chosen)}; {test} are to prove it")
-        with deadline.stage(f"the test on {further} untouched starts", PROVEN):
+        with deadline.stage(f"the test on {further} held-out starts", PROVEN):
             result.proof = proven(study, result.chosen.change, result.asked, further)
     result.runs = study.runs
     result.score(search)

@@ -363,7 +363,8 @@ class Trade(Result):
                 # The choice holds where the motion is known: from starts that joined it may not be.
                 well = f" from {lost.sum()} of {counted(len(lost), 'start')}"
             verb = "was" if unsure > self.reference.error else "is"
-            known = f"the converged motion {verb} known to {metres(unsure)} in the worst start"
+            known = f"the uncertainty of the converged motion {verb} {metres(unsure)}"
+            known += " in the worst start"
             if not math.isfinite(unsure):
                 known = "from some start no run converges"
             yield f"{metres(target)} cannot be verified{well}: {known}. {self._surer()}"
@@ -386,7 +387,7 @@ class Trade(Result):
                 yield self.proof.words
             elif target is not None:
                 also = ", and may miss the error from others" * (len(row.starts) < self.starts)
-                yield f"It was not tried on untouched starts{also}."
+                yield f"It was not tried on held-out starts{also}."
             if self.refused:
                 yield self._refusals()
             for finding in self.chatter:
@@ -506,11 +507,15 @@ class Trade(Result):
         ours, theirs = self.reference.error, other.reference.error
         if self.parted <= ours + theirs:
             known = metres(max(ours, theirs))
-            yield f"MuJoCo computes the same physics: both converge to one motion, sure to {known}."
+            yield (
+                "MuJoCo computes the same physics: both converge to one motion, with an uncertainty "
+                f"of {known}."
+            )
         else:
             yield (
                 f"MuJoCo does NOT compute the same physics: the converged motions are "
-                f"{metres(self.parted)} apart, and known to {metres(ours)} and {metres(theirs)}."
+                f"{metres(self.parted)} apart, with uncertainties of {metres(ours)} and "
+                f"{metres(theirs)}."
             )
         said = f"As shipped MuJoCo's error is {other._wrong(other.shipped)}"
         yield f"{said}{self._there(other.shipped)}{self._times(SHIPPED)}."

@@ -220,7 +220,7 @@ class Search:
         known = metres(self.truth.error)
         said = f"error as shipped {metres(shipped.error)}, ± {known}"
         if not math.isfinite(shipped.error):
-            said = f"the shipped settings fail; errors are known to {known}"
+            said = f"the shipped settings fail; the uncertainty of errors is {known}"
         if best is None:
             return said
         cost = f"{times(best.cost / shipped.cost)} the shipped cost"
