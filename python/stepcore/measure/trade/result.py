@@ -508,8 +508,8 @@ class Trade(Result):
         if self.parted <= ours + theirs:
             known = metres(max(ours, theirs))
             yield (
-                "MuJoCo computes the same physics: both converge to one motion, with an uncertainty "
-                f"of {known}."
+                "MuJoCo computes the same physics: both converge to one motion, with an "
+                f"uncertainty of {known}."
             )
         else:
             yield (
