@@ -265,9 +265,8 @@ MEASUREMENTS = {
     ),
     "converge": Measurement(
         "convergence",
-        "lesson:stack --plot residual.png",
-        {"states": "N", "engine": ENGINE},
-        full="print every row, all runs of equal work, the residual by sweeps",
+        "lesson:stack --plot convergence.png",
+        {"engine": ENGINE},
     ),
     "identify": Measurement(
         "identification",
