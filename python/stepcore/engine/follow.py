@@ -132,7 +132,7 @@ def follow(
 
 
 class _Run:
-    """The arguments of `follow`, checked, and its result as it grows."""
+    """The checked arguments of `follow`, and its partial result."""
 
     def __init__(
         self,

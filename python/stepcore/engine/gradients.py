@@ -441,7 +441,7 @@ def _grown(steps: Steps, world: int, growth: float, back: Adjoints) -> str:
 def _parted(
     steps: Steps, world: int, of: str, error: float, back: Adjoints, finer: Adjoints
 ) -> str:
-    """Return the warning of a gradient that changes in steps half as long, and where it starts to.
+    """Return the warning of a gradient that changes in steps half as long, and where that starts.
 
     of: the part that changes most.
     """
@@ -459,7 +459,7 @@ def _parted(
 
 
 def _at(steps: Steps, world: int, step: int, back: bool = False) -> str:
-    """Return a step in words, with the contact that pushes most near where it begins."""
+    """Return a step in words, with the contact of largest force near its start."""
     dt = steps.batch.settings.dt
     words = f"step {step} [{steps.time + step * dt:.4g} s]" + " on its way back" * back
     touches = _touching(steps, world)

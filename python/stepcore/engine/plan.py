@@ -234,7 +234,7 @@ OWN_STAGES = {
     "impulses": ("solve/impulses",),
     "integrator": ("commit",),
 }
-# The kind of `Removal`, or the feature of the scene, that removes an entry, by its name likewise.
+# The kind of `Removal`, or the feature of the scene, that removes an entry; same keys.
 REMOVALS = {
     "of which Coriolis": "velocity forces",
     "springs": "joint springs",
