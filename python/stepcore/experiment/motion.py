@@ -85,7 +85,7 @@ class Motion:
     control_dt: the control period [s], a multiple of every time step. With `control`, or rows
         without times, the default is the scene's time step, as in a loop that sets ctrl and steps.
         The period is part of the physics, so runs with different time steps have the same period.
-        Rows with times follow their own times by default; with control_dt, the row in effect at the
+        Rows with times take effect at these by default; with control_dt, the row in effect at the
         beginning of each period is held.
     interpolation: "held" (each row until the next) or "linear", for rows with times.
     kind: the controls without `ctrl` and `control`. None chooses them from the model; see

@@ -463,7 +463,7 @@ class Converging:
     def _measure_growth(self, starts: Sequence[int], rung: int) -> None:
         """Measure until when the motion from some starts can be predicted.
 
-        Where it ends, finer rungs must show the same end: a coarse motion may be unstable itself.
+        If it ends, finer rungs must show the same end: a coarse motion may be unstable itself.
         """
         study = self.study
 
