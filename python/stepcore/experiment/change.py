@@ -113,7 +113,7 @@ class Change:
 
     @property
     def physics(self) -> Change:
-        """The change of the model: all but the settings, of which it has only `MODELLING`."""
+        """The part that changes the model: without the settings that are not in `MODELLING`."""
         model = {name: value for name, value in self.settings if name in MODELLING}
         return Change(dict(self.values), self.without, self.servos, **model)
 

@@ -54,7 +54,7 @@ def least(
     so that a lucky coarse rung is not found.
 
     ladder: increasing numbers, such as steps in a period. error: of a rung; inf if it failed.
-    first: the number to start near. ratio: of a holding rung to a failing one, which is enough.
+    first: the number to start near. ratio: from a failing rung to a holding one that is accepted.
     cliff: for stability, where the error falls at once and has no order: the jumps are doublings.
 
     >>> least(range(1, 1000), lambda n: 1 / n**2, 1e-4, first=8)

@@ -16,7 +16,7 @@
 A motion is tested by running it under the shipped settings, from all starts at once. It is reduced
 until no force takes more than half of the range that holding the start leaves, no actuator is
 saturated for more than 5 % of the time, and no limit or contact is met that holding the start does
-not meet. The result reports starts that only hold their pose.
+not meet. The result reports moves that cannot be made.
 
 The other kinds are for comparison: "hold" holds the start, "random" draws new controls in every
 control period, and "fall" sets all controls to 0.

@@ -259,7 +259,7 @@ class Stepcore(Engine):
         model, once = schedule.on(self.of(change)), change.also(Change(accuracy=None, dt=self.dt))
         if model.settings.accuracy is not None:
             if once not in self._evaluations:
-                # Whole steps may fail where short ones do not.
+                # Steps of full length may fail where adaptive ones do not.
                 with contextlib.suppress(SimulationError):
                     self._counts[once] = self._counted(once, schedule)
             # An evaluation takes about as long at another accuracy.

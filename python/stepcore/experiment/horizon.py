@@ -104,7 +104,7 @@ def horizon_of(
 def settled_motion(
     engine: Engine, motion: Motion, starts: int, effort: float
 ) -> tuple[Motion, Horizon]:
-    """Return a motion with a horizon for which a converged motion can be computed, and why.
+    """Return a motion whose horizon leaves its converged motion affordable, and that horizon.
 
     starts: the number of starts of the study. effort: its largest number of operations.
     """

@@ -151,7 +151,7 @@ class Motion:
 
     @property
     def from_log(self) -> bool:
-        """Whether the motion starts where the user's log does, and not at a keyframe."""
+        """Whether the motion starts at the first row of the user's log, not at a keyframe."""
         return self.table is not None and (self.key is None or self.follow is not None)
 
     @property

@@ -43,7 +43,7 @@ SHIPPED = Change()
 
 
 class Study:
-    """Runs changes of one scene in one motion, scores them, and remembers what was run.
+    """Runs changes of one scene in one motion, scores them, and keeps the runs.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, its kind ("hold"), or its fields as arguments (``horizon=0.5``); by default

@@ -36,7 +36,7 @@ ROUNDING = 1e-11
 # A rung that moves more than this share of the last one's change does not converge; after three of
 # them a start is left as it is (two coarse rungs may agree by luck, if they damp a fast swing).
 STALLED, PATIENCE = 0.9, 3
-# The share of a measurement's time that the converged motion may take, beyond what an answer needs.
+# The share of a measurement's time that the converged motion may take, beyond an answer's needs.
 KNOWN = 0.5
 # The most rungs of a ladder, and the rungs after which a method that still fails is abandoned.
 RUNGS, HOPELESS = 20, 5
@@ -250,7 +250,7 @@ class Converging:
         return needs
 
     def _between(self, a: Tracks, b: Tracks, starts: Sequence[int]) -> np.ndarray:
-        """Return the distance of two motions over what can be predicted [m], (starts,)."""
+        """Return the distance of two motions over the predictable samples [m], (starts,)."""
         scored = None
         if all(s in self.grown for s in starts):
             scored = self._growth(starts).scored(self.study.schedule.times)
@@ -395,7 +395,7 @@ class Converging:
             raise self._fails(why)
         every = all(s in self.grown for s in study.starts)
         if every and max(g.factor.max() for g in self.grown.values()) < math.sqrt(GROWTH):
-            # If growth from the search's starts stays below that, no start near them ends.
+            # If growth stays below the root of its limit, no start near the search's ends.
             like = next(iter(self.grown.values()))
             self.grown |= dict.fromkeys(starts, like)
         else:

@@ -371,7 +371,7 @@ class RunPanel(Panel):
             rows.append((f"distance of {name}", apart))
         self.say(rows)
         self.slider.value = min(max(0.0, now - self.begin), self.end - self.begin)
-        # Curves end where the motion is.
+        # Curves end at the present time of the motion.
         end = at[0] + 1
         gaps = [(self.apart, [gap[:end] for gap in self.gaps])] if self.gaps else []
         self._draw_curves(self.runs[0].instants[:end], *gaps)
