@@ -229,8 +229,8 @@ def powered(model: Model) -> Model:
     """Add motors to a model without actuators, on the joints whose effort it bounds.
 
     A URDF lists no motors, but bounds their efforts. If it bounds no effort (many files have 0,
-    which is no bound), joints with a range get motors without bounds. If it bounds some, so do the
-    joints with a range whose limit is not filled in. Joints that follow another one get no motor.
+    which is no bound), joints with a range get motors without bounds. If it bounds some, only those
+    whose limit is not filled in get them. Joints that follow another joint get no motor.
     """
     if model.nu:
         return model

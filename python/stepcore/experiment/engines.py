@@ -171,7 +171,7 @@ class Engine(ABC):
     def families(self, schedule: Schedule) -> list[Change]:
         """Return the settings to try, all but the time step: integrators with solvers.
 
-        One solver is enough where no row acts.
+        One solver is enough if no row acts.
         """
 
     @abstractmethod

@@ -120,7 +120,7 @@ def _paid(sim: Sim, flops: float, cost: float) -> float:
 
 
 class _Pilot:
-    """The pilot run: first over the default horizon, and then, if it is not at rest, whole.
+    """The pilot run: first over the default horizon, and if it is not at rest, up to the bound.
 
     It is checked from the default horizon on, as if it had ended there.
     """

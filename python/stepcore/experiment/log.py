@@ -461,7 +461,7 @@ class Log:
                 )
 
     def _unwrap(self, model: Model, placed: Placed) -> None:
-        """Make angles go on where they jump by a turn, unless that leaves the joint's range."""
+        """Unwrap angles that jump by a turn, unless the result leaves the joint's range."""
         for joint, title, values in self._hinges(model, placed):
             known, turn = np.isfinite(values), 2 * np.pi
             jumps = np.abs(np.diff(values[known])) > 0.75 * turn
@@ -483,7 +483,7 @@ class Log:
                 yield joint, placed.titles["qpos", q], placed.arrays["qpos"][:, q]
 
     def _check_degrees(self, model: Model, placed: Placed) -> None:
-        """Refuse positions far beyond a range, or that change in another unit than velocities."""
+        """Refuse positions that are far beyond the range, or in another unit than velocities."""
         for joint, title, values in self._hinges(model, placed):
             v, told = int(model.jnt_dofadr[joint]), {plain(unit) for _, unit in spellings(title)}
             if (told - {""}) & UNITS.keys() or self._content.units.get(title):

@@ -35,7 +35,7 @@ TABLE = "a table"
 # Cells without a number, and the beginnings of lines that are comments.
 MISSING = ("", "nan", "null", "none", "na", "n/a", "-", "--")
 COMMENTS = ("#", "%", "//")
-# Units in SI units. Units of time are in seconds.
+# The factors of units to SI units; times are in seconds.
 TIMES = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 UNITS = TIMES | dict.fromkeys(("", "-", "1", "rad", "rad/s", "m", "m/s"), 1.0)
 UNITS |= dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180)
@@ -45,7 +45,7 @@ UNITS |= {"mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3, "cm/s": 1e-2, "mnm": 1e-3, "kn":
 UNITS |= {"rpm": math.pi / 30, "1/min": math.pi / 30}
 # The topic of arrays in logs of stepcore.
 OWN = "/recorded"
-# Lists of names, and of numbers by these, in the messages of ROS.
+# The lists of names, and the lists of numbers in their order, in the messages of ROS.
 NAMES, STATES = ("name", "names", "joint_names"), ("position", "velocity", "effort")
 
 

@@ -46,8 +46,8 @@ OMEGA, SAMPLED = 30.0, 0.7
 LEFT, FULL = 0.5, 0.05
 # The parts of a move that are tried, also in the opposite direction, before the start is held.
 FACTORS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 0.125, -0.125)
-# Speeds and forces of this time [s] belong to the start: it may jump to its servos' targets, or
-# out of an overlap. Contacts are examined as often.
+# Speeds and forces before this time [s] do not count: the start may jump to its servos' targets, or
+# out of an overlap. Contacts are examined at this interval.
 SHOCK = 0.1
 # The time between samples of a trial [s].
 SAMPLE = 0.008
@@ -57,7 +57,7 @@ TILT, SINKS = 0.35, 0.25
 
 
 def profile(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the share of the way s and its rate ds/dt [1/s]: there, a rest, back, a rest, ….
+    """Return the share s of the path and its rate ds/dt [1/s]: forward, a rest, back, a rest, ….
 
     times: since the beginning [s].
     """
@@ -255,7 +255,7 @@ class Moves:
         rates: np.ndarray,
         horizon: float = MOVE + REST,
     ) -> list[Seen]:
-        """Run moves of some starts under the model's settings, all at once; see `log`."""
+        """Run moves from some starts under the model's settings, all at once; see `log`."""
         model, dt = self.model, self.model.settings.dt
         every = max(1, round(SAMPLE / dt))
         steps = every * max(1, round(horizon / (every * dt)))

@@ -1,4 +1,4 @@
-"""`MuJoCo`: MuJoCo runs the changes of a Study, by `mujoco.rollout`. Its settings are the axes.
+"""`MuJoCo`: runs the changes of a Study by `mujoco.rollout`, with MuJoCo's settings.
 
 The package mujoco is imported here only, on use. Settings have stepcore's names (dt, integrator,
 solver, sweeps, …), and `Change.mjcf` writes them as `<option>`. All engines have the same truth,
@@ -190,7 +190,7 @@ class MuJoCo(Engine):
     """
 
     name = "mujoco"
-    # Its Newton stops at a cost: elliptic cones of metaworld's sawyer come to 1e-6 of the size.
+    # Newton stops at a cost: the elliptic cones of metaworld's sawyer reach 1e-6 of the size.
     nearby = 1e-6
 
     def __init__(self, source: Any) -> None:
@@ -232,7 +232,7 @@ class MuJoCo(Engine):
 
     @contextmanager
     def _world(self, change: Change) -> Iterator[_World]:
-        """Lend a world under a change to this thread."""
+        """Yield a world under a change, which only this thread uses meanwhile."""
         physics = change.physics
         with self._lock:
             own = [k for k, world in enumerate(self._free) if world.physics == physics]
