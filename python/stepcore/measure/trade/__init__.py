@@ -84,7 +84,7 @@ def trade(
         tried in addition to the combinations of the axes. A search chooses its tolerances itself.
     by: "time" to print measured computing times next to the counted work; with "flops" nothing is
         timed.
-    effort: the most floating-point operations of the runs. If it is spent, errors stay less certain.
+    effort: the most floating-point operations of the runs; a small effort leaves more uncertainty.
     engine: "stepcore", or "mujoco" to run MuJoCo, whose settings are then the axes. It also runs
         files that stepcore cannot load.
     mujoco: whether to trade with MuJoCo on the same motion too, and compare; see `Trade.beside`.
