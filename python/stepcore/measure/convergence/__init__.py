@@ -1,4 +1,4 @@
-"""`converge`: more sweeps, or smaller steps? And which rows are not solved."""
+"""`converge`: whether more sweeps or smaller steps help, and which rows are not solved."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ from stepcore.report.units import compact, counted, metres, seconds, speed
 
 __all__ = ["Convergence", "ResidualHistory", "RowForce", "Split", "converge"]
 
-# Equal work, split into steps × sweeps.
+# Equal work, as steps × sweeps.
 SPLITS = ((64, 1), (16, 4), (4, 16), (1, 64))
 # Time steps tried at the shipped sweeps, relative to the shipped one.
 FACTORS = (4, 2, 1, 1 / 2, 1 / 4, 1 / 8)
 # The default number of starts.
 STARTS = 3
-# Distances below this share of the scene's size do not make a motion under-solved: iterative
-# solvers stop at tolerances that leave as much. Errors that differ by less than the factor count as
-# equal. A body at rest moves less than the last share of the distance during the whole motion.
+# NOTABLE: distances below this share of the scene's size do not make a motion under-solved, as the
+# tolerances of iterative solvers allow such distances. ALIKE: a smaller ratio of errors counts as
+# equal. STILL: a body at rest moves less than this share of the distance in the whole motion.
 NOTABLE, ALIKE, STILL = 1e-5, 1.2, 0.1
 
 
@@ -67,10 +67,9 @@ class Ending:
 
     The end is the last sample that can be predicted.
 
-    start, body: the start and the body for which the distance is largest.
-    apart: that distance [m].
-    speed: the body's mean speed over the tenth of the motion as shipped before it [m/s].
-    solver: RMS distance over what can be predicted in the worst start [m].
+    start, body: the start and the body with the largest distance. apart: this distance [m].
+    speed: the body's mean speed as shipped, over the last tenth of the motion before the end [m/s].
+    solver: RMS distance over the predictable time in the worst start [m].
     """
 
     start: int
@@ -85,12 +84,12 @@ class Convergence(Result):
     """The convergence of a scene's rows, and whether sweeps or smaller steps gain more accuracy.
 
     shipped, solved: the trials of the scene's settings, and of these with converged forces.
-    dts: those of other time steps. splits: those of equal work. more: that of four times the
-        sweeps; None where the settings have no number of sweeps.
+    dts: trials of other time steps. splits: trials of equal work. more: the trial of four times the
+        sweeps; None if the settings have no number of sweeps.
     histories: the residual by sweeps at states of the motion. has_rows: whether any row acts.
     reference: the converged motion that all trials are compared with.
     size: the size of the scene [m].
-    ending: where the motion ends; None if a run fails.
+    ending: the end of the motion; None if a run fails.
     findings: problems of the settings in the first start, such as creep; see `Finding`.
 
     >>> from stepcore import converge, lesson
@@ -135,8 +134,8 @@ class Convergence(Result):
     def better(self) -> str:
         """The more accurate at equal work: "smaller steps", "more sweeps" or "neither".
 
-        Of the equal row updates and of four times the shipped work, those that reach the smaller
-        error decide.
+        Two comparisons are made, at equal row updates and at four times the shipped work. The one
+        that reaches the smaller error decides.
         """
         pairs = [self.at_equal_work]
         if self.more is not None and self.quarter is not None:
@@ -145,10 +144,8 @@ class Convergence(Result):
 
     @property
     def at_equal_work(self) -> tuple[float, float]:
-        """Least errors [m] of the splits with more steps than sweeps, and of those with fewer.
-
-        They are inf where all fail.
-        """
+        """The least errors [m] of splits with more steps than sweeps, and with fewer; inf if all
+        fail."""
         steps = [split.trial.error for split in self.splits if split.steps > split.sweeps]
         sweeps = [split.trial.error for split in self.splits if split.steps < split.sweeps]
         return min(steps, default=math.inf), min(sweeps, default=math.inf)
@@ -160,7 +157,7 @@ class Convergence(Result):
 
     @property
     def contraction(self) -> float | None:
-        """The share of the error that each sweep leaves in the end, at the slowest state."""
+        """The asymptotic share of the error that each sweep leaves, at the slowest state."""
         known = (history.contraction for history in self.histories)
         return max((share for share in known if share is not None), default=None)
 
@@ -168,8 +165,8 @@ class Convergence(Result):
     def rows(self) -> list[RowForce]:
         """Elements that have rows, the one furthest from its converged force first.
 
-        Each element is shown after the shipped sweeps, at the state where its force is furthest
-        off.
+        Each element is listed at the state with its largest missing impulse, after the shipped
+        sweeps.
         """
         by_name: dict[str, list[RowForce]] = {}
         for force in (force for history in self.histories for force in history.forces):
@@ -184,7 +181,7 @@ class Convergence(Result):
 
     @property
     def title(self) -> str:
-        """The scene measured."""
+        """The name of the scene and the measurement."""
         return f"{self.name}: convergence of contact forces and other rows"
 
     @property
@@ -241,7 +238,7 @@ class Convergence(Result):
         return _table("steps x sweeps", named, heading)
 
     def tables(self, full: bool) -> list[Table]:
-        """Return the tables of rows and time steps; rows that Newton has solved only with `full`.
+        """Return the tables of rows and time steps; rows that Newton solved only with `full`.
 
         full: whether to include every row, equal work and residuals by sweeps.
         """
@@ -302,7 +299,7 @@ class Convergence(Result):
         return f"Solved: {fine} {step}"
 
     def _shorter(self) -> str:
-        """Say what the longest step leaves that about halves the error, or that none does."""
+        """Describe the error of the longest step that about halves it, or that no step does."""
         tried = [t for t in self.dts if t.dt < self.shipped.dt and not t.failure]
         better = [trial for trial in tried if trial.error <= 0.6 * self.shipped.error]
         if better:
@@ -341,7 +338,7 @@ class Convergence(Result):
         return f"{why} Neither converged forces nor the smaller time steps tried help."
 
     def _told(self, trial: Trial) -> bool:
-        """Return whether an error is more than the converged motion is unsure by."""
+        """Return whether an error exceeds the uncertainty of the converged motion."""
         return trial.error > self.reference.error * (1 + 1e-9)
 
     def _error(self, trial: Trial) -> str:
@@ -430,7 +427,7 @@ def _better(steps: float, sweeps: float) -> str:
 
 
 def _table(name: str, rows: Sequence[tuple[str, Trial]], heading: str) -> Table:
-    """Return a table of trials; without failures it has no column for them."""
+    """Return a table of trials, with a column of failures if there are any."""
     names = ("error", "median", "largest", "work", "failure")
     records = [{name: said} | trial.record() for said, trial in rows]
     failed = any(record["failure"] for record in records)
@@ -455,13 +452,13 @@ def converge(
     states of the motion, it measures the residual by the number of sweeps, cold and warm; the share
     of the error that each sweep leaves; and which rows are furthest from their converged force.
 
-    model: a Model, a Scene, or the path of an MJCF file (or "package:name"). The model's own
-        settings are judged.
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name"). The settings in the
+        model are tested.
     motion: a `Motion`, or its fields as arguments. By default 3 starts and 1 s, or longer
         if it is not at rest by then; see `stepcore.experiment.horizon`.
     states: the number of states at which sweeps are measured.
-    engine: "stepcore", or "mujoco", which also runs files that stepcore cannot load. MuJoCo shows
-        errors alone, and no rows.
+    engine: "stepcore", or "mujoco", which also runs files that stepcore cannot load. With MuJoCo
+        the result has only errors, and no rows.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, or if no converged motion can be run.
@@ -488,7 +485,7 @@ def converge(
     dts, splits, more = other_steps(study), equal_work(frame), four_times(shipped)
     solved, truth = converged_forces(study), study.truth()
     every = list(dict.fromkeys([SHIPPED, solved, *dts, *splits.values(), *more]))
-    # The answer needs two of the settings, which come first.
+    # The answer needs two of the settings: run these first.
     two = study.run([SHIPPED, solved], bar="runs")
     has_rows = study.engine.has_rows(study.schedule)
     said = f"as shipped the error is {metres(two[0].error)}, with converged forces "
@@ -540,8 +537,8 @@ def converge(
 def periods(shipped: Any, control: float | None, horizon: float) -> tuple[float, float]:
     """Return the time over which equal work is split, and the control period [s].
 
-    One of the splits has the shipped time step, with the number of sweeps nearest to the shipped
-    one; of a solver without such a number the third split has it.
+    The split whose number of sweeps is nearest to the shipped one has the shipped time step. If the
+    solver has no such number, the third split has it.
 
     control: the control period of the motion [s]; None if it has none.
     """
@@ -555,7 +552,7 @@ def periods(shipped: Any, control: float | None, horizon: float) -> tuple[float,
 
 
 def converged_forces(study: Study) -> Change:
-    """Return the change to converged forces, as in the converged motion; the rest is as shipped."""
+    """Return the change to converged forces, as in the converged motion; all else as shipped."""
     engine = study.engine
     shipped, exact = engine.settings(SHIPPED), engine.ways(study.schedule, 1.0)[0].at(0)
     own = {name: getattr(shipped, name) for name in ("dt", "integrator", "refsafe", "sleep")}
@@ -584,7 +581,7 @@ def four_times(shipped: Any) -> list[Change]:
 
 
 def _ending(study: Study, shipped: Trial, solved: Trial, truth: Truth) -> Ending | None:
-    """Compare the ends of both motions in the start where converged forces matter most."""
+    """Compare the ends of both motions in the start with the largest difference."""
     a, b = shipped.tracks, solved.tracks
     if a is None or b is None or shipped.failure or solved.failure:
         return None
@@ -594,7 +591,7 @@ def _ending(study: Study, shipped: Trial, solved: Trial, truth: Truth) -> Ending
     every = np.arange(len(last))
     gap = np.linalg.norm(a.com[every, last] - b.com[every, last], axis=-1)
     start, body = map(int, np.unravel_index(gap.argmax(), gap.shape))
-    # The speed over the tenth of the motion before it.
+    # The speed over the tenth of the motion before the end.
     end = int(last[start])
     first = max(0, end - max(1, len(times) // 10))
     with np.errstate(invalid="ignore"):

@@ -1,4 +1,4 @@
-"""How sweeps converge at a state of a motion, and which rows are furthest from their solution."""
+"""The convergence of sweeps at states of a motion, and the rows furthest from their solution."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.engines import visits
 from stepcore.experiment.schedule import Schedule
 
-# Numbers of sweeps after which the residual and the distance to the solution are read.
+# Numbers of sweeps after which the residual and the distance to the solution are measured.
 SWEEPS = tuple(2**k for k in range(13))
-# The solution is swept to this residual, relative to the rows' speeds. Distances are read down to
-# the second number, relative to the largest one: far above rounding, which PGS keeps. A solution
-# with a larger residual is of no use as one.
+# ROUNDING: residual of the solution, relative to the rows' speeds. READABLE: the smallest distance
+# that is used, relative to the largest one; it is far above the rounding errors that remain in PGS.
+# A solution with a residual above READABLE is not used.
 ROUNDING, READABLE = 1e-12, 1e-9
 
 
@@ -56,9 +56,9 @@ class ResidualHistory:
     """The residual by sweeps at one state of the motion.
 
     sweeps: the numbers of sweeps.
-    cold, warm: the residual after each number [m/s], from zero impulses and from those of the step
-        before.
-    contraction: the share of the distance to the solution that a sweep leaves in the end; None for
+    cold, warm: the residual after each number [m/s], from zero impulses and from the impulses of
+        the previous step.
+    contraction: the asymptotic share of the distance to the solution that a sweep leaves; None for
         a single row, or if not measurable.
     forces: the force of each element after the shipped sweeps.
     """
@@ -76,7 +76,7 @@ class ResidualHistory:
 def row_states(
     model: Model, schedule: Schedule, count: int, starts: Sequence[int]
 ) -> list[MotionState]:
-    """Return states with rows: spread over all starts, and the one with the worst residual."""
+    """Return states with rows, spread over all starts, and the one with the worst residual."""
     some = list(_with_rows(model, schedule, starts))
     if len(some) <= count:
         return some
@@ -86,7 +86,7 @@ def row_states(
 
 
 def _with_rows(model: Model, schedule: Schedule, starts: Sequence[int]) -> Iterator[MotionState]:
-    """Yield the states with rows, after a step that leaves them its impulses."""
+    """Yield the states with rows after a step, with the impulses of this step."""
     stepped = unwatched(Sim(model))
     for start, time, sim in visits(model, schedule, starts, schedule.every):
         if not len(sim.rows):
@@ -102,7 +102,7 @@ def _with_rows(model: Model, schedule: Schedule, starts: Sequence[int]) -> Itera
             yield MotionState(start, time + model.settings.dt, snapshot, stepped.residual)
 
 
-# A diverging motion has states whose products overflow.
+# Products of a diverging motion's states overflow.
 @np.errstate(over="ignore", invalid="ignore")
 def residual_history(model: Model, settings: Settings, state: MotionState) -> ResidualHistory:
     """Measure the residual by sweeps at one state."""
@@ -128,7 +128,7 @@ def residual_history(model: Model, settings: Settings, state: MotionState) -> Re
         change = acceleration * settings.dt
         return math.sqrt(max(float(change @ mass @ change), 0.0))
 
-    # Plain sweeps, because the distances of accelerated ones do not shrink geometrically.
+    # Use plain sweeps: distances under acceleration do not shrink geometrically.
     unsolved = solution.residual > READABLE * speed
     sims = [swept(n, acceleration="none") for n in (0, *SWEEPS)]
     left = [sim.residual if unsolved else size(np.array(sim.qacc) - target) for sim in sims]
@@ -165,16 +165,16 @@ def _force(rows: np.ndarray, cone: float) -> float:
     """Return the total force of an element's rows."""
     if rows["kind"][0] != "contact":
         return float(np.linalg.norm(rows["force"])) if len(rows) > 1 else float(rows["force"][0])
-    # All edges of a pyramid push along the normal; of a cone, only the first row.
+    # All edges of a pyramid push along the normal, but only the first row of a cone does.
     return float(rows["force"].sum() if cone == 0 else rows["force"][0])
 
 
 def contraction(sweeps: Sequence[int], left: Sequence[float], rounding: float) -> float | None:
     """Return the share of the distance that a sweep leaves, between the last two readings.
 
-    sweeps: the numbers of sweeps, the first of which is 0. left: the distance after each of them.
-    rounding: distances below are rounding. None if all are: rows that barely touch have impulses of
-    rounding.
+    sweeps: the numbers of sweeps; the first is 0. left: the distance after each of them.
+    rounding: distances below this are rounding errors. Return None if all are, as for rows that
+    barely touch.
 
     >>> print(f"{contraction((0, 1, 2, 4, 8), [0.5**n for n in (0, 1, 2, 4, 8)], 0.0):.3f}")
     0.500
