@@ -515,7 +515,7 @@ class Choice:
     def settle(self, further: int) -> None:
         """Test the choice on a second set; failed starts join, and the choice is repeated.
 
-        Pairs that touch and limits that are reached there are then separate features.
+        Then pairs that touch and limits that are reached from these starts are separate features.
         """
         second = self.study.fresh(further) if further and self.removed else ()
         for _ in range(ROUNDS if second else 0):

@@ -121,7 +121,7 @@ class Trade(Result):
     shipped: Trial = field(init=False)
 
     def take(self, search: Search) -> None:
-        """Copy the trials of a search without poses. The truth may be finer than at the choice."""
+        """Copy the trials of a search without poses; the truth may be finer than at the choice."""
         self.reference = search.truth
         self.moved, self.ended, self.pace = search.moved, search.ended, search.study.lasts(1.0)
         self.score(search)
@@ -335,7 +335,7 @@ class Trade(Result):
 
     @property
     def setup(self) -> str:
-        """The settings tried and the truth, in one line."""
+        """The number of settings and runs, and the converged motion, in one line."""
         tried = f"{counted(len(self.rows), 'setting')} in {counted(self.runs, 'run')}"
         ended = "; more were not tried, because --effort was spent" if self.ended else ""
         return f"{tried}{ended}. {self.reference.words}"

@@ -42,7 +42,7 @@ ACCURACIES = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03)
 # choice and of the last choice. Converged motions of 72 starts are computed: 8 of the search, and
 # 32 of each test.
 KNOWING, SEARCHING, SETTLING = 0.3, 0.5, 0.75
-# How often the truth of held-out starts is refined if it does not show whether a candidate holds.
+# The most refinements of a held-out start's truth if it does not show whether a candidate holds.
 CLEARER = 3
 
 
@@ -117,7 +117,7 @@ class Search:
         return trial
 
     def join(self, starts: Sequence[int], error: float) -> None:
-        """Add starts to the search; trials from fewer starts no longer hold an error."""
+        """Add starts to the search; trials from fewer starts no longer count."""
         self.truth = self.study.truth(error, [*self.truth.starts, *starts])
         self.trial(SHIPPED)
 
@@ -325,8 +325,8 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
     """Choose the cheapest settings, test them on a second set of starts, and choose again.
 
     Starts of the second set on which a choice fails join the search, until a choice holds on all of
-    them. If none is left, the choice is the cheapest trial whose error, apart from its uncertainty,
-    is within the tolerance, else the one that failed on the smallest share of starts. Settings that
+    them. Without such a choice, the cheapest trial whose error, apart from its uncertainty, is
+    within the tolerance is chosen, else the one that failed on the fewest starts. Settings that
     halve the error replace it if they cost no more and fail on no more starts. The reported
     performance comes from a third set; see `proven`.
     """

@@ -121,9 +121,9 @@ def tune(
     the wanted value, the measured value and the closed form's value. If the time step does not
     allow the wanted value, the result gives the best possible one.
 
-    Motors of joints are replaced by servos, which represent the PD controllers of such robots: kp
-    and kv are the controller's gains. A URDF has no actuators; the joints with a limit of effort
-    get motors.
+    Motors of joints are replaced by servos, which represent the PD controllers of robots with
+    motors: kp and kv are the controllers' gains. A URDF has no actuators, so joints with a limit of
+    effort get motors.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     bandwidth: for servos, the frequency at which the response falls to 1/√2 [Hz].
