@@ -122,7 +122,7 @@ def tune(
     allow the wanted value, the result gives the best possible one.
 
     Motors of joints are replaced by servos, which represent the PD controllers of robots with
-    motors: kp and kv are the controllers' gains. A URDF has no actuators, so joints with a limit of
+    motors; kp and kv are the controllers' gains. A URDF has no actuators, so joints with a limit of
     effort get motors.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
