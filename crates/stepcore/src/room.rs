@@ -11,7 +11,7 @@ pub(crate) fn can_be_had(bytes: usize) -> bool {
     room.try_reserve_exact(bytes).is_ok() && black_box(&mut room).capacity() >= bytes
 }
 
-/// Bytes on the heap.
+/// Bytes on the pile.
 pub(crate) trait Room {
     fn room(&self) -> usize;
 }
@@ -53,7 +53,7 @@ impl<T: ?Sized> Room for Arc<T> {
     }
 }
 
-/// What a field of a struct holds on the heap, by the first of three ways that its type has: its
+/// What a field of a struct holds on the pile, by the first of three ways that its type has: its
 /// own `Room`; the places of a list whose items hold nothing; nothing, where nothing is to drop.
 pub(crate) trait Bytes {
     fn bytes(self) -> usize;

@@ -141,7 +141,7 @@ pub trait Real:
     type Value: Value<Self>;
     /// How many worlds one value holds.
     const LANES: usize;
-    /// One. What follows `if R::ALONE` is not compiled for lanes: heaps, sleep, steps within an accuracy.
+    /// One. What follows `if R::ALONE` is not compiled for lanes: piles, sleep, steps within an accuracy.
     const ALONE: bool = Self::LANES == 1;
     /// Several of one world's numbers fill a register, so that sums go over places that are filled up, by
     /// functions that know how many: not where operations are counted, of which these are none, and not

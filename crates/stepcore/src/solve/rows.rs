@@ -1,9 +1,9 @@
 //! The system: rows, and the blocks in which they are solved.
 //!
-//! With w = J v⁺ + c λ − t, a block is (J, t, c, set): it asks that λ and w meet
-//! the set's law. A row keeps y = L⁻ᵀJᵀ instead of J (see `place/factor.rs`), so
-//! J v = y·u and an impulse changes u by D⁻¹ y λ. The solvers read this file's
-//! data and nothing else: they cannot know what a row came from.
+//! With w = J v⁺ + c λ − t, a block is (J, t, c, set): λ and w must meet the set's law. A row
+//! stores y = L⁻ᵀJᵀ instead of J (see `place/factor.rs`), so J v = y·u and an impulse changes u by
+//! D⁻¹ y λ. The solvers read this file's data and nothing else: they are independent of the rows'
+//! origin.
 
 use super::contact_islands::ContactIslands;
 use super::direct::Direct;
@@ -41,41 +41,41 @@ pub struct Row<R: Real> {
     pub lo: R,
     pub hi: R,
     pub impulse: R,
-    /// What the row gave beside `impulse`, which `t`, `c` and `Rows::u` belong to: under `midpoint`
-    /// and `rk4` in the stages of the step, and to the velocity at its end alone.
+    /// The impulse given in the stages of the step under `midpoint` and `rk4`. `impulse`, `t`, `c`
+    /// and `Rows::u` belong to the velocity at its end alone.
     pub beside: R,
     /// J v at the start of the step, for reports.
     pub velocity: R,
-    /// The distance that the row holds, its margin taken off [m or rad]; 0 of a row that
-    /// restores none.
+    /// The distance that the row keeps, minus its margin [m or rad]; 0 for a row that restores
+    /// none.
     pub gap: R,
 }
 
 impl<R: Real> Row<R> {
-    /// All that it gave in the step.
+    /// Return the total impulse of the step.
     pub fn total(&self) -> R {
         self.impulse + self.beside
     }
 
-    /// t − Jv − cλ.
+    /// Return t − Jv − cλ.
     #[inline(always)]
     pub(super) fn short(&self, dof_lists: &[usize], y: &[R], u: &[R]) -> R {
         let dofs = self.dofs.of(dof_lists);
         self.t - dot(dofs, &y[self.y..self.y + dofs.len()], u) - self.c * self.impulse
     }
 
-    /// λ + (t − Jv − cλ)/s within its bounds.
+    /// Return λ + (t − Jv − cλ)/s within its bounds.
     #[inline(always)]
     pub(super) fn updated(&self, short: R) -> R {
         (self.impulse + short * self.inv_s).clamp(self.lo, self.hi)
     }
 
-    /// The row of one lane; numbers without their slopes.
+    /// Return the row of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Row<S> {
         self.in_numbers(|x| S::of(x.lane(lane)))
     }
 
-    /// The same in other numbers.
+    /// Convert to other numbers.
     pub(crate) fn in_numbers<S: Real>(&self, of: impl Fn(&R) -> S) -> Row<S> {
         let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, beside, velocity, gap } = self;
         Row {

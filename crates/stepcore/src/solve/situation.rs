@@ -26,7 +26,7 @@ pub enum Part {
 pub struct Situation<'a, R: Real> {
     pub model: &'a Model<R::Value>,
     pub placed: &'a Placed<R>,
-    /// What the spans of rows point into: `Model::dof_lists`, and in a heap what follows it.
+    /// What the spans of rows point into: `Model::dof_lists`, and in a pile what follows it.
     pub dof_lists: &'a [usize],
     pub settings: &'a Settings,
     pub clock: Clock<R>,
