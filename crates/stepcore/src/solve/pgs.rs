@@ -102,8 +102,8 @@ impl<R: Real> Pgs<R> {
             }
             let convex = |b: &usize| matches!(rows.blocks[*b].set, Set::Interval | Set::Convex);
             let accelerated = limits.momentum && blocks.iter().all(convex);
-            // Lanes have no `side_by_side`, and must match single worlds: piles of found pairs have
-            // none.
+            // Lanes are not joined, and must match single worlds: piles with found pairs are not
+            // either.
             sweeps.join(inv_d, rows, blocks, !accelerated || rows.contact_islands.is_some());
             // The first sweep that lowers f by less is the last.
             let inertia = rows.inertia.get(island).filter(|_| limits.cost > 0.0);

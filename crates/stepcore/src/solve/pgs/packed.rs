@@ -127,8 +127,7 @@ impl<R: Real> Packed<R> {
         }
     }
 
-    /// Update the impulses, and u with their effect. With GAIN, impulses are read from and written to
-    /// `rows`.
+    /// Update the impulses, and u with their effect. With GAIN, `rows` holds the impulses.
     #[inline(always)]
     pub fn update<const GAIN: bool>(
         &mut self,
