@@ -82,7 +82,7 @@ pub(crate) const INPUTS: usize = Array::COUNT - Array::CHANGED;
 /// Controls and applied forces: constant during a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inputs<R: Real> {
-    /// By actuator, in the unit that its gear expects.
+    /// Per actuator, in the unit that its gear expects.
     pub ctrl: Vec<R>,
     qfrc_applied: Vec<R>,
     xfrc_applied: Vec<R>,
@@ -117,7 +117,7 @@ impl<R: Real> Inputs<R> {
         }
     }
 
-    /// Generalised forces by dof [N or N·m].
+    /// Return the generalised forces by dof [N or N·m].
     pub fn qfrc_applied(&self) -> &[R] {
         &self.qfrc_applied
     }

@@ -22,7 +22,7 @@ pub struct Warm<R: Real> {
     pub slot: u64,
     /// The feature among its kin (see `Block::feature`); −1 in lanes without one.
     pub feature: R,
-    /// By row of its block [N·s or N·m·s], zero beyond; from `SLIP` on slip [m] and turn [rad].
+    /// Per row of its block [N·s or N·m·s], zero beyond; from `SLIP` on slip [m] and turn [rad].
     pub impulse: [R; WARM_ROWS],
 }
 
@@ -53,11 +53,11 @@ pub const AWAKE: usize = usize::MAX;
 /// The sleeping trees; a part of the state. Empty lists: no tree ever was slow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sleep<R: Real> {
-    /// By tree: the number of steps for which it has been slow.
+    /// Per tree: the number of steps for which it has been slow.
     pub slow: Vec<u64>,
-    /// By tree: the lowest tree of its sleeping island; `AWAKE` if it does not sleep.
+    /// Per tree: the lowest tree of its sleeping island; `AWAKE` if it does not sleep.
     pub island: Vec<usize>,
-    /// By entry of qpos, if its tree sleeps: its position.
+    /// Per entry of qpos, if its tree sleeps: its position.
     pub qpos: Vec<R>,
     /// The impulses of each island's last step awake; ascending slots within one.
     pub kept: Vec<(usize, Warm<R>)>,

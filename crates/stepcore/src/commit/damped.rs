@@ -27,7 +27,7 @@ pub struct Damped<R: Real> {
     metric: Metric<R>,
     impulse: Vec<R>,
     change: Vec<R>,
-    /// By tree: whether damping applies, and its index in `blocks`.
+    /// Per tree: whether damping applies, and its index in `blocks`.
     damped: Vec<bool>,
     block: Vec<Option<usize>>,
     /// M + dt·D of each single free body whose bias has a derivative.

@@ -30,7 +30,7 @@ pub(crate) struct Extrapolation<R: Real> {
     table: [Vec<R>; CUTS.len()],
     /// The highest difference of the successive steps' changes of velocity.
     jump: Vec<R>,
-    /// By body: its displacement by a change, and its radius of gyration [m].
+    /// Per body: its displacement by a change, and its radius of gyration [m].
     moved: Vec<Motion<R>>,
     levers: Vec<f64>,
     settling: Settling<R>,
@@ -195,7 +195,7 @@ impl<R: Real> Extrapolation<R> {
     }
 }
 
-/// The larger of two.
+/// Return the larger of two.
 pub(super) fn worse(one: Largest, two: Largest) -> Largest {
     // A number that is not finite is the worst of all.
     if one.0 >= two.0 || one.0.is_nan() {
@@ -244,7 +244,7 @@ fn difference<R: Real>(model: &Model<R::Value>, from: &State<R>, to: &State<R>, 
     }
 }
 
-/// About the mean of its axes.
+/// Return the radius of gyration about the mean of the axes.
 fn gyration<R: Real>(body: &Body<R::Value>) -> f64 {
     let inertia = value::matrix::<R, _>(&body.inertia);
     let (trace, mass) = (inertia.trace().lane(0), body.mass.get().lane(0));

@@ -20,7 +20,7 @@ pub(super) struct Implicit<R: Real> {
     matrix: Unsymmetric<R>,
     change: Vec<R>,
     bias: BiasSlopes<R>,
-    /// By tree: whether it has damping or velocity-dependent bias forces; whether it has the latter.
+    /// Per tree: whether it has damping or velocity-dependent bias forces; whether it has the latter.
     late: Vec<bool>,
     turns: Vec<bool>,
 }

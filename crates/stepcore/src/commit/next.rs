@@ -15,7 +15,7 @@ pub struct Next<R: Real> {
     pub qpos: Vec<R>,
     pub qvel: Vec<R>,
     pub act: Vec<R>,
-    /// By activation: the length near which a servo on a circle keeps it.
+    /// Per activation: the length near which a servo on a circle keeps it.
     pub(super) centres: Vec<R>,
     pub ctrl_history: Vec<R>,
     /// The velocities of the state, projected to satisfy the equalities if these act within the step.

@@ -15,7 +15,7 @@ impl Count {
         self.0[lane]
     }
 
-    /// Adds `n` in the lanes of `mask`.
+    /// Add `n` in the lanes of `mask`.
     #[inline(always)]
     pub fn add<M: Mask>(&mut self, mask: M, n: u64) {
         for (lane, count) in self.0[..M::LANES].iter_mut().enumerate() {

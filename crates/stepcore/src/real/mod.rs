@@ -230,7 +230,7 @@ pub trait Constant: Clone + Debug + PartialEq + Send + Sync + 'static {
     /// Return the number of one lane.
     fn lane(&self, lane: usize) -> f64;
 
-    /// In every lane, or in none.
+    /// Whether it is zero, in every lane or in none.
     #[inline(always)]
     fn vanishes(&self) -> bool {
         self.lane(0) == 0.0
@@ -239,7 +239,7 @@ pub trait Constant: Clone + Debug + PartialEq + Send + Sync + 'static {
     fn is_positive(&self) -> bool {
         self.lane(0) > 0.0
     }
-    /// In every lane, or in none.
+    /// Whether it is infinite, in every lane or in none.
     #[inline(always)]
     fn is_infinite(&self) -> bool {
         self.lane(0).is_infinite()

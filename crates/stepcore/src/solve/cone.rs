@@ -365,7 +365,7 @@ impl<R: Real, const N: usize> InBall<R, N> {
         select::<R, N>(inside, free, rim)
     }
 
-    /// One Newton step from x: inside Qx + g = 0; on the rim (Q + m)x + g = 0 and |x| = bound.
+    /// Make one Newton step from x: inside Qx + g = 0; on the rim (Q + m)x + g = 0 and |x| = bound.
     fn newton_step(&mut self, g: &[R; N], bound: R, x: &[R; N]) -> [R; N] {
         let (zero, Axes { ref v, d, inv_d }) = (R::zero(), self.axes());
         let turned = times(&self.q, x);

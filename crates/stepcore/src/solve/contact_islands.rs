@@ -12,7 +12,7 @@ use crate::real::Real;
 #[derive(Default)]
 pub(crate) struct ContactIslands {
     pub(super) union: Union,
-    /// By island: the number of its blocks up to here.
+    /// Per island: the number of its blocks up to here.
     blocks: Vec<u32>,
 }
 

@@ -46,9 +46,9 @@ pub(crate) struct Differentiated {
     next: usize,
     /// For sweeps that reach no solution.
     carried: Solvers<Dual>,
-    /// By dof.
+    /// Per dof.
     force: Vec<Dual>,
-    /// By direction.
+    /// Per direction.
     rhs: Vec<[f64; WAYS]>,
     /// Elements whose rows had one-sided derivatives; ascending.
     degenerate: Vec<Element>,

@@ -25,7 +25,7 @@ pub(crate) const GROUP: usize = 3;
 /// How the rows are chosen that others determine already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
-    /// By their pivots.
+    /// Chosen by their pivots.
     Now,
     /// By their pivots, at the start of an iteration.
     First,
@@ -68,12 +68,12 @@ impl<R: Real> Direct<R> {
 
 /// The starts of the rows of L.
 struct Envelope {
-    /// By row: the first column of L that may be nonzero, and its index in `l`.
+    /// Per row: the first column of L that may be nonzero, and its index in `l`.
     first: Vec<usize>,
     start: Vec<usize>,
-    /// By column: one past the last row that starts there or before.
+    /// Per column: one past the last row that starts there or before.
     ends: Vec<usize>,
-    /// By dof: the first row that touches it.
+    /// Per dof: the first row that touches it.
     touched: Vec<usize>,
 }
 

@@ -3,7 +3,7 @@
 //! Normal and tangents are lifted side by side, and the four edges are computed from each dof's
 //! entries, so that no tangent is stored. Contacts of two free bodies with the same directions,
 //! such as the contacts of two boxes, are vectorised: an operation handles one number of each. The
-//! numbers are those of `push_relative` and `push_edges`, bit for bit.
+//! numbers equal the results of `push_relative` and `push_edges`, bit for bit.
 
 use super::relative::{is_free, SIX};
 use super::rows::Rows;

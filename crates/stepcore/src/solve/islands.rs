@@ -39,7 +39,7 @@ impl Islands {
         }
     }
 
-    /// The block indices of one island.
+    /// Return the block indices of one island.
     pub fn of(&self, island: usize) -> &[usize] {
         let start = if island == 0 { 0 } else { self.ends[island - 1] };
         &self.blocks[start..self.ends[island]]

@@ -63,7 +63,7 @@ struct Bucket {
     end: usize,
 }
 
-/// The method's memory for the island at hand.
+/// The method's memory for the current island.
 pub(super) struct Momentum<R: Real> {
     moves: Moves<R>,
     /// pₐᵀ(A + C)p_b of the moves at the last step, b ≤ a.
@@ -80,7 +80,7 @@ pub(super) struct Momentum<R: Real> {
     rows: Vec<usize>,
     dofs: Vec<usize>,
     d: Vec<R>,
-    /// By dof: whether it is in `dofs`.
+    /// Per dof: whether it is in `dofs`.
     seen: Vec<bool>,
     /// Blocks with their ranks, and the same by hash.
     ranked: Vec<(u32, usize)>,

@@ -59,7 +59,7 @@ use worker::{share, Task, Worker};
 /// The method's memory; one per world or pack of lanes.
 pub struct Newton<R: Real> {
     islands: Islands,
-    /// By island.
+    /// Per island.
     patterns: Vec<Mutex<Pattern>>,
     /// The worker of the caller's thread, and one per thread when threads share the islands.
     own: Worker<R>,

@@ -44,9 +44,9 @@ const MOST: u64 = 512;
 pub(super) struct Proximal<R: Real> {
     /// The convex problem.
     convex: Rows<R>,
-    /// By block of the convex problem: the original block.
+    /// Per block of the convex problem: the original block.
     of: Vec<usize>,
-    /// By row of the island: the impulses of the best round.
+    /// Per row of the island: the impulses of the best round.
     best: Vec<R>,
 }
 

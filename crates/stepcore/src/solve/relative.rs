@@ -1,8 +1,8 @@
 //! Rows of the relative motion of two bodies, several directions at a time.
 //!
 //! A contact's normal and tangents share bodies, points and dofs: each dof's motion, each entry of
-//! the factors and each place in a list is read once for all of them. The numbers equal those of
-//! one row after another (`Rows::push_scratch`), bit for bit.
+//! the factors and each place in a list is read once for all of them. The numbers equal the results
+//! of one row after another (`Rows::push_scratch`), bit for bit.
 
 use super::rows::Rows;
 use super::situation::Situation;
@@ -433,7 +433,7 @@ fn all_free<R: Real, const N: usize>(
     apart && bodies().all(|side| is_free(model, side.chain))
 }
 
-/// Return whether the dofs are those of one free body.
+/// Return whether one free body has these dofs.
 pub(super) fn is_free<N: Constant>(model: &Model<N>, chain: &[usize]) -> bool {
     let [first, .., last] = chain else { return false };
     chain.len() == SIX && *last == first + SIX - 1 && model.dofs[*first].row.len == 1

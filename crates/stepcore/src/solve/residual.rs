@@ -70,7 +70,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// The scalar residual of one block [m/s]; 0 in lanes without it.
+    /// Return the scalar residual of one block [m/s]; 0 in lanes without it.
     pub fn block_residual(&self, dof_lists: &[usize], block: &Block<R>) -> R {
         let per_mass = R::one() / block.mass;
         let mut worst = R::zero();
@@ -80,7 +80,7 @@ impl<R: Real> Rows<R> {
         R::select(block.mask, worst, R::zero())
     }
 
-    /// The scalar residual of the listed blocks [m/s].
+    /// Return the scalar residual of the listed blocks [m/s].
     pub fn residual_of(&self, dof_lists: &[usize], blocks: &[usize]) -> R {
         let mut worst = R::zero();
         for block in blocks.iter().map(|b| &self.blocks[*b]) {
@@ -91,7 +91,7 @@ impl<R: Real> Rows<R> {
         worst
     }
 
-    /// The scalar residual of all rows [m/s].
+    /// Return the scalar residual of all rows [m/s].
     pub fn residual(&self, dof_lists: &[usize]) -> R {
         let mut worst = R::zero();
         for block in &self.blocks {

@@ -202,7 +202,7 @@ pub(crate) struct Anchor<R: Real> {
     pub block: usize,
     pub slide: V3<R>,
     pub turn: V3<R>,
-    /// By way, in the scale of its row.
+    /// Per way, in the scale of its row.
     pub along: [R; MOST_WAYS],
     /// dt K d: a row's t per slip.
     pub pull: R,
@@ -220,7 +220,7 @@ pub struct Rows<R: Real> {
     pub(crate) start: Vec<R>,
     /// Each row's impulse from the main solve, if noslip has changed friction since; else empty.
     pub(crate) main: Vec<R>,
-    /// By block, for contacts whose friction sticks.
+    /// Per block, for contacts whose friction sticks.
     pub(crate) anchors: Vec<Anchor<R>>,
     /// The largest overlap that `max_recovery_speed` left in this step [m].
     pub unrecovered: R,
@@ -233,11 +233,11 @@ pub struct Rows<R: Real> {
     pub(crate) saved_solve: SavedSolve<R>,
     /// Whether some island may hold so many trees that the order of elimination matters.
     pub(crate) heap: bool,
-    /// By tree: see `Model::islands`.
+    /// Per tree: see `Model::islands`.
     pub(super) islands: Vec<usize>,
-    /// By island: the trace of the mass matrix, if a tolerance is a share of it.
+    /// Per island: the trace of the mass matrix, if a tolerance is a share of it.
     pub(crate) inertia: Vec<R>,
-    /// By slot: see `Model::ranks`.
+    /// Per slot: see `Model::ranks`.
     ranks: Vec<u32>,
     /// Islands of the current rows, which replace both.
     pub(crate) contact_islands: Option<ContactIslands>,

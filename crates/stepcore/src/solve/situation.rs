@@ -36,7 +36,7 @@ pub struct Situation<'a, R: Real> {
     pub part: Part,
     /// The impulses stored by the last step.
     pub warm: &'a [Warm<R>],
-    /// By tree: whether it sleeps; empty if none does.
+    /// Per tree: whether it sleeps; empty if none does.
     pub asleep: &'a [bool],
     /// Whether no stage of this step has been solved yet.
     pub first_stage: bool,

@@ -102,7 +102,7 @@ pub fn pow(x: f64, y: f64) -> f64 {
     }
 }
 
-/// Whether `plain` is valid.
+/// Return whether `plain` is valid.
 #[inline(always)]
 pub fn is_plain(x: f64, y: f64) -> bool {
     (x > 0.0) & (x < f64::INFINITY) & (y.abs() < f64::INFINITY)
@@ -233,7 +233,7 @@ fn split(x: f64, least: u64) -> (f64, f64) {
     (m, if small { n - 54.0 } else { n })
 }
 
-/// x·2ⁿ for a whole number n within ±1100, rounded once.
+/// x·2ⁿ for an integer n within ±1100, rounded once.
 #[inline(always)]
 fn scaled(x: f64, n: f64) -> f64 {
     let half = (0.5 * n + INTEGER) - INTEGER;

@@ -27,7 +27,7 @@ pub(super) struct Gathered<R: Real> {
     /// Dofs that some row touches, one place each.
     pub dofs: Vec<usize>,
     places: Vec<usize>,
-    /// By dof: its place, if any.
+    /// Per dof: its place, if any.
     place: Vec<usize>,
 }
 

@@ -17,11 +17,11 @@ pub(super) struct Table<R: Real, const N: usize> {
     /// Slots in use, and the lanes with a row there.
     n: usize,
     masks: [R::Mask; N],
-    /// By row: the bounds of the impulse, and the inverse of the denominator.
+    /// Per row: the bounds of the impulse, and the inverse of the denominator.
     lo: [R; N],
     hi: [R; N],
     inv_s: [R; N],
-    /// By place.
+    /// Per place.
     dofs: Vec<Dof<R, N>>,
     /// A + C, and t − J û.
     a: [[R; N]; N],

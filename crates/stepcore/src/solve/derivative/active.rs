@@ -207,7 +207,7 @@ impl<'a> Matrix<'a> {
         matrix
     }
 
-    /// Sets `spread` to D⁻¹ Σ y x.
+    /// Set `spread` to D⁻¹ Σ y x.
     fn spread(&mut self, direction: &Direction, x: &[f64; CONE]) {
         for (row, x) in self.rows.rows[direction.rows()].iter().zip(x) {
             for (k, y) in row.dofs.of(self.dof_lists).iter().zip(&self.rows.y[row.y..]) {

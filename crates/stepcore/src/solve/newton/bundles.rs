@@ -50,12 +50,12 @@ pub(super) struct Bundles<R: Real> {
     pub list: Vec<Bundle>,
     pub runs: Vec<Run>,
     pub cones: Vec<Cone<R>>,
-    /// By row: the fields of `Row`.
+    /// Per row: the fields of `Row`.
     pub t: Vec<R>,
     pub inv_c: Vec<R>,
     pub lo: Vec<R>,
     pub hi: Vec<R>,
-    /// By row: lanes that have it.
+    /// Per row: lanes that have it.
     pub mask: Vec<R::Mask>,
     /// Lanes in which a row's curvature may be huge: see `Hessian::forget_huge`.
     pub huge: R::Mask,

@@ -20,7 +20,7 @@ pub(super) struct ByLane<R: Real> {
     rows: Rows<R::One>,
     inv_d: Vec<R::One>,
     guess: Vec<R::One>,
-    /// By block of the world: the block of the lanes.
+    /// Per block of the world: the block of the lanes.
     blocks: Vec<usize>,
 }
 

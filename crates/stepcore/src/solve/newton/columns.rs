@@ -18,14 +18,14 @@ use crate::real::{Mask, Real};
 
 pub(super) struct Columns<R> {
     values: Vec<R>,
-    /// By dof: D and 1/D of LDLᵀ.
+    /// Per dof: D and 1/D of LDLᵀ.
     d: Vec<R>,
     inverse: Vec<R>,
     /// The curvature that the factors belong to.
     curve: Vec<R>,
     /// Columns to recompute.
     stale: Vec<bool>,
-    /// By node: the position of its block in the current column.
+    /// Per node: the position of its block in the current column.
     place: Vec<usize>,
     /// Scratch: Lᵀ scaled by D; see `bend`; y at another node in the rows of `active`.
     scaled: Vec<R>,

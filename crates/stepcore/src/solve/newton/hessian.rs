@@ -25,9 +25,9 @@ pub(super) struct Hessian<R: Real> {
 
 /// The addition to a bundle's part of the matrix: Σ y · (s″ y)ᵀ, symmetric in total.
 struct Added<R: Real> {
-    /// By row: the start of its y in the bundle, and the lanes in which it counts.
+    /// Per row: the start of its y in the bundle, and the lanes in which it counts.
     rows: Vec<(usize, R::Mask)>,
-    /// By row: s″ y, in `stride` numbers, of which those beyond the dofs are meaningless.
+    /// Per row: s″ y, in `stride` numbers, meaningless beyond the dofs.
     wy: Vec<R>,
     stride: usize,
 }

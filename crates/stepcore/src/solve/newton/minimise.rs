@@ -164,7 +164,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// The α > 0 at which the cost along the step is least; 1 in lanes not searched.
+    /// Return the α > 0 at which the cost along the step is least; 1 in lanes not searched.
     ///
     /// The slope is increasing (the cost is convex) and piecewise almost linear:
     /// Newton's method on it, kept within a bracket.

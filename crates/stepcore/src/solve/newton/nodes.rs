@@ -41,24 +41,24 @@ pub(super) struct Nodes {
     /// Dofs in the order of elimination, and by turn the start of a node's dofs; one more at the end.
     pub dofs: Vec<usize>,
     pub first: Vec<usize>,
-    /// By bundle: its nodes in `members`, by turn.
+    /// Per bundle: its nodes in `members`, by turn.
     pub bundles: Vec<Span>,
     pub members: Vec<Member>,
     pub entries: Vec<usize>,
     /// Every bundle's list in local numbers.
     pub lists: Vec<usize>,
-    /// By bundle: the same, if it is of free bodies.
+    /// Per bundle: the same, if it is of free bodies.
     pub free: Vec<Option<FreeBodies>>,
-    /// By turn: the bundles that touch the node, `pairs[meets[k]..meets[k + 1]]`.
+    /// Per turn: the bundles that touch the node, `pairs[meets[k]..meets[k + 1]]`.
     pub meets: Vec<usize>,
     pub pairs: Vec<NodePair>,
-    /// By turn: the start of its column's entries of `order.rows`, as numbers: the diagonal block,
+    /// Per turn: the start of its column's entries of `order.rows`, as numbers: the diagonal block,
     /// then each row's block, pivot by pivot.
     pub places: Vec<usize>,
-    /// By entry of `order.rows`: the start of its block.
+    /// Per entry of `order.rows`: the start of its block.
     pub offsets: Vec<usize>,
     pub numbers: usize,
-    /// By turn: the earlier columns that reach it, and the row in each that does.
+    /// Per turn: the earlier columns that reach it, and the row in each that does.
     pub left_start: Vec<usize>,
     pub left: Vec<(usize, usize)>,
     /// Scratch.

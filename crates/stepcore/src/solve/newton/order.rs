@@ -22,7 +22,7 @@ pub(super) struct Order {
     /// Nodes in the order of elimination, and the turn of each.
     pub sequence: Vec<usize>,
     pub turn: Vec<usize>,
-    /// By turn: the turns of the nodes that it touches, ascending: `rows[start[k]..start[k + 1]]`.
+    /// Per turn: the turns of the nodes that it touches, ascending: `rows[start[k]..start[k + 1]]`.
     pub start: Vec<usize>,
     pub rows: Vec<usize>,
 }

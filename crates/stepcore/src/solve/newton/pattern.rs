@@ -26,14 +26,14 @@ pub(super) struct Pattern {
     pub lists: Vec<usize>,
     /// For bundles that need it: the place in the matrix of each pair of the list, row by row.
     pub places: Vec<usize>,
-    /// By dof: the start of its row, and the number of dofs before it on its path.
+    /// Per dof: the start of its row, and the number of dofs before it on its path.
     pub start: Vec<usize>,
     pub depth: Vec<usize>,
     /// Numbers of the matrix; a row has room for a multiple of `WIDE`.
     pub size: usize,
-    /// By entry: its dof.
+    /// Per entry: its dof.
     pub path: Vec<usize>,
-    /// By dof: the dofs on whose paths it is, the last first.
+    /// Per dof: the dofs on whose paths it is, the last first.
     pub below_start: Vec<usize>,
     pub below: Vec<usize>,
     /// For a pile, replaces everything but `key` and `dofs`.

@@ -7,21 +7,21 @@ use super::penalty::{interval, Line};
 use crate::real::{Mask, Real};
 use crate::solve::rows::{CONE, NARROW, PLANAR, SPINNING};
 
-/// The data of one island. "By row" counts its rows one after another; "by dof" is local, as in
+/// The data of one island. "Per row" counts its rows one after another; "per dof" is local, as in
 /// `Pattern::dofs`.
 pub(super) struct System<R: Real> {
-    /// By row: w = y·u − t; the rate of w along the step (during refinement, the error of the
+    /// Per row: w = y·u − t; the rate of w along the step (during refinement, the error of the
     /// impulses); the impulse.
     pub(super) w: Vec<R>,
     pub(super) rate: Vec<R>,
     pub(super) impulse: Vec<R>,
     /// Curvature s″, run by run: see `Run::curve`.
     pub(super) curve: Vec<R>,
-    /// By run: whether its curvature may have changed since the matrix was computed.
+    /// Per run: whether its curvature may have changed since the matrix was computed.
     pub(super) changed: Vec<bool>,
-    /// By cone: its penalty along the step.
+    /// Per cone: its penalty along the step.
     pub(super) lines: Vec<Line<R>>,
-    /// By dof.
+    /// Per dof.
     pub(super) guess: Vec<R>,
     pub(super) u: Vec<R>,
     /// Lanes with a row on the dof.

@@ -97,7 +97,7 @@ fn curvature(heap: &Heap, random: &mut Random) -> Vec<f64> {
     curve
 }
 
-/// By block: the first entry of its curvature.
+/// Per block: the first entry of its curvature.
 fn starts(heap: &Heap) -> Vec<usize> {
     let mut starts = vec![0];
     for block in &heap.rows.blocks {

@@ -16,7 +16,7 @@ pub(super) enum Tie {
     Square(u32),
 }
 
-/// By the place in a `Tie`.
+/// Indexed by the place in a `Tie`.
 pub(super) struct Cones<R: Real, const N: usize, const W: usize> {
     pub convex: Vec<InCone<R, N>>,
     disc: Vec<InBall<R, W>>,

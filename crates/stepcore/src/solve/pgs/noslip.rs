@@ -35,7 +35,7 @@ pub(crate) struct Noslip<R: Real> {
     list: Vec<(usize, Friction)>,
     cones: Narrow<R>,
     wide: Wide<R>,
-    /// By island: lanes in which sweeps continue, and the decrease of the objective in a sweep.
+    /// Per island: lanes in which sweeps continue, and the decrease of the objective in a sweep.
     todo: Vec<R::Mask>,
     gain: Vec<R>,
 }

@@ -17,7 +17,7 @@ use crate::real::{Mask, Real};
 /// Edges form a pyramid if their differences agree to this many roundings.
 const ROUNDINGS: f64 = 8.0;
 
-/// By body and direction.
+/// Per body and direction.
 type Ways<R> = [[[R; SIX]; NARROW]; 2];
 
 /// One contact.
@@ -40,7 +40,7 @@ pub(super) struct Target<'a, R: Real> {
 pub(super) struct Updated<R> {
     /// The largest change of an impulse [m/s].
     pub change: R,
-    /// With GAIN: the change of what convex rows minimise.
+    /// With GAIN: the change of the objective of convex rows.
     pub gain: R,
 }
 

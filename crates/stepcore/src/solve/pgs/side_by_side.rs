@@ -41,18 +41,18 @@ struct Moved<R> {
 /// An island of pyramids.
 pub(super) struct SideBySide<R> {
     fours: Vec<Four<R>>,
-    /// By four, if sweeps are measured.
+    /// Per four, if sweeps are measured.
     moved: Vec<Moved<R>>,
     /// The first represents everything that no contact moves.
     bodies: Vec<Six<R>>,
     /// The first dof of each.
     dofs: Vec<u32>,
-    /// By body: the next four in which it may be. By four: the number of contacts up to now.
+    /// Per body: the next four in which it may be. Per four: the number of contacts up to now.
     free: Vec<u32>,
     filled: Vec<u8>,
-    /// By contact: its bodies and its four.
+    /// Per contact: its bodies and its four.
     places: Vec<([u32; 2], u32)>,
-    /// By dof: the body that starts there, if it is in the island.
+    /// Per dof: the body that starts there, if it is in the island.
     body_at: Vec<u32>,
     /// Momentum, if there is any, and its step before the next sweep.
     momentum: SweepMomentum<R>,
@@ -294,7 +294,7 @@ impl<R: Real> Four<R> {
     }
 }
 
-/// Bodies' u, side by side.
+/// Return the bodies' u, side by side.
 #[inline(always)]
 fn gather<R: Real>(bodies: &[Six<R>], at: &[u32; SIDE]) -> [Each<R>; SIX] {
     let mut u = [Each::every(0.0); SIX];

@@ -27,7 +27,7 @@ pub(in super::super) struct Sweeps<R: Real> {
     z: Vec<R>,
     /// √(A/m) by row: converts an impulse to a speed.
     pub weight: Vec<R>,
-    /// By block.
+    /// Per block.
     how: Vec<How>,
     packed: Vec<Packed<R>>,
     side_by_side: SideBySide<R>,

@@ -49,9 +49,9 @@ impl<R: Real> Found<R> {
     }
 }
 
-/// The method's memory for the island at hand.
+/// The method's memory for the current island.
 pub(super) struct SweepMomentum<R> {
-    /// By body: D, u at the start of the sweep, and the move e.
+    /// Per body: D, u at the start of the sweep, and the move e.
     d: Vec<Six<R>>,
     from: Vec<Six<R>>,
     last: Vec<Six<R>>,

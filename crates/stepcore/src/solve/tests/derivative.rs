@@ -8,7 +8,7 @@ use crate::solve::derivative::Differentiated;
 use crate::solve::rows::{Rows, Set};
 use crate::solve::solver::{Solve, Solvers, Unconstrained};
 
-/// Every number of a problem, in one order: û, 1/D, then t and y by row.
+/// Return every number of a problem, in one order: û, 1/D, then t and y by row.
 fn numbers(problem: &mut Problem) -> Vec<&mut f64> {
     let Problem { inv_d, guess, blocks } = problem;
     let rows = blocks.iter_mut().flat_map(|block| &mut block.2);
@@ -34,14 +34,14 @@ fn solve<R: Real>(
     solver.solve(settings, free, rows).unwrap().open.none()
 }
 
-/// u of the solution.
+/// Return u of the solution.
 fn solution(problem: &Problem, settings: &Settings) -> Option<Vec<f64>> {
     let mut rows = problem.rows::<f64>();
     let given = [&*problem.inv_d, &*problem.guess];
     solve(&mut Solvers::new(), settings, given, &mut rows).then_some(rows.u)
 }
 
-/// u's slopes along `way`, and the blocks at which they are one-sided.
+/// Return u's slopes along `way`, and the blocks at which they are one-sided.
 fn slopes(problem: &Problem, way: &[f64], settings: &Settings) -> Option<(Vec<f64>, Vec<u32>)> {
     let mut tangent = problem.clone();
     numbers(&mut tangent).into_iter().zip(way).for_each(|(x, way)| *x = *way);

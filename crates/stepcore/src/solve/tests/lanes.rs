@@ -38,7 +38,7 @@ fn solve<R: Real>(by: By, lists: &[usize], inv_d: &[f64], rows: &mut Rows<R>) ->
     }
 }
 
-/// Limits block b to the dofs `keep(b)`.
+/// Limit block b to the dofs `keep(b)`.
 fn thin<R: Real>(
     rows: &mut Rows<R>,
     inv_d: &[f64],
