@@ -66,8 +66,8 @@ pub struct Scheme {
     pub moves_first: bool,
     pub damping: Option<Late>,
     pub turning: Option<Turning>,
-    /// Whether stiffness is evaluated at the end of the step too, and rows are solved in M + dt·D +
-    /// dt²·K: `place/effective.rs`.
+    /// Whether stiffness is evaluated at the end of the step too, and rows are solved in
+    /// M + dt·D + dt²·K: `place/effective.rs`.
     pub stiffness: bool,
     pub map: Map,
 }

@@ -8,9 +8,10 @@
 //!
 //! 1. **place** (`place/`): joint positions to poses; the mass matrix and its
 //!    factors LᵀDL; the smooth forces; and the *guess*, the velocity that the
+//!    bodies would have if nothing were in the way.
 //! 2. **detect** (`detect/`): every pair of shapes that touch or are about to; `shapes/` computes
 //!    where two shapes touch.
-//!    touch, `shapes/` says.
+//! 3. **solve** (`solve/`): each contact, friction direction, limit, friction loss and
 //!    equality is a row: a direction J, a target t, a regulariser c and a set for its
 //!    impulse. One system, solved by projected Gauss-Seidel or by Newton, both independent
 //!    of a row's origin.

@@ -1,5 +1,5 @@
-//! `euler` and `implicitfast`: forces first, solved in M; then implicit damping, v⁺ = v + dt (M +
-//! dt·D)⁻¹ (f + Jᵀλ/dt). MuJoCo documentation, "Numerical integration".
+//! `euler` and `implicitfast`: forces first, solved in M; then implicit damping, v⁺ = v + dt
+//! (M + dt·D)⁻¹ (f + Jᵀλ/dt). MuJoCo documentation, "Numerical integration".
 //!
 //! D is joint damping; under `implicitfast` it covers every element, including the velocity
 //! feedback of servos unless their force is at its bound. As in MuJoCo, D has the entries that M

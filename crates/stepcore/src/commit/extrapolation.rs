@@ -39,8 +39,8 @@ pub(crate) struct Extrapolation<R: Real> {
 room!(Extrapolation<R>: period, from, table, jump, moved, levers, settling);
 
 /// The time over which the displacement from a velocity error counts [s]. Of 22 scenes and robots at
-/// three tolerances, 98 % or more with a converged motion meet them with 0.01 to 0.1 s; with 0.03 s all
-/// do.
+/// three tolerances, 98 % or more of those with a converged motion meet the tolerance with 0.01 to 0.1
+/// s; with 0.03 s all do.
 const LASTS: f64 = 0.03;
 
 /// The displacement from a velocity error in the time T [s], as an implicit step of this length

@@ -1,7 +1,7 @@
-//! Implicit midpoint: v⁺ = v + dt·a(q_m, v_m), q⁺ = q ⊕ dt·v_m with v_m = (v + v⁺)/2 and q_m = q ⊕
-//! (dt/2)·v_m. Solved to rounding by a Newton-like iteration whose matrix M + dt/2·D + dt²/4·K
-//! holds the joint springs, dampers and servos, so that a linear spring of any stiffness converges
-//! at once.
+//! Implicit midpoint: v⁺ = v + dt·a(q_m, v_m), q⁺ = q ⊕ dt·v_m with v_m = (v + v⁺)/2 and
+//! q_m = q ⊕ (dt/2)·v_m. Solved to rounding by a Newton-like iteration whose matrix
+//! M + dt/2·D + dt²/4·K holds the joint springs, dampers and servos, so that a linear spring of any
+//! stiffness converges at once.
 
 use super::next::Iteration;
 use super::{advance, Next};

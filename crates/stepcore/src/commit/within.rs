@@ -1,10 +1,10 @@
 //! An adaptive step of `dt`: as many stretches as needed, each extrapolated from steps of the
 //! integrator (`extrapolation.rs`).
 //!
-//! A stretch starts at a binary fraction of the step and has such a length, so that the step ends
-//! at the exact time, and every step starts by trying its whole length: no other state is passed
-//! on. The controlled error is the one that a stretch adds to the position of each body (centre of
-//! mass and rotation) and the displacement from velocity errors.
+//! The start and the length of a stretch are binary fractions of the step, so that the step ends at
+//! the exact time. Every step first tries its whole length: no other state is passed on. The
+//! controlled error is the one that a stretch adds to the position of each body (centre of mass and
+//! rotation) and the displacement from velocity errors.
 //!
 //! Extrapolation requires a smooth motion. A contact that starts, a servo that reaches the bound of
 //! its force or a joint that sticks is not smooth: between evaluations it is invisible, and the
@@ -23,10 +23,10 @@ use crate::sim::{At, Sim, Stretches};
 /// A shorter stretch may add as much error as one of this length [s]: a hundred sudden events (impacts)
 /// per second use up the tolerance. With 0.03 s, SO-101, whose joints stick, has six times the allowed
 /// error; with 0.02 s the scenes of `benches/accuracy.py` take an eighth fewer evaluations, and one
-/// reaches 0.97 of it. Counting the highest difference (`Extrapolation::count`) at a half to a sixth
-/// saves a fifth of them, and costs SO-101 a factor of three. Of the runs of `benches/accuracy.py
-/// --random 300`, 0.7 % exceed the tolerance, at most 3-fold; a third of it takes 1.3 times the
-/// evaluations if contacts come and go.
+/// reaches 0.97 of the tolerance. Counting the highest difference (`Extrapolation::count`) at a half to
+/// a sixth saves a fifth of them, and costs SO-101 a factor of three. Of the runs of
+/// `benches/accuracy.py --random 300`, 0.7 % exceed the tolerance, at most 3-fold; a third of this
+/// length takes 1.3 times the evaluations if contacts come and go.
 const SUDDEN: f64 = 0.01;
 /// The step divided by the shortest stretch, as a power of two.
 const FINEST: u32 = 36;

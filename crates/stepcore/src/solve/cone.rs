@@ -6,13 +6,13 @@
 //! with fewer is padded with zeros, which every function here leaves at zero.
 //!
 //! A contact that sticks is solved with a factor of Q. When it first slides in a solve, Q is made
-//! diagonal: for a convex cone in unit scale (ways over μ, so that the cone is
-//! |x_t| ≤ x_n) by a basis V that keeps the cone: VᵀSV = S = diag(1, −1, …), VᵀQV = diag(d). V is a
-//! product of rotations among the ways and hyperbolic rotations of the normal with one of them,
-//! Jacobi's method for a definite pair (Veselić 1993), which exists because Q is positive definite.
-//! On the surface (Q − κS)x = −b with κ ≥ 0, in that basis yₙ = ξₙ/(dₙ − κ), yᵢ = ξᵢ/(dᵢ + κ),
-//! ξ = −Vᵀb: one equation for κ. For a Coulomb cone, whose normal is solved by itself, the ways
-//! alone are rotated.
+//! diagonal: for a convex cone in unit scale (ways over μ, so that the cone is |x_t| ≤ x_n) by a
+//! basis V that keeps the cone: VᵀSV = S = diag(1, −1, …), VᵀQV = diag(d). V is a product of
+//! rotations among the ways and hyperbolic rotations of the normal with one of them, Jacobi's
+//! method for a definite pair (Veselić 1993), which exists because Q is positive definite. On the
+//! surface (Q − κS)x = −b with κ ≥ 0, in that basis yₙ = ξₙ/(dₙ − κ), yᵢ = ξᵢ/(dᵢ + κ), ξ = −Vᵀb:
+//! one equation for κ. For a Coulomb cone, whose normal is solved by itself, the ways alone are
+//! rotated.
 //!
 //! A block is solved by iteration and through the axes of a matrix. It is differentiated through
 //! the conditions that its solution meets, by one Newton step on them (`Real::implicit`): an
@@ -137,7 +137,7 @@ impl<R: Real, const N: usize> InCone<R, N> {
     }
 
     /// Return the minimiser in unit scale, in lanes in which it is not at the tip.
-    #[inline(never)] // Of contacts that slide: copies of it in each caller would only be large.
+    #[inline(never)] // For sliding contacts: copies in each caller would only be large.
     fn along_axes(&mut self, b: &[R; N], open: R::Mask) -> [R; N] {
         let axes = self.axes();
         let along = back(&axes.v, b);
@@ -286,7 +286,7 @@ impl<R: Real, const N: usize> Factor<R, N> {
 
 impl<R: Real, const N: usize> Axes<R, N> {
     /// With a V that keeps the unit cone.
-    #[inline(never)] // Once a cone and solve, at most.
+    #[inline(never)] // At most once per cone and solve.
     fn of_cone(q: Matrix<R, N>) -> Self {
         let (v, d) = diagonal(q, true);
         Self { v, d, inv_d: map(d, R::recip_or_zero) }

@@ -47,10 +47,9 @@ impl<R> Room for Point<R> {
     }
 }
 
-/// The last moves, newest first, in the same layout; zero where there is none yet. A row's moves are
-/// adjacent: sums over rows keep their order, so that a lane equals its world, and sum all moves at
-/// once.
-/// equals its world, and are taken for all moves at once.
+/// The last moves, newest first, in the same layout; zero where there is none yet. A row's moves
+/// are adjacent: sums over rows keep their order, so that a lane equals its world, and sum all
+/// moves at once.
 type Moves<R> = Point<[R; DEPTH]>;
 
 /// Blocks of neighbouring hashes, visited together.

@@ -1,11 +1,11 @@
 //! Newton's method on the primal problem, island by island, in factored coordinates.
 //!
 //! Minimises ½ (u − û)ᵀD(u − û) + Σ s(y·u − t): each block's law as a penalty s
-//! (`newton/penalty.rs`), possible because every row has a regulariser c > 0. The gradient is D(u −
-//! û) − Σ yλ; the Hessian D + Σ y s″ yᵀ is factored sparsely; the line search is exact. If no row
-//! changes its zone in a full step, the cost was quadratic along it, and the step was the last. The
-//! method starts from the last acceleration if that costs less than û, and the first step uses the
-//! zones of the step before (`newton/last_zones.rs`).
+//! (`newton/penalty.rs`), possible because every row has a regulariser c > 0. The gradient is
+//! D(u − û) − Σ yλ; the Hessian D + Σ y s″ yᵀ is factored sparsely; the line search is exact. If no
+//! row changes its zone in a full step, the cost was quadratic along it, and the step was the last.
+//! The method starts from the last acceleration if that costs less than û, and the first step uses
+//! the zones of the step before (`newton/last_zones.rs`).
 
 /// Call `$of` with the number of registers per row that `$stride` has, as a compile-time constant;
 /// call `$other` if there are more, or if a row is not a whole number of registers.

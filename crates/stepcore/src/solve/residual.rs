@@ -1,8 +1,8 @@
 //! The distance of impulses from a solution of the rows: the natural map.
 //!
-//! δ = λ − proj(λ − w̃/s), computed from the problem and not from a solver's bookkeeping; s = A +
-//! c, one per cone (its largest). δ vanishes exactly at a solution. The scalar is max |δ|√(A/m), a
-//! speed for linear and angular rows.
+//! δ = λ − proj(λ − w̃/s), computed from the problem and not from a solver's bookkeeping;
+//! s = A + c, one per cone (its largest). δ vanishes exactly at a solution. The scalar is max
+//! |δ|√(A/m), a speed for linear and angular rows.
 
 use super::cone::{across, project_box, project_round};
 use super::dot::dot;

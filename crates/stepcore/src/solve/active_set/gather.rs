@@ -4,7 +4,7 @@
 //! some lane. Its first row goes to the first slot, its second to the second. So the number of
 //! slots is the row count of the longest lane, and products, elimination and guesses, whose work
 //! grows with its square and cube, skip other lanes' rows. A lane's rows, and every sum over them,
-//! keep their order. If that saves little, every row stays in a slot of its own.
+//! keep their order. If that saves little, every row keeps one slot.
 
 use super::super::rows::Rows;
 use super::{Island, MOST};

@@ -1,12 +1,12 @@
 //! Momentum of contacts side by side: a sweep starts further along the last sweep's move, and along
 //! the move before.
 //!
-//! The objective and a sweep's gain are as in `momentum.rs`: f(λ) = ½ λᵀHλ + λ·(J v̂ − t) with H =
-//! A + C. A sweep from y ends at x; p = x − y is its move, and e is the move from the previous y to
-//! this one. The next sweep starts at x + σp + τe, with the σ and τ at which f is least. That may
-//! be outside the sets, but the sweep updates every impulse, and so ends within them: nothing is
-//! projected, and u follows λ. The slope of f at x along p is Δf + ½ pᵀHp, with Δf the gain of the
-//! sweep. Along e it was 0 at y, the minimum along both moves that form e, so it is eᵀHp at x.
+//! The objective and a sweep's gain are as in `momentum.rs`: f(λ) = ½ λᵀHλ + λ·(J v̂ − t) with
+//! H = A + C. A sweep from y ends at x; p = x − y is its move, and e is the move from the previous
+//! y to this one. The next sweep starts at x + σp + τe, with the σ and τ at which f is least. That
+//! may be outside the sets, but the sweep updates every impulse, and so ends within them: nothing
+//! is projected, and u follows λ. The slope of f at x along p is Δf + ½ pᵀHp, with Δf the gain of
+//! the sweep. Along e it was 0 at y, the minimum along both moves that form e, so it is eᵀHp at x.
 //!
 //! If a sweep ends higher than the one before, the sets turned the step into a detour. Then the
 //! step is skipped as many times as that has happened, so that in the end sweeps proceed alone.
