@@ -1,6 +1,6 @@
 //! A sphere against a cylinder.
 //!
-//! Beside its side the cylinder is a ball at the height of the sphere's centre, above a lid a plane,
+//! Next to its side the cylinder is a ball at the height of the sphere's centre, above a lid a plane,
 //! beyond both a point of the rim. A centre inside leaves by the nearer of side and lid; of equally
 //! near lids by the lower.
 
