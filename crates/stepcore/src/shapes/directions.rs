@@ -1,4 +1,4 @@
-//! Lists by direction: the faces of a polytope that may be the furthest along it.
+//! Lists by direction: the faces of a polytope whose normals may be nearest to it.
 //!
 //! Directions fall into cells, squares on the sides of a cube. A direction of a cell is a sum of the
 //! cell's four corners with nonnegative weights. So a vector that another one exceeds along all four

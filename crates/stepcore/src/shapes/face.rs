@@ -26,8 +26,8 @@ pub struct Facing {
 }
 
 impl Pairing<'_> {
-    /// Returns the faces of both that are the furthest along a direction, if the cosine of the angle to
-    /// it is at least this.
+    /// Returns the faces of both whose normals are nearest to a direction, if the cosine of the angle
+    /// to it is at least this.
     pub(super) fn facing(&self, rough: &V3<f64>, cosine: f64) -> [Option<Facing>; 2] {
         let along = |face: &(V3<f64>, f64, usize)| face.1 >= cosine;
         let least = |normal: &V3<f64>| {
