@@ -106,7 +106,7 @@ fn outside<R: Real, P>(
     between.dot(&between).gt(square)
 }
 
-/// The exact test costs so much more than a test of boxes that boxes are tried first. (The test of two
+/// The exact test costs much more than a test of boxes, so the boxes are tried first. (The test of two
 /// boxes starts with their axes itself.)
 #[inline(always)]
 fn boxed(test: ShapeTest) -> bool {

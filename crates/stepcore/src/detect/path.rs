@@ -1,4 +1,4 @@
-//! Where two shapes meet on their way through a step, if they do.
+//! The place where two shapes meet on their way through a step, if they do.
 //!
 //! If convex shapes are at distance φ along the normal n, a plane separates them until they have
 //! approached by φ along n. So, moved by φ/(−n·way) of the whole way, they still do not overlap, and

@@ -5,8 +5,8 @@
 //! cos α₂ = r/B; then it is √(A² − r²) + r (φ − α₁ − α₂) + √(B² − r²) long. Without a side, φ is
 //! the smaller angle; with a side point s it is the angle of the way a → s → b, which may be more
 //! than half a turn: the path keeps the way round on which s lies (MuJoCo 4, `sidesite`). Round a
-//! sphere the plane is that of both points and the centre; on a cylinder the path is a straight
-//! line of the unrolled surface, so that it rises in proportion to its way in the plane.
+//! sphere the plane contains both points and the centre; on a cylinder the path is a straight line of
+//! the unrolled surface, so that it rises in proportion to its way in the plane.
 //!
 //! If s lies within r of the centre the path goes *through* the geom. It passes the disc, and if the
 //! straight line misses the disc, it bends at the point t of the circle with the least

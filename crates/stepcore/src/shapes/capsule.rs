@@ -1,8 +1,8 @@
 //! A capsule against a capsule.
 //!
-//! Skew axes: one contact, between the nearest points of the two segments. Axes
-//! within 1e-4 rad of parallel: two, at the ends of the stretch over which the
-//! segments lie side by side, where one contact would hop from end to end.
+//! Skew axes: one contact, between the nearest points of the two segments. Axes within 1e-4 rad of
+//! parallel: two, at the ends of the common stretch of the segments, where one contact would hop from
+//! end to end.
 
 use super::touch::{balls, select3, unit, Ball, Touch, Touches};
 use crate::real::{Mask, Real};

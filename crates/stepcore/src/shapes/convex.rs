@@ -28,8 +28,7 @@ pub struct Convex<'a> {
 /// which share a load unevenly, at 1e-4 to 1e-2). See docs/method/detect.md.
 pub const PATCH: usize = 4;
 
-/// Returns the largest number of contacts: a round shape touches at one place, a capsule along its side
-/// at two.
+/// Returns the largest number of contacts: one of a round shape, two along a capsule's side.
 pub fn most(one: GeomType, two: GeomType) -> usize {
     let either = |kind| one == kind || two == kind;
     if either(GeomType::Sphere) || either(GeomType::Ellipsoid) {

@@ -13,8 +13,7 @@ use crate::spatial::V3;
 const NONE: u16 = u16::MAX;
 /// Height above a face, over the size, that is only rounding.
 const FLAT: f64 = 1e-13;
-/// Sine of the angle by which a direction leans: a face over a surface that bends by it is lower by
-/// 4e-6.
+/// Sine of the tilt of a direction: a face over a surface that bends by it is lower by 4e-6.
 const LEAN: f64 = 6e-3;
 /// Cosine of the angle up to which a face is next to a direction.
 const BESIDE: f64 = 0.5;
@@ -137,8 +136,7 @@ impl Polytope {
         self.faces.push(face);
     }
 
-    /// Writes its surface, of corners that faces have, to `shell`; nothing if there are more than
-    /// `most`.
+    /// Writes its surface, of corners that faces have; nothing if these are more than `most`.
     pub fn keep(&mut self, shell: &mut Shell, most: usize) {
         let places = &mut self.growth.places;
         places.clear();

@@ -82,8 +82,7 @@ impl Prism {
         cross * (1.0 / cross.dot(&cross).sqrt())
     }
 
-    /// Checks that a line along the top's normal through a point meets the top, or misses it by at most
-    /// `beside` [m].
+    /// Checks that a line along the top's normal through a point is within `beside` [m] of the top.
     fn holds(&self, point: &V3<f64>, beside: f64) -> bool {
         let ([a, b, c, ..], up) = (self.corners, self.normal());
         let side = |p: V3<f64>, q: V3<f64>| {

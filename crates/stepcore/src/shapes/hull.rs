@@ -1,4 +1,4 @@
-//! `Hull`: a convex polytope in its own frame.
+//! `Hull`: a convex polytope in its frame.
 
 pub use super::facets::{Edge, Face};
 
@@ -33,7 +33,7 @@ pub struct Hull {
     /// Their planes by fours, the first again if there are fewer: by coordinate the normals, then the
     /// offsets.
     planes: Vec<[[f64; 4]; 4]>,
-    /// Where two faces meet.
+    /// The lines in which two faces meet.
     pub edges: Vec<Edge>,
     /// Ends of triangles' edges: vertex v's neighbours are `adjacent[starts[v]..starts[v + 1]]`.
     starts: Vec<usize>,

@@ -197,8 +197,7 @@ impl<R: Real> ContactPatch<'_, R> {
     }
 
     /// Returns the crossing of the features' sides in the projection along the normal, for faces so
-    /// narrow that no corner of one lies over the other, like two crossed bars. Or the best so far, if
-    /// it lies less outside.
+    /// narrow that no corner of one lies over the other, or the best so far, if it lies less outside.
     #[inline(never)]
     fn crossing(
         &self,

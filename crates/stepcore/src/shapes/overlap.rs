@@ -107,8 +107,8 @@ impl Pairing<'_> {
                 out.proven = !polytope.full;
                 break;
             };
-            // As long as the way out is short relative to the bent surfaces, faces near an answer
-            // settle at once.
+            // While the way out is short relative to the bent surfaces, faces near an answer settle at
+            // once.
             if let (true, Some(best)) = (self.smooth && depth < FIRST * self.size, out.best) {
                 if polytope.grow_beside(face, &-best.normal, &support) {
                     continue;

@@ -155,7 +155,7 @@ impl List {
     /// Keeps every second, fourth, eighth … of many vertices, so that there is room for them.
     fn thin_out(&mut self, vertices: impl Iterator<Item = usize>) {
         self.count = 0;
-        let mut others = 0; // Of so many, a power of two less one, one stays.
+        let mut others = 0; // A power of two minus one: one vertex stays of each others + 1.
         for (at, vertex) in vertices.enumerate() {
             if at & others == 0 && self.count == ROOM {
                 self.count /= 2;

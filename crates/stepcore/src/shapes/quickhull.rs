@@ -179,8 +179,7 @@ impl Growing<'_> {
         self.waiting.push(Waiting { distance, triangle });
     }
 
-    /// Adds the furthest point of a triangle: a cone from it to the horizon replaces the triangles that
-    /// see it.
+    /// Adds the furthest point of a triangle: a cone from it to the horizon replaces what it sees.
     fn add(&mut self, triangle: usize) {
         let apex = self.triangles[triangle].furthest;
         self.look(triangle, apex);

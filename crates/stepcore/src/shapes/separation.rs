@@ -105,8 +105,7 @@ impl<'a> Pairing<'a> {
         [self.one.support(&-way), self.two.support(way)]
     }
 
-    /// Returns the point of two minus one furthest along a direction, from the pieces furthest along
-    /// one near it.
+    /// Does as `furthest`, starting at the pieces that are furthest along a nearby direction.
     pub(super) fn furthest_from(&self, [one, two]: &mut [usize; 2], way: &V3<f64>) -> V3<f64> {
         self.ask();
         let (near, far);

@@ -21,7 +21,7 @@ const GAP: f64 = 1e-15;
 impl Pairing<'_> {
     /// Returns the separation along the side of a cylinder next to a polytope, searched from a rough
     /// direction, if no search can find more.
-    #[inline(never)] // It is large, and rarely asked.
+    #[inline(never)] // It is large, and rarely called.
     pub(super) fn on_side(&self, rough: &V3<f64>) -> Option<Separation> {
         let (one, two) = (&self.one, &self.two);
         let (cylinder, other, sign) = match (one.core, two.core) {

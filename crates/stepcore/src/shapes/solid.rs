@@ -152,8 +152,8 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// Returns the distance of a point, from its centre, outside of the core, to first order; negative
-    /// inside.
+    /// Returns the distance of a point (from the centre) outside of the core, to first order; or minus
+    /// its depth.
     pub fn outside(&self, point: &V3<f64>) -> f64 {
         let p = plain(self.pose).to_local(point);
         match self.core {
@@ -182,8 +182,8 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// Returns the distance of a point, from the centre, from the sides of a face, in the projection
-    /// along the face's normal; negative outside the face, and for a face that is not level.
+    /// Returns the distance of a point (from the centre) from the sides of a face, in the projection
+    /// along its normal; negative outside the face, and for a face that is not level.
     pub fn room(&self, face: usize, point: &V3<f64>) -> f64 {
         let p = plain(self.pose).to_local(point);
         match self.core {

@@ -1,9 +1,8 @@
 //! Places that are far from each other.
 
 /// Chooses places after the first `kept` of `chosen` until all are chosen: each time the one of `count`
-/// places (at most `ROOM`) that is furthest from the chosen ones, the first of even ones, while its
-/// squared distance is more than `least`. `square` returns the squared distance of two places. Returns
-/// the number chosen.
+/// (at most `ROOM`) that is furthest from the chosen ones, the first of even ones, while its squared
+/// distance is more than `least`. `square` gives squared distances. Returns the number chosen.
 pub fn spread<const ROOM: usize>(
     count: usize,
     chosen: &mut [usize],

@@ -151,9 +151,8 @@ impl<R: Real> Edges<R> {
         [a.edge(self.axes[0], self.ends[0]), b.edge(self.axes[1], self.ends[1])]
     }
 
-    /// Returns the places where their lines are nearest, along either from its middle. With w from
-    /// middle to middle and c the cosine between them: s = (u·w − c v·w)/(1 − c²),
-    /// t = (c u·w − v·w)/(1 − c²).
+    /// Returns the nearest places of their lines, along either from its middle. With w from middle to
+    /// middle and c the cosine between them: s = (u·w − c v·w)/(1 − c²), t = (c u·w − v·w)/(1 − c²).
     fn places([one, two]: &[Segment<R>; 2]) -> [R; 2] {
         let apart = two.middle - one.middle;
         let (cosine, cross) = (one.along.dot(&two.along), one.along.cross(&two.along));

@@ -57,8 +57,7 @@ impl<R: Real> Polygon<R> {
         }
     }
 
-    /// Returns the vertices that count: no two in one place, and none on the line between its
-    /// neighbours.
+    /// Returns the vertices that count: all distinct, none on the line between its neighbours.
     fn corners(&self, near: f64) -> impl Iterator<Item = usize> {
         let mut kept = [0; ROOM];
         let mut count = 0;
