@@ -4,7 +4,7 @@
 //! kp (s − l) + kv (v − ω) + ki x + f. Its activations, if it has them:
 //!
 //! ```text
-//! s   follows p no faster than slewmax (of one without p the first input does); without it s = p
+//! s   follows p no faster than slewmax (or the first input, if there is no p); without slewmax s = p
 //! x   ẋ = s − l, which stops beyond ±imax
 //! ```
 //!

@@ -56,7 +56,7 @@ pub(crate) enum Group {
     Passive,
     /// Actuators and what the user applies.
     Driven,
-    /// The weight, which the bias forces hold already.
+    /// The weight, which the bias forces include already.
     Weight,
 }
 
@@ -160,7 +160,7 @@ pub(crate) trait Forces {
     #[inline(always)]
     fn stored<R: Real>(_: &Moment<R>, _at: &Self::At<R::Value>, _add: &mut impl FnMut(R)) {}
 
-    /// Whether any of them can put power in.
+    /// Checks whether any of them can put power in.
     #[inline(always)]
     fn powers<R: Real>(_: &Moment<R>) -> bool {
         true

@@ -48,7 +48,7 @@ impl Forces for Gravity {
     /// The bias forces include it.
     fn push<R: Real>(_: &Moment<R>, _: &[Acts<MassAt<R::Value>>], _: &mut Sum<R>) {}
 
-    /// −m g·c, zero at the world's origin; of fixed bodies too.
+    /// −m g·c, zero at the world's origin; for fixed bodies too.
     #[inline(always)]
     fn stored<R: Real>(now: &Moment<R>, at: &MassAt<R::Value>, add: &mut impl FnMut(R)) {
         let gravity = splat::<R, _>(&now.model.gravity);

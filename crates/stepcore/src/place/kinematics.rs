@@ -131,7 +131,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// A body that never turns keeps its orientation, its axes and its offset.
+    /// Places a body that never turns: its orientation, its axes and its offset stay.
     fn slide_body(&mut self, model: &Model<R::Value>, qpos: &[R], index: usize) {
         let body = &model.bodies[index];
         let mut pos = self.xpos[body.parent] + self.offset[index];

@@ -40,9 +40,9 @@ impl<R: Real> Segment<R> {
     }
 }
 
-/// Two slots. Skew: slot 0 alone, the nearest points. Parallel: slot 0 is the end
-/// towards a's −z, slot 1 the end towards its +z; of capsules one behind the other
-/// both are in the same place. `ha`, `hb` are half the lengths of the axes.
+/// Two slots. Skew: slot 0 alone, the nearest points. Parallel: slot 0 is the end towards a's −z, slot
+/// 1 the end towards its +z; for capsules one behind the other both are in the same place. `ha`, `hb`
+/// are half the lengths of the axes.
 pub fn capsule_capsule<R: Real>(
     a: &Pose<R>,
     ra: R,
