@@ -1,7 +1,8 @@
-//! One world's arrays as the user holds them: `f64`, whatever the engine computes
+//! One world's arrays as the user holds them: `f64`, whatever type the engine computes
 //! with. They are checked before anything moves, copied in, and copied out again.
 //!
-//! `Array` lists them. A new one is a line in each of its functions, and one in `State::lists` or in
+//! `Array` lists them. A new one is a line in each of its functions, and one in `State::lists` or
+//! in
 //! `Inputs::arrays`, where the engine keeps it.
 
 pub mod array;
@@ -23,7 +24,7 @@ use crate::warm::{Sleep, Warm};
 /// The square of a quaternion's length from which it can still be scaled to 1 in any precision.
 const SHORTEST_SQUARE: f64 = 1e-30;
 
-/// State and inputs of one world, to be read.
+/// State and inputs of one world, for reading.
 #[derive(Clone, Copy)]
 pub struct Given<'a>([&'a [f64]; Array::COUNT]);
 
@@ -36,24 +37,25 @@ impl Index<Array> for Given<'_> {
 }
 
 impl<'a> Given<'a> {
-    /// Of what `list` holds for each array.
+    /// Makes it from the numbers that `list` returns for each array.
     pub fn new(list: impl FnMut(Array) -> &'a [f64]) -> Self {
         Self(Array::ALL.map(list))
     }
 
-    /// In the order of `Array::ALL`.
+    /// The lists in the order of `Array::ALL`.
     pub fn lists(&self) -> &[&'a [f64]; Array::COUNT] {
         &self.0
     }
 
-    /// Refuses what is not finite in the engine's number, truths that are neither 0 nor 1, and
+    /// Refuses numbers that are not finite in the engine's type, flags that are neither 0 nor 1,
+    /// and
     /// quaternions of no length.
     /// `world`: its index in a batch, for the error text.
     pub fn check<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
         self.check_some::<R>(model, ArraySet::ALL, world)
     }
 
-    /// The same of some arrays.
+    /// The same for some arrays.
     pub fn check_some<R: Real>(
         &self,
         model: &Model,
@@ -90,7 +92,7 @@ impl<'a> Given<'a> {
         Ok(())
     }
 
-    /// The same of numbers that are finite.
+    /// The same for numbers that are finite.
     pub(crate) fn check_forms<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
         self.check_truths(model, world)?;
         self.check_quaternions::<R>(model, world)
@@ -121,7 +123,7 @@ impl<'a> Given<'a> {
         for (array, first, owner) in joints.chain(mocaps) {
             let quat = &self[array][first..first + 4];
             let square = quat.iter().fold(R::zero(), |sum, x| sum + R::of(*x) * R::of(*x));
-            // Too short to be divided by, or so long that its square overflows.
+            // Too short for a divisor, or so long that its square overflows.
             if !(square.gt(R::of(SHORTEST_SQUARE)).all() && square.is_finite().all()) {
                 let whose = whose(&model.element_name(owner), world);
                 let field = match array {
@@ -136,7 +138,7 @@ impl<'a> Given<'a> {
     }
 }
 
-/// State and inputs of many worlds, to be read: of each array all worlds', one after the other.
+/// State and inputs of many worlds, for reading: of each array all worlds', one after the other.
 pub struct Givens<'a> {
     lists: [&'a [f64]; Array::COUNT],
     /// Numbers of a world.
@@ -144,7 +146,7 @@ pub struct Givens<'a> {
 }
 
 impl<'a> Givens<'a> {
-    /// Of what `list` holds for each array, of so many worlds.
+    /// Makes it from the numbers that `list` returns for each array, for this many worlds.
     pub fn new(worlds: usize, list: impl FnMut(Array) -> &'a [f64]) -> Self {
         let lists = Array::ALL.map(list);
         Self { lists, lengths: lists.map(|list| list.len() / worlds) }
@@ -167,8 +169,8 @@ impl<'a> Givens<'a> {
         &self.lists[array as usize][world * length..(world + 1) * length]
     }
 
-    /// Whether all numbers of some worlds are finite in the engine's number: without a branch for
-    /// each, so that vectors serve.
+    /// Whether all numbers of some worlds are finite in the engine's type: without a branch for
+    /// each, so that the loop vectorises.
     pub(crate) fn all_finite<R: Real>(&self, worlds: Range<usize>) -> bool {
         Array::ALL
             .iter()
@@ -189,7 +191,7 @@ impl<'a> Givens<'a> {
 }
 
 impl<N: Constant> Model<N> {
-    /// Whether arrays hold truths or quaternions, which `Given::check_forms` looks at.
+    /// Whether arrays hold flags or quaternions, which `Given::check_forms` checks.
     pub(crate) fn has_forms(&self) -> bool {
         let turns = |joint: &Joint<N>| matches!(joint.kind, JointType::Ball | JointType::Free);
         let others = !(self.equalities.is_empty() && self.mocaps.is_empty());
@@ -216,7 +218,7 @@ fn put<R: Real>(to: &mut [R], lane: usize, from: &[f64]) {
 }
 
 impl<R: Real> State<R> {
-    /// Takes one world's state; says whether any of it differed.
+    /// Copies one world's state in; returns whether any of it differed.
     pub fn put(&mut self, lane: usize, given: &Given) -> bool {
         let differs =
             |now: &[R], new: &[f64]| now.iter().zip(new).any(|(now, new)| now.lane(lane) != *new);
@@ -230,7 +232,7 @@ impl<R: Real> State<R> {
         changed
     }
 
-    /// Takes a world's state into one lane; says whether any of it differed.
+    /// Copies a world's state into one lane; returns whether any of it differed.
     #[inline]
     pub(crate) fn put_of(&mut self, lane: usize, given: &Givens, world: usize) -> bool {
         let differs = |now: &[R], new: &[f64]| {
@@ -247,7 +249,7 @@ impl<R: Real> State<R> {
         changed
     }
 
-    /// Gives one world's part of an array that a step changes.
+    /// Copies one world's part of an array that a step changes into `out`.
     pub fn take(&self, lane: usize, array: Array, out: &mut [f64]) {
         for (to, from) in out.iter_mut().zip(self.lists()[array as usize]) {
             *to = from.lane(lane);
@@ -256,13 +258,13 @@ impl<R: Real> State<R> {
 }
 
 impl<R: Real> Sim<R> {
-    /// Takes one world's arrays, which were checked; says whether its state changed. Lane 0
+    /// Copies one world's checked arrays in; returns whether its state changed. Lane 0
     /// comes first.
     pub fn put(&mut self, lane: usize, given: &Given) -> bool {
         self.put_some(lane, given, ArraySet::ALL)
     }
 
-    /// The same of the arrays that may differ from those at hand.
+    /// The same for the arrays that may differ from the present ones.
     pub fn put_some(&mut self, lane: usize, given: &Given, some: ArraySet) -> bool {
         self.inputs.put(lane, given, some);
         some.meets(ArraySet::STATE) && self.state.put(lane, given)
@@ -286,10 +288,11 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// A world in plain numbers, of which one in other numbers is made.
+/// A world in plain numbers, from which worlds of other number types are made.
 ///
-/// Between generic code that reads one and code of one number type that makes the other: so that each
-/// type's step is compiled in one crate, not in all that hand a world over.
+/// It connects generic code that reads a world with code of one number type that makes another, so
+/// that
+/// each type's step is compiled in one crate, not in all that pass a world on.
 pub struct Plain {
     model: Arc<Model>,
     settings: Settings,
@@ -306,7 +309,7 @@ impl Plain {
         self.under(self.settings.clone())
     }
 
-    /// The same with everybody awake.
+    /// The same with all trees awake.
     pub fn awake<R: Real>(&self) -> Result<Sim<R>> {
         let mut sim = self.under(Settings { sleep: false, ..self.settings.clone() })?;
         sim.state.wake();
@@ -319,7 +322,7 @@ impl Plain {
         Ok(sim)
     }
 
-    /// Lets a world of the same model stand where this one stands.
+    /// Copies this state and these inputs to a world of the same model.
     pub(crate) fn give<R: Real>(&self, sim: &mut Sim<R>) {
         sim.put(0, &Given::new(|array| &self.lists[array as usize]));
         sim.state.warm.clear();
@@ -337,13 +340,13 @@ pub fn lists<R: Real>(state: &State<R>, inputs: &Inputs<R>, lane: usize) -> Vec<
 }
 
 impl<R: Real> Inputs<R> {
-    /// Takes a world's inputs into one lane; no force is applied, here or there.
+    /// Copies a world's inputs into one lane; no force is applied, here or there.
     #[inline]
     pub(crate) fn put_idle(&mut self, lane: usize, given: &Givens, world: usize) {
         self.set_idle_lane(lane, |array| given.list(array, world));
     }
 
-    /// Takes some of one world's inputs. Lane 0 comes first.
+    /// Copies some of one world's inputs in. Lane 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given, some: ArraySet) {
         let (_, inputs) = given.lists().split_at(Array::CHANGED);
         self.set_lane(lane, inputs, some);

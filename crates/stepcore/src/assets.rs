@@ -2,21 +2,21 @@
 
 use std::sync::Arc;
 
-/// How the volume and the inertia of a mesh are found: MuJoCo's `mesh/inertia`.
+/// The method for the volume and the inertia of a mesh: MuJoCo's `mesh/inertia`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MeshInertia {
-    /// Of its convex hull.
+    /// From its convex hull.
     Convex,
-    /// Of the signed pyramids from its triangles: exact where the surface is closed.
+    /// From the signed pyramids of its triangles: exact if the surface is closed.
     Exact,
     /// The same with every pyramid counted as positive.
     #[default]
     Legacy,
-    /// Of its surface, as a thin shell.
+    /// From its surface, as a thin shell.
     Shell,
 }
 
-/// Triangles, or the convex hull of points where there are none. Coordinates are those of its
+/// Triangles, or the convex hull of points if there are none. Coordinates are as in its
 /// file after scale, refpos and refquat.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
@@ -26,7 +26,7 @@ pub struct Mesh {
     /// Indices of vertices, counter-clockwise from outside; empty: the hull's.
     pub faces: Arc<Vec<[usize; 3]>>,
     pub inertia: MeshInertia,
-    /// The most vertices of the hull.
+    /// The largest number of vertices of the hull.
     pub maxhullvert: Option<usize>,
 }
 

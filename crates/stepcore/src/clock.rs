@@ -9,7 +9,7 @@ pub struct Clock<R: Real> {
     pub seconds: f64,
     /// The time between two samples of a control [s]: a step, unless it is made of shorter ones.
     pub period: f64,
-    /// The same in the engine's number [s], and its inverse [1/s].
+    /// The same in the engine's number type [s], and its inverse [1/s].
     pub dt: R,
     pub rate: R,
 }

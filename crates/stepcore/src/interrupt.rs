@@ -1,8 +1,9 @@
-//! Whether somebody wants a long computation to end: loops that may take long ask now and then.
+//! Interrupts of long computations: loops that may take long check for one now and then.
 //!
-//! A computation that is to end is unwound up to `caught`, without the message of a panic (salsa cancels
-//! queries in the same way), so that loops deep inside need no way to return. What is half made then
-//! is dropped: a model that is being compiled, and the working space of a `Sim` (`Sim::whole`).
+//! An interrupted computation is unwound up to `caught`, without the message of a panic (salsa
+//! cancels
+//! queries in the same way), so that loops deep inside need no way to return. Half-made results
+//! are dropped: a model that is being compiled, and the working space of a `Sim` (`Sim::whole`).
 
 use std::any::Any;
 use std::cell::Cell;
@@ -14,12 +15,12 @@ thread_local! {
     static ASK: Cell<Option<fn() -> bool>> = const { Cell::new(None) };
 }
 
-/// What unwinds a computation.
+/// The payload that unwinds a computation.
 struct Interruption;
 
-/// Runs `work`, which asks `ask` now and then, in this thread, whether to end.
+/// Runs `work`, which calls `ask` now and then, in this thread, to learn whether to end.
 pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> Result<T>) -> Result<T> {
-    /// Puts back what was asked before, after a panic too.
+    /// Restores the previous function, after a panic too.
     struct Before(Option<fn() -> bool>);
     impl Drop for Before {
         fn drop(&mut self) {
@@ -43,7 +44,7 @@ fn ended<T>(panic: Box<dyn Any + Send>) -> Result<T> {
     resume_unwind(panic)
 }
 
-/// From now on computations of this thread ask so.
+/// Sets the function that computations of this thread call from now on.
 pub(crate) fn ask(ask: fn() -> bool) {
     ASK.set(Some(ask));
 }
@@ -53,7 +54,7 @@ pub(crate) fn asked() -> bool {
     ASK.get().is_some_and(|ask| ask())
 }
 
-/// Unwinds the computation if it is to end. To ask takes less than 100 ns.
+/// Unwinds the computation if it is to end. The check takes less than 100 ns.
 #[cold]
 #[inline(never)]
 pub(crate) fn checkpoint() {
@@ -62,22 +63,22 @@ pub(crate) fn checkpoint() {
     }
 }
 
-/// Work between two questions, in units of some nanoseconds: below a millisecond, and a thousand
-/// times what asking takes.
+/// Work between two checks, in units of some nanoseconds: below a millisecond, and a thousand
+/// times the duration of a check.
 const MUCH: usize = 1 << 14;
 
-/// Work of a row that is swept, an exact test of two shapes, and a part of a step within an accuracy:
+/// Work of a row that is swept, an exact test of two shapes, and a part of an adaptive step:
 /// the least of each, as the unit is rough.
 pub(crate) const ROW: usize = 16;
 pub(crate) const TEST: usize = 64;
 pub(crate) const STRETCH: usize = 1024;
 
-/// Counts the work of a loop, and asks now and then.
+/// Counts the work of a loop, and checks now and then.
 #[derive(Default)]
 pub(crate) struct Meter(usize);
 
 impl Meter {
-    /// So much work, in units of some nanoseconds, is done or about to be.
+    /// Counts this much work, in units of some nanoseconds, done or about to be.
     #[inline(always)]
     pub fn count(&mut self, work: usize) {
         self.0 += work;

@@ -15,7 +15,7 @@ named!(
     }
 );
 named!(
-    /// What speeds up projected Gauss-Seidel.
+    /// The method that speeds up projected Gauss-Seidel.
     Acceleration, "acceleration" {
         /// The lesson's method: rows in order.
         None = "none",
@@ -39,7 +39,7 @@ named!(
     }
 );
 impl Law {
-    /// Uses the guess instead of the present positions: rows exist where the guess
+    /// Whether it uses the guess instead of the present positions: rows exist where the guess
     /// overlaps, and their friction is Coulomb's.
     pub fn on_guess(self) -> bool {
         matches!(self, Self::Lesson | Self::Relaxed | Self::Rigid)
@@ -55,7 +55,7 @@ named!(
     }
 );
 named!(
-    /// The number the engine computes with.
+    /// The number type of the engine's computations.
     Precision, "precision" { F32 = "f32", F64 = "f64" }
 );
 
@@ -63,12 +63,13 @@ named!(
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sweeps {
     AtMost(u32),
-    /// As many as the tolerance needs, or as rounding lets be of use; at most `Sweeps::MOST`.
+    /// As many as the tolerance needs, or as reduce the residual above rounding; at most
+    /// `Sweeps::MOST`.
     Auto,
 }
 
 impl Sweeps {
-    /// Where `Auto` gives up: a step has to end.
+    /// The number at which `Auto` stops, since a step has to end.
     pub const MOST: u32 = 10_000;
     /// The name of `Auto`.
     pub const AUTO: &'static str = "auto";
@@ -87,16 +88,17 @@ impl From<u32> for Sweeps {
     }
 }
 
-/// The most error that a second of motion may add to the position of a body [m]; None: steps have the length
-/// that was set.
+/// The largest error that a second of motion may add to the position of a body [m]; None: steps
+/// have
+/// the fixed length.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Accuracy(pub Option<f64>);
 
-/// How fast a contact may push an overlap apart.
+/// The largest speed at which a contact may push an overlap apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RecoverySpeed {
-    /// As the law does: `RecoverySpeed::USUAL` under laws on velocities; `solref` has its own spring
-    /// and damper, and no limit.
+    /// As the law does: `RecoverySpeed::USUAL` under laws on velocities; `solref` uses its spring
+    /// and damper, without a limit.
     Auto,
     /// Without a limit.
     None,
@@ -105,12 +107,12 @@ pub enum RecoverySpeed {
 }
 
 impl RecoverySpeed {
-    /// That of Box2D v3 (`maxContactPushSpeed`); Rapier and Unity's PhysX have 10 [m/s].
+    /// The value of Box2D v3 (`maxContactPushSpeed`); Rapier and Unity's PhysX have 10 [m/s].
     pub const USUAL: f64 = 3.0;
     pub const AUTO: &'static str = "auto";
     pub const NONE: &'static str = "none";
 
-    /// The limit under a law, if there is one [m/s].
+    /// The limit under a law, if any [m/s].
     pub fn under(self, law: Law) -> Option<f64> {
         match self {
             Self::Auto => law.on_guess().then_some(Self::USUAL),
@@ -120,32 +122,32 @@ impl RecoverySpeed {
     }
 }
 
-/// How to compute. SI units.
+/// The settings of a computation, in SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     // Numerics: cannot change the limit dt → 0.
     /// Time step [s], > 0.
     pub dt: f64,
-    /// With one, a step of `dt` is made of as many shorter ones as that takes.
+    /// With one, a step of `dt` is made of as many shorter ones as it needs.
     pub accuracy: Accuracy,
     pub integrator: Integrator,
     pub solver: Solver,
     pub acceleration: Acceleration,
     /// The most sweeps, or Newton iterations, of one solve; under `newton` islands of few
-    /// rows are solved whatever it says.
+    /// rows are solved regardless of it.
     pub sweeps: Sweeps,
     /// A solve stops at this residual [m/s]; 0: after all sweeps.
     pub tolerance: f64,
-    /// A solve under `solref` stops where a sweep or a Newton step lowers the cost by less: MuJoCo's
+    /// A solve under `solref` stops when a sweep or a Newton step lowers the cost by less: MuJoCo's
     /// `tolerance`, a share of the trace of the mass matrix [m²/s⁴]; 0: never.
     pub cost_tolerance: f64,
     /// Start from the last step's impulses.
     pub warm_start: bool,
-    /// What the face chooses the engine's `Real` by.
+    /// The precision by which the binding chooses the engine's `Real`.
     pub precision: Precision,
     /// Contacts to reserve room for.
     pub max_contacts: usize,
-    /// Balance the account of energy every 64 steps, and write down what a post-mortem needs.
+    /// Balance the account of energy every 64 steps, and record the data for a post-mortem.
     pub ledger: bool,
     // Modelling overrides.
     pub law: Law,
@@ -162,7 +164,7 @@ pub struct Settings {
     pub max_recovery_speed: RecoverySpeed,
     /// Spring of a contact under `penalty` [N/m].
     pub penalty_stiffness: f64,
-    /// Its damping, as a share of the critical one of the mass that the contact moves.
+    /// Its damping, as a share of the critical damping of the mass that the contact moves.
     pub penalty_damping_ratio: f64,
     pub cone: Cone,
     /// Ratio of frictional to normal impedance under `solref`: MuJoCo's `impratio`.
@@ -170,10 +172,10 @@ pub struct Settings {
     /// Sweeps over friction alone, without a regulariser, after each solve under `solref`: MuJoCo's
     /// `noslip_iterations`.
     pub noslip_iterations: u32,
-    /// They end where one of them lowers the cost by less, as `cost_tolerance`: MuJoCo's
+    /// They end when a sweep lowers the cost by less, as `cost_tolerance`: MuJoCo's
     /// `noslip_tolerance`; 0: never.
     pub noslip_tolerance: f64,
-    /// Friction under `solref` holds a contact that sticks by a spring, without creep: see
+    /// Friction under `solref` holds a sticking contact by a spring, without creep: see
     /// `elements/stiction.rs`.
     pub stiction: bool,
     /// Islands at rest sleep: see `sleep/`.
@@ -222,20 +224,23 @@ impl Default for Settings {
     }
 }
 
-/// The least accuracies in double and in single precision [m]: what rounding leaves of positions of some metres,
-/// differences of which tell an error.
+/// The smallest error bounds in double and in single precision [m]: the rounding of positions of
+/// some
+/// metres, whose differences are the error estimate.
 const LEAST_ACCURACY: [f64; 2] = [1e-10, 1e-4];
-/// The most contacts that room may be reserved for.
+/// The largest number of contacts to reserve room for.
 const MOST_CONTACTS: usize = 1_000_000;
 
 impl Settings {
-    /// How far ahead contacts have rows [s]: laws on the guess need every distance that it may close.
+    /// The time ahead for which contacts have rows [s]: laws on the guess need every distance that
+    /// it may close.
     pub(crate) fn ahead(&self) -> Option<f64> {
         self.law.on_guess().then_some(self.dt)
     }
 
-    /// What of the rows acts at the stages of a step: what the law makes as hard as can be, or a force.
-    /// A softness is that of the step's end.
+    /// The rows that act at the stages of a step: those that the law makes as hard as possible, or
+    /// forces.
+    /// A softness belongs to the step's end.
     pub(crate) fn inside(&self) -> Inside {
         let scheme = self.integrator.scheme();
         match self.law {
@@ -247,17 +252,18 @@ impl Settings {
         }
     }
 
-    /// Contacts are solved once, where a step of several stages began.
+    /// Whether contacts are solved once, at the start of a step of several stages.
     pub(crate) fn rows_after_stages(&self) -> bool {
         self.law.on_guess() && self.integrator.scheme().stages != Stages::Start
     }
 
-    /// Equalities act within the step.
+    /// Whether equalities act within the step.
     pub fn connects_inside(&self) -> bool {
         self.inside() == Inside::Equalities
     }
 
-    /// A tolerance on the cost of accelerations, on that of the impulses of a step [m²/s²].
+    /// Converts a tolerance on the cost of accelerations to one on the cost of a step's impulses
+    /// [m²/s²].
     pub(crate) fn cost_floor(&self, tolerance: f64) -> f64 {
         if self.law == Law::SolRef {
             tolerance * self.dt * self.dt
@@ -347,14 +353,14 @@ impl Settings {
         Ok(())
     }
 
-    /// Refuses an accuracy to what regards one step of a fixed length.
+    /// Refuses adaptive steps in code that needs one step of a fixed length.
     pub fn check_fixed(&self, who: &str) -> Result<()> {
         let Some(accuracy) = self.accuracy.0 else { return Ok(()) };
         let limit = format!("None for {who}, which regards one step of a fixed length");
         Err(Error::value("accuracy", accuracy, limit))
     }
 
-    /// Beside it stands what does not depend on the length of steps.
+    /// Allows only settings that do not depend on the length of steps.
     fn check_accuracy(&self, accuracy: f64) -> Result<()> {
         let least = match self.precision {
             Precision::F64 => LEAST_ACCURACY[0],

@@ -1,6 +1,6 @@
 //! `Sim`: one model, one state (or a lane register of states), and its working space.
 //!
-//! It steps, and knows nothing of who watches: see `observer.rs` and `watch/`.
+//! It steps, independently of observers: see `observer.rs` and `watch/`.
 
 use crate::room::Room;
 use std::sync::Arc;
@@ -27,36 +27,36 @@ use crate::state::{Inputs, State};
 /// From this size of its velocities on MuJoCo resets a world (`mjMAXVAL`): no motion is so fast.
 const BEYOND: f64 = 1e10;
 
-/// How the last solve went.
+/// Statistics of the last solve.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Effort {
     /// Sweeps or Newton iterations of the last solve (the most of any island and lane).
     pub sweeps: u32,
     /// Row updates since the start, over all lanes together.
     pub row_updates: u64,
-    /// The most rows that any solve since the start had.
+    /// The largest number of rows of any solve since the start.
     pub most_rows: usize,
-    /// How often forces were evaluated since the start: once a step or once a stage.
+    /// The number of force evaluations since the start: one for each step or each stage.
     pub evaluations: u64,
-    /// How often the distance of two convex shapes was searched since the start.
+    /// The number of distance searches between two convex shapes since the start.
     pub separations: u64,
     /// Newton's last decrement, relative; 0 under PGS.
     pub decrement: f64,
-    /// Of the last step within an accuracy.
+    /// The parts of the last adaptive step.
     pub stretches: Stretches,
 }
 
 /// The parts of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Stretches {
-    /// The shortest that was taken [s].
+    /// The shortest accepted one [s].
     pub shortest: f64,
-    /// The shortest that was refused [s], and the body whose error was too large; None: it diverged.
+    /// The shortest rejected one [s], and the body whose error was too large; None: it diverged.
     pub refused: Option<(f64, Option<usize>)>,
 }
 
 impl Stretches {
-    /// What makes steps of `dt` within an accuracy slow.
+    /// The reason why adaptive steps of `dt` are slow.
     pub fn slow(&self, dt: f64, accuracy: Option<f64>, model: &Model) -> Option<String> {
         let (accuracy, (_, refused)) = (accuracy?, self.refused?);
         let why = match refused {
@@ -84,29 +84,27 @@ impl Stretches {
     }
 }
 
-/// One world, or a register of worlds side by side. `step.rs` steps it.
+/// One world, or a register of worlds. `step.rs` steps it.
 ///
-/// Model and settings were checked when it was made, and cannot be changed behind it:
+/// Model and settings were checked when it was made, and cannot be changed afterwards:
 ///
-/// ```compile_fail
-/// fn backwards(sim: &mut stepcore::sim::Sim<f64>) {
-///     sim.settings.dt = -1.0;
-/// }
+/// ```compile_fail fn backwards(sim: &mut stepcore::sim::Sim<f64>) { sim.settings.dt = -1.0; }
 /// ```
 pub struct Sim<R: Real> {
     pub(crate) model: Arc<Model<R::Value>>,
-    /// The models of its worlds, by lane; the last one is that of the lanes that follow, too.
+    /// The models of its worlds, by lane; the last one also serves the lanes that follow.
     pub(crate) models: ByLane,
     pub(crate) settings: Settings,
-    /// What a step does under these settings.
+    /// The work of a step under these settings.
     pub(crate) plan: Plan,
     pub(crate) clock: Clock<R>,
-    /// What a step advances the time by [s]; within an accuracy it is made of shorter ones, of which
-    /// `clock` and `settings.dt` tell.
+    /// The time by which a step advances [s]; an adaptive step is made of shorter ones, whose
+    /// length is in
+    /// `clock` and `settings.dt`.
     pub(crate) period: f64,
     pub state: State<R>,
     pub inputs: Inputs<R>,
-    /// What each stage wrote when it last ran.
+    /// The results of the last run of each stage.
     pub placed: Placed<R>,
     pub detected: Detected<R>,
     pub rows: Rows<R>,
@@ -114,26 +112,26 @@ pub struct Sim<R: Real> {
     pub velocity: Vec<R>,
     pub qacc: Vec<R>,
     pub effort: Effort,
-    /// After so many evaluations of the forces a step within an accuracy is given up.
+    /// The number of force evaluations after which an adaptive step is aborted.
     pub(crate) most: u64,
     pub(crate) next: Next<R>,
-    /// The next step has been placed, detected and solved already: see `ledger/audit.rs`.
+    /// Whether the next step has been placed, detected and solved already: see `ledger/audit.rs`.
     pub(crate) stands: bool,
     pub(crate) solver: Box<dyn Solve<R>>,
     noslip: Noslip<R>,
     pub(crate) sleeper: Sleeper<R>,
-    /// Working space of steps within an accuracy.
+    /// Working space of adaptive steps.
     pub(crate) extrapolation: Option<Box<Extrapolation<R>>>,
 }
 
 /// The positions and velocities at which stages run.
 #[derive(Clone, Copy, PartialEq)]
 pub enum At {
-    /// Those of the state.
+    /// The state's.
     State,
-    /// Those of the state, the velocities made to keep the equalities: `next.start`.
+    /// The state's, with the velocities made to keep the equalities: `next.start`.
     Start,
-    /// Those of a stage within the step: `next.trial`.
+    /// A stage's within the step: `next.trial`.
     Stage,
 }
 
@@ -174,12 +172,12 @@ impl<R: Real> Sim<R> {
         Self::side_by_side(SideBySide::new([model].into())?, settings)
     }
 
-    /// The same of worlds, one a lane, whose models differ in numbers.
+    /// The same for several worlds, one in each lane, whose models differ in numbers.
     pub(crate) fn side_by_side(models: SideBySide<R>, settings: Settings) -> Result<Self> {
         Self::solved_by(Box::new(Solvers::new()), models, settings)
     }
 
-    /// Makes the working space anew, which an interrupted step has left half made.
+    /// Makes new working space, after an interrupted step has left it half made.
     #[cold]
     pub(crate) fn renew(&mut self) {
         let (model, pool) = (&self.model, self.rows.pool.take());
@@ -206,7 +204,7 @@ impl<R: Real> Sim<R> {
         SideBySide { models: self.models.clone(), model: self.model.clone() }
     }
 
-    /// Its worlds are of these models from now on, which differ in numbers from those before.
+    /// Replaces the models of its worlds by others that differ from them in numbers.
     pub(crate) fn take_models(&mut self, models: &SideBySide<R>) {
         if Arc::ptr_eq(&self.model, &models.model) {
             return;
@@ -218,7 +216,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// The same with a solver of one's own.
+    /// The same with another solver.
     pub(crate) fn solved_by(
         solver: Box<dyn Solve<R>>,
         models: SideBySide<R>,
@@ -281,7 +279,8 @@ impl<R: Real> Sim<R> {
         Ok(sim)
     }
 
-    /// Lets so many threads share the work of each step. The motion is the same bits with any number.
+    /// Lets this many threads share the work of each step. The motion is the same bits with any
+    /// number.
     pub fn use_threads(&mut self, threads: usize) -> Result<()> {
         let pool = Pool::new(threads)?;
         self.detected.pool.clone_from(&pool);
@@ -289,12 +288,12 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// That of the first world.
+    /// The model of the first world.
     pub fn model(&self) -> &Arc<Model> {
         &self.models[0]
     }
 
-    /// That of the world in a lane.
+    /// The model of the world in a lane.
     pub(crate) fn model_of(&self, lane: usize) -> &Arc<Model> {
         &self.models[lane.min(self.models.len() - 1)]
     }
@@ -308,26 +307,26 @@ impl<R: Real> Sim<R> {
         self.state.time(self.period)
     }
 
-    /// What a step advances the time by [s].
+    /// The time by which a step advances [s].
     pub fn period(&self) -> f64 {
         self.period
     }
 
-    /// Starts the rows that were made from the last step's impulses if they are kept, but for
+    /// Starts the new rows from the last step's impulses if they are kept, except
     /// equalities that the stages held (`inside`).
     pub(crate) fn warm_start(&mut self, inside: bool) {
         if self.plan.warm_start {
             let last = self.next.last_impulses(&self.state);
             let lists = self.detected.dof_lists(&self.model);
             self.rows.warm_start(last, inside);
-            // Newton's method takes zones from them, and its start from the last acceleration.
+            // Newton's method takes zones from them, and starts from the last acceleration.
             if !self.plan.resumes {
                 self.rows.apply_impulses(lists, &self.placed.metric.inv_d);
             }
         }
     }
 
-    /// Solves the rows that were made, from the impulses that they hold.
+    /// Solves the new rows, starting from the impulses that they hold.
     pub(crate) fn solve(&mut self) -> Result<()> {
         let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
         let dof_lists = self.detected.dof_lists(model);
@@ -344,13 +343,13 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The error for the lanes in `failed`, whose step cannot be committed: of the first one.
+    /// The error for the lanes in `failed`, whose step cannot be committed: for the first one.
     pub(crate) fn diverged(&self, failed: R::Mask, fault: impl FnOnce(usize) -> Fault) -> Error {
         let lane = (0..R::LANES).find(|lane| failed.lane(*lane)).unwrap_or(0);
         Error::Diverged(Box::new(self.divergence(lane, fault(lane))))
     }
 
-    /// That at the present state of a lane, nothing explained yet.
+    /// The error at the present state of a lane, without an explanation.
     pub(crate) fn divergence(&self, lane: usize, fault: Fault) -> Divergence {
         let (step, time) = (self.state.steps, self.time());
         Divergence { step, time, world: lane, batch: false, fault, post: None }
@@ -365,7 +364,7 @@ impl<R: Real> Sim<R> {
         Fault::NotFinite { quantity, joint: self.model.named(joint) }
     }
 
-    /// The first velocity in a lane that is beyond all bounds, if there is one.
+    /// The first velocity in a lane that is beyond all bounds, if any.
     pub(crate) fn beyond(&self, lane: usize) -> Option<Fault> {
         let velocities = self.state.qvel.iter().map(|velocity| velocity.lane(lane));
         let (dof, velocity) = velocities.enumerate().find(|(_, v)| v.abs() > BEYOND)?;
@@ -381,7 +380,7 @@ impl<R: Real> Sim<R> {
         Fault::NotFinite { quantity: "activation", joint: self.model.named(element) }
     }
 
-    /// Nothing is known of a solve any more.
+    /// Removes the results of the last solve.
     pub fn clear_solve(&mut self) {
         self.rows.clear();
         self.detected.contacts.clear();
@@ -390,19 +389,19 @@ impl<R: Real> Sim<R> {
         self.velocity.copy_from_slice(&self.state.qvel);
     }
 
-    /// Memory of the state and of all working space [bytes]; the model is not in it.
+    /// Memory of the state and of all working space [bytes]; without the model.
     pub fn bytes(&self) -> usize {
         size_of::<Self>() + self.room()
     }
 
-    /// The worst miss of the last solve, a speed [m/s]; 0 without rows.
+    /// The largest residual of the last solve, a speed [m/s]; 0 without rows.
     pub fn residual(&self) -> R {
         self.rows.residual(self.detected.dof_lists(&self.model))
     }
 }
 
-/// What steps within an accuracy need. They are made of steps of first order, of any length, under
-/// a law that does not look at it.
+/// Checks the requirements of adaptive steps. They are made of steps of first order, of any length,
+/// under a law that does not depend on the length.
 fn extrapolates<R: Real>(settings: &mut Settings) -> Result<()> {
     if !R::ALONE {
         let limit = "1 with an accuracy: each world has steps of its own";
@@ -415,7 +414,7 @@ fn extrapolates<R: Real>(settings: &mut Settings) -> Result<()> {
     Ok(())
 }
 
-/// The precision that computes must hold every mass and its inverse, and for Newton,
+/// The engine's precision must hold every mass and its inverse, and for Newton,
 /// whose costs are energies of impulses, their squares.
 pub(crate) fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
     for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
@@ -440,7 +439,7 @@ pub(crate) fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()>
 }
 
 impl Effort {
-    /// A step without rows takes none.
+    /// Resets the solve's statistics in a step without rows.
     pub(crate) fn rest(&mut self) {
         (self.sweeps, self.decrement) = (0, 0.0);
     }

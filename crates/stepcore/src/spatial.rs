@@ -18,11 +18,12 @@ pub fn splat<R: Real, N: Value<R>>(v: &Vector3<N>) -> V3<R> {
     V3::new(v.x.get(), v.y.get(), v.z.get())
 }
 
-/// from ← from − a x, of rows of a factorisation: short, and each the x of one soon after.
+/// from ← from − a x, for rows of a factorisation: they are short, and each is soon the x of
+/// another.
 ///
 /// One number at a time: a vector load of numbers that were just stored one by one waits for all of
 /// them, and rows are too short to make up for it (measured: the factors of 7 to 18 dofs take a
-/// fifth to a third less time so). The hint is what keeps a compiler from vectors.
+/// fifth to a third less time so). The hint keeps the compiler from using vectors.
 #[inline(always)]
 pub(crate) fn subtract_scaled<R: Real>(from: &mut [R], a: R, x: &[R]) {
     for (from, x) in from.iter_mut().zip(x) {
@@ -31,7 +32,7 @@ pub(crate) fn subtract_scaled<R: Real>(from: &mut [R], a: R, x: &[R]) {
     }
 }
 
-/// Numbers that are computed side by side.
+/// Numbers that are computed at once.
 pub(crate) const WIDE: usize = 4;
 
 /// own −= Σ by · l of N rows, one after the other: `WIDE` numbers at a time, which stay in registers.
@@ -60,7 +61,7 @@ pub(crate) fn subtract_all<R: Real, const N: usize>(own: &mut [R], rows: [(R, &[
     }
 }
 
-/// A unit vector along x, y or z: which, and with which sign.
+/// The axis and sign of a unit vector along x, y or z.
 #[inline(always)]
 pub fn principal(unit: &Vector3<f64>) -> Option<(usize, f64)> {
     match [unit.x, unit.y, unit.z] {
@@ -154,7 +155,7 @@ impl<R: Real> Quat<R> {
         let (s, c) = (angle * R::of(0.5)).sin_cos();
         Self { w: c, v: V3::new(axis.x * s, axis.y * s, axis.z * s) }
     }
-    /// This one after a rotation by `angle` about the unit `axis`. About x, y or z it is half of a
+    /// This rotation after one by `angle` about the unit `axis`. About x, y or z it is half of a
     /// product.
     #[inline(always)]
     pub fn turned(&self, axis: &Vector3<f64>, angle: R) -> Self {
@@ -177,7 +178,7 @@ impl<R: Real> Quat<R> {
         let angle = square.sqrt();
         let k = angle.recip_or_zero();
         let q = Self::about(&V3::new(r.x * k, r.y * k, r.z * k), angle);
-        // (1 − r²/8, r/2) + …: no axis is needed where there is none.
+        // (1 − r²/8, r/2) + …: a zero rotation needs no axis.
         let small = square.lt(R::of(NO_TURN));
         let half = |x: R| R::of(0.5) * x;
         Self {
@@ -193,7 +194,7 @@ impl<R: Real> Quat<R> {
     pub fn log(&self) -> V3<R> {
         let (axis, angle) = self.axis_angle();
         let small = self.v.dot(&self.v).lt(R::of(NO_TURN));
-        // Near ±1 the turn is 2 v/w.
+        // Near ±1 the rotation vector is 2 v/w.
         let entry =
             |axis: R, v: R| (axis * angle).with_slopes_of(small, || R::of(2.0) * v / self.w);
         V3::new(entry(axis.x, self.v.x), entry(axis.y, self.v.y), entry(axis.z, self.v.z))
@@ -245,7 +246,7 @@ pub(crate) fn rotation(q: [f64; 4]) -> Matrix3<f64> {
     Quat::of(&q).matrix()
 }
 
-/// Where a shape is: its centre and its axes (columns of `rot`), in the world.
+/// The pose of a shape: its centre and its axes (columns of `rot`), in the world.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose<R: Real> {
     pub pos: V3<R>,
@@ -269,13 +270,13 @@ impl Pose<f64> {
 }
 
 impl<R: Real> Pose<R> {
-    /// One of the shape's own axes, in the world.
+    /// One of the shape's axes, in the world.
     #[inline(always)]
     pub fn axis(&self, i: usize) -> V3<R> {
         V3::new(self.rot[(0, i)], self.rot[(1, i)], self.rot[(2, i)])
     }
 
-    /// A world vector along the shape's own axes.
+    /// A world vector in the shape's axes.
     #[inline(always)]
     pub fn to_local(&self, v: &V3<R>) -> V3<R> {
         V3::new(self.axis(0).dot(v), self.axis(1).dot(v), self.axis(2).dot(v))
@@ -332,7 +333,7 @@ impl<R: Real> Motion<R> {
     pub fn at(&self, r: &V3<R>) -> V3<R> {
         self.lin + self.ang.cross(r)
     }
-    /// How large the square of a part of that could be, if nothing cancelled.
+    /// The largest square that a component of that could have, if nothing cancelled.
     #[inline(always)]
     pub fn most_at(&self, r: &V3<R>) -> R {
         let turning = self.ang.dot(&self.ang) * r.dot(r);

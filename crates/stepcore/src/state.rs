@@ -1,4 +1,4 @@
-//! What a step changes, and what the user puts in from outside.
+//! The data that a step changes, and the user's inputs.
 
 use crate::arrays::array::{Array, ArraySet};
 use crate::model::Model;
@@ -21,7 +21,7 @@ pub struct State<R: Real> {
     /// Past controls of the actuators whose controls are late, each actuator's newest first.
     pub ctrl_history: Vec<R>,
     pub warm: Vec<Warm<R>>,
-    /// Who sleeps.
+    /// The sleeping trees.
     pub sleep: Sleep<R>,
 }
 
@@ -42,7 +42,7 @@ impl<R: Real> State<R> {
         }
     }
 
-    /// What of it the user holds, in the order of `arrays::Array`.
+    /// The lists of it that the user holds, in the order of `arrays::Array`.
     pub(crate) fn lists(&self) -> [&Vec<R>; Array::CHANGED] {
         [&self.qpos, &self.qvel, &self.act, &self.ctrl_history]
     }
@@ -51,7 +51,7 @@ impl<R: Real> State<R> {
         [&mut self.qpos, &mut self.qvel, &mut self.act, &mut self.ctrl_history]
     }
 
-    /// Copies into a state of the same model, whose room is used again.
+    /// Copies into a state of the same model, whose memory is used again.
     pub(crate) fn copy_to(&self, to: &mut Self) {
         (to.steps, to.start) = (self.steps, self.start);
         for (to, from) in to.lists_mut().into_iter().zip(self.lists()) {
@@ -61,7 +61,7 @@ impl<R: Real> State<R> {
         self.sleep.copy_to(&mut to.sleep);
     }
 
-    /// One lane's next step starts without impulses.
+    /// Makes one lane's next step start without impulses.
     pub(crate) fn forget_impulses(&mut self, lane: usize) {
         if R::ALONE {
             return self.warm.clear();
@@ -89,14 +89,14 @@ pub struct Inputs<R: Real> {
     eq_active: Vec<R>,
     mocap_pos: Vec<R>,
     mocap_quat: Vec<R>,
-    /// Some applied force may not be zero. Whatever writes them writes this too.
+    /// Some applied force may not be zero. Every function that writes them writes this too.
     applied: bool,
 }
 
 room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat, applied);
 
 impl<R: Real> Inputs<R> {
-    /// No control, no force; equalities and mocap bodies as the scene has them.
+    /// No control, no force; equalities and mocap bodies as in the scene.
     pub fn new(model: &Model<R::Value>) -> Self {
         let initial = |array: Array| {
             let mut all = vec![R::zero(); array.count(model)];
@@ -128,7 +128,7 @@ impl<R: Real> Inputs<R> {
         &self.xfrc_applied
     }
 
-    /// False where every applied force is zero, so that a step need not add them.
+    /// False if every applied force is zero, so that a step need not add them.
     pub fn applied(&self) -> bool {
         self.applied
     }
@@ -138,7 +138,7 @@ impl<R: Real> Inputs<R> {
         self.edit(|[_, qfrc, xfrc, ..]| write(qfrc, xfrc));
     }
 
-    /// Where an equality acts.
+    /// The lanes in which an equality acts.
     #[inline(always)]
     pub(crate) fn eq_active(&self, index: usize) -> R::Mask {
         let (active, zero) = (self.eq_active[index], R::zero());
@@ -151,7 +151,7 @@ impl<R: Real> Inputs<R> {
         self.mocap_pos.chunks(3).map(|pos| V3::new(pos[0], pos[1], pos[2])).zip(quats)
     }
 
-    /// In the order of `arrays::Array`.
+    /// The arrays in the order of `arrays::Array`.
     pub(crate) fn arrays(&self) -> [&[R]; INPUTS] {
         let Self { ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat, .. } = self;
         [ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat]
@@ -162,7 +162,7 @@ impl<R: Real> Inputs<R> {
         [ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat]
     }
 
-    /// Lets `write` change them, in this order.
+    /// Lets `write` change the arrays, in this order.
     pub(crate) fn edit(&mut self, write: impl FnOnce([&mut [R]; INPUTS])) {
         write(self.arrays_mut());
         let mut forces = self.qfrc_applied.iter().chain(&self.xfrc_applied);
@@ -195,26 +195,26 @@ impl<R: Real> Inputs<R> {
         }
     }
 
-    /// By array, whether it differs from that of `old`.
+    /// By array, whether it differs from the one of `old`.
     pub(crate) fn changes(&self, old: &Self) -> [bool; INPUTS] {
         let (new, applied) = (self.arrays(), self.applied || old.applied);
         let mut changes = [false; INPUTS];
         for ((changes, array), (new, old)) in
             changes.iter_mut().zip(&Array::ALL[Array::CHANGED..]).zip(new.iter().zip(old.arrays()))
         {
-            // Where no force is applied, all of them are zero.
+            // If no force is applied, all of them are zero.
             let zero = !applied && matches!(array, Array::QfrcApplied | Array::XfrcApplied);
             *changes = !zero && *new != old;
         }
         changes
     }
 
-    /// Copies into inputs of the same model, whose room is used again.
+    /// Copies into inputs of the same model, whose memory is used again.
     pub(crate) fn copy_to(&self, to: &mut Self) {
         self.copy_some([true; INPUTS], to);
     }
 
-    /// The same of some arrays.
+    /// The same for some arrays.
     pub(crate) fn copy_some(&self, some: [bool; INPUTS], to: &mut Self) {
         for ((to, from), copied) in to.arrays_mut().into_iter().zip(self.arrays()).zip(some) {
             if copied {

@@ -1,7 +1,7 @@
 //! The loop: place → detect → solve → commit.
 //!
-//! The integrator says how often a step runs the first three; `integrate` is in
-//! `commit/`. What is written here is the whole of a step.
+//! The integrator decides how often a step runs the first three; `integrate` is in
+//! `commit/`. This file is the whole of a step.
 
 use crate::commit::Next;
 use crate::detect::Detected;
@@ -17,7 +17,7 @@ use crate::sim::{At, Sim};
 use crate::solve::{Choice, Part, Situation};
 
 impl<R: Real> Sim<R> {
-    /// Runs `work`; where it is interrupted, state and inputs are those of the last whole step.
+    /// Runs `work`; if it is interrupted, state and inputs are those of the last whole step.
     pub(crate) fn whole<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         let outcome = caught(|| work(self));
         if matches!(outcome, Err(Error::Interrupted)) {
@@ -31,7 +31,7 @@ impl<R: Real> Sim<R> {
         self.step_watched(n, &mut ())
     }
 
-    /// The same while `observer` watches.
+    /// The same with an `observer`.
     pub fn step_watched(&mut self, n: u64, observer: &mut dyn Observer<R>) -> Result<()> {
         self.wake_where_off();
         for _ in 0..n {
@@ -48,7 +48,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The state and the next one change places.
+    /// Swaps the state and the next one.
     #[inline(always)]
     pub(crate) fn swap_states(&mut self) {
         let (state, next) = (&mut self.state, &mut self.next);
@@ -60,14 +60,14 @@ impl<R: Real> Sim<R> {
         if self.model.nhistory > 0 {
             std::mem::swap(&mut state.ctrl_history, &mut next.ctrl_history);
         }
-        // What is restored may hold impulses that these settings do not keep.
+        // A restored state may hold impulses that these settings do not keep.
         std::mem::swap(&mut state.warm, &mut next.warm);
         if R::ALONE && self.plan.sleeps {
             std::mem::swap(&mut state.sleep, &mut next.sleep);
         }
     }
 
-    /// Place, detect and solve at the present state. Nothing is committed.
+    /// Runs place, detect and solve at the present state. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
         self.wake_where_off();
         self.set_dt(self.period);
@@ -84,7 +84,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// What forces depend on, with the placement at hand.
+    /// The quantities on which forces depend, with the present placement.
     pub(crate) fn moment(&self, at: At) -> Moment<'_, R> {
         let (qpos, qvel) = at.of(&self.state, &self.next);
         let frames = self.placed.frames();
@@ -92,8 +92,8 @@ impl<R: Real> Sim<R> {
         Moment { model: &self.model, frames, qpos, qvel, act, inputs: &self.inputs }
     }
 
-    /// The next step begins at the positions of the last one, with their derivatives, of the same
-    /// models and inputs: what follows of these alone stays as it is.
+    /// Starts the next step at the positions of the last one, with their derivatives, of the same
+    /// models and inputs: quantities that depend only on these are kept.
     pub(crate) fn hold_positions(&mut self) {
         // Other integrators have placed further positions since.
         self.placed.held = self.plan.scheme.stages == Stages::Start;
@@ -150,7 +150,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// What contacts push beside their rows is part of what the rows start from.
+    /// The pushes of contacts beyond their rows are part of the rows' initial velocity.
     pub(crate) fn take_pushes(&mut self) {
         if !self.rows.pushes.is_empty() {
             self.next.smooth.copy_from_slice(&self.placed.guess);
@@ -169,7 +169,7 @@ impl<R: Real> Sim<R> {
         self.detected.detect(&self.model, &self.placed, self.settings.ahead(), qpos)
     }
 
-    /// Rows of the contacts at hand.
+    /// Makes the rows of the present contacts.
     pub(crate) fn make_rows(&mut self, at: At, part: Part) {
         R::enter(Stage::Rows);
         if !self.model.makes_rows(self.detected.contacts.len()) {
@@ -193,10 +193,10 @@ impl<R: Real> Sim<R> {
         self.rows.make(&now, &mut self.detected.contacts);
     }
 
-    /// The contacts of the placement at hand, for reading: those of the last solve stay.
+    /// The contacts of the present placement, for reading: those of the last solve stay.
     pub(crate) fn detect_again(&self) -> Detected<R> {
         let mut detected = Detected::new(&self.model, 0);
-        // Where a step found room there is room again; else it has refused already.
+        // The room that a step found is found again; else it has refused already.
         let _ = detected.detect(&self.model, &self.placed, self.settings.ahead(), &self.state.qpos);
         detected
     }
@@ -229,7 +229,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The acceleration that the smooth forces and equalities alone give; the model has some.
+    /// The acceleration from the smooth forces and equalities alone; the model has some.
     pub(crate) fn smooth_and_connected(
         &mut self,
         at: At,
@@ -252,7 +252,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Solves the equalities alone from the guess at hand; what they change is in `velocity`.
+    /// Solves only the equalities from the present guess; their change is in `velocity`.
     /// Their impulses act for a share of the step.
     pub(crate) fn connect(&mut self, at: At, part: Part, share: f64, choice: Choice) -> Result<()> {
         self.make_rows(at, part);
@@ -274,7 +274,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The acceleration that the smooth forces alone give.
+    /// The acceleration from the smooth forces alone.
     pub(crate) fn smooth(&mut self, at: At) {
         self.effort.evaluations += 1;
         let (qpos, qvel) = at.of(&self.state, &self.next);
@@ -289,7 +289,7 @@ impl<R: Real> Sim<R> {
         R::enter(Stage::Commit);
     }
 
-    /// A state that is not finite is never committed.
+    /// Checks that the next state is finite: others are never committed.
     pub(crate) fn check_next(&self) -> Result<()> {
         let Next { qpos, qvel, act, .. } = &self.next;
         let bad = all_finite(qvel).and(all_finite(qpos)).not();

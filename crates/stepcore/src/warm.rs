@@ -1,18 +1,19 @@
-//! What a step hands to the next beside positions and velocities: impulses and accelerations to start
-//! from, and who sleeps.
+//! The data that a step passes to the next besides positions and velocities: impulses and
+//! accelerations to start from, and the sleeping trees.
 
 use crate::real::Real;
 
-/// The most rows of a block, which `elements/constraints.rs` sees to: after their impulses stands the
-/// slip of friction that holds (`elements/stiction.rs`).
+/// The most rows of a block, which `elements/constraints.rs` ensures: after their impulses comes
+/// the
+/// slip of sticking friction (`elements/stiction.rs`).
 pub const SLIP: usize = 10;
-/// What is kept of a contact's slip: as vectors, by which and about which geom 2 moved [m, rad].
+/// The stored slip of a contact, as vectors by which and about which geom 2 moved [m, rad].
 pub const SLIPS: usize = 6;
-/// What is kept of a source from step to step.
+/// The stored numbers of a source from step to step.
 pub const WARM_ROWS: usize = SLIP + SLIPS;
 
-/// From this slot on stand accelerations, from which Newton's method starts (MuJoCo's
-/// `qacc_warmstart`), in the factored coordinates of the step that had them; `WARM_ROWS` dofs each.
+/// From this slot on come accelerations, from which Newton's method starts (MuJoCo's
+/// `qacc_warmstart`), in the factored coordinates of their step; `WARM_ROWS` dofs each.
 pub const ACCELERATIONS: u64 = 1 << 48;
 
 /// The impulses of one contact, limit or other source, kept for the next step's start.
@@ -41,7 +42,7 @@ impl<R: Real> Warm<R> {
         }
     }
 
-    /// An impulse of zero is as good as none.
+    /// Whether it acts: an impulse of zero equals none.
     pub fn acts(&self) -> bool {
         self.impulse.iter().any(|x| !x.is_zero())
     }
@@ -50,7 +51,7 @@ impl<R: Real> Warm<R> {
 /// The island of a tree that does not sleep.
 pub const AWAKE: usize = usize::MAX;
 
-/// Who sleeps; a part of the state. Empty lists: nobody ever was slow.
+/// The sleeping trees; a part of the state. Empty lists: none ever was slow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sleep<R: Real> {
     /// By tree: for how many steps it has been slow.
@@ -72,12 +73,12 @@ impl<R: Real> Default for Sleep<R> {
 }
 
 impl<R: Real> Sleep<R> {
-    /// Nobody sleeps.
+    /// No tree sleeps.
     pub fn new() -> Self {
         Self { slow: vec![], island: vec![], qpos: vec![], kept: vec![] }
     }
 
-    /// Someone sleeps.
+    /// Whether any tree sleeps.
     pub fn any(&self) -> bool {
         self.island.iter().any(|island| *island != AWAKE)
     }
@@ -94,7 +95,7 @@ impl<R: Real> Sleep<R> {
         to.kept.clone_from(&self.kept);
     }
 
-    /// In other numbers; those of lane 0, as nobody sleeps in lanes.
+    /// The same in another number type, from lane 0: nothing sleeps in lanes.
     pub fn cast<Q: Real>(&self) -> Sleep<Q> {
         let number = |x: R| Q::of(x.lane(0));
         let warm = |w: &Warm<R>| Warm::of(&w.in_lane(0));

@@ -1,4 +1,4 @@
-//! What the contacts of two geoms are made of: mixed from both, given by an explicit pair, or
+//! The contact parameters of two geoms: mixed from both, given by an explicit pair, or
 //! overridden for all. MuJoCo documentation, "Contact parameters" and "Contact override".
 
 use crate::real::{Constant, Real, Value};
@@ -15,14 +15,14 @@ pub struct Material<N = f64> {
     pub margin: N,
     pub gap: N,
     pub soft: Softness<N>,
-    /// The solref of friction rows of a cone. None: that of `soft`.
+    /// The solref of friction rows of a cone. None: the one of `soft`.
     pub solreffriction: Option<[N; 2]>,
-    /// With how much a contact can pull [N].
+    /// The largest pulling force of a contact [N].
     pub adhesion: N,
 }
 
 impl<N: Constant> Material<N> {
-    /// Below which distance contacts are listed [m].
+    /// The distance below which contacts are listed [m].
     #[inline(always)]
     pub fn listed<R: Real>(&self) -> R
     where
@@ -31,14 +31,14 @@ impl<N: Constant> Material<N> {
         N::calc([&self.margin, &self.gap], |[margin, gap]| margin + gap)
     }
 
-    /// The same of a lane.
+    /// The same for one lane.
     pub fn listed_in(&self, lane: usize) -> f64 {
         self.margin.lane(lane) + self.gap.lane(lane)
     }
 }
 
 impl Material {
-    /// Of two geoms of a scene that no explicit pair names.
+    /// The material of two geoms of a scene that no explicit pair names.
     pub fn of_geoms(scene: &Scene, a: usize, b: usize) -> Self {
         Self::mixed(&scene.geoms[a], &scene.geoms[b]).overridden(scene)
     }
@@ -65,7 +65,7 @@ impl Material {
         of(x.condim.max(y.condim), larger, mixed_softness(x, y), x.adhesion + y.adhesion)
     }
 
-    /// Of an explicit pair: the parameters of its geoms do not count.
+    /// The material of an explicit pair: the parameters of its geoms do not count.
     pub fn of_pair(scene: &Scene, pair: &ExplicitPair) -> Self {
         let of = Self {
             condim: pair.condim,
@@ -79,7 +79,8 @@ impl Material {
         of.overridden(scene)
     }
 
-    /// With the parameters that replace those of every contact. Condim, gap and adhesion stay.
+    /// The material with the parameters that override every contact's. Condim, gap and adhesion
+    /// stay.
     fn overridden(self, scene: &Scene) -> Self {
         let Some(by) = &scene.contact_override else { return self };
         let (margin, friction, soft) = (by.margin, by.friction, by.soft.clone());

@@ -52,7 +52,8 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     model
 }
 
-/// Weight is compensated. As in MuJoCo, a share below 0 counts only where some body has one above 0.
+/// Whether some weight is compensated. As in MuJoCo, a share below 0 counts only if some body has
+/// one above 0.
 fn compensates(scene: &Scene) -> bool {
     let on = scene.features.gravity && scene.features.passive();
     on && scene.bodies.iter().any(|body| body.gravcomp > 0.0)
@@ -158,7 +159,7 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
         limit: source.limit.clone(),
         actuatorgravcomp: source.actuatorgravcomp,
     });
-    // The last dof already on the chain: of this body, or of the ones above it.
+    // The last dof already on the chain: a dof of this body, or of the bodies above it.
     let body = &model.bodies[source.body];
     let above = body.chain.len - body.dofs.len;
     let before = body.chain.of(&model.dof_lists)[..above].last().copied();
@@ -250,7 +251,8 @@ fn half(source: &crate::scene::Geom, asset: &Asset, reach: f64) -> [f64; 3] {
     }
 }
 
-/// Which trees a step places, and which are constant: equalities, tendons and pairs are known.
+/// Marks the trees that a step places, and the constant ones, once equalities, tendons and pairs
+/// exist.
 pub fn mark(model: &mut Model) {
     let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
     let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
@@ -299,7 +301,8 @@ impl Unions {
         let mut union = [one, two].concat();
         union.sort_unstable();
         union.dedup();
-        // One list for all with these two, in either order. Joints of one body start alike.
+        // One list for all with these two, in either order. Joints of one body start at the same
+        // index.
         let mut two = [a, b].map(|span| (span.start, span.len));
         two.sort_unstable();
         let lists = &mut model.dof_lists;
@@ -311,7 +314,7 @@ impl Unions {
     }
 }
 
-/// Every list as its tree closes it.
+/// Replaces every list with its closure in the tree.
 fn close_lists(model: &mut Model) {
     for k in 0..model.nv {
         let body = &model.bodies[model.dofs[k].body];

@@ -1,4 +1,4 @@
-//! Where the bodies of one world are and how they move, as MuJoCo writes it: about the centre of
+//! Poses and velocities of the bodies of one world, as MuJoCo has them: about the centre of
 //! mass of the tree that each hangs on (`subtree_com`, `cinert`, `cvel`).
 
 use crate::model::{Model, NONE};
@@ -7,7 +7,7 @@ use crate::sim::Sim;
 use crate::spatial::{Inertia, Motion, Pose, Quat, M3, V3};
 use nalgebra::Vector3;
 
-/// Below this mass [kg] MuJoCo takes a body's own centre for that of its subtree (`mjMINVAL`).
+/// Below this mass [kg] MuJoCo uses a body's centre as the centre of its subtree (`mjMINVAL`).
 const NO_MASS: f64 = 1e-15;
 
 /// The bodies of one world, in doubles. Lists are by body.
@@ -22,9 +22,9 @@ pub struct Bodies {
     pub subtree_com: Vec<V3<f64>>,
     /// The body between it and the world, and its own index for one on the world.
     pub root: Vec<usize>,
-    /// About the centre of mass of the root's subtree, and zero of the world.
+    /// About the centre of mass of the root's subtree, and zero for the world.
     pub cinert: Vec<Inertia<f64>>,
-    /// Of the point of the body at that centre.
+    /// Velocity of the point of the body at that centre.
     pub cvel: Vec<Motion<f64>>,
 }
 
@@ -112,12 +112,12 @@ impl Bodies {
         }
     }
 
-    /// The point about which a body's spatial quantities are written.
+    /// The point about which a body's spatial quantities are expressed.
     pub fn about(&self, body: usize) -> V3<f64> {
         self.subtree_com[self.root[body]]
     }
 
-    /// Where something fixed to a body is.
+    /// The pose of something fixed to a body.
     pub fn pose(&self, body: usize, pos: &Vector3<f64>, quat: &[f64; 4]) -> Pose<f64> {
         let rot = self.xquat[body].mul(&Quat::splat(quat)).matrix();
         Pose { pos: self.xpos[body] + self.xmat[body] * pos, rot }

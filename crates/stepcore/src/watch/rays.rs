@@ -1,11 +1,11 @@
-//! Rays through a world: which geom each meets first.
+//! Rays through a world: the geom that each meets first.
 
 use super::bodies::Bodies;
 use crate::model::{Geom, Model};
 use crate::shapes::ray::{height_field, primitive, Hit, Ray};
 use crate::spatial::V3;
 
-/// Which geoms rays can meet: MuJoCo's arguments of `mj_ray`.
+/// The geoms that rays can meet: MuJoCo's arguments of `mj_ray`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RayFilter {
     /// Geoms of this body are not seen.
