@@ -60,9 +60,8 @@ thread_local! {
 }
 
 /// Call before this thread takes the GIL. An ending interpreter kills a thread that requests the
-/// GIL, and
-/// with Rust on the stack that aborts the program: such a thread waits here until the program has
-/// ended.
+/// GIL, and with Rust on the stack that aborts the program: such a thread waits here until the
+/// program has ended.
 fn come_back() {
     COMING_BACK.fetch_add(1, Ordering::SeqCst);
     if ENDING.load(Ordering::SeqCst) && !ENDS.get() {
@@ -101,8 +100,7 @@ pub fn end_threads(py: Python<'_>) {
 }
 
 /// Runs engine code without the GIL. An exception from a signal within a long step ends it, and the
-/// step
-/// is not committed.
+/// step is not committed.
 pub fn release<T: Send>(
     py: Python<'_>,
     run: impl FnOnce() -> Result<T, Error> + Send,
@@ -117,8 +115,7 @@ pub fn release<T: Send>(
 }
 
 /// Single steps, of which the short ones keep the GIL: releasing it and taking it back takes as
-/// long
-/// as a small model's step, and no other thread gets far meanwhile.
+/// long as a small model's step, and no other thread gets far meanwhile.
 #[derive(Default)]
 pub struct Singles {
     calls: AtomicU64,

@@ -10,8 +10,7 @@ use crate::errors::Raised;
 use crate::model::shaped;
 
 /// Return by name: where in a step forces are evaluated, and which damping, bias forces and
-/// stiffness are
-/// taken at its end.
+/// stiffness are taken at its end.
 #[pyfunction]
 pub fn integrators(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let all = PyDict::new(py);

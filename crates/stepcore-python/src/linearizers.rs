@@ -109,11 +109,9 @@ impl Linearizers {
     }
 
     /// Return A (as many columns as rows), B (nu columns) and P, side by side, of a step from each
-    /// of some
-    /// states, (worlds, states, rows, columns); the elements at which the nth are one-sided.
-    /// `parameters`: for each model, the models around each. `states`: arrays by name, of shape
-    /// (worlds,
-    /// states, …); absent arrays are as at the start.
+    /// of some states, (worlds, states, rows, columns); the elements at which the nth are
+    /// one-sided. `parameters`: for each model, the models around each. `states`: arrays by name,
+    /// of shape (worlds, states, …); absent arrays are as at the start.
     fn linearize<'py>(
         &self,
         py: Python<'py>,

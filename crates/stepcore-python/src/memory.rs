@@ -81,8 +81,7 @@ impl Arrays {
     }
 
     /// Lets `load` copy in the arrays of the only world, of which some may have changed since it
-    /// last
-    /// did so; it is not called if none has.
+    /// last did so; it is not called if none has.
     pub fn load<E>(
         &self,
         _py: Python<'_>,
@@ -159,10 +158,8 @@ struct Own {
 }
 
 // SAFETY: here the numbers are reached one by one, as atomics; no slice of them exists. Numpy reads
-// and
-// writes them through its views, also where it has released the GIL: a race, as it is for every
-// numpy
-// array, in which each number is one that was written.
+// and writes them through its views, also where it has released the GIL: a race, as it is for every
+// numpy array, in which each number is one that was written.
 unsafe impl Sync for Memory {}
 
 impl Memory {
@@ -191,8 +188,7 @@ impl Memory {
     }
 
     /// Lets `read` see the present numbers of a range of each array, and which arrays may have
-    /// changed;
-    /// for other numbers it returns no information.
+    /// changed; for other numbers it returns no information.
     fn read<T>(
         &self,
         range: impl Fn(Array) -> Range<usize>,

@@ -53,8 +53,7 @@ pub fn compile(scene: &Bound<'_, PyAny>) -> PyResult<Model> {
 }
 
 /// Free the memory that compiling keeps for later models: hulls of meshes (at most some 100 MB),
-/// and
-/// which pairs of geoms never meet. The next model is compiled as the first one was.
+/// and which pairs of geoms never meet. The next model is compiled as the first one was.
 #[pyfunction]
 pub fn empty_caches() {
     stepcore::model::empty_caches();
@@ -123,8 +122,7 @@ impl Model {
     }
 
     /// Return the force of all springs, dampers or actuators on the dofs at many states: ctrl (n,
-    /// nu),
-    /// act (n, na), qpos (n, nq), qvel (n, nv).
+    /// nu), act (n, na), qpos (n, nq), qvel (n, nv).
     fn element_force<'py>(
         &self,
         py: Python<'py>,
@@ -159,9 +157,8 @@ impl Model {
     }
 
     /// Find the contacts of two geoms at positions qpos (n, nq), in numbers of type "f64" or "f32",
-    /// in
-    /// lanes if the name ends with that ("f32 lanes") and the module has them:
-    /// exists and feature (n, slots), dist (n, slots), pos and normal (n, slots, 3).
+    /// in lanes if the name ends with that ("f32 lanes") and the module has them: exists and
+    /// feature (n, slots), dist (n, slots), pos and normal (n, slots, 3).
     fn touches<'py>(
         &self,
         py: Python<'py>,
@@ -195,8 +192,7 @@ impl Model {
     }
 
     /// Return the convex hull of a geom, in its frame [m]: vertices (n, 3) and triangles (m, 3),
-    /// flat;
-    /// None if it has none.
+    /// flat; None if it has none.
     fn geom_hull(&self, geom: usize) -> Option<(Vec<f64>, Vec<usize>)> {
         let hull = self.0.geoms.get(geom)?.hull.as_ref()?;
         let vertices = hull.vertices.iter().flat_map(|v| [v.x, v.y, v.z]);
@@ -347,9 +343,8 @@ impl Model {
     }
 
     /// Return the operations that a step does and leaves out: see `Plan` in `plan/mod.rs`. Stage,
-    /// kind, name,
-    /// type of elements, their indices, how many, whether it is used, why not, and the kind of
-    /// rows.
+    /// kind, name, type of elements, their indices, how many, whether it is used, why not, and the
+    /// kind of rows.
     #[allow(clippy::type_complexity)]
     fn entries(
         &self,
@@ -419,8 +414,7 @@ impl Model {
     }
 
     /// Return the time of every keyframe and its qpos, qvel, act, ctrl, mocap_pos and mocap_quat,
-    /// defaults
-    /// filled in.
+    /// defaults filled in.
     fn keys(&self) -> Vec<(f64, Vec<Vec<f64>>)> {
         let m = &*self.0;
         let key = |k: &stepcore::scene::Key| {

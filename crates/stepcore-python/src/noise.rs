@@ -153,8 +153,7 @@ fn log(x: f64) -> f64 {
 }
 
 /// Return the next `width` numbers of each stream, one stream after the other: of the normal
-/// distribution, or
-/// evenly between 0 and 1.
+/// distribution, or evenly between 0 and 1.
 #[pyfunction]
 pub fn noise<'py>(
     py: Python<'py>,

@@ -479,8 +479,7 @@ impl Sim {
         Ok(self.lock()?.effort().evaluations)
     }
     /// Return, for the last adaptive step: the shortest accepted part [s]; the shortest rejected
-    /// one [s],
-    /// with the body whose error was too large.
+    /// one [s], with the body whose error was too large.
     #[getter]
     fn stretches(&self) -> PyResult<(f64, Option<Refused>)> {
         let stretches = self.lock()?.effort().stretches;

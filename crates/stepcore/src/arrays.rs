@@ -2,8 +2,7 @@
 //! with. They are checked before anything moves, copied in, and copied out again.
 //!
 //! `Array` lists them. A new one is a line in each of its functions, and one in `State::lists` or
-//! in
-//! `Inputs::arrays`, where the engine keeps it.
+//! in `Inputs::arrays`, where the engine keeps it.
 
 pub mod array;
 
@@ -48,9 +47,7 @@ impl<'a> Given<'a> {
     }
 
     /// Refuses numbers that are not finite in the engine's type, flags that are neither 0 nor 1,
-    /// and
-    /// quaternions of no length.
-    /// `world`: its index in a batch, for the error text.
+    /// and quaternions of no length. `world`: its index in a batch, for the error text.
     pub fn check<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
         self.check_some::<R>(model, ArraySet::ALL, world)
     }
@@ -258,8 +255,7 @@ impl<R: Real> State<R> {
 }
 
 impl<R: Real> Sim<R> {
-    /// Copies one world's checked arrays in; returns whether its state changed. Lane 0
-    /// comes first.
+    /// Copies one world's checked arrays in; returns whether its state changed. Lane 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given) -> bool {
         self.put_some(lane, given, ArraySet::ALL)
     }
@@ -291,8 +287,7 @@ impl<R: Real> Sim<R> {
 /// A world in plain numbers, from which worlds of other number types are made.
 ///
 /// It connects generic code that reads a world with code of one number type that makes another, so
-/// that
-/// each type's step is compiled in one crate, not in all that pass a world on.
+/// that each type's step is compiled in one crate, not in all that pass a world on.
 pub struct Plain {
     model: Arc<Model>,
     settings: Settings,

@@ -42,8 +42,7 @@ pub enum Fault {
     /// The iteration of the integrator `midpoint` does not converge.
     Midpoint,
     /// No stretch of a step is short enough for the tolerance [m/s]: the shortest [s] adds an error
-    /// [m], which
-    /// is largest for this body.
+    /// [m], which is largest for this body.
     Rough { error: f64, length: f64, asked: f64, body: Named },
     /// A body is farther from its start [m] than the bound of a motion.
     Far { body: Named, far: f64, bound: f64 },

@@ -1,6 +1,5 @@
 //! The integrators: each is one value that describes its steps. Code that steps, watches or
-//! explains
-//! reads this value, and never compares names.
+//! explains reads this value, and never compares names.
 
 pub mod linear_map;
 
@@ -68,8 +67,7 @@ pub struct Scheme {
     pub damping: Option<Late>,
     pub turning: Option<Turning>,
     /// Whether stiffness is taken at the end of the step too, and rows are solved in M + dt·D +
-    /// dt²·K:
-    /// `place/effective.rs`.
+    /// dt²·K: `place/effective.rs`.
     pub stiffness: bool,
     pub map: Map,
 }

@@ -2,10 +2,9 @@
 //!
 //! # The tour
 //!
-//! A [`scene::Scene`] says what is modelled: bodies, joints, shapes, friction,
-//! softness. Compiling it gives a [`model::Model`], constant during a step.
-//! [`settings::Settings`] say how it is computed. A [`sim::Sim`] holds one state and
-//! steps it, and a step is one loop (`step.rs`):
+//! A [`scene::Scene`] says what is modelled: bodies, joints, shapes, friction, softness. Compiling
+//! it gives a [`model::Model`], constant during a step. [`settings::Settings`] say how it is
+//! computed. A [`sim::Sim`] holds one state and steps it, and a step is one loop (`step.rs`):
 //!
 //! 1. **place** (`place/`): joint positions to poses; the mass matrix and its
 //!    factors LᵀDL; the smooth forces; and the *guess*, the velocity that the

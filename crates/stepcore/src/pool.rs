@@ -1,7 +1,6 @@
 //! Threads that share the work of one world. They wait, and allocate nothing, between one piece of
 //! work and the next. At first they wait awake for a moment, because the stages of a step follow
-//! one
-//! another closely and waking costs as much as hundreds of rows. Then they sleep.
+//! one another closely and waking costs as much as hundreds of rows. Then they sleep.
 //!
 //! The cut into parts depends only on the world, and their results are joined in the
 //! order of the parts. So no bit depends on which thread did which part, or on their number.
@@ -129,8 +128,7 @@ impl Pool {
     }
 
     /// Does the work on every part from 0 to `parts`, and returns when all are done. One caller at
-    /// a
-    /// time.
+    /// a time.
     pub fn share(&self, parts: usize, work: Work) {
         if self.process != std::process::id() {
             return (0..parts).for_each(work);

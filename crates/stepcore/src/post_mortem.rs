@@ -12,8 +12,7 @@ pub enum Stable {
     /// It is unknown.
     Unknown,
     /// The limit of the springs and dampers alone at the start of the failing steps [s]; `tried`:
-    /// these
-    /// steps stay bounded just below it.
+    /// these steps stay bounded just below it.
     Springs { dt: f64, tried: bool },
     /// The integrator feeds springs energy at every dt; `semi_implicit`: the limit of semi-implicit
     /// [s], None if it is stable at the present dt.

@@ -5,8 +5,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 /// Whether this many bytes can be allocated. The black box makes them used: the optimiser may
-/// remove
-/// an unused allocation.
+/// remove an unused allocation.
 pub(crate) fn can_be_had(bytes: usize) -> bool {
     let mut room = Vec::<u8>::new();
     room.try_reserve_exact(bytes).is_ok() && black_box(&mut room).capacity() >= bytes

@@ -89,8 +89,7 @@ impl From<u32> for Sweeps {
 }
 
 /// The largest error that a second of motion may add to the position of a body [m]; None: steps
-/// have
-/// the fixed length.
+/// have the fixed length.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Accuracy(pub Option<f64>);
 
@@ -225,8 +224,7 @@ impl Default for Settings {
 }
 
 /// The smallest error bounds in double and in single precision [m]: the rounding of positions of
-/// some
-/// metres, whose differences are the error estimate.
+/// some metres, whose differences are the error estimate.
 const LEAST_ACCURACY: [f64; 2] = [1e-10, 1e-4];
 /// The largest number of contacts to reserve room for.
 const MOST_CONTACTS: usize = 1_000_000;
@@ -239,8 +237,7 @@ impl Settings {
     }
 
     /// The rows that act at the stages of a step: those that the law makes as hard as possible, or
-    /// forces.
-    /// A softness belongs to the step's end.
+    /// forces. A softness belongs to the step's end.
     pub(crate) fn inside(&self) -> Inside {
         let scheme = self.integrator.scheme();
         match self.law {

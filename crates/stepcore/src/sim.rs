@@ -99,8 +99,7 @@ pub struct Sim<R: Real> {
     pub(crate) plan: Plan,
     pub(crate) clock: Clock<R>,
     /// The time by which a step advances [s]; an adaptive step is made of shorter ones, whose
-    /// length is in
-    /// `clock` and `settings.dt`.
+    /// length is in `clock` and `settings.dt`.
     pub(crate) period: f64,
     pub state: State<R>,
     pub inputs: Inputs<R>,

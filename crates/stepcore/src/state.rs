@@ -122,8 +122,7 @@ impl<R: Real> Inputs<R> {
         &self.qfrc_applied
     }
 
-    /// Force at the centre of mass [N], then moment [N·m], in world axes, by body: 6
-    /// numbers each.
+    /// Force at the centre of mass [N], then moment [N·m], in world axes, by body: 6 numbers each.
     pub fn xfrc_applied(&self) -> &[R] {
         &self.xfrc_applied
     }

@@ -4,8 +4,7 @@
 use crate::real::Real;
 
 /// The most rows of a block, which `elements/constraints.rs` ensures: after their impulses comes
-/// the
-/// slip of sticking friction (`elements/stiction.rs`).
+/// the slip of sticking friction (`elements/stiction.rs`).
 pub const SLIP: usize = 10;
 /// The stored slip of a contact, as vectors by which and about which geom 2 moved [m, rad].
 pub const SLIPS: usize = 6;

@@ -345,8 +345,7 @@ impl Batch {
     }
 
     /// Restore states; lasts: the results of `last` at them. Return the worlds that count their own
-    /// time, as
-    /// `state` takes them.
+    /// time, as `state` takes them.
     fn restore(
         &self,
         py: Python<'_>,

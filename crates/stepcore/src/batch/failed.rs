@@ -106,8 +106,7 @@ mod tests {
     use crate::warm::{Warm, WARM_ROWS};
 
     /// A copy that kept the contacts of its former world would start from other impulses, diverge
-    /// and
-    /// fail by itself.
+    /// and fail by itself.
     #[test]
     fn a_copy_has_all_that_its_world_has() {
         let mut scene = Scene::default();

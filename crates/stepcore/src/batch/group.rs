@@ -200,8 +200,7 @@ impl<R: Real> Group<R> {
     }
 
     /// Stops all worlds because one failed, the one in lane `failed` if it is here. Readings are
-    /// then
-    /// for the present states, and do not depend on how calls divided the steps.
+    /// then for the present states, and do not depend on how calls divided the steps.
     pub fn stop(&mut self, watched: &mut Watched<R>, failed: Option<usize>) {
         for lane in (0..R::LANES).filter(|lane| Some(*lane) != failed) {
             self.past.forget(lane);
@@ -263,8 +262,7 @@ impl<R: Real> Group<R> {
         let copies = standing.mask::<R>();
         watched.sim.take_models(mirrored.of(models, standing));
         // In adaptive steps the last solve belongs to a part of a step, so worlds, which then are
-        // one by one,
-        // end with a solve at their state.
+        // one by one, end with a solve at their state.
         let solves = steps && watched.sim.settings.accuracy.0.is_some();
         let last = if solves { Last::Forward } else { last };
         let guest = Guest { watched, state, inputs, past, ledger }.come(copies);

@@ -35,8 +35,7 @@ use crate::state::{Inputs, State};
 use crate::watch::{Care, Watched, WorldPast};
 
 /// Without `Settings::ledger`, the number of evenly spread worlds whose energies are checked: each
-/// keeps
-/// some of its states and of its inputs.
+/// keeps some of its states and of its inputs.
 const WATCHED: usize = 32;
 
 pub struct Batch<R: Real> {
@@ -153,8 +152,7 @@ impl<R: Real> Batch<R> {
     }
 
     /// Memory of all worlds and of the threads' working spaces [bytes]; without the models, except
-    /// the
-    /// parts that lanes have of them.
+    /// the parts that lanes have of them.
     pub fn bytes(&self) -> usize {
         let models = self.groups.chunk_by(|a, b| Arc::ptr_eq(&a.models.model, &b.models.model));
         let models = match R::LANES {
@@ -185,8 +183,7 @@ impl<R: Real> Batch<R> {
 
     /// Gives the worlds models that differ in numbers from their present ones, `model_of` as in
     /// `of_models`: registers of worlds whose models stay the same are left unchanged. False: this
-    /// is
-    /// impossible, and nothing has changed.
+    /// is impossible, and nothing has changed.
     pub fn set_models(&mut self, models: &[Arc<Model>], model_of: &[usize]) -> bool {
         let Self { groups, layout, workers, .. } = self;
         if groups.iter().any(|group| group.standing.any()) {
@@ -356,8 +353,7 @@ impl<R: Real> Batch<R> {
     }
 
     /// Without `Settings::ledger`: the warning that a world gained more energy than possible, and
-    /// its
-    /// source. It is given once, and nothing is checked after that.
+    /// its source. It is given once, and nothing is checked after that.
     pub fn take_warning(&mut self) -> Option<String> {
         let Self { groups, layout, .. } = self;
         let said = groups.iter_mut().enumerate().find_map(|(index, group)| {

@@ -78,8 +78,7 @@ pub struct Motion<'a> {
     /// The first sample is of the start.
     pub first: bool,
     /// Controls: for each world, or the same for all, `rows` rows, each held for `hold` steps and
-    /// the last one
-    /// to the end. Without rows the present controls stay.
+    /// the last one to the end. Without rows the present controls stay.
     pub ctrl: &'a [f64],
     pub rows: usize,
     pub hold: usize,
@@ -179,8 +178,7 @@ impl Motion<'_> {
     }
 
     /// From this step on, repeats a failed world's arrays in its samples; the other sampled
-    /// quantities are
-    /// unknown.
+    /// quantities are unknown.
     pub(super) fn stand(&mut self, world: usize, failed: &[Vec<f64>], done: usize, end: usize) {
         let steps = (done / self.every + 1) * self.every;
         let samples = self.samples;

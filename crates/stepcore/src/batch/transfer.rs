@@ -11,8 +11,7 @@ use crate::real::Real;
 
 impl<R: Real> Batch<R> {
     /// Copies the arrays of all worlds in; refuses the first world that cannot be stepped, and then
-    /// copies
-    /// nothing.
+    /// copies nothing.
     pub fn load(&mut self, given: &Givens) -> Result<()> {
         let Self { worlds, workers, groups, layout, models, model_of, .. } = self;
         let refused = Mutex::new(None::<(usize, Error)>);

@@ -154,8 +154,7 @@ impl<R: Real> Workers<R> {
 }
 
 /// The working space of a thread: the space of one kind of models at a time, which is returned to
-/// the
-/// others when the thread is done with it.
+/// the others when the thread is done with it.
 pub(super) struct Workspace<'a, R: Real> {
     workers: &'a Workers<R>,
     held: Option<(usize, Watched<R>)>,

@@ -1,13 +1,11 @@
 //! The first test of a step's fixed pairs: one number for each pair, packed, and one for all pairs
 //! of two bodies.
 //!
-//! Most pairs of a robot are far apart in most steps. The numbers here belong to the spheres
-//! that contain the geoms (`detect/apart.rs` tests more), packed so that hundreds of pairs are a
-//! short
+//! Most pairs of a robot are far apart in most steps. The numbers here belong to the spheres that
+//! contain the geoms (`detect/apart.rs` tests more), packed so that hundreds of pairs are a short
 //! loop; and to spheres that contain all geoms of a body, so that most pairs are skipped: first all
 //! of both bodies, then one geom and all of the other body. A step's result is the same, to the
-//! bit,
-//! with and without them.
+//! bit, with and without them.
 
 use super::{BodyPair, Model, Pair, Span, Spheres};
 

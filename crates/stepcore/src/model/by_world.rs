@@ -263,8 +263,7 @@ parts!(Model: pairs, gears, clamps, gravity, bodies, joints, dofs, trees, geoms,
     guards: |_: &Model, all: &mut Numbers| std::mem::take(&mut all.guards));
 
 /// By pair: its place among the distinct sets of materials of the models' pairs; and these sets.
-/// The
-/// materials that two pairs share may differ from world to world.
+/// The materials that two pairs share may differ from world to world.
 fn sets(of: &[&Model]) -> (Vec<usize>, Vec<Vec<usize>>) {
     if let [one] = of {
         let own = one.pairs.iter().map(|pair| pair.material).collect();
@@ -389,8 +388,7 @@ impl Part for Tie {
 }
 
 /// The models of the worlds in lanes: one for all lanes, or one for each. The last one also serves
-/// the
-/// lanes that follow.
+/// the lanes that follow.
 #[derive(Clone)]
 pub(crate) enum ByLane {
     One(Arc<Model>),

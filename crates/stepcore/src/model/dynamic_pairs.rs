@@ -2,16 +2,12 @@
 //! memory.
 //!
 //! Up to `MOST_FIXED` such pairs are listed when a model is compiled (`pairs.rs`), in a model of
-//! few
-//! trees up to `MOST_OF_FEW`. Each listed pair keeps its dofs, its slots and its island, which is
-//! quick
-//! for few pairs, and which worlds in lanes need. Above that a model is a pile: `detect/near.rs`
-//! finds
-//! in every step the pairs whose boxes overlap, and makes them as they would be in the list. The
-//! data
-//! that pairs share is kept by geom, and their materials by two classes of geoms. A pair is
-//! identified
-//! by a number that counts up in the order of the list: by the two bodies, then by the geoms.
+//! few trees up to `MOST_OF_FEW`. Each listed pair keeps its dofs, its slots and its island, which
+//! is quick for few pairs, and which worlds in lanes need. Above that a model is a pile:
+//! `detect/near.rs` finds in every step the pairs whose boxes overlap, and makes them as they would
+//! be in the list. The data that pairs share is kept by geom, and their materials by two classes of
+//! geoms. A pair is identified by a number that counts up in the order of the list: by the two
+//! bodies, then by the geoms.
 
 use super::fixed_tangents::{loose, still};
 use super::pairs::explicit;

@@ -8,12 +8,11 @@
 //! - A planar chain, every hinge along one n and every slide across it: points move across n, so a
 //! tangent along n is still.
 //!
-//! The contact's frame must be known for that. Against a plane its normal is
-//! constant. Two spheres that slide along their common line have it as normal.
-//! A sphere and a sphere or a capsule whose axis is in the plane of motion have their normal in it,
-//! unless a centre stays at the other's centre or axis: then it may be across the plane. It is also
-//! across it where the axes of two capsules cross, which they can anywhere: they keep both
-//! tangents.
+//! The contact's frame must be known for that. Against a plane its normal is constant. Two spheres
+//! that slide along their common line have it as normal. A sphere and a sphere or a capsule whose
+//! axis is in the plane of motion have their normal in it, unless a centre stays at the other's
+//! centre or axis: then it may be across the plane. It is also across it where the axes of two
+//! capsules cross, which they can anywhere: they keep both tangents.
 
 use super::{Geom, Model};
 use crate::scene::{GeomType, JointType};
@@ -121,9 +120,8 @@ fn along_hint(motion: &Motion, normal: &Vector3<f64>, axis: &Vector3<f64>) -> [b
             let (first, second) = tangents(normal, Some(axis));
             [motion.lacks(&first), motion.lacks(&second)]
         }
-        // The axis turns within the plane of motion. The second tangent is along
-        // n, also where the capsule is upright and the spare replaces it, unless
-        // the spare has a part along n.
+        // The axis turns within the plane of motion. The second tangent is along n, also where the
+        // capsule is upright and the spare replaces it, unless the spare has a part along n.
         Motion::Planar(n) => {
             let across = |v: &Vector3<f64>| v.dot(n).abs() <= ROUNDING;
             [false, across(normal) && across(axis) && across(&spare())]

@@ -242,9 +242,8 @@ fn finite(element: &Text, x: &Load) -> Result<()> {
 }
 
 /// Checks that every moving body has mass, itself or in a body that is fixed to it. A point mass
-/// may
-/// turn about an axis away from it; a mass matrix that is singular at the initial
-/// configuration is refused in `invweight`.
+/// may turn about an axis away from it; a mass matrix that is singular at the initial configuration
+/// is refused in `invweight`.
 fn check(scene: &Scene, model: &Model, loads: &[Load]) -> Result<()> {
     let heavy = |x: &Load| x.mass > 0.0 && (1.0 / x.mass).is_finite();
     for (i, body) in model.bodies.iter().enumerate() {

@@ -9,8 +9,7 @@ use crate::interrupt::Meter;
 use crate::place::Placed;
 use crate::scene::{JointType, Scene};
 
-/// A pivot this small, relative to its diagonal, is rounding: the dof adds no independent
-/// motion.
+/// A pivot this small, relative to its diagonal, is rounding: the dof adds no independent motion.
 const SINGULAR: f64 = 1e-14;
 
 /// The inverse weight of a centre of mass that no dof moves is rounding: below this share of the
@@ -200,8 +199,7 @@ fn plain<'a>(
 
 /// Springs and dampers of joints that are given by a time constant and a damping ratio, MuJoCo's
 /// `springdamper`. With the inertia m = 1/invweight that a joint moves at the initial configuration
-/// (the mean of a free
-/// joint's six), the stiffness becomes m/(τ ζ)² and the damping 2 m/τ.
+/// (the mean of a free joint's six), the stiffness becomes m/(τ ζ)² and the damping 2 m/τ.
 pub fn spring_dampers(scene: &Scene, model: &mut Model) {
     for (index, source) in scene.joints.iter().enumerate() {
         let [constant, ratio] = source.springdamper;

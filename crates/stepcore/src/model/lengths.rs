@@ -11,8 +11,7 @@ use std::ops::Range;
 /// The length that is transmitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Transmission {
-    /// The position of a hinge or a slide; the angle of rotation of a ball, never
-    /// negative.
+    /// The position of a hinge or a slide; the angle of rotation of a ball, never negative.
     Joint(usize),
     /// A joint behind a gear, with one entry for each dof, from this place of `Model::gears` on.
     /// The length of a ball is the part of its rotation vector along the gear; a free joint has

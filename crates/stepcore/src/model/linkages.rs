@@ -1,6 +1,5 @@
 //! The compiled transmissions of actuators, and the linkages whose length is neither a joint's nor
-//! a
-//! tendon's: the length of a site and of a slider-crank.
+//! a tendon's: the length of a site and of a slider-crank.
 
 use super::{Linkage, Model, Moved, Span, Transmission};
 use crate::real::Constant;

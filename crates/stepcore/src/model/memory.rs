@@ -102,8 +102,7 @@ fn elements(scene: &Scene) -> Line {
 }
 
 /// The matrix entries of each dof with the dofs before it on its body's way to the world, and of
-/// the
-/// dofs that a tendon couples with each other.
+/// the dofs that a tendon couples with each other.
 fn matrix(scene: &Scene) -> Line {
     let mut own = vec![0; scene.bodies.len()];
     for joint in &scene.joints {

@@ -2,9 +2,8 @@
 //!
 //! Measured meshes are kept for the next compilation of any scene with the same mesh: hulls take
 //! most of the time of compiling a robot, and measurements compile the same robot with other
-//! numbers
-//! some hundred times. A mesh is recognised by its content, so the kept result equals a new one to
-//! the bit.
+//! numbers some hundred times. A mesh is recognised by its content, so the kept result equals a new
+//! one to the bit.
 
 use super::lru::Lru;
 use super::principal::product;
@@ -67,9 +66,8 @@ pub struct Asset {
 }
 
 /// The geoms of a scene with their assets; the geoms of meshes are in the frames of their meshes,
-/// or
-/// fitted to them. Each mesh that a geom uses is measured once, or recalled from an earlier scene;
-/// unused meshes are not measured.
+/// or fitted to them. Each mesh that a geom uses is measured once, or recalled from an earlier
+/// scene; unused meshes are not measured.
 pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
     let mut measured: Vec<Option<Measured>> = scene.meshes.iter().map(|_| None).collect();
     let mut fields: Vec<Option<Arc<HeightField>>> = vec![None; scene.hfields.len()];

@@ -87,8 +87,7 @@ pub struct Model<N: Scalar = f64> {
     pub nhistory: usize,
     pub histories: Vec<Span>,
     /// By actuator: the length along which it pulls, and the length after which its servo's target
-    /// is the
-    /// same again (0: never).
+    /// is the same again (0: never).
     pub along: Vec<Transmission>,
     pub circles: Vec<f64>,
     /// The gears that transmissions point into.

@@ -1,10 +1,9 @@
 //! How many pairs of geoms can meet, and how many never do and why, without a loop over the pairs.
 //!
 //! Geoms of one kind with the same bits are of one sort. A reason that separates two bodies
-//! separates
-//! all their geoms, so pairs are counted by two sorts: all pairs, less the pairs within a body, on
-//! bodies without a joint between them, on excluded bodies, and on a body and its parent. The
-//! remaining pairs can meet if the bits of the two sorts do.
+//! separates all their geoms, so pairs are counted by two sorts: all pairs, less the pairs within a
+//! body, on bodies without a joint between them, on excluded bodies, and on a body and its parent.
+//! The remaining pairs can meet if the bits of the two sorts do.
 
 use super::pairs::Never;
 use super::Model;

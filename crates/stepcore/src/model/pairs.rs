@@ -201,8 +201,7 @@ impl List<'_> {
 }
 
 /// Explicit pairs by their bodies, which decide their place among the others; without the pairs
-/// whose
-/// geoms cannot move against each other.
+/// whose geoms cannot move against each other.
 pub(super) fn explicit(scene: &Scene, model: &Model) -> Vec<([usize; 2], usize)> {
     if !(model.features.contact && model.features.constraint) {
         return vec![];

@@ -112,8 +112,7 @@ pub struct Dof<N = f64> {
     /// The dof before this one on the chain to the root, or `NONE`.
     pub parent: usize,
     /// Into `Model::dof_lists`: this dof and its ancestors, ascending, and the dofs that the metric
-    /// of
-    /// `discrete` couples to these.
+    /// of `discrete` couples to these.
     pub closed: Span,
     /// Row of the mass matrix, in `Model::row_dofs` and every array laid out like
     /// it: this dof, then its ancestors, nearest first.
@@ -134,8 +133,7 @@ pub struct Tree<N = f64> {
     /// Only slide joints.
     pub slides_only: bool,
     /// Whether the mass matrix, its factors and the bias force never change: the tree only slides,
-    /// or it
-    /// is a free ball about its centre that nothing ties.
+    /// or it is a free ball about its centre that nothing ties.
     pub constant: bool,
     /// Whether a step needs its poses: something turns, collides or is tied.
     pub seen: bool,
@@ -225,8 +223,7 @@ pub struct Pair<N = f64> {
     /// `model/fixed_tangents.rs`).
     pub still: [bool; 2],
     /// The ranges of joints keep the two apart: the pair is tested only while a joint is outside
-    /// its
-    /// `Model::guards` (see `model/range_separation.rs`).
+    /// its `Model::guards` (see `model/range_separation.rs`).
     pub apart: bool,
 }
 
@@ -274,8 +271,7 @@ pub struct Spheres {
 }
 
 /// Consecutive pairs of the same two bodies, or the part of them that shares its first geom, with
-/// one
-/// sphere on each body that contains that body's geoms.
+/// one sphere on each body that contains that body's geoms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyPair {
     pub spheres: Spheres,
@@ -286,8 +282,7 @@ pub struct BodyPair {
 }
 
 /// The plane in which a tree moves, and the numbers that a step needs of the tree, all at qpos0;
-/// they
-/// turn with the body from there on.
+/// they turn with the body from there on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plane<N = f64> {
     /// The index of the world axis that is its normal.

@@ -93,8 +93,7 @@ impl Question {
 }
 
 /// Equal hulls are one hull where meshes are recalled (`meshes.rs`). Two hulls of equal content
-/// count
-/// as different here, which costs only a proof.
+/// count as different here, which costs only a proof.
 fn are_one<T>(a: &[Option<Weak<T>>], b: &[Option<Weak<T>>]) -> bool {
     let one = |(x, y): (&Option<Weak<T>>, &Option<Weak<T>>)| match (x, y) {
         (Some(x), Some(y)) => Weak::ptr_eq(x, y),

@@ -39,8 +39,7 @@ impl<N: Constant> Model<N> {
     }
 
     /// The slots in which a contact of a pair may have been in the step before: the same slot, or
-    /// any of
-    /// the pair's if contacts are identified by feature.
+    /// any of the pair's if contacts are identified by feature.
     pub fn kin<P>(&self, pair: &Pair<P>, part: usize) -> Range<u64> {
         let first = (self.slots.contacts + pair.slot) as u64;
         if pair.test.by_feature() {

@@ -1,10 +1,8 @@
 //! The relation between a length and the dofs: its value at a position, and its gradient, the
-//! moment
-//! arms.
+//! moment arms.
 //!
 //! Elements that pull along a length (an actuator, a limit, a tendon's spring) use this and need
-//! neither
-//! joint nor path. The lengths and arms of tendons are computed in `place/tendon.rs`.
+//! neither joint nor path. The lengths and arms of tendons are computed in `place/tendon.rs`.
 
 pub(crate) use super::lengths::{Limited, Rubbing};
 pub use super::Transmission;
@@ -175,8 +173,7 @@ impl Transmission {
     }
 
     /// Calls `each(i, j, aᵢ aⱼ)` for every pair of arms, both ways, and each with itself: this
-    /// matrix on
-    /// the dofs is a unit stiffness along the length.
+    /// matrix on the dofs is a unit stiffness along the length.
     #[inline(always)]
     pub fn pairs<R: Real>(
         self,

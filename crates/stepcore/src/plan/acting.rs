@@ -1,6 +1,5 @@
 //! The forces in a model: one list for each kind, with each element as constant numbers. The
-//! formulas
-//! are in `elements/`, whose `forces.rs` fills these lists.
+//! formulas are in `elements/`, whose `forces.rs` fills these lists.
 
 use crate::elements::Element;
 use crate::scene::{Coefficients, JointType};

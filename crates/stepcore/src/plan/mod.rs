@@ -58,8 +58,7 @@ pub struct Entry {
 }
 
 /// The work of a step of a model under its settings, besides the lists of the model. A `Sim` holds
-/// it:
-/// no step reads these settings again.
+/// it: no step reads these settings again.
 #[derive(Clone, Debug)]
 pub struct Plan {
     pub(crate) scheme: &'static Scheme,
@@ -117,8 +116,7 @@ impl Plan {
     }
 
     /// The work of a step, done and omitted: one entry for each kind of work and reason, in the
-    /// order of
-    /// the stages.
+    /// order of the stages.
     pub fn entries(&self, model: &Model, settings: &Settings) -> Vec<Entry> {
         let mut print = Print { entries: vec![] };
         print.places(model);

@@ -5,15 +5,13 @@ use crate::real::Constant;
 
 /// A motor, a servo or a muscle. Its force is gain·u + bias: u is the control, or the activation if
 /// there is one; gain and bias depend on the length along which it pulls and on the rate of that,
-/// both
-/// of them times the gear. The target receives gear × force.
+/// both of them times the gear. The target receives gear × force.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Actuator<N = f64> {
     pub name: String,
     pub target: Target,
     /// Only the first for a hinge, a slide, a tendon and a crank; for a ball an axis; for a free
-    /// joint
-    /// and for a site a direction and an axis.
+    /// joint and for a site a direction and an axis.
     pub gear: [N; 6],
     /// gain = g₀ + g₁·length + g₂·velocity; bias likewise. A motor: 1, and zeros. A position servo:
     /// kp, and 0, −kp, −kv. A velocity servo: kv, and 0, 0, −kv.
@@ -30,15 +28,13 @@ pub struct Actuator<N = f64> {
     /// Set for one of three that turn a ball together, with kp = −bias₁ and kv = −bias₂.
     pub orientation: Option<Orientation>,
     /// The role of its control in a controller; and the index of that controller's actuator, if it
-    /// is
-    /// another one: this one then makes no force itself.
+    /// is another one: this one then makes no force itself.
     pub input: Input,
     pub feeds: Option<usize>,
     /// Whether it has an activation, and how that follows the control.
     pub dynamics: Dynamics,
     /// For a filter: its time constant [s]. For a muscle: those of activation and deactivation [s],
-    /// and
-    /// the width of control over which one becomes the other.
+    /// and the width of control over which one becomes the other.
     pub dynprm: [N; 3],
     /// Bounds of the control, of the activation, and of the force before the gear. None: none.
     pub ctrlrange: Option<[N; 2]>,
@@ -189,8 +185,7 @@ pub struct Motor {
     pub current_rate: f64,
     /// Of the winding to its surroundings: resistance, heat capacity; then the increase of the
     /// electrical resistance with each degree, the temperature at which it starts, and the
-    /// temperature of
-    /// the surroundings.
+    /// temperature of the surroundings.
     pub thermal: Option<[f64; 5]>,
     /// Amplitude, periods in a unit of length, phase.
     pub cogging: [f64; 3],
@@ -201,8 +196,7 @@ pub struct Motor {
 
 impl Controller {
     /// Which activations it has, in their order: a target, an integral, a temperature, a deflection
-    /// of
-    /// bristles, a current.
+    /// of bristles, a current.
     pub fn remembers(&self) -> [bool; 5] {
         let [thermal, lugre, inductance] = self.motor.as_ref().map_or([false; 3], |motor| {
             [motor.thermal.is_some(), motor.lugre.is_some(), motor.inductance > 0.0]

@@ -17,8 +17,7 @@ pub enum Stop {
 }
 
 /// A length with the elements that hold and pull it. Over joints alone (fixed): a sum of their
-/// positions;
-/// else (spatial) the shortest path through its stops [m].
+/// positions; else (spatial) the shortest path through its stops [m].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tendon {
     pub name: String,

@@ -7,8 +7,7 @@ use crate::scene::{ObjectType, Reduce, Sensor, SensorField, SensorObject};
 use crate::spatial::V3;
 
 /// A contact as a sensor reports it: in the frame (normal, tangent, normal × tangent), the normal
-/// from
-/// the sensor's first object to its second.
+/// from the sensor's first object to its second.
 struct Told {
     bodies: [usize; 2],
     pos: V3<f64>,

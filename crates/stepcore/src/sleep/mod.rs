@@ -1,21 +1,17 @@
 //! Sleep: islands at rest, which a step skips until something touches them.
 //!
 //! The rule is MuJoCo 4's ("Sleeping islands"). A tree is slow in a step that starts with every dof
-//! below
-//! `sleep_tolerance`, rotations multiplied by a length of the body. An island is the set of trees
-//! that
-//! rows tie together now. It falls asleep when all of its trees have been slow for `sleep_time`
-//! (MuJoCo:
-//! for 10 steps) and may sleep. It then stays where that step started, its velocities are 0, and it
-//! acts as a fixed body: it makes no rows, and meets nothing that does not move either.
+//! below `sleep_tolerance`, rotations multiplied by a length of the body. An island is the set of
+//! trees that rows tie together now. It falls asleep when all of its trees have been slow for
+//! `sleep_time` (MuJoCo: for 10 steps) and may sleep. It then stays where that step started, its
+//! velocities are 0, and it acts as a fixed body: it makes no rows, and meets nothing that does not
+//! move either.
 //!
 //! It wakes, as a whole, in a step in which it takes part in a row or in a push with something
-//! awake
-//! (mocap bodies always are), in which a force is applied to one of its trees, or in which one has
-//! a
-//! velocity or other positions than those in which it fell asleep. That step is made as if it had
-//! been
-//! awake: it starts from the impulses, and the slip of sticking friction, of its last step awake.
+//! awake (mocap bodies always are), in which a force is applied to one of its trees, or in which
+//! one has a velocity or other positions than those in which it fell asleep. That step is made as
+//! if it had been awake: it starts from the impulses, and the slip of sticking friction, of its
+//! last step awake.
 
 mod trees;
 
@@ -114,8 +110,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// Writes the trees that sleep at the start of this step into `next`: without those that the
-    /// user
-    /// moved, and those that an equality ties to awake trees, or to others that sleep.
+    /// user moved, and those that an equality ties to awake trees, or to others that sleep.
     pub(crate) fn begin_sleep(&mut self) {
         self.next.woken.clear();
         let Self { model, state, next, inputs, sleeper, .. } = self;
@@ -181,8 +176,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// Wakes the trees that take part in a new row or push, slow for as long as the trees they
-    /// meet.
-    /// Returns whether any woke.
+    /// meet. Returns whether any woke.
     pub(crate) fn wake_touched(&mut self) -> bool {
         let Self { model, state, next, detected, rows, .. } = self;
         let lists = detected.lists.of(model);
@@ -211,8 +205,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// Ends a step that is to be committed: sleeping trees stay, and trees that had been slow for
-    /// long
-    /// enough at its start fall asleep there.
+    /// long enough at its start fall asleep there.
     pub(crate) fn settle(&mut self) {
         let Self { model, state, next, rows, detected, sleeper, settings, plan, inputs, .. } = self;
         let lists = detected.lists.of(model);

@@ -60,11 +60,9 @@ impl<R: Real> Sleeper<R> {
 }
 
 /// By tree: whether it never sleeps. With the automatic policy a tree may sleep if no actuator,
-/// whose
-/// force may change at any time, drives it, if it shares no pulling tendon, and no tendon with two
-/// other
-/// trees. A tree on a mocap body never sleeps: the mocap body's earlier pose is not part of the
-/// state.
+/// whose force may change at any time, drives it, if it shares no pulling tendon, and no tendon
+/// with two other trees. A tree on a mocap body never sleeps: the mocap body's earlier pose is not
+/// part of the state.
 fn never(model: &Model) -> Vec<bool> {
     let mut bound = vec![false; model.trees.len()];
     for (actuator, along) in model.actuators.iter().zip(&model.along) {
@@ -96,8 +94,7 @@ fn never(model: &Model) -> Vec<bool> {
 }
 
 /// MuJoCo's `dof_length`: 1 for a sliding dof; for a rotation the largest distance of the body's
-/// geoms and
-/// joints, and of its children's joints, from its centre of mass [m].
+/// geoms and joints, and of its children's joints, from its centre of mass [m].
 fn lengths(model: &Model) -> Vec<f64> {
     let mut reach = vec![LEAST; model.bodies.len()];
     let mut extend = |body: usize, distance: f64| reach[body] = reach[body].max(distance);

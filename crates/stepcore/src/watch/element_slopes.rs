@@ -2,9 +2,8 @@
 //!
 //! An element's stiffness is minus the derivative of its generalised force by the positions, its
 //! damping minus the derivative by the velocities, in the coordinates of `linearize.rs`. As there,
-//! they
-//! come from forces in numbers that carry derivatives. So everything is included: the changes of a
-//! force, the rotation of its directions, and the reactions of rows. Rows act as they act at
+//! they come from forces in numbers that carry derivatives. So everything is included: the changes
+//! of a force, the rotation of its directions, and the reactions of rows. Rows act as they act at
 //! the state; if one opens or closes exactly there, its derivatives are one-sided.
 
 use std::collections::BTreeMap;

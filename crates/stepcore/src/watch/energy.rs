@@ -97,8 +97,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// Computes poses, inertias, the mass matrix and the forces at the present state, except the
-    /// forces
-    /// that act through contacts.
+    /// forces that act through contacts.
     pub fn refresh(&mut self) {
         self.place_poses();
         let (qpos, qvel) = At::State.of(&self.state, &self.next);

@@ -1,15 +1,11 @@
 //! The last solve, kept for reading.
 //!
 //! Body forces and sensors belong to the state at which forces were computed: MuJoCo computes them
-//! in
-//! `mj_forward`, before it integrates. A step leaves its placement, its rows and its impulses in
-//! the
-//! `Sim`, and its initial state in `next`. While both are valid they are read there, with
-//! that state put back meanwhile. Otherwise a second `Sim` repeats the solve: if there were several
-//! in
+//! in `mj_forward`, before it integrates. A step leaves its placement, its rows and its impulses in
+//! the `Sim`, and its initial state in `next`. While both are valid they are read there, with that
+//! state put back meanwhile. Otherwise a second `Sim` repeats the solve: if there were several in
 //! the step (`midpoint`, `rk4`), if a body may sleep (a body resting on another presses on it,
-//! asleep
-//! or not), and if something else was computed since.
+//! asleep or not), and if something else was computed since.
 
 use crate::arrays::{ArraySet, Given};
 use crate::error::Result;

@@ -1,12 +1,9 @@
 //! The step as a linear map: the change of the state after it with the state before it.
 //!
 //! A `Sim<Dual>` repeats one step from the same state and inputs until all directions are done, a
-//! few at
-//! a time. Tangent coordinates x = (dq, dv, dw, dc) have nv, nv, na and nhistory
-//! entries: dq moves positions as a velocity of that size moves them in a unit of time (`advance`),
-//! so
-//! that a rotation is a rotation vector in the body's axes; dw are activations, dc past controls.
-//! The
+//! few at a time. Tangent coordinates x = (dq, dv, dw, dc) have nv, nv, na and nhistory entries: dq
+//! moves positions as a velocity of that size moves them in a unit of time (`advance`), so that a
+//! rotation is a rotation vector in the body's axes; dw are activations, dc past controls. The
 //! solver's initial impulses are held constant.
 
 use std::collections::BTreeSet;
@@ -47,9 +44,8 @@ impl Neighbourhood {
     }
 
     /// The first way of the parameters, behind `own` other ways. Parameters share a step with the
-    /// last
-    /// of those if that saves a step; else they have separate steps, because models of many numbers
-    /// take longer.
+    /// last of those if that saves a step; else they have separate steps, because models of many
+    /// numbers take longer.
     fn first(&self, own: usize) -> usize {
         let apart = own.next_multiple_of(WAYS);
         let count = self.parameters.len();
@@ -61,8 +57,7 @@ impl Neighbourhood {
     }
 
     /// The model; then, for each step with ways of parameters from `first` on, the model with the
-    /// models
-    /// around them. Refuses a parameter around which models differ in more than numbers.
+    /// models around them. Refuses a parameter around which models differ in more than numbers.
     fn side_by_side(&self, first: usize) -> Result<Vec<SideBySide<Dual>>> {
         let mut all = vec![SideBySide::new(vec![self.model.clone()])?];
         let (mut left, mut taken) = (self.parameters.as_slice(), first % WAYS);
@@ -122,8 +117,7 @@ pub struct Linearizer {
     /// The last step was from here too, and in no direction that moves positions.
     still: bool,
     /// Elements at which the derivatives of the nth linearisation are one-sided: one of their rows
-    /// is
-    /// exactly where it becomes active.
+    /// is exactly where it becomes active.
     pub degenerate: Vec<(usize, Element)>,
     explain: Explain,
 }
@@ -237,9 +231,8 @@ impl Linearizer {
     }
 
     /// This many matrices of zeros, one after the other. Each has 2 nv + na + nhistory rows of as
-    /// many
-    /// columns, then nu, then one for each parameter: A, B and P side by side, P by the distance of
-    /// the models around.
+    /// many columns, then nu, then one for each parameter: A, B and P side by side, P by the
+    /// distance of the models around.
     pub fn matrices(&self, count: usize) -> Result<Vec<f64>> {
         zeros("linearize", count.saturating_mul(self.rows()), self.width())
     }
@@ -397,8 +390,7 @@ pub(super) fn differentiated(from: &Plain) -> Result<Sim<Dual>> {
 
 impl Direction {
     /// The nth direction, in the order of the columns of A and B: positions, velocities,
-    /// activations, past
-    /// controls, controls.
+    /// activations, past controls, controls.
     pub(super) fn nth(model: &Model, way: usize) -> Self {
         let (nv, na, past) = (model.nv, model.na, 2 * model.nv + model.na);
         if way < nv {

@@ -1,8 +1,7 @@
 //! The origin of a run: the states before its last steps, and some much earlier.
 //!
 //! Every world has its own past, in a `Sim` and in a batch, however its steps are divided into
-//! calls: the
-//! same states explain its failure.
+//! calls: the same states explain its failure.
 
 use crate::model::Model;
 use crate::observer::Observer;
@@ -17,8 +16,7 @@ const MILESTONES: usize = 4;
 const STRIDE: u64 = 64;
 
 /// States before each of the last steps, and at every 64th step before: the lists of each, one
-/// after
-/// the other.
+/// after the other.
 pub(crate) struct Past<R: Real> {
     recent: Vec<R>,
     milestones: Vec<R>,

@@ -118,8 +118,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// Stiffness and damping that the integrator takes at the end of a step from the state at which
-    /// the
-    /// levels were measured.
+    /// the levels were measured.
     fn late_slopes(&self, lane: usize) -> Vec<LateSlope> {
         let (now, mut list) = (self.moment(At::State), Vec::new());
         let scheme = self.settings.integrator.scheme();

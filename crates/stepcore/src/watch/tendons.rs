@@ -40,10 +40,8 @@ impl<R: Real> Sim<R> {
     }
 
     /// All forces along each spatial tendon in the last solve, in a lane, positive where they
-    /// lengthen
-    /// it [N]: of its spring and damper, actuators, limit, friction loss, equalities and armature.
-    /// 0 for
-    /// fixed tendons, which pull at no point.
+    /// lengthen it [N]: of its spring and damper, actuators, limit, friction loss, equalities and
+    /// armature. 0 for fixed tendons, which pull at no point.
     pub(crate) fn tension_of_tendons(&self, lane: usize) -> Vec<f64> {
         let (model, placed) = (&*self.model, &self.placed);
         let now = self.moment(At::State);

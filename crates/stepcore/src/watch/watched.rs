@@ -71,8 +71,7 @@ impl<R: Real> Watched<R> {
     }
 
     /// Takes one world's arrays, already checked, where they may differ from the present ones. Lane
-    /// 0
-    /// comes first.
+    /// 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given, some: ArraySet) {
         if self.sim.put_some(lane, given, some) {
             if std::mem::take(&mut self.failed) {
@@ -145,10 +144,8 @@ impl<R: Real> Watched<R> {
         self.sim.whole(Sim::go_to_last_stage).map_err(|error| self.explained(error))
     }
 
-    /// Ends a call of `n` steps, in however many portions it was made: balances
-    /// the ledger if the call was long, or if the ledger never was balanced. Nothing that can be
-    /// read
-    /// changes.
+    /// Ends a call of `n` steps, in however many portions it was made: balances the ledger if the
+    /// call was long, or if the ledger never was balanced. Nothing that can be read changes.
     pub fn balance_at_end(&mut self, n: u64) -> Result<()> {
         let Self { sim, past, ledger, others, .. } = self;
         let Some(ledger) = ledger else { return Ok(()) };
@@ -161,8 +158,7 @@ impl<R: Real> Watched<R> {
     }
 
     /// Without `Settings::ledger`: the warning that more energy was gained than possible, and its
-    /// source.
-    /// It is given once, and nothing is checked after that.
+    /// source. It is given once, and nothing is checked after that.
     pub fn take_warning(&mut self) -> Option<String> {
         let said = self.ledger.as_mut()?.take_said()?;
         self.unwatch();
@@ -232,8 +228,7 @@ impl<R: Real> Watched<R> {
 /// For batches, whose groups of worlds share one working space.
 impl<R: Real> Watched<R> {
     /// Swaps in another group's worlds, of which `copies` (bits) repeat another, with their past
-    /// and
-    /// ledger; the previous ones are stored in their place.
+    /// and ledger; the previous ones are stored in their place.
     pub(crate) fn swap(
         &mut self,
         past: &mut Past<R>,
@@ -295,8 +290,7 @@ fn suspect<R: Real>(
 pub(super) type Explain = fn(&Plain, Error) -> Error;
 
 /// Explains the same step in the number type `R`. A function that makes a copy uses this number
-/// type
-/// too, so that both steps are compiled once.
+/// type too, so that both steps are compiled once.
 pub(super) fn explained<R: Real>(copy: &Plain, error: Error) -> Error {
     let plain = copy.sim::<R>().and_then(|plain| Watched::around(plain).step(1));
     plain.err().unwrap_or(error)

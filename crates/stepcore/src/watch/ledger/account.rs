@@ -1,12 +1,11 @@
 //! The account of one world: its energy, and the energy that a passive scene could have.
 //!
-//! E is kinetic energy, springs and gravity; W the work of motors and applied forces. E − W
-//! can only fall, except for what violated rows give back: |λ|/dt·|r| at most, the force of a
-//! row through the whole of its violation. So E − W never rises above its lowest earlier value,
-//! with
-//! violated rows counted there and not now. An integrator's error rises with the energy
-//! that circulates, and so does its allowance: `scale`, the most that moved or was stored
-//! without being a gain itself. No number here has a unit of its own.
+//! E is kinetic energy, springs and gravity; W the work of motors and applied forces. E − W can
+//! only fall, except for what violated rows give back: |λ|/dt·|r| at most, the force of a row
+//! through the whole of its violation. So E − W never rises above its lowest earlier value, with
+//! violated rows counted there and not now. An integrator's error rises with the energy that
+//! circulates, and so does its allowance: `scale`, the most that moved or was stored without being
+//! a gain itself. No number here has a unit of its own.
 
 use crate::real::Real;
 

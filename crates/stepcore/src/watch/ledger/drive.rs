@@ -105,8 +105,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// Work of motors, applied forces and some servos in the step from `state` to `next`: their
-    /// force
-    /// times the mean of both velocities.
+    /// force times the mean of both velocities.
     fn driven(&self, work: &Work<R>) -> R {
         let now = self.moment(At::State);
         let mut sum = R::zero();

@@ -53,8 +53,7 @@ impl Care {
     }
 
     /// The allowed gain as a multiple of the circulating energy. Rows that are solved after the
-    /// stages
-    /// of a step can slowly feed a rocking body, for as long as it rocks: no healthy run
+    /// stages of a step can slowly feed a rocking body, for as long as it rocks: no healthy run
     /// gains a quarter that way.
     fn allowed(self, settings: &Settings) -> f64 {
         match self {
@@ -315,8 +314,7 @@ impl<R: Real> Ledger<R> {
     }
 
     /// Balances the accounts if a milestone is due. Returns the steps to the next one, and whether
-    /// it
-    /// has solved at the present state, with which the next step then starts.
+    /// it has solved at the present state, with which the next step then starts.
     fn balance(
         &mut self,
         sim: &mut Sim<R>,
@@ -376,10 +374,9 @@ impl<R: Real> Ledger<R> {
         self.ask(sim, suspect)
     }
 
-    /// Calls `suspect` for the remaining lanes that gained more than possible,
-    /// or are beyond all bounds. A run that continues after an error opens a new account, unless
-    /// other
-    /// lanes `go_on` with this one.
+    /// Calls `suspect` for the remaining lanes that gained more than possible, or are beyond all
+    /// bounds. A run that continues after an error opens a new account, unless other lanes `go_on`
+    /// with this one.
     fn ask(
         &mut self,
         sim: &Sim<R>,

@@ -16,8 +16,7 @@ const WHOLE: u64 = 80_000_000;
 /// The search of a distance, with the contacts that are made of it.
 const SEPARATION: u64 = 3_000;
 /// The cost limit for finding the element that caused a failure: the same in a `Sim` and in a batch
-/// of any
-/// size, so that they name the same one.
+/// of any size, so that they name the same one.
 const CAUSE: u64 = 20_000_000;
 /// The least cost limit for explaining the rest of a batch's failure.
 const LEAST: u64 = 500_000;

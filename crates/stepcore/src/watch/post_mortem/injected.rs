@@ -14,8 +14,7 @@ const AFTERMATH: f64 = 1e6;
 const FITTED: usize = 64;
 
 /// The steps in which the failure started: the last one without more energy than was put in, and
-/// the
-/// following ones that do not end far beyond that.
+/// the following ones that do not end far beyond that.
 pub(super) fn feeding<'a>(
     model: &Model,
     entries: &'a [StepGains],
@@ -103,11 +102,9 @@ pub(super) fn shares(entries: &[StepGains]) -> Vec<(Element, f64)> {
 }
 
 /// The part of the present energy that each element has brought [J]. Inertial forces bring none:
-/// their
-/// effect on it is charged to the elements that brought it, and to themselves for the initial
-/// energy.
-/// If an element brings far more than that, bodies move so far in a step that their inertia is
-/// no longer the one used by the step.
+/// their effect on it is charged to the elements that brought it, and to themselves for the initial
+/// energy. If an element brings far more than that, bodies move so far in a step that their inertia
+/// is no longer the one used by the step.
 #[derive(Default)]
 struct Brought(BTreeMap<Element, f64>);
 

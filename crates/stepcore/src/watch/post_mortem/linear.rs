@@ -52,8 +52,7 @@ struct Slopes {
 
 impl<R: Real> Sim<R> {
     /// The ratio of the largest energy of a healthy run of these springs to the present energy; 1
-    /// if
-    /// the springs themselves diverge, or do not swing.
+    /// if the springs themselves diverge, or do not swing.
     pub(super) fn swing(&mut self, lane: usize, dt: f64, budget: &Budget) -> f64 {
         let integrator = self.settings.integrator;
         if integrator.scheme().map == Map::Taylor(1) {

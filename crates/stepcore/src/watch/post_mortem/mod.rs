@@ -32,8 +32,7 @@ const SMALL: usize = 12;
 const UNSOLVED: f64 = 0.5;
 
 /// The share of steps with a servo at its force bounds from which on the gains of inertial forces
-/// are
-/// charged to it.
+/// are charged to it.
 const OUT_OF_HAND: f64 = 0.25;
 /// How many times as long a rerun under law `penalty` continues, until its contacts recur.
 const AFTERWARDS: u32 = 7;
@@ -127,8 +126,7 @@ impl<R: Real> Run<'_, R> {
     }
 
     /// The element that violates its law most at the start of the step, in a separate world: the
-    /// present
-    /// rows may be another world's.
+    /// present rows may be another world's.
     fn missed_here(&self, lane: usize) -> Option<(Element, f64)> {
         let mut world = Segment::at_present(self.sim, lane).world(self.sim)?;
         world.place_detect_solve(At::State).ok()?;
@@ -282,8 +280,7 @@ impl<R: Real> Run<'_, R> {
             }
         }
         // The contacts' springs are not among the analysed ones: only a rerun decides, one that
-        // meets the
-        // contacts again.
+        // meets the contacts again.
         let penalty = sim.settings.law == Law::Penalty;
         let more = if penalty { AFTERWARDS } else { 0 };
         match start.spring_limit(lane, integrator, budget) {

@@ -14,8 +14,7 @@ const LITTLE: f64 = 0.05;
 /// The most halvings of dt that are tried.
 const HALVINGS: u32 = 8;
 /// The largest number of halvings with which a gain is searched for: a spring a million times too
-/// stiff
-/// for dt is stable with a thousandth of it.
+/// stiff for dt is stable with a thousandth of it.
 const FINEST: u32 = 16;
 
 /// The outcome of a repeated stretch.
@@ -223,8 +222,7 @@ impl<R: Real> Segment<R> {
     }
 
     /// The gain of semi-implicit over the stretch, as a share of the original gain; None if it is
-    /// not
-    /// below half, or would take too long to find out.
+    /// not below half, or would take too long to find out.
     pub fn under_semi_implicit(&self, of: &Sim<R>, lane: usize, budget: &Budget) -> Option<f64> {
         let settings = Settings { integrator: Integrator::SemiImplicit, ..of.settings.clone() };
         let now = self.gain(of, of.clock.seconds, lane, 0, budget);

@@ -1,10 +1,8 @@
 //! Energy that rows added because they were not solved.
 //!
 //! A row whose velocity misses its law by w gives at most |λ|·|w| too much in a step. An element's
-//! gain
-//! in a step, up to that, is the energy that its unsolved rows may have added: for a solved row it
-//! is
-//! rounding, whatever the dt.
+//! gain in a step, up to that, is the energy that its unsolved rows may have added: for a solved
+//! row it is rounding, whatever the dt.
 
 use std::collections::BTreeMap;
 
