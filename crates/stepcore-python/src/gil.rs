@@ -51,17 +51,17 @@ fn interrupted() -> bool {
     RAISED.with_borrow(Option::is_some)
 }
 
-/// The interpreter is about to end; the thread in which it does; how many threads are about to take
-/// the GIL.
+/// The interpreter is about to end; its thread; the number of threads that are about to take the
+/// GIL.
 static ENDING: AtomicBool = AtomicBool::new(false);
 static COMING_BACK: AtomicU64 = AtomicU64::new(0);
 thread_local! {
     static ENDS: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Call before this thread takes the GIL. An ending interpreter kills a thread that requests the
-/// GIL, and with Rust on the stack that aborts the program: such a thread waits here until the
-/// program has ended.
+/// Call before this thread takes the GIL. An ending interpreter kills a thread that requests it,
+/// and with Rust on the stack that aborts the program: such a thread waits here until the program
+/// ends.
 fn come_back() {
     COMING_BACK.fetch_add(1, Ordering::SeqCst);
     if ENDING.load(Ordering::SeqCst) && !ENDS.get() {
@@ -168,8 +168,8 @@ fn finish<T>(py: Python<'_>, done: thread::Result<Result<T, Error>>) -> PyResult
     }
 }
 
-/// The engine's side of an object, for one thread at a time. It can be used again after a
-/// panic: positions, velocities and inputs are copied in before each use.
+/// The engine's side of an object, for one thread at a time. It can be used again after a panic:
+/// positions, velocities and inputs are copied in before each use.
 pub fn lock<'a, T>(engine: &'a Mutex<T>, object: &str) -> PyResult<MutexGuard<'a, T>> {
     match engine.try_lock() {
         Ok(guard) => Ok(guard),

@@ -1,10 +1,10 @@
 //! `stepcore._core`: the engine's Python interface. Thin shims; no physics here.
 //!
-//! `extract` and `scene` read values from Python, `memory` holds the arrays that both
-//! sides see, `arguments` and `tables` are the arguments and results of methods, `world` is one
-//! world of either precision and `worlds` many, `snapshot` a state as bytes, `gil` the
-//! one place where the GIL is released, `errors` the one map of errors, `readout` the one table
-//! of quantities that are read by name.
+//! `extract` and `scene` read values from Python, `memory` holds the arrays that both sides see,
+//! `arguments` and `tables` are the arguments and results of methods, `world` is one world of
+//! either precision and `worlds` many, `snapshot` a state as bytes, `gil` the one place where the
+//! GIL is released, `errors` the one map of errors, `readout` the one table of quantities that are
+//! read by name.
 
 mod arguments;
 mod auto;

@@ -58,8 +58,8 @@ impl Memo {
         self.sleep = Sleep::new();
     }
 
-    /// One lane's part of a state. An impulse of zero equals none, and a lane has
-    /// zeros for the contacts of its neighbours.
+    /// One lane's part of a state. An impulse of zero equals none, and a lane has zeros for the
+    /// contacts of its neighbours.
     pub fn of<R: Real>(state: &State<R>, lane: usize) -> Self {
         let warm = state.warm.iter().map(|w| w.in_lane(lane)).filter(Warm::acts);
         let sleep = state.sleep.cast();

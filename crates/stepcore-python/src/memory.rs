@@ -105,8 +105,8 @@ impl Arrays {
         )
     }
 
-    /// Lets `take(array, numbers)` overwrite the arrays that a step changes, one array of all
-    /// worlds at a time.
+    /// Lets `take(array, numbers)` overwrite the arrays that a step changes, of all worlds at a
+    /// time.
     pub fn store(&self, _py: Python<'_>, mut take: impl FnMut(Array, &mut [f64]) + Send) {
         let mut own = self.memory.get().own();
         for array in &Array::ALL[..Array::CHANGED] {
@@ -169,8 +169,8 @@ impl Memory {
         Self { numbers, own: Mutex::new(own) }
     }
 
-    /// The start of a range. The pointer may be written through: it comes from the cells, not
-    /// from a reference to a number.
+    /// The start of a range. The pointer may be written through: it comes from the cells, not from
+    /// a reference to a number.
     fn start(&self, range: &Range<usize>) -> *mut f64 {
         UnsafeCell::raw_get(self.numbers[range.clone()].as_ptr())
     }
@@ -237,8 +237,8 @@ impl Memory {
             let text = format!("a view of {} numbers cannot have shape {shape:?}", range.len());
             return Err(PyRuntimeError::new_err(text));
         }
-        // SAFETY: the pointer is to as many numbers as the shape has, and they may be
-        // written. No reference to a number is made: numpy gets the address and the shape.
+        // SAFETY: the pointer is to as many numbers as the shape has, and they may be written. No
+        // reference to a number is made: numpy gets the address and the shape.
         let view = unsafe { ArrayViewMut::from_shape_ptr(IxDyn(shape), this.get().start(&range)) };
         // SAFETY: the block is never moved or freed before `this`, which the array holds.
         Ok(unsafe { PyArray::borrow_from_array(&view, this.clone().into_any()) })

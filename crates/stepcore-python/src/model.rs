@@ -342,9 +342,8 @@ impl Model {
         Some(meet.into_iter().map(|((a, b), count)| (a.word(), b.word(), count)).collect())
     }
 
-    /// Return the operations that a step does and leaves out: see `Plan` in `plan/mod.rs`. Stage,
-    /// kind, name, type of elements, their indices, how many, whether it is used, why not, and the
-    /// kind of rows.
+    /// Return the work that a step does and leaves out: see `Plan` in `plan/mod.rs`. Stage, kind,
+    /// name, type of elements, indices, how many, whether used, why not, and the kind of rows.
     #[allow(clippy::type_complexity)]
     fn entries(
         &self,
@@ -390,8 +389,8 @@ impl Model {
             .collect()
     }
 
-    /// Return the decisions of compilation that `entries` omits: by pair, tree and geom, in the
-    /// model's order.
+    /// Return decisions of compilation that `entries` omits: by pair, tree and geom, in the model's
+    /// order.
     fn plan<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let m = &*self.0;
         let plan = PyDict::new(py);
@@ -433,8 +432,8 @@ impl Model {
         m.keys.iter().map(key).collect()
     }
 
-    /// Return every array that the user may write, by name, with its initial numbers one after
-    /// the other.
+    /// Return every array that the user may write, by name, with its initial numbers one after the
+    /// other.
     fn initial(&self) -> Vec<(&'static str, Vec<f64>)> {
         Array::ALL.map(|array| (array.name(), array.initial(&self.0))).to_vec()
     }

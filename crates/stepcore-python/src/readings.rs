@@ -1,5 +1,5 @@
-//! Quantities of a state, of bodies and of rays, as plain numbers in MuJoCo's order: angular
-//! before linear.
+//! Quantities of a state, of bodies and of rays, as plain numbers in MuJoCo's order: angular before
+//! linear.
 
 use stepcore::error::Result;
 use stepcore::real::Real;

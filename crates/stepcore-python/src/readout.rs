@@ -1,5 +1,4 @@
-//! Quantities that Python reads of worlds by name, as arrays: from the present state, or the last
-//! solve.
+//! Quantities that Python reads of worlds by name: from the present state, or the last solve.
 
 use pyo3::exceptions::PyAttributeError;
 use pyo3::PyErr;

@@ -206,8 +206,8 @@ impl Sim {
         world.take_warning().map_or(Ok(()), |text| warn::<EnergyWarning>(py, &text))
     }
 
-    /// Step once; return the kinetic and spring energy before and after, and the energy that
-    /// each element injected.
+    /// Step once; return the kinetic and spring energy before and after, and the energy that each
+    /// element injected.
     fn taped_step(&self, py: Python<'_>) -> PyResult<TapedStep> {
         let mut guard = self.lock()?;
         let world = &mut **guard;
@@ -264,8 +264,7 @@ impl Sim {
     }
 
     /// Return A (as many columns as rows), B (nu columns) and P, side by side, of a step from the
-    /// present
-    /// state; the elements at which they are one-sided. `parameters`: the models around each.
+    /// present state; the elements where they are one-sided. `parameters`: the models around each.
     fn linearize<'py>(
         &self,
         py: Python<'py>,
@@ -291,9 +290,8 @@ impl Sim {
         Ok((result(py, matrix, &shape)?, degenerate))
     }
 
-    /// Return for every element that acts at the present state: its force by dof, its stored energy
-    /// [J], and
-    /// the entries of its slopes, in the columns (nth element, dof, dof, stiffness, damping).
+    /// For every element that acts at the present state, return its force by dof, its stored energy
+    /// [J], and its slopes, in the columns (nth element, dof, dof, stiffness, damping).
     fn element_slopes<'py>(&self, py: Python<'py>) -> PyResult<SlopesTable<'py>> {
         let mut slopes = {
             let mut guard = self.lock()?;
@@ -395,8 +393,7 @@ impl Sim {
         let count = numbers.len();
         result(py, numbers, &[count])
     }
-    /// Return the forces that give an acceleration (nv,), by default the acceleration of the last
-    /// solve.
+    /// Return the forces that give an acceleration (nv,), by default the last solve's.
     #[pyo3(signature = (qacc = None))]
     fn inverse<'py>(&self, py: Python<'py>, qacc: Option<Vec<f64>>) -> PyResult<Array<'py>> {
         let mut guard = self.lock()?;
@@ -440,13 +437,11 @@ impl Sim {
     fn contacts<'py>(&self, py: Python<'py>) -> PyResult<ContactTable<'py>> {
         contacts(py, self.lock()?.contacts())
     }
-    /// Return elements, names, blocks, and impulse, velocity, target, regulariser, residual, lo,
-    /// hi.
+    /// Elements, names, blocks, and impulse, velocity, target, regulariser, residual, lo, hi.
     fn rows<'py>(&self, py: Python<'py>) -> PyResult<RowTable<'py>> {
         rows(py, self.lock()?.rows())
     }
-    /// Return J H⁻¹ Jᵀ of the rows, and by row: 1/s, mass, friction, kind of set, unit of its
-    /// impulse.
+    /// J H⁻¹ Jᵀ of the rows, and by row: 1/s, mass, friction, kind of set, unit of its impulse.
     fn coupling<'py>(&self, py: Python<'py>) -> PyResult<(Array<'py>, Array<'py>)> {
         let found = self.lock()?.coupling();
         let count = found.rows.len();

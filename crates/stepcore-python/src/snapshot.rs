@@ -1,5 +1,4 @@
-//! A snapshot as bytes: the arrays of one world and the data passed to its next step; and the last
-//! solve.
+//! A snapshot as bytes: one world's arrays, the data passed to its next step, and the last solve.
 
 use stepcore::arrays::{Array, Given};
 use stepcore::batch::Last;

@@ -1,5 +1,5 @@
-//! Many worlds of either precision, in lanes or one by one, behind one interface:
-//! the content of `Batch` in Python.
+//! Many worlds of either precision, in lanes or one by one, behind one interface: the content of
+//! `Batch` in Python.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::Arc;
@@ -42,8 +42,7 @@ pub trait Worlds: Send + Sync {
     fn qacc(&self) -> Vec<f64>;
     /// The actuators' forces in the last solves, if they were kept.
     fn actuator_forces(&self) -> Option<Vec<f64>>;
-    /// The worlds that failed while the others continued; and the failures of a batch that this one
-    /// replaces.
+    /// The worlds that failed while the others continued; and the failures of a replaced batch.
     fn failures(&self) -> Vec<Option<Failed>>;
     fn set_failures(&mut self, failed: Vec<Option<Failed>>);
     /// The last states of a world, and those of another batch's that continues here.
@@ -113,8 +112,7 @@ impl How {
         self.settings.check()?;
         let kinds = kinds(&models);
         let can = width > 1 && gains && fills_lanes(&kinds, model_of, width);
-        // An account of energies stays with the worlds that started it, and one world has no
-        // neighbours.
+        // An account of energies stays with its worlds, and one world has no neighbours.
         if self.lanes.is_some() || !can || self.settings.ledger || model_of.len() == 1 {
             let alone = self.lanes.is_none() && model_of.len() == 1;
             let lanes = can && !alone && self.lanes != Some(false);
@@ -273,8 +271,8 @@ impl<R: Real> Worlds for Batch<R> {
         let qacc: Vec<f64> = Batch::qacc(self, world).collect();
         let (mut lists, mut memo) = (lists(state, inputs, lane), Memo::of(state, lane));
         let Some(failed) = failed else { return Some(Solve { of, qacc, lists, memo }) };
-        // Its last solve led nowhere: readings are for its present state. Its lane
-        // holds another's impulses.
+        // Its last solve led nowhere: readings are for its present state. Its lane holds another's
+        // impulses.
         lists[..Array::CHANGED].clone_from_slice(&failed.state);
         memo.forget();
         let now = self.state(world).0;

@@ -1,5 +1,5 @@
-//! One world's arrays as the user holds them: `f64`, whatever type the engine computes
-//! with. They are checked before anything moves, copied in, and copied out again.
+//! One world's arrays as the user holds them: `f64`, whatever type the engine computes with. They
+//! are checked before anything moves, copied in, and copied out again.
 //!
 //! `Array` lists them. A new one is a line in each of its functions, and one in `State::lists` or
 //! in `Inputs::arrays`, where the engine keeps it.

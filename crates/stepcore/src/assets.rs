@@ -16,8 +16,8 @@ pub enum MeshInertia {
     Shell,
 }
 
-/// Triangles, or the convex hull of points if there are none. Coordinates are as in its
-/// file after scale, refpos and refquat.
+/// Triangles, or the convex hull of points if there are none. Coordinates are as in its file after
+/// scale, refpos and refquat.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     pub name: String,

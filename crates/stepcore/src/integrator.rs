@@ -38,8 +38,8 @@ pub enum Turning {
 pub enum Inside {
     /// The motion of the stages is smooth.
     Nothing,
-    /// Equalities hold at every stage, as accelerations, so that the integrator keeps its order
-    /// for the motion on them.
+    /// Equalities hold at every stage, as accelerations, so that the integrator keeps its order for
+    /// the motion on them.
     Equalities,
     /// Every row, and the springs of law `penalty`.
     All,

@@ -1,8 +1,7 @@
 //! Interrupts of long computations: loops that may take long check for one now and then.
 //!
 //! An interrupted computation is unwound up to `caught`, without the message of a panic (salsa
-//! cancels
-//! queries in the same way), so that loops deep inside need no way to return. Half-made results
+//! cancels queries in the same way), so that inner loops need no way to return. Half-made results
 //! are dropped: a model that is being compiled, and the working space of a `Sim` (`Sim::whole`).
 
 use std::any::Any;
@@ -63,12 +62,12 @@ pub(crate) fn checkpoint() {
     }
 }
 
-/// Work between two checks, in units of some nanoseconds: below a millisecond, and a thousand
-/// times the duration of a check.
+/// Work between two checks, in units of some nanoseconds: below a millisecond, and a thousand times
+/// the duration of a check.
 const MUCH: usize = 1 << 14;
 
-/// Work of a row that is swept, an exact test of two shapes, and a part of an adaptive step:
-/// the least of each, as the unit is rough.
+/// Work of a row that is swept, an exact test of two shapes, and a part of an adaptive step: the
+/// least of each, as the unit is rough.
 pub(crate) const ROW: usize = 16;
 pub(crate) const TEST: usize = 64;
 pub(crate) const STRETCH: usize = 1024;

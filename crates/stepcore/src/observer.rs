@@ -3,10 +3,10 @@
 use crate::real::Real;
 use crate::sim::{At, Sim};
 
-/// The hooks of one step, in the order of its stages. Each does nothing unless it is
-/// overridden. The calls of a step are few and dynamic, so that the step is compiled once for all
-/// observers. A Python `Sim` is observed: its steps pay for the states of `watch/past.rs`, and for
-/// the work of `watch/ledger/drive.rs`.
+/// The hooks of one step, in the order of its stages. Each does nothing unless overridden. The
+/// calls of a step are few and dynamic, so that the step is compiled once for all observers. A
+/// Python `Sim` is observed: it pays for the states of `watch/past.rs`, and for the work of
+/// `watch/ledger/drive.rs`.
 pub trait Observer<R: Real> {
     /// The smooth forces of `sim.placed`, at these positions and velocities, act for `share` of the step.
     fn placed(&mut self, _sim: &Sim<R>, _at: At, _share: f64) {}

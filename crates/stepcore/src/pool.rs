@@ -2,8 +2,8 @@
 //! work and the next. At first they wait awake for a moment, because the stages of a step follow
 //! one another closely and waking costs as much as hundreds of rows. Then they sleep.
 //!
-//! The cut into parts depends only on the world, and their results are joined in the
-//! order of the parts. So no bit depends on which thread did which part, or on their number.
+//! The cut into parts depends only on the world, and their results are joined in the order of the
+//! parts. So no bit depends on which thread did which part, or on their number.
 
 use crate::error::{Error, Result};
 use crate::interrupt::{ask, asked};

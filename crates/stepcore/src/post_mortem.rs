@@ -75,8 +75,7 @@ pub struct PostMortem {
     pub steps: u64,
     /// The element that caused the failure, if one stands out.
     pub element: Option<Named>,
-    /// Whether the element is a servo that was at the bounds of its force, and not the first of
-    /// `shares`.
+    /// Whether it is a servo that was at the bounds of its force, and not the first of `shares`.
     pub saturated: bool,
     /// Each element's share of the energy injected, the largest first.
     pub shares: Vec<(Named, f64)>,

@@ -80,8 +80,8 @@ impl<T> Bytes for &Field<'_, T> {
     }
 }
 
-/// `Room` of a struct, with every field named: first the counted ones, then the others. A
-/// missing field does not compile, nor does an uncounted one that may hold memory.
+/// `Room` of a struct, with every field named: first the counted ones, then the others. A missing
+/// field does not compile, nor does an uncounted one that may hold memory.
 macro_rules! room {
     ($type:ident<R $(, $n:ident)*>: $($field:ident),* $(; $($(#[$a:meta])? $not:ident),*)?) => {
         impl<R: crate::real::Real $(, const $n: usize)*> crate::room::Room for $type<R $(, $n)*> {

@@ -63,8 +63,7 @@ named!(
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sweeps {
     AtMost(u32),
-    /// As many as the tolerance needs, or as reduce the residual above rounding; at most
-    /// `Sweeps::MOST`.
+    /// As many as the tolerance needs, or as help above rounding; at most `Sweeps::MOST`.
     Auto,
 }
 
@@ -132,8 +131,8 @@ pub struct Settings {
     pub integrator: Integrator,
     pub solver: Solver,
     pub acceleration: Acceleration,
-    /// The most sweeps, or Newton iterations, of one solve; under `newton` islands of few
-    /// rows are solved regardless of it.
+    /// The most sweeps, or Newton iterations, of one solve; under `newton` islands of few rows are
+    /// solved regardless of it.
     pub sweeps: Sweeps,
     /// A solve stops at this residual [m/s]; 0: after all sweeps.
     pub tolerance: f64,
@@ -230,8 +229,8 @@ const LEAST_ACCURACY: [f64; 2] = [1e-10, 1e-4];
 const MOST_CONTACTS: usize = 1_000_000;
 
 impl Settings {
-    /// The time ahead for which contacts have rows [s]: laws on the guess need every distance that
-    /// it may close.
+    /// The time ahead for which contacts have rows [s]: laws on the guess need the distances it may
+    /// close.
     pub(crate) fn ahead(&self) -> Option<f64> {
         self.law.on_guess().then_some(self.dt)
     }
@@ -259,8 +258,7 @@ impl Settings {
         self.inside() == Inside::Equalities
     }
 
-    /// Converts a tolerance on the cost of accelerations to one on the cost of a step's impulses
-    /// [m²/s²].
+    /// Converts a tolerance on the cost of accelerations to one on a step's impulses [m²/s²].
     pub(crate) fn cost_floor(&self, tolerance: f64) -> f64 {
         if self.law == Law::SolRef {
             tolerance * self.dt * self.dt

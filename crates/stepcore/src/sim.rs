@@ -278,7 +278,7 @@ impl<R: Real> Sim<R> {
         Ok(sim)
     }
 
-    /// Lets this many threads share the work of each step. The motion is the same bits with any
+    /// Lets this many threads share the work of each step. The motion has the same bits with any
     /// number.
     pub fn use_threads(&mut self, threads: usize) -> Result<()> {
         let pool = Pool::new(threads)?;
@@ -311,8 +311,8 @@ impl<R: Real> Sim<R> {
         self.period
     }
 
-    /// Starts the new rows from the last step's impulses if they are kept, except
-    /// equalities that the stages held (`inside`).
+    /// Starts the new rows from the last step's impulses if they are kept, except equalities that
+    /// the stages held (`inside`).
     pub(crate) fn warm_start(&mut self, inside: bool) {
         if self.plan.warm_start {
             let last = self.next.last_impulses(&self.state);
@@ -413,8 +413,8 @@ fn extrapolates<R: Real>(settings: &mut Settings) -> Result<()> {
     Ok(())
 }
 
-/// The engine's precision must hold every mass and its inverse, and for Newton,
-/// whose costs are energies of impulses, their squares.
+/// The engine's precision must hold every mass and its inverse, and for Newton, whose costs are
+/// energies of impulses, their squares.
 pub(crate) fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
     for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
         let mass = R::of(body.mass);

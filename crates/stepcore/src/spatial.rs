@@ -18,8 +18,7 @@ pub fn splat<R: Real, N: Value<R>>(v: &Vector3<N>) -> V3<R> {
     V3::new(v.x.get(), v.y.get(), v.z.get())
 }
 
-/// from ← from − a x, for rows of a factorisation: they are short, and each is soon the x of
-/// another.
+/// from ← from − a x, for rows of a factorisation: short, and each soon the x of another.
 ///
 /// One number at a time: a vector load of numbers that were just stored one by one waits for all of
 /// them, and rows are too short to make up for it (measured: the factors of 7 to 18 dofs take a

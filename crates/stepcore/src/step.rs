@@ -1,7 +1,7 @@
 //! The loop: place → detect → solve → commit.
 //!
-//! The integrator decides how often a step runs the first three; `integrate` is in
-//! `commit/`. This file is the whole of a step.
+//! The integrator decides how often a step runs the first three; `integrate` is in `commit/`. This
+//! file is the whole of a step.
 
 use crate::commit::Next;
 use crate::detect::Detected;
@@ -252,8 +252,8 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Solves only the equalities from the present guess; their change is in `velocity`.
-    /// Their impulses act for a share of the step.
+    /// Solves only the equalities from the present guess; their change is in `velocity`. Their
+    /// impulses act for a share of the step.
     pub(crate) fn connect(&mut self, at: At, part: Part, share: f64, choice: Choice) -> Result<()> {
         self.make_rows(at, part);
         R::enter(Stage::Impulses);

@@ -1,5 +1,4 @@
-//! The operations of a batch on each of its worlds: its arrays in and out, and readings one at a
-//! time.
+//! Operations of a batch on each of its worlds: its arrays in and out, and readings one at a time.
 
 use std::panic::resume_unwind;
 use std::sync::atomic::Ordering;

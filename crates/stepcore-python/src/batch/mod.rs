@@ -213,8 +213,7 @@ impl Batch {
         Ok(samples)
     }
 
-    /// Return the errors of the worlds that failed while the others continued; `known` are left
-    /// out.
+    /// Return the errors of worlds that failed while the others continued; `known` are left out.
     fn failures<'py>(
         &self,
         py: Python<'py>,
@@ -317,8 +316,8 @@ impl Batch {
         Ok(())
     }
 
-    /// Return one snapshot for each world; own: those that count their own time, which is start +
-    /// steps · dt.
+    /// Return a snapshot for each world; own: those with their own time, which is start + steps ·
+    /// dt.
     fn state<'py>(
         &self,
         py: Python<'py>,

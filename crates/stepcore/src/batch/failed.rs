@@ -1,8 +1,8 @@
 //! Worlds of a batch that failed while the others continue.
 //!
-//! A failed world keeps its last finite state here. Its lane repeats a healthy world of the
-//! group from then on, as the lanes without a world do, so that nothing that is
-//! not finite is ever computed again and the other lanes keep their bits.
+//! A failed world keeps its last finite state here. Its lane repeats a healthy world of the group
+//! from then on, as the lanes without a world do, so that nothing that is not finite is ever
+//! computed again and the other lanes keep their bits.
 
 use crate::arrays::{Array, Given};
 use crate::error::Error;
@@ -50,8 +50,8 @@ impl Standing {
         self.lanes.iter().any(Option::is_some)
     }
 
-    /// Stores a lane's state; a lane that failed already, or that has no world, is only
-    /// a diverging copy.
+    /// Stores a lane's state; a lane that failed already, or that has no world, is only a diverging
+    /// copy.
     pub fn take<R: Real>(&mut self, state: &State<R>, lane: usize, done: u64, error: Error) {
         let Some(place) = self.lanes.get_mut(lane).filter(|place| place.is_none()) else { return };
         let plain = |list: &Vec<R>| list.iter().map(|x| x.lane(lane)).collect();

@@ -35,8 +35,8 @@ pub(super) struct Group<R: Real> {
     keeps_actuator: bool,
     /// The state at the start of the call.
     pub start: State<R>,
-    /// The state at the start of the last solve, from which it can be repeated: its rows
-    /// are in the working space of a thread, and gone with the next group.
+    /// The state at the start of the last solve, from which it can be repeated: its rows are in the
+    /// working space of a thread, and gone with the next group.
     pub before: State<R>,
     /// By lane.
     pub last: Vec<Last>,
@@ -44,8 +44,7 @@ pub(super) struct Group<R: Real> {
     pub failed: Option<(u64, Error)>,
     /// Worlds that failed while the others continued.
     pub standing: Standing,
-    /// By lane: whether all worlds stopped because of it. Its impulses must not start another
-    /// state.
+    /// By lane: whether all worlds stopped because of it. Its impulses must start no other state.
     pub ended: Vec<bool>,
     /// The parts of its last adaptive step.
     pub stretches: Stretches,

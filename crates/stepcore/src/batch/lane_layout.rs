@@ -89,9 +89,9 @@ fn registers(lanes: usize, kinds: &[usize], model_of: &[usize]) -> usize {
     counts.into_iter().map(|count| count.div_ceil(lanes)).sum()
 }
 
-/// Whether worlds of a model can be stepped in lanes, and gain by it. The pairs of a pile are
-/// found one world at a time, and so are sleeping trees; Newton's method solves a pile so too; and
-/// with adaptive steps each world has different steps.
+/// Whether worlds of a model can be stepped in lanes, and gain by it. The pairs of a pile are found
+/// one world at a time, and so are sleeping trees; Newton's method solves a pile so too; and with
+/// adaptive steps each world has different steps.
 pub fn gains_by_lanes<N: Constant>(model: &Model<N>, settings: &Settings) -> bool {
     let by_lane = settings.solver == Solver::Newton && any_heap(&model.islands());
     let own_steps = settings.accuracy.0.is_some();

@@ -1,9 +1,9 @@
 //! Many worlds of one model, in groups of as many as a number has lanes, over threads.
 //!
-//! A group is a state and its inputs; the working space belongs to the threads, one
-//! `Watched` each, which take the next group when they are done with one. A group's
-//! computation depends on nothing else, so results are the same bits at any number of
-//! threads, and, because a lane is a world, in lanes or one by one.
+//! A group is a state and its inputs; the working space belongs to the threads, one `Watched` each,
+//! which take the next group when they are done with one. A group's computation depends on nothing
+//! else, so results are the same bits at any number of threads, and, because a lane is a world, in
+//! lanes or one by one.
 
 mod failed;
 mod group;
@@ -220,8 +220,8 @@ impl<R: Real> Batch<R> {
         self.layout.all()
     }
 
-    /// Copies a world's checked arrays in. Worlds come in order; lanes without a
-    /// world repeat the last one.
+    /// Copies a world's checked arrays in. Worlds come in order; lanes without a world repeat the
+    /// last one.
     pub fn put(&mut self, world: usize, given: &Arrays) {
         let (index, own) = self.layout.of(world);
         self.groups[index].put(own, self.layout.worlds(index).len(), given);
@@ -320,8 +320,8 @@ impl<R: Real> Batch<R> {
         Some(forces)
     }
 
-    /// For a world: the state at the start of its last solve, its inputs, its lane in
-    /// these, and the call to which the solve belonged.
+    /// For a world: the state at the start of its last solve, its inputs, its lane in these, and
+    /// the call to which the solve belonged.
     pub fn last(&self, world: usize) -> (&State<R>, &Inputs<R>, usize, Last) {
         let (index, lane) = self.layout.of(world);
         let group = &self.groups[index];
@@ -346,8 +346,8 @@ impl<R: Real> Batch<R> {
         })
     }
 
-    /// Advances every world by `n` steps. If one leaves the finite numbers, all stop
-    /// before the first step in which one did.
+    /// Advances every world by `n` steps. If one leaves the finite numbers, all stop before the
+    /// first step in which one did.
     pub fn step(&mut self, n: u64) -> Result<()> {
         self.advance(n, None)
     }

@@ -86,8 +86,7 @@ pub struct Motion<'a> {
     pub bound: f64,
     /// The largest number of force evaluations of adaptive steps; a world stops there.
     pub most: u64,
-    /// The initial positions of bodies, by world; as long as `Sampled::Position` if there is a
-    /// bound.
+    /// Initial positions of bodies, by world; as long as `Sampled::Position` if there is a bound.
     pub home: Vec<f64>,
     pub records: Vec<Record<'a>>,
     /// The number of force evaluations, by world.

@@ -87,8 +87,8 @@ impl<R: Real> Workers<R> {
         spaces.sum()
     }
 
-    /// Does the work on every group; `steps` is its amount.
-    /// A group's computation depends on nothing else, so no bit depends on the thread that does it.
+    /// Does the work on every group; `steps` is its amount. A group's computation depends on
+    /// nothing else, so no bit depends on the thread that does it.
     pub fn share(
         &self,
         groups: &mut [Group<R>],
@@ -125,9 +125,8 @@ impl<R: Real> Workers<R> {
 const WORTH_CARRYING: usize = 1024;
 
 impl<R: Real> Workers<R> {
-    /// Lets `work` go through items, this many for each unit, in portions: for work that takes
-    /// little time
-    /// for each world, and no working space. It receives the unit at which each portion starts.
+    /// Lets `work` go through items, this many for each unit, in portions: for work of little time
+    /// per world, without a working space. It receives the unit at which each portion starts.
     pub fn transfer<T: Send>(
         &self,
         worlds: usize,

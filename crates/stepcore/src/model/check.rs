@@ -1,5 +1,5 @@
-//! The rules that a scene must satisfy before it is compiled. Every error names the
-//! element, the field, the value and the limit; nothing is built before all hold.
+//! The rules that a scene must satisfy before it is compiled. Every error names the element, the
+//! field, the value and the limit; nothing is built before all hold.
 
 mod tendon;
 
@@ -191,8 +191,8 @@ fn names(scene: &Scene) -> Result<()> {
     once("keys", scene.keys.iter().map(|x| &x.name))
 }
 
-/// Bodies are depth first: a body follows its parent's subtree up to there, which makes the dofs
-/// of a tree, and MuJoCo's order of qpos, contiguous.
+/// Bodies are depth first: a body follows its parent's subtree up to there, which makes the dofs of
+/// a tree, and MuJoCo's order of qpos, contiguous.
 fn bodies(scene: &Scene) -> Result<()> {
     let (mut path, mut moves) = (vec![0], Vec::with_capacity(scene.bodies.len()));
     for (i, b) in scene.bodies.iter().enumerate() {

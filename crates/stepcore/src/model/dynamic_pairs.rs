@@ -1,5 +1,4 @@
-//! Models with too many geoms for a list of the possible pairs, which would be most of their
-//! memory.
+//! Models with too many geoms for a list of the possible pairs, which would fill their memory.
 //!
 //! Up to `MOST_FIXED` such pairs are listed when a model is compiled (`pairs.rs`), in a model of
 //! few trees up to `MOST_OF_FEW`. Each listed pair keeps its dofs, its slots and its island, which
@@ -305,8 +304,8 @@ impl<N: Constant> Model<N> {
         (self.number(heap, found.0, found.1) == Some(index as u64)).then_some(found)
     }
 
-    /// A possible pair, by the index of its contacts' element; None: there is no such pair.
-    /// In a pile it has no dofs.
+    /// A possible pair, by the index of its contacts' element; None: there is no such pair. In a
+    /// pile it has no dofs.
     pub fn pair(&self, index: usize) -> Option<Pair> {
         match &self.dynamic_pairs {
             None => self.pairs.get(index).map(|pair| pair.lane(0)),

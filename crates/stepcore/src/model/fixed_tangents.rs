@@ -1,12 +1,12 @@
 //! Contact tangents along which nothing can ever move.
 //!
-//! Under MuJoCo's pyramid the two edges along such a tangent are copies of the
-//! normal row, and `solve` folds them into one. A tangent is claimed only if it is still in
-//! every configuration, to rounding.
+//! Under MuJoCo's pyramid the two edges along such a tangent are copies of the normal row, and
+//! `solve` folds them into one. A tangent is claimed only if it is still in every configuration, to
+//! rounding.
 //!
 //! - Slides only: the body never turns, and a tangent across every slide is still.
 //! - A planar chain, every hinge along one n and every slide across it: points move across n, so a
-//! tangent along n is still.
+//!   tangent along n is still.
 //!
 //! The contact's frame must be known for that. Against a plane its normal is constant. Two spheres
 //! that slide along their common line have it as normal. A sphere and a sphere or a capsule whose

@@ -147,8 +147,7 @@ fn principal(element: &Text, load: &Load) -> Result<()> {
     Err(Error::value(text![element, " iquat"], format!("[{w}, {x}, {y}, {z}]"), limit))
 }
 
-/// Refuses a negative moment, which no rule for masses mends, and, as in MuJoCo, a full matrix with
-/// one.
+/// Refuses a negative moment, which no mass rule mends, and, as in MuJoCo, a full matrix with one.
 fn positive(element: &Text, load: &Load) -> Result<()> {
     let m = SymmetricEigen::new(load.inertia).eigenvalues;
     let least = if diagonal(&load.inertia) { -ROUNDING } else { ROUNDING };
@@ -197,8 +196,8 @@ fn apply_rules(scene: &Scene, body: usize, load: &mut Load) -> Result<()> {
     Ok(())
 }
 
-/// Fills mass, centre and inertia of every body and the mass of every tree. Returns
-/// which bodies' frames are their inertias' frames, and the axes of the inertias.
+/// Fills mass, centre and inertia of every body and the mass of every tree. Returns which bodies'
+/// frames are their inertias' frames, and the axes of the inertias.
 pub fn weigh(scene: &Scene, assets: &[Asset], model: &mut Model) -> Result<(Vec<bool>, Vec<Axes>)> {
     let rules = &scene.mass_rules;
     let mut geoms = vec![vec![]; scene.bodies.len()];

@@ -13,9 +13,8 @@ use std::ops::Range;
 pub enum Transmission {
     /// The position of a hinge or a slide; the angle of rotation of a ball, never negative.
     Joint(usize),
-    /// A joint behind a gear, with one entry for each dof, from this place of `Model::gears` on.
-    /// The length of a ball is the part of its rotation vector along the gear; a free joint has
-    /// none.
+    /// A joint behind a gear, with one entry for each dof, from this place of `Model::gears` on. A
+    /// ball's length is the part of its rotation vector along the gear; a free joint has none.
     Geared(usize, usize),
     /// A ball or a free joint whose axes of rotation are the axes of its parent frame.
     InParent(usize, usize),
@@ -75,8 +74,7 @@ pub struct Round {
     pub side: Option<Point>,
 }
 
-/// The dofs of a tree that move the ends of a stretch and its geom against each other, grouped by
-/// which of the three they move.
+/// The dofs of a tree that move the ends of a stretch and its geom relative to each other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Movers {
     pub tree: usize,

@@ -2,8 +2,7 @@
 
 use std::collections::VecDeque;
 
-/// Questions with their answers, the last one used at the back; the least recently used are
-/// removed.
+/// Questions with their answers, the last one used at the back; the oldest used are removed.
 pub(super) struct Lru<K, V> {
     entries: VecDeque<(K, V)>,
     /// The size of all entries together, and its limit.

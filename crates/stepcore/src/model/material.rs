@@ -1,5 +1,5 @@
-//! The contact parameters of two geoms: mixed from both, given by an explicit pair, or
-//! overridden for all. MuJoCo documentation, "Contact parameters" and "Contact override".
+//! The contact parameters of two geoms: mixed from both, given by an explicit pair, or overridden
+//! for all. MuJoCo documentation, "Contact parameters" and "Contact override".
 
 use crate::real::{Constant, Real, Value};
 use crate::scene::{ExplicitPair, Geom, Scene, Softness};
@@ -79,8 +79,8 @@ impl Material {
         of.overridden(scene)
     }
 
-    /// The material with the parameters that override every contact's. Condim, gap and adhesion
-    /// stay.
+    /// The material with the parameters that override every contact's, except condim, gap,
+    /// adhesion.
     fn overridden(self, scene: &Scene) -> Self {
         let Some(by) = &scene.contact_override else { return self };
         let (margin, friction, soft) = (by.margin, by.friction, by.soft.clone());

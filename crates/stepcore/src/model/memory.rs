@@ -1,7 +1,7 @@
 //! The memory that a model and its worlds need, before any of it is allocated.
 //!
-//! A program that runs out of memory is aborted, and with it the interpreter. So the memory that a
-//! short file can request is added up first. The bytes of each element were measured, and rounded
+//! A program that runs out of memory is aborted, and with it the interpreter. So all memory that a
+//! short file can request is added up first. The bytes of each element were measured and rounded
 //! up.
 
 use super::Model;

@@ -267,8 +267,8 @@ fn inertia_box(solid: &Solid) -> Vector3<f64> {
     Vector3::new(half(0), half(1), half(2))
 }
 
-/// The size of a primitive fitted to a box of these half sizes: about as much inside as outside,
-/// or around it for a bounding box.
+/// The size of a primitive fitted to a box of these half sizes: about as much inside as outside, or
+/// around it for a bounding box.
 fn fitted(kind: GeomType, half: &Vector3<f64>, aabb: bool) -> [f64; 3] {
     let (x, y, z) = (half.x, half.y, half.z);
     let across = if aabb { x.max(y) } else { 0.5 * (x + y) };

@@ -1,7 +1,7 @@
 //! `Model`: a compiled scene, constant during a step.
 //!
-//! Numbers are `f64` in SI units; a stage turns them into its number type with `Real::of`.
-//! Fields that a `Scene` has too have the same meaning there.
+//! Numbers are `f64` in SI units; a stage turns them into its number type with `Real::of`. Fields
+//! that a `Scene` has too have the same meaning there.
 
 mod at_qpos0;
 mod body_pairs;
@@ -198,8 +198,8 @@ impl<N: Constant> Model<N> {
         self.dynamic_pairs.is_some() || !self.pairs.is_empty()
     }
 
-    /// A tree of one free joint and no other, with the mass of a ball about the joint's
-    /// centre: it has no gyroscopic force, and its mass matrix is diagonal.
+    /// A tree of one free joint and no other, with the mass of a ball about the joint's centre: it
+    /// has no gyroscopic force, and its mass matrix is diagonal.
     pub fn free_ball(&self, tree: &Tree<N>) -> bool {
         let body = &self.bodies[tree.bodies.start];
         let i = &body.inertia;
@@ -242,8 +242,8 @@ impl<N: Constant> Model<N> {
         Some(row.start + at)
     }
 
-    /// The island of each tree, by its lowest tree: trees that some pair, equality or tendon
-    /// can connect share one. In a pile pairs connect trees only while they touch: see
+    /// The island of each tree, by its lowest tree: trees that some pair, equality or tendon can
+    /// connect share one. In a pile only touching pairs connect trees: see
     /// `solve/contact_islands.rs`.
     pub fn islands(&self) -> Vec<usize> {
         let mut island = Union::new(self.trees.len());

@@ -1,5 +1,5 @@
-//! The geoms that can ever meet, and the data that their contacts share. MuJoCo's filter and
-//! mixing rules; the filter is applied once, here, and never during a step.
+//! The geoms that can ever meet, and the data that their contacts share. MuJoCo's filter and mixing
+//! rules; the filter is applied once, here, and never during a step.
 
 use super::fixed_tangents::still;
 use super::tree::Unions;

@@ -214,13 +214,11 @@ pub struct Pair<N = f64> {
     pub slot: usize,
     /// Sum of both bodies' translational invweight.
     pub invweight: N,
-    /// Into `Model::dof_lists`: union of both bodies' chains, ascending. In a pile: see
-    /// `DynamicPairs`.
+    /// Into `Model::dof_lists`: union of both chains, ascending. In a pile: see `DynamicPairs`.
     pub dofs: Span,
     /// Mass of the trees that the contact touches, for residuals.
     pub mass: N,
-    /// Tangents along which nothing can move, found at compile time (see
-    /// `model/fixed_tangents.rs`).
+    /// Tangents along which nothing can ever move (see `model/fixed_tangents.rs`).
     pub still: [bool; 2],
     /// The ranges of joints keep the two apart: the pair is tested only while a joint is outside
     /// its `Model::guards` (see `model/range_separation.rs`).
@@ -377,8 +375,8 @@ pub struct DynamicPairs {
 /// Bounds of a joint or a tendon.
 pub const SIDES: usize = 2;
 
-/// The first slot of each kind: equalities, then the friction losses of dofs and of
-/// tendons, the limits of joints and of tendons, the contacts of pairs.
+/// The first slot of each kind: equalities, then the friction losses of dofs and of tendons, the
+/// limits of joints and of tendons, the contacts of pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Slots {
     pub(super) losses: usize,

@@ -11,8 +11,7 @@ const MOST: usize = 500;
 /// The principal axes of a body's inertia.
 #[derive(Clone, Copy, Debug)]
 pub enum Axes {
-    /// Principal axes that are already there: of the body's only geom, as given, or of the inertia
-    /// before a rule changed it.
+    /// Existing axes: of the only geom, as given, or of the inertia before a rule changed it.
     Own([f64; 4]),
     /// Axes to compute from the matrix.
     Found,

@@ -8,9 +8,9 @@
 //! moves a point by δ. So the test is sound. It gives up (the pair may meet) if it needs too many
 //! boxes.
 //!
-//! Limits are soft, and a state can be set beyond them: ranges are widened by a tenth at
-//! both ends, and while a joint is beyond that all pairs are tested (`Model::guards`). A step's
-//! result is the same, to the bit, with and without this test.
+//! Limits are soft, and a state can be set beyond them: ranges are widened by a tenth at both ends,
+//! and while a joint is beyond that all pairs are tested (`Model::guards`). A step's result is the
+//! same, to the bit, with and without this test.
 
 use super::proofs::{self, Proof, Question};
 use super::{Guard, Model, NONE};
@@ -205,8 +205,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Whether no configuration of the whole box lets the pair meet. `boxes`: how many may be
-    /// examined.
+    /// Whether no configuration of the box lets the pair meet. `boxes`: how many may be examined.
     fn apart(&mut self, boxes: &mut usize) -> bool {
         let whole: Vec<[f64; 2]> = self.between.iter().map(|j| [j.low, j.high]).collect();
         let mut pending = vec![whole];

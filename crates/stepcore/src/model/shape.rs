@@ -69,8 +69,8 @@ pub fn unit_inertia(g: &Geom) -> Vector3<f64> {
             moments(mean(a, x), mean(b, y), mean(c, z))
         }
         (GeomType::Ellipsoid, false) => moments(a * a / 5.0, b * b / 5.0, c * c / 5.0),
-        // The gain of an ellipsoid while its half axes all grow by the same small
-        // length: the limit of the difference that MuJoCo takes.
+        // The gain of an ellipsoid while its half axes all grow by the same small length: the limit
+        // of the difference that MuJoCo takes.
         (GeomType::Ellipsoid, true) => {
             let area = a * b + b * c + c * a;
             let gain = |s: f64, t: f64, u: f64| (s * s * area + 2.0 * s * s * t * u) / (5.0 * area);

@@ -1,5 +1,5 @@
-//! The relation between a length and the dofs: its value at a position, and its gradient, the
-//! moment arms.
+//! The relation between a length and the dofs: its value at a position, and its gradient (the
+//! arms).
 //!
 //! Elements that pull along a length (an actuator, a limit, a tendon's spring) use this and need
 //! neither joint nor path. The lengths and arms of tendons are computed in `place/tendon.rs`.
@@ -74,7 +74,7 @@ impl Transmission {
         }
     }
 
-    /// The velocity along the arms: for a hinge, a slide or a tendon the rate of its length [m/s or
+    /// The velocity along the arms: the rate of a hinge's, slide's or tendon's length [m/s or
     /// rad/s].
     #[inline(always)]
     pub fn velocity<R: Real>(
@@ -191,8 +191,7 @@ impl Transmission {
         });
     }
 
-    /// The dof and the arm of a length that follows one dof equally at all positions: a hinge or a
-    /// slide.
+    /// The dof and the arm of a length with a constant arm on one dof: a hinge or a slide.
     #[inline(always)]
     fn only_arm<N: Constant>(self, model: &Model<N>) -> Option<(usize, Option<usize>)> {
         let (joint, arm) = match self {

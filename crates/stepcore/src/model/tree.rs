@@ -52,8 +52,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     model
 }
 
-/// Whether some weight is compensated. As in MuJoCo, a share below 0 counts only if some body has
-/// one above 0.
+/// Whether weight is compensated. As in MuJoCo, a share below 0 counts only next to one above 0.
 fn compensates(scene: &Scene) -> bool {
     let on = scene.features.gravity && scene.features.passive();
     on && scene.bodies.iter().any(|body| body.gravcomp > 0.0)
@@ -251,8 +250,7 @@ fn half(source: &crate::scene::Geom, asset: &Asset, reach: f64) -> [f64; 3] {
     }
 }
 
-/// Marks the trees that a step places, and the constant ones, once equalities, tendons and pairs
-/// exist.
+/// Marks the trees that a step places, and the constant ones: equalities, tendons, pairs exist.
 pub fn mark(model: &mut Model) {
     let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
     let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
@@ -301,8 +299,7 @@ impl Unions {
         let mut union = [one, two].concat();
         union.sort_unstable();
         union.dedup();
-        // One list for all with these two, in either order. Joints of one body start at the same
-        // index.
+        // One list for all with these two, in either order. Joints of one body share their start.
         let mut two = [a, b].map(|span| (span.start, span.len));
         two.sort_unstable();
         let lists = &mut model.dof_lists;

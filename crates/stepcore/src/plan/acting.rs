@@ -98,7 +98,7 @@ pub(crate) struct Acting<N = f64> {
     pub gravity: Vec<Acts<MassAt<N>>>,
     pub held: Vec<Acts<MassAt<N>>>,
     pub left_out: Vec<(Element, Why)>,
-    /// Whether something acts that is always there by itself and can do work.
+    /// Whether a passive force acts; and whether a driven one does.
     pub passive: bool,
     pub driven: bool,
 }

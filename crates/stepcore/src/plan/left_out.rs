@@ -1,7 +1,7 @@
 //! The parts that compilation left out of every step, and the reasons.
 //!
-//! Nothing is decided here: the reasons are read from the model that steps, or returned by
-//! the functions that compiled it.
+//! Nothing is decided here: the reasons are read from the model that steps, or returned by the
+//! functions that compiled it.
 
 use crate::model::{Model, Never};
 use std::collections::BTreeMap;
@@ -33,8 +33,8 @@ pub struct Unmet {
 pub(crate) const EXAMPLES: usize = 6;
 
 impl Model {
-    /// Pairs of geoms that were not made candidates, by reason. Geoms without any bit, which
-    /// only draw or weigh, are not examined.
+    /// Pairs of geoms that were not made candidates, by reason. Geoms without any bit, which only
+    /// draw or weigh, are not examined.
     pub fn unmet(&self) -> BTreeMap<Never, Unmet> {
         if self.dynamic_pairs.is_some() {
             return self.tally().never;

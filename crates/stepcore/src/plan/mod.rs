@@ -1,8 +1,7 @@
 //! The work of a step of a model, as lists that it walks; and the omitted work, with reasons.
 //!
 //! Lists that depend on the scene alone are in the `Model`: things to place (`places.rs`), makers
-//! of
-//! rows (`makers.rs`), and forces (`acting.rs`). `Plan` is the choice of the settings besides them.
+//! of rows (`makers.rs`), forces (`acting.rs`). `Plan` is the choice of the settings besides them.
 
 pub(crate) mod acting;
 mod after_stages;
@@ -67,13 +66,13 @@ pub struct Plan {
     /// Whether a step makes one solve, at its initial state, and everything in it is awake.
     pub(crate) solves_once: bool,
     pub(crate) sleeps: bool,
-    /// Whether a solve starts from the last step's impulses; and whether some are kept for the
-    /// next.
+    /// Whether a solve starts from the last step's impulses; and whether some are kept.
     pub(crate) warm_start: bool,
     pub(crate) keeps: bool,
     /// Newton's method starts from the acceleration of the last solve.
     pub(crate) resumes: bool,
-    /// Sweeps over friction alone after each solve; and for the last solve: see `Rows::inertia`.
+    /// Sweeps over friction alone after each solve, and the gain that ends them: see
+    /// `Rows::inertia`.
     pub(crate) noslip: u32,
     pub(crate) noslip_cost: f64,
     /// Whether sweeps end by a share of the mass of their island.
@@ -90,8 +89,7 @@ impl Plan {
         let late = LateTrees::of(model, scheme);
         let equalities = model.equalities.is_empty();
         let noslip_cost = settings.cost_floor(settings.noslip_tolerance);
-        // Other integrators solve rows once more after the stages, so their last solve is another
-        // one.
+        // Otherwise the last solve of a step is of rows after its stages.
         let in_stages = scheme.stages == Stages::Start || settings.inside() == Inside::All;
         Self {
             scheme,

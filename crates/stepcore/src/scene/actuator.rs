@@ -47,8 +47,7 @@ pub struct Actuator<N = f64> {
     /// Added, times gear², to the joint or tendon that it pulls.
     pub damping: Coefficients<N>,
     pub armature: N,
-    /// The age of the control that it uses [s], and the number of stored samples; 0: the present
-    /// one.
+    /// The age of the control that it uses [s], and the number of samples; 0: the present one.
     pub delay: f64,
     pub nsample: usize,
     pub interp: Interp,

@@ -9,8 +9,7 @@ pub struct Inertial {
     pub pos: [f64; 3],
     /// xx, yy, zz, xy, xz, yz [kg·m²].
     pub inertia: [f64; 6],
-    /// The principal axes (w x y z, in body axes), which equal moments do not determine; None:
-    /// computed.
+    /// The principal axes (w x y z, in body axes), which equal moments leave open; None: computed.
     pub axes: Option<[f64; 4]>,
 }
 

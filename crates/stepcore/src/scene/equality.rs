@@ -39,8 +39,7 @@ pub struct Equality {
     pub frame2: Option<Frame>,
     /// The factor of a weld's rotations, MuJoCo's `torquescale`.
     pub torquescale: f64,
-    /// For joints and tendons: q₁ − q₁⁰ is this polynomial of q₂ − q₂⁰ (a constant without a
-    /// second).
+    /// For joints, tendons: q₁ − q₁⁰ is this polynomial of q₂ − q₂⁰ (a constant without a second).
     pub polycoef: [f64; 5],
     pub active: bool,
     pub soft: Softness,

@@ -63,8 +63,7 @@ pub struct Geom {
     /// Frame in the body's [m], w x y z.
     pub pos: [f64; 3],
     pub quat: [f64; 4],
-    /// Into `Scene::meshes`: its mesh, or the mesh that a primitive is fitted to (`size` is then
-    /// computed).
+    /// Into `Scene::meshes`: its mesh, or the one a primitive is fitted to (`size` is computed).
     pub mesh: Option<usize>,
     /// For a primitive fitted to a mesh: its size relative to the fit.
     pub fitscale: f64,
@@ -94,8 +93,8 @@ pub struct Geom {
     /// both gaps above that.
     pub margin: f64,
     pub gap: f64,
-    /// The motion of its surface in contacts, in the geom's frame: a velocity [m/s], and an
-    /// angular velocity about the frame's origin [rad/s].
+    /// The motion of its surface in contacts, in the geom's frame: a velocity [m/s], and an angular
+    /// velocity about the frame's origin [rad/s].
     pub surfacevel: [f64; 6],
     /// The largest pulling force of each of its contacts [N].
     pub adhesion: f64,

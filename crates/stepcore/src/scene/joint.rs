@@ -34,8 +34,8 @@ impl JointType {
     }
 }
 
-/// Coefficients a, b, c of a polynomial force by the powers of its variable, the first
-/// power first: MuJoCo's, see `elements/spring.rs` and `elements/damper.rs`.
+/// Coefficients a, b, c of a polynomial force by the powers of its variable, the first power first:
+/// MuJoCo's, see `elements/spring.rs` and `elements/damper.rs`.
 pub type Coefficients<N = f64> = [N; 3];
 
 /// No force.

@@ -1,7 +1,7 @@
 //! `Scene`: the description of a model, as the user wrote it. Compiling it gives a `Model`.
 //!
-//! Plain data in SI units, angles in radians, quaternions w x y z. Index 0 of
-//! `bodies` is the world. A parent comes before its children.
+//! Plain data in SI units, angles in radians, quaternions w x y z. Index 0 of `bodies` is the
+//! world. A parent comes before its children.
 
 mod actuator;
 mod body;
@@ -60,8 +60,8 @@ pub struct Features {
     pub eulerdamp: bool,
     /// MJCF's `sensor`: without it sensors read zero.
     pub sensor: bool,
-    /// Coriolis, centrifugal and gyroscopic forces. MJCF has no flag for them: they are off
-    /// only to measure their effect.
+    /// Coriolis, centrifugal and gyroscopic forces. MJCF has no flag for them: they are off only to
+    /// measure their effect.
     pub coriolis: bool,
 }
 

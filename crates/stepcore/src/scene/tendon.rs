@@ -9,8 +9,8 @@ pub enum Stop {
     Joint { joint: usize, coef: f64 },
     /// For a spatial tendon: a point that it passes through.
     Site { site: usize },
-    /// A sphere or a cylinder that it goes round if it is in the way; `side`: the site past
-    /// which it goes, or, if that is inside, through the geom.
+    /// A sphere or a cylinder that it goes round if it is in the way; `side`: the site past which
+    /// it goes, or, if that is inside, through the geom.
     Geom { geom: usize, side: Option<usize> },
     /// Starts a branch, whose length is divided.
     Pulley { divisor: f64 },

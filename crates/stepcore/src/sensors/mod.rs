@@ -86,8 +86,8 @@ impl Sensor {
         match self.kind {
             _ if self.cutoff <= 0.0 => Bound::None,
             T::Touch | T::InsideSite => Bound::Above,
-            // Directions and orientations have no bound, and the ends of a distance are found
-            // within it.
+            // Directions and orientations have no bound; the ends of a distance are found within
+            // it.
             T::FrameQuat | T::BallQuat | T::FrameXAxis | T::FrameYAxis | T::FrameZAxis => {
                 Bound::None
             }

@@ -1,17 +1,15 @@
 //! Sleep: islands at rest, which a step skips until something touches them.
 //!
 //! The rule is MuJoCo 4's ("Sleeping islands"). A tree is slow in a step that starts with every dof
-//! below `sleep_tolerance`, rotations multiplied by a length of the body. An island is the set of
-//! trees that rows tie together now. It falls asleep when all of its trees have been slow for
-//! `sleep_time` (MuJoCo: for 10 steps) and may sleep. It then stays where that step started, its
-//! velocities are 0, and it acts as a fixed body: it makes no rows, and meets nothing that does not
-//! move either.
+//! below `sleep_tolerance`, rotations times a length of the body. An island, the trees that rows
+//! tie together now, falls asleep when all its trees have been slow for `sleep_time` (MuJoCo: for
+//! 10 steps) and may sleep. It then stays where that step started, its velocities are 0, and it
+//! acts as a fixed body: it makes no rows, and meets nothing that does not move either.
 //!
-//! It wakes, as a whole, in a step in which it takes part in a row or in a push with something
-//! awake (mocap bodies always are), in which a force is applied to one of its trees, or in which
-//! one has a velocity or other positions than those in which it fell asleep. That step is made as
-//! if it had been awake: it starts from the impulses, and the slip of sticking friction, of its
-//! last step awake.
+//! It wakes, as a whole, in a step in which it takes part in a row or a push with something awake
+//! (mocap bodies always are), in which a force is applied to one of its trees, or in which one has
+//! a velocity or positions other than it fell asleep in. That step is made as if it had been awake:
+//! it starts from the impulses, and the slip of sticking friction, of its last step awake.
 
 mod trees;
 
@@ -150,8 +148,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// Marks trees that slept in the same place at the last placement: they need not be placed
-    /// again.
+    /// Marks trees that slept in the same place at the last placement: they stay placed.
     pub(crate) fn rest_asleep(&mut self, at: At) {
         let Self { model, state, next, placed, sleeper, .. } = self;
         let (qpos, qvel) = at.of(state, next);

@@ -59,10 +59,9 @@ impl<R: Real> Sleeper<R> {
     }
 }
 
-/// By tree: whether it never sleeps. With the automatic policy a tree may sleep if no actuator,
-/// whose force may change at any time, drives it, if it shares no pulling tendon, and no tendon
-/// with two other trees. A tree on a mocap body never sleeps: the mocap body's earlier pose is not
-/// part of the state.
+/// By tree: whether it never sleeps. An automatic tree may sleep if no actuator drives it, whose
+/// force may change at any time, and if it shares no pulling tendon, and none with two others. A
+/// tree on a mocap body never sleeps: that body's earlier pose is not part of the state.
 fn never(model: &Model) -> Vec<bool> {
     let mut bound = vec![false; model.trees.len()];
     for (actuator, along) in model.actuators.iter().zip(&model.along) {

@@ -1,5 +1,5 @@
-//! Poses and velocities of the bodies of one world, as MuJoCo has them: about the centre of
-//! mass of the tree that each hangs on (`subtree_com`, `cinert`, `cvel`).
+//! Poses and velocities of the bodies of one world, as MuJoCo has them: about the centre of mass of
+//! the tree that each hangs on (`subtree_com`, `cinert`, `cvel`).
 
 use crate::model::{Model, NONE};
 use crate::real::Real;

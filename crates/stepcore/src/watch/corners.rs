@@ -1,9 +1,8 @@
 //! States at a corner of a law, at which derivatives are one-sided.
 //!
-//! The solve finds the corners of rows (`solve/derivative.rs`). The corners here are outside the
-//! solve: a
-//! control, an activation or a force at its bound, a muscle whose activation equals its control, a
-//! tendon at an end of its slack, and a limit or a contact at the distance from which it has a row.
+//! The solve finds the corners of rows (`solve/derivative.rs`). Here are the others: a control, an
+//! activation or a force at its bound, a muscle whose activation equals its control, a tendon at an
+//! end of its slack, and a limit or a contact at the distance from which it has a row.
 
 use crate::detect::almost;
 use crate::elements::{actuator, Element, Kind};

@@ -28,8 +28,8 @@ impl<R: Real> Sim<R> {
         Energy { kinetic, potential }
     }
 
-    /// Energy of springs and weight [J]: the potential without gravity compensation, which
-    /// MuJoCo's sensor leaves out; for the present forces.
+    /// Energy of springs and weight [J]: the potential without gravity compensation, which MuJoCo's
+    /// sensor leaves out; for the present forces.
     pub(crate) fn potential_of_springs_and_weight(&self) -> R {
         let now = self.moment(At::State);
         let mut potential = R::zero();

@@ -26,8 +26,7 @@ use crate::state::State;
 /// The models around a parameter's value; see `AROUND`.
 pub type Around = [Arc<Model>; AROUND];
 
-/// A model, and the models around the value of each parameter by which its steps are
-/// differentiated.
+/// A model, and the models around the value of each parameter of the derivatives.
 pub struct Neighbourhood {
     pub model: Arc<Model>,
     pub parameters: Vec<Around>,
@@ -230,9 +229,9 @@ impl Linearizer {
         self.asked.len() * self.rows() * self.width()
     }
 
-    /// This many matrices of zeros, one after the other. Each has 2 nv + na + nhistory rows of as
-    /// many columns, then nu, then one for each parameter: A, B and P side by side, P by the
-    /// distance of the models around.
+    /// This many matrices of zeros. Each has 2 nv + na + nhistory rows of as many columns, then nu,
+    /// then one for each parameter: A, B and P side by side, P by the distance of the models
+    /// around.
     pub fn matrices(&self, count: usize) -> Result<Vec<f64>> {
         zeros("linearize", count.saturating_mul(self.rows()), self.width())
     }

@@ -52,8 +52,7 @@ impl Linearizers {
         self.each.iter().map(Linearizer::steps).max().unwrap_or(0)
     }
 
-    /// Takes the next `n` steps of each thread. If there are several errors, returns the first
-    /// state's.
+    /// Takes the next `n` steps of each thread. Of several errors it returns the first state's.
     pub fn advance(&mut self, n: u64, asked: &Asked, mut matrices: &mut [f64]) -> Result<()> {
         let Some(pool) = &self.pool else {
             return self.each[0].advance(n, Some(asked), matrices);

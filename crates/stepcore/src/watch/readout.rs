@@ -1,8 +1,7 @@
-//! Quantities of a simulation that a user reads in addition to its state, one lane (world) at a
-//! time.
+//! Quantities of a simulation that a user reads besides its state, one lane (world) at a time.
 //!
-//! Poses and matrices belong to the last `refresh` or solve; rows, contacts and
-//! constraint forces to the last solve.
+//! Poses and matrices belong to the last `refresh` or solve; rows, contacts and constraint forces
+//! to the last solve.
 
 use super::zeros;
 use crate::detect::Contact;
@@ -18,8 +17,8 @@ use crate::spatial::{rotate, splat, Quat, M3, V3};
 use nalgebra::Vector3;
 
 impl<R: Real> Sim<R> {
-    /// The mass matrix, armature included, row by row (nv × nv).
-    /// Refuses one that does not fit in memory.
+    /// The mass matrix, armature included, row by row (nv × nv). Refuses one that does not fit in
+    /// memory.
     pub fn mass_matrix(&self, lane: usize) -> Result<Vec<f64>> {
         let model = &*self.model;
         let mut full = zeros("mass_matrix", model.nv, model.nv)?;
@@ -34,8 +33,8 @@ impl<R: Real> Sim<R> {
         Ok(full)
     }
 
-    /// The motion of a body's frame with every dof: linear velocity of its origin in 3 rows
-    /// of nv numbers, then its angular velocity in 3.
+    /// The motion of a body's frame with every dof: linear velocity of its origin in 3 rows of nv
+    /// numbers, then its angular velocity in 3.
     pub fn jacobian(&self, body: usize, lane: usize) -> Vec<f64> {
         self.jacobian_at(body, &self.placed.xpos[body], lane)
     }
@@ -239,8 +238,8 @@ impl<R: Real> Sim<R> {
         coupling
     }
 
-    /// The distance of each row of a block from its law at its present impulses: s·|δ|, in
-    /// the row's unit of velocity (see `solve/residual.rs`).
+    /// The distance of each row of a block from its law at its present impulses: s·|δ|, in the
+    /// row's unit of velocity (see `solve/residual.rs`).
     pub fn row_residuals(&self, block: &Block<R>, lane: usize) -> Vec<f64> {
         let mut residuals = Vec::new();
         self.rows.natural_map(self.detected.dof_lists(&self.model), block, |_, delta, s| {

@@ -1,11 +1,11 @@
 //! The effect of each element in one step: its impulse, the work of that impulse, and the change of
 //! its stored energy. Recorded only when a step is repeated after a failure.
 //!
-//! With v̄ = (v + v⁺)/2 and an impulse P = M (v⁺ − v) made of the parts P_e, the change of
-//! ½ vᵀMv is exactly Σ v̄ᵀP_e where M does not move. An element's *gain* is v̄ᵀP_e plus the
-//! change of its stored energy (½ k s² of a spring, −m g·c of gravity, ½ k φ² of a penalty
-//! contact): zero in an exact motion, negative where it dissipates. The rest of ΔE in a
-//! tree is due to the integrator, charged to the tree's inertial forces, which exactly do no work.
+//! With v̄ = (v + v⁺)/2 and an impulse P = M (v⁺ − v) made of the parts P_e, the change of ½ vᵀMv
+//! is exactly Σ v̄ᵀP_e where M does not move. An element's *gain* is v̄ᵀP_e plus the change of its
+//! stored energy (½ k s² of a spring, −m g·c of gravity, ½ k φ² of a penalty contact): zero in an
+//! exact motion, negative where it dissipates. The rest of ΔE in a tree is due to the integrator,
+//! charged to the tree's inertial forces, which exactly do no work.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -78,8 +78,8 @@ impl Tape {
     }
 }
 
-/// Lets `step` take one step of `sim` under a tape, which records the effect of each element in
-/// it, in one lane.
+/// Lets `step` take one step of `sim` under a tape, which records the effect of each element in it,
+/// in one lane.
 pub(crate) fn taped<R: Real>(
     sim: &mut Sim<R>,
     lane: usize,
@@ -153,7 +153,7 @@ impl<R: Real> Sim<R> {
         Levels { kinetic, stored: self.stored_by_element(lane) }
     }
 
-    /// The stored energy of each element at the present state, which `refresh` placed, in one lane
+    /// The stored energy of each element at the present state, placed by `refresh`, in one lane
     /// [J].
     pub(super) fn stored_by_element(&mut self, lane: usize) -> BTreeMap<Element, f64> {
         let model = self.model.clone();
@@ -240,8 +240,7 @@ fn gains(
     after: &Levels,
 ) -> StepGains {
     let mut gains: BTreeMap<Element, f64> = BTreeMap::new();
-    // The size of the subtracted terms: a difference that is only rounding next to it counts as
-    // zero.
+    // The size of the subtracted terms: a difference that is their rounding counts as zero.
     let mut size: Vec<f64> =
         after.kinetic.iter().zip(&before.kinetic).map(|(after, before)| after + before).collect();
     let mut left: Vec<f64> =

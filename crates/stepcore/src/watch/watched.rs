@@ -17,8 +17,8 @@ use crate::settings::Settings;
 use crate::sim::Sim;
 use crate::warm::Warm;
 
-/// A `Sim` whose failures name the element that caused them. It keeps a ledger of its
-/// energy if the settings request one.
+/// A `Sim` whose failures name the element that caused them. It keeps a ledger of its energy if the
+/// settings request one.
 pub struct Watched<R: Real> {
     pub sim: Sim<R>,
     past: Past<R>,

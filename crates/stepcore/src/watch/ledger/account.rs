@@ -80,8 +80,8 @@ impl Account {
         };
         self.scale = self.scale.max(earned);
         self.least = self.least.min(free + level.held);
-        // A world at rest has no circulating energy, but it has rounding; forces that
-        // balance each other then move it by the solver's residual.
+        // A world at rest has no circulating energy, but it has rounding; forces that balance each
+        // other then move it by the solver's residual.
         let rounding = NEGLIGIBLE.max(1024.0 * R::epsilon()) * (level.size + self.throughput);
         let unsure = rounding + self.unsolved;
         // An energy beyond all numbers has no rounding.
@@ -89,8 +89,8 @@ impl Account {
         Verdict { gained, limit: self.allowed * self.scale + unsure }
     }
 
-    /// Allows a gain that was examined and was not caused by the step; the next
-    /// one to be examined is twice as large.
+    /// Allows a gain that was examined and was not caused by the step; the next one to be examined
+    /// is twice as large.
     pub fn allow(&mut self, gained: f64, times: f64) {
         let reached = if self.scale > 0.0 { gained / self.scale } else { 0.0 };
         self.allowed = self.allowed.max(2.0 * reached).max(times);

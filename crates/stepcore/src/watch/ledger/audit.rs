@@ -11,15 +11,14 @@ use crate::sim::{At, Sim};
 use crate::solve::Block;
 
 impl<R: Real> Sim<R> {
-    /// Whether the solve of an audit can be the next step's: the step has only one solve, and
-    /// summing up
+    /// Whether the solve of an audit can be the next step's: it has one solve, and summing up
     /// energies, which places all bodies anew, keeps the arms of elements that pull at contacts.
     pub(super) fn audit_stands(&self) -> bool {
         self.plan.solves_once && !self.model.adheres
     }
 
-    /// Places, detects and solves at the present state, as the next step will, and sums up.
-    /// False if that failed: the step will report why.
+    /// Places, detects and solves at the present state, as the next step will, and sums up. False
+    /// if that failed: the step will report why.
     pub(super) fn audit(&mut self, levels: &mut [Level], work: &Work<R>) -> bool {
         self.wake_where_off();
         if self.place_detect_solve(At::State).is_err() {

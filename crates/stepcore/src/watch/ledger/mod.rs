@@ -1,9 +1,9 @@
 //! The ledger: is there more energy than a passive scene can have, and which element supplied it?
 //!
-//! The engine is deterministic, so little has to be recorded in a normal run: a
-//! complete state every 64 steps, the inputs when they change, and the work of external drives.
-//! The account is balanced at those milestones only. A run that fails is repeated
-//! from the last good milestone, with everything recorded.
+//! The engine is deterministic, so little has to be recorded in a normal run: a complete state
+//! every 64 steps, the inputs when they change, and the work of external drives. The account is
+//! balanced at those milestones only. A run that fails is repeated from the last good milestone,
+//! with everything recorded.
 
 mod account;
 mod audit;
@@ -63,8 +63,8 @@ impl Care {
         }
     }
 
-    /// Servos that count as driving: without a ledger, one that swings at the bounds of its
-    /// force, and continues, is tolerated.
+    /// Servos that count as driving: without a ledger, one that swings at the bounds of its force,
+    /// and continues, is tolerated.
     fn driving<N: Constant>(self, model: &Model<N>) -> Vec<usize> {
         match self {
             Self::Full => Vec::new(),
@@ -230,8 +230,8 @@ impl<R: Real> Ledger<R> {
         self.levels[lane].moving
     }
 
-    /// Advances `sim` by `n` steps, from milestone to milestone. `suspect` is called for each
-    /// lane that gained more energy [J] than possible, or is beyond all bounds: it allows that, or
+    /// Advances `sim` by `n` steps, from milestone to milestone. `suspect` is called for each lane
+    /// that gained more energy [J] than possible, or is beyond all bounds: it allows that, or
     /// fails.
     pub fn step<O: Observer<R>>(
         &mut self,
@@ -398,9 +398,9 @@ impl<R: Real> Ledger<R> {
         Ok(())
     }
 
-    /// Ends a call of `n` steps, in however many portions it was made: balances
-    /// the account if the call was long, or the account never was balanced. No milestone is
-    /// made, and nothing that can be read changes.
+    /// Ends a call of `n` steps, in however many portions it was made: balances the account if the
+    /// call was long, or the account never was balanced. No milestone is made, and nothing that can
+    /// be read changes.
     pub fn balance_at_end(
         &mut self,
         sim: &Sim<R>,

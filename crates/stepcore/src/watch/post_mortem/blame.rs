@@ -1,9 +1,9 @@
-//! The element that made a run leave the finite numbers: the first whose force, growing,
-//! became the strongest of all on the way there; not the first that shows a NaN. Once a
-//! run explodes, inertial forces outgrow the original cause, because they are quadratic.
+//! The element that made a run leave the finite numbers: the first whose force, growing, became the
+//! strongest of all on the way there; not the first that shows a NaN. Once a run explodes, inertial
+//! forces outgrow the original cause, because they are quadratic.
 //!
-//! Forces and moments are compared by their effect: Q² / M, the rate at which a
-//! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
+//! Forces and moments are compared by their effect: Q² / M, the rate at which a force Q speeds up
+//! the inertia M that it acts on [W/s], whatever its unit.
 
 use crate::elements::forces::strengths;
 use crate::elements::{Element, Kind};
@@ -79,8 +79,8 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// The first element whose strength at least doubled and exceeded all others together;
-/// else the strongest at the end.
+/// The first element whose strength at least doubled and exceeded all others together; else the
+/// strongest at the end.
 fn blamed(ledgers: &[Strengths]) -> Option<Element> {
     let finite = |ledger: &Strengths| ledger.iter().map(|(_, s)| s).filter(|s| s.is_finite()).sum();
     for pair in ledgers.windows(2) {

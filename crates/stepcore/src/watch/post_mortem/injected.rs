@@ -1,5 +1,4 @@
-//! The elements that injected the energy of a failure: in which steps, in what shares, at what
-//! rate.
+//! The elements that injected the energy of a failure: in which steps, what shares, at what rate.
 
 use std::collections::BTreeMap;
 
@@ -7,8 +6,8 @@ use crate::elements::{Element, Kind};
 use crate::model::Model;
 use crate::watch::tape::StepGains;
 
-/// Beyond this many times the energy that circulated, inertial forces, which are quadratic,
-/// outgrow the original cause.
+/// Beyond this many times the energy that circulated, inertial forces, which are quadratic, outgrow
+/// the original cause.
 const AFTERMATH: f64 = 1e6;
 /// The most steps that a growth rate is fitted to.
 const FITTED: usize = 64;
@@ -23,7 +22,7 @@ pub(super) fn feeding<'a>(
 ) -> (usize, &'a [StepGains]) {
     let Some(scale) = scale else { return (0, before_aftermath(entries)) };
     let last = entries.last().map_or(0.0, |entry| entry.after.abs());
-    // Or the external drives have fed all of it.
+    // The second attempt is for external drives that have fed all of it.
     for driven in [1.0, 0.0] {
         let can_be = put_in(model, entries, scale, driven);
         let most = can_be.last().copied().unwrap_or(scale);
@@ -77,8 +76,8 @@ fn put_in(model: &Model, entries: &[StepGains], scale: f64, driven: f64) -> Vec<
     entries.iter().map(put_in).collect()
 }
 
-/// Each element's part of the growth: a step counts by its gain relative to the present
-/// energy, so that the last doublings count no more than the first.
+/// Each element's part of the growth: a step counts by its gain relative to the present energy, so
+/// that the last doublings count no more than the first.
 pub(super) fn shares(entries: &[StepGains]) -> Vec<(Element, f64)> {
     let mut sums: BTreeMap<Element, f64> = BTreeMap::new();
     let mut brought = Brought::default();
@@ -142,9 +141,9 @@ impl Brought {
     }
 }
 
-/// The servo whose force was at its bound in most of some steps, and in at least a share of them.
-/// It does not damp there, and its effect in a step is larger than intended: other forces then act
-/// over distances that they did not cause, and seem to inject.
+/// The servo whose force was most often at its bound, in at least a share of some steps. It does
+/// not damp there, and its effect in a step is larger than intended: other forces then act over
+/// distances that they did not cause, and seem to inject.
 pub(super) fn saturated(entries: &[StepGains], share: f64) -> Option<Element> {
     let mut counts: BTreeMap<Element, usize> = BTreeMap::new();
     for element in entries.iter().flat_map(|entry| &entry.saturated) {

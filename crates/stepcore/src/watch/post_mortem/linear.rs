@@ -41,8 +41,7 @@ struct Oscillator {
 /// Entries of the slopes of all elements: two dofs, and a stiffness or a damping.
 type Entries = Vec<(usize, usize, f64)>;
 
-/// The slopes of all elements; `late`: the damping that the integrator takes at the end of the
-/// step.
+/// The slopes of all elements; `late`: the damping that the integrator takes at a step's end.
 #[derive(Default)]
 struct Slopes {
     stiffness: Entries,
@@ -71,8 +70,8 @@ impl<R: Real> Sim<R> {
         swings.fold(1.0, f64::max)
     }
 
-    /// The largest stable dt of springs and dampers that are unstable now: None if none is, or
-    /// it is unknown; zero if no dt is stable.
+    /// The largest stable dt of springs and dampers that are unstable now: None if none is, or it
+    /// is unknown; zero if no dt is stable.
     pub(super) fn spring_limit(
         &mut self,
         lane: usize,
@@ -201,8 +200,8 @@ impl Oscillator {
         limits.iter().filter_map(limit).filter(|limit| limit.is_finite()).reduce(f64::min)
     }
 
-    /// The largest stable dt, to 1e-4, if `dt` is unstable; None if it is stable, or
-    /// nothing is known.
+    /// The largest stable dt, to 1e-4, if `dt` is unstable; None if it is stable, or nothing is
+    /// known.
     fn limit(&self, integrator: Integrator, dt: f64, budget: &Budget) -> Option<f64> {
         let unstable =
             |dt: f64| self.growth(integrator, dt, budget).map(|[radius, _]| radius > GROWS);
@@ -235,8 +234,8 @@ impl Oscillator {
         budget.product(map.nrows(), SQUARINGS).then(|| growth(map))
     }
 
-    /// The step in coordinates (√K x, Lᵀ v), M = L Lᵀ, whose square is twice the energy. None
-    /// if M has no such factor in this precision, or an entry is not finite.
+    /// The step in coordinates (√K x, Lᵀ v), M = L Lᵀ, whose square is twice the energy. None if M
+    /// has no such factor in this precision, or an entry is not finite.
     fn map(&self, integrator: Integrator, dt: f64, budget: &Budget) -> Option<DMatrix<f64>> {
         let map = budget.product(2 * self.mass.nrows(), 8).then(|| self.step_map(integrator, dt));
         map.flatten().filter(|map| map.iter().all(|x| x.is_finite()))

@@ -31,8 +31,7 @@ const SMALL: usize = 12;
 /// Unsolved rows are blamed for a gain of which they may have added this share.
 const UNSOLVED: f64 = 0.5;
 
-/// The share of steps with a servo at its force bounds from which on the gains of inertial forces
-/// are charged to it.
+/// The share of steps with a servo at its force bounds that charges it with inertial gains.
 const OUT_OF_HAND: f64 = 0.25;
 /// How many times as long a rerun under law `penalty` continues, until its contacts recur.
 const AFTERWARDS: u32 = 7;
@@ -46,8 +45,8 @@ pub(super) struct Run<'a, R: Real> {
     pub worlds: usize,
 }
 
-/// Handles more energy than possible: an error, unless a closer look finds its source, and
-/// the ledger allows it from now on. None gained: velocities are beyond all bounds.
+/// Handles more energy than possible: an error, unless a closer look finds its source, and the
+/// ledger allows it from now on. None gained: velocities are beyond all bounds.
 #[cold]
 pub(super) fn look_into<R: Real>(
     ledger: &mut Ledger<R>,
@@ -190,8 +189,7 @@ impl<R: Real> Run<'_, R> {
             if element != Some(Element::GRAVITY) {
                 return element;
             }
-            // Gravity gives back what it took: a large share shows that other elements moved bodies
-            // wrongly.
+            // Gravity gives back what it took: a large share shows bodies moved wrongly by others.
             shares = without_gravity(std::mem::take(&mut shares));
             let next = shares.first().map(|(element, _)| *element);
             next.or_else(|| self.strongest(lane, was_well, &budget))
@@ -219,8 +217,7 @@ impl<R: Real> Run<'_, R> {
         }
     }
 
-    /// Repeats the segment step by step; None if it does not end in the present state, or is too
-    /// long.
+    /// Repeats the segment step by step; None if it does not end in this state, or is too long.
     fn replayed(
         &self,
         segment: &Segment<R>,
@@ -258,8 +255,8 @@ impl<R: Real> Run<'_, R> {
         states
     }
 
-    /// The element that became the strongest on the way here, or, if all was well until
-    /// then, the strongest one now.
+    /// The element that became the strongest on the way here, or, if all was well until then, the
+    /// strongest one now.
     fn strongest(&self, lane: usize, was_well: bool, budget: &Budget) -> Option<Element> {
         let present = Segment::at_present(self.sim, lane);
         let past = if was_well { Vec::new() } else { self.affordable(lane, budget) };

@@ -234,8 +234,8 @@ impl<R: Real> Segment<R> {
         }
     }
 
-    /// The largest of dt/2, dt/4, … with which the stretch has no significant gain, nor as
-    /// long again `more` times.
+    /// The largest of dt/2, dt/4, … with which the stretch has no significant gain, nor as long
+    /// again `more` times.
     pub fn halved(&self, of: &Sim<R>, lane: usize, more: u32, budget: &Budget) -> Halved {
         let dt = of.clock.seconds;
         let now = self.gain(of, dt, lane, 0, budget);
@@ -266,8 +266,8 @@ impl<R: Real> Segment<R> {
         matches!(trial, Trial::Gained { gained, scale } if gained <= swing * scale)
     }
 
-    /// Whether its gain comes from the size of the step; None if that would take too
-    /// long to find out.
+    /// Whether its gain comes from the size of the step; None if that would take too long to find
+    /// out.
     pub fn smaller_steps_gain_less(
         &self,
         of: &Sim<R>,

@@ -17,8 +17,8 @@ use crate::watch::tape::taped;
 /// A residual above this share of the present speeds means that the solve was stopped early.
 const BROKEN_OFF: f64 = 1e-8;
 
-/// The element whose rows violated their law most in the last solve, and by how much [m/s]; none
-/// if they are solved.
+/// The element whose rows violated their law most in the last solve, and by how much [m/s]; none if
+/// they are solved.
 pub(super) fn missed_most<R: Real>(sim: &Sim<R>, lane: usize) -> Option<(Element, f64)> {
     let lists = sim.detected.dof_lists(&sim.model);
     let blocks = sim.rows.blocks.iter().filter(|block| block.mask.lane(lane));
