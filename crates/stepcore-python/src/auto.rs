@@ -36,7 +36,7 @@ pub type Make = dyn Fn(bool, Option<&[usize]>) -> Result<Box<dyn Worlds>> + Send
 
 pub struct Auto {
     worlds: usize,
-    /// By world the kind of its models, which stays whatever their numbers are.
+    /// For each world the kind of its models, which stays whatever their numbers are.
     kinds: Vec<usize>,
     now: Box<dyn Worlds>,
     /// The other way, once it was tried.
@@ -61,7 +61,8 @@ pub struct Auto {
 }
 
 impl Auto {
-    /// `kinds`: by world; `make(lanes, some)`: the same worlds, or some of them, in lanes or one by one.
+    /// `kinds`: by world; `make(lanes, some)`: the same worlds, or some of them, in lanes or one by
+    /// one.
     pub fn new(kinds: Vec<usize>, make: Box<Make>) -> Result<Self> {
         Ok(Self {
             worlds: kinds.len(),

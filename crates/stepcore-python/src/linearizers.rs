@@ -36,7 +36,7 @@ pub fn neighbourhood(model: &Arc<EngineModel>, parameters: &Parameters) -> Arc<N
 #[pyclass(module = "stepcore._core", frozen)]
 pub struct Linearizers {
     models: Vec<Arc<EngineModel>>,
-    /// By world: the number of its model.
+    /// For each world: the number of its model.
     of: Vec<usize>,
     first: usize,
     settings: EngineSettings,

@@ -133,7 +133,7 @@ impl Arrays {
         }
     }
 
-    /// Numpy views of all worlds' part of each array; `before`: axes before those of a world.
+    /// Numpy views of all worlds' part of each array; `before`: axes before a world's.
     pub fn views<'py>(&self, py: Python<'py>, before: &[usize]) -> PyResult<Vec<Named<'py>>> {
         let view = |array: Array| {
             let shape = [before, &self.shapes[array as usize]].concat();
@@ -178,8 +178,8 @@ impl Memory {
     /// The numbers of a range, for this thread and all others.
     fn cells(&self, range: Range<usize>) -> impl Iterator<Item = &AtomicU64> {
         let cells = self.numbers[range].iter();
-        // SAFETY: a cell has the size and the alignment of eight bytes, lives as long as `self`, and is
-        // reached here as an atomic alone.
+        // SAFETY: a cell has the size and the alignment of eight bytes, lives as long as `self`,
+        // and is reached here as an atomic alone.
         cells.map(|cell| unsafe { AtomicU64::from_ptr(UnsafeCell::raw_get(cell).cast()) })
     }
 

@@ -9,8 +9,8 @@ use stepcore::watch::{first_hit, tendon_path, Bodies, BodyForces, RayFilter, Way
 
 use crate::world::{BodyForce, Placed};
 
-/// By ray: distance in lengths of its direction and index of the geom, −1 if it meets none; the
-/// surface's outward normal, else zero.
+/// For each ray: distance in lengths of its direction and index of the geom, −1 if it meets none;
+/// the surface's outward normal, else zero.
 #[derive(Default)]
 pub struct Rays {
     pub dist: Vec<f64>,
@@ -119,7 +119,7 @@ pub fn body_force(forces: &BodyForces, what: BodyForce) -> Vec<f64> {
     }
 }
 
-/// By stretch, the points of a tendon's path one after the other.
+/// For each stretch, the points of a tendon's path one after the other.
 pub type TendonPath = Vec<Vec<f64>>;
 
 pub fn tendon_paths<R: Real>(sim: &mut Sim<R>) -> Vec<TendonPath> {

@@ -460,7 +460,7 @@ impl Sim {
     fn sweeps_done(&self) -> PyResult<u32> {
         Ok(self.lock()?.effort().sweeps)
     }
-    /// By body.
+    /// One entry for each body.
     #[getter]
     fn asleep(&self) -> PyResult<Vec<bool>> {
         Ok(self.lock()?.asleep())

@@ -122,8 +122,8 @@ fn encode_warm(bytes: &mut Vec<u8>, warm: &Warm<f64>) {
     }
 }
 
-/// Word after word by a rotation, an exclusive or and a product with an odd number (FxHash), each of
-/// which can be undone: every damage within one word changes it.
+/// Word after word by a rotation, an exclusive or and a product with an odd number (FxHash), each
+/// of which can be undone: every damage within one word changes it.
 fn checksum(bytes: &[u8]) -> u64 {
     let mix =
         |hash: u64, word: u64| (hash.rotate_left(5) ^ word).wrapping_mul(0x517c_c1b7_2722_0a95);
@@ -137,7 +137,7 @@ fn checksum(bytes: &[u8]) -> u64 {
 const OTHER: &str = "these are not the bytes of a state() of this version";
 const CHANGED: &str = "the bytes of this state() were changed";
 
-/// Decodes the snapshot in `bytes`, or returns what is wrong with them.
+/// Decodes the snapshot in `bytes`, or returns their error.
 pub fn decode(bytes: &[u8], lengths: [usize; Array::COUNT]) -> Result<Snapshot, String> {
     let rest = bytes.strip_prefix(HEAD.as_slice()).ok_or(OTHER)?;
     let mut rest = Rest(checked(rest, bytes)?);

@@ -128,7 +128,8 @@ pub trait World: Send {
     fn stayed(&mut self);
     /// Keeps the last solve for reading, because the following operation is none.
     fn keep_solve(&mut self);
-    /// By body, 6 numbers each, at the last solve or, before there was one, at the present state.
+    /// For each body, 6 numbers each, at the last solve or, before there was one, at the present
+    /// state.
     fn body_force(&mut self, given: &Given, what: BodyForce) -> Result<Vec<f64>>;
     /// A sensor's values, or all sensors', at the same state.
     fn sensordata(&mut self, given: &Given, sensor: Option<usize>) -> Result<Vec<f64>>;
@@ -149,7 +150,7 @@ pub trait World: Send {
     fn effort(&mut self) -> Effort;
     /// The reason why adaptive steps are slow.
     fn slow(&self) -> Option<String>;
-    /// By body: whether it sleeps.
+    /// For each body: whether it sleeps.
     fn asleep(&self) -> Vec<bool>;
     /// The sleeping trees at the start.
     fn initial_sleep(&self) -> Sleep<f64>;

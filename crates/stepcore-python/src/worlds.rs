@@ -45,7 +45,7 @@ pub trait Worlds: Send + Sync {
     /// The worlds that failed while the others continued; and the failures of a replaced batch.
     fn failures(&self) -> Vec<Option<Failed>>;
     fn set_failures(&mut self, failed: Vec<Option<Failed>>);
-    /// The last states of a world, and those of another batch's that continues here.
+    /// The last states of a world, and of another batch's world that continues here.
     fn past(&self, world: usize) -> WorldPast;
     fn take_past(&mut self, world: usize, past: &WorldPast);
     /// A world's arrays as they are here.
@@ -87,7 +87,7 @@ pub trait Worlds: Send + Sync {
     /// Gives the worlds models that differ in numbers from their present ones; false: that is
     /// impossible here, and nothing has changed.
     fn set_models(&mut self, how: &How, models: &[Arc<Model>], model_of: &[usize]) -> bool;
-    /// All worlds, those of one model next to each other.
+    /// All worlds, grouped by model.
     fn by_model(&self) -> &[usize];
 }
 

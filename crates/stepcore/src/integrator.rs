@@ -27,9 +27,9 @@ pub enum Late {
 /// The bias forces whose derivative by the velocities is taken at the end of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turning {
-    /// Those of single free bodies: `commit/damped.rs`.
+    /// The bias forces of single free bodies: `commit/damped.rs`.
     FreeBodies,
-    /// Those of all trees: `commit/implicit.rs`.
+    /// The bias forces of all trees: `commit/implicit.rs`.
     Trees,
 }
 

@@ -8,7 +8,8 @@ use crate::sim::{At, Sim};
 /// Python `Sim` is observed: it pays for the states of `watch/past.rs`, and for the work of
 /// `watch/ledger/drive.rs`.
 pub trait Observer<R: Real> {
-    /// The smooth forces of `sim.placed`, at these positions and velocities, act for `share` of the step.
+    /// The smooth forces of `sim.placed`, at these positions and velocities, act for `share` of the
+    /// step.
     fn placed(&mut self, _sim: &Sim<R>, _at: At, _share: f64) {}
 
     /// The rows of `sim.rows`, and under law `penalty` the contacts of `sim.detected`, act with

@@ -19,7 +19,8 @@ pub enum Stable {
     Never { semi_implicit: Option<f64> },
     /// The last steps were repeated with halved dt [s].
     Halved { dt: f64 },
-    /// Rows are solved after the stages of a step; semi-implicit gains this share in the same steps.
+    /// Rows are solved after the stages of a step; semi-implicit gains this share in the same
+    /// steps.
     AfterStages { share: f64 },
     /// Halving did not help.
     NotFound,

@@ -19,7 +19,8 @@ named!(
     Acceleration, "acceleration" {
         /// The lesson's method: rows in order.
         None = "none",
-        /// Momentum over the last moves, its coefficients chosen to minimise; blocks in a shuffled order.
+        /// Momentum over the last moves, its coefficients chosen to minimise; blocks in a shuffled
+        /// order.
         Momentum = "momentum",
     }
 );

@@ -34,7 +34,8 @@ pub(crate) fn subtract_scaled<R: Real>(from: &mut [R], a: R, x: &[R]) {
 /// Numbers that are computed at once.
 pub(crate) const WIDE: usize = 4;
 
-/// own −= Σ by · l of N rows, one after the other: `WIDE` numbers at a time, which stay in registers.
+/// own −= Σ by · l of N rows, one after the other: `WIDE` numbers at a time, which stay in
+/// registers.
 #[inline(always)]
 pub(crate) fn subtract_all<R: Real, const N: usize>(own: &mut [R], rows: [(R, &[R]); N]) {
     let len = own.len();

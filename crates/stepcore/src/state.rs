@@ -82,7 +82,7 @@ pub(crate) const INPUTS: usize = Array::COUNT - Array::CHANGED;
 /// Controls and applied forces: held during a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inputs<R: Real> {
-    /// By actuator, in the unit that its gear expects.
+    /// For each actuator, in the unit that its gear expects.
     pub ctrl: Vec<R>,
     qfrc_applied: Vec<R>,
     xfrc_applied: Vec<R>,
@@ -194,7 +194,7 @@ impl<R: Real> Inputs<R> {
         }
     }
 
-    /// By array, whether it differs from the one of `old`.
+    /// For each array, whether it differs from the one of `old`.
     pub(crate) fn changes(&self, old: &Self) -> [bool; INPUTS] {
         let (new, applied) = (self.arrays(), self.applied || old.applied);
         let mut changes = [false; INPUTS];

@@ -17,7 +17,7 @@ use crate::sim::{At, Sim};
 use crate::solve::{Choice, Part, Situation};
 
 impl<R: Real> Sim<R> {
-    /// Runs `work`; if it is interrupted, state and inputs are those of the last whole step.
+    /// Runs `work`; if it is interrupted, state and inputs are the last whole step's.
     pub(crate) fn whole<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         let outcome = caught(|| work(self));
         if matches!(outcome, Err(Error::Interrupted)) {
@@ -193,7 +193,7 @@ impl<R: Real> Sim<R> {
         self.rows.make(&now, &mut self.detected.contacts);
     }
 
-    /// The contacts of the present placement, for reading: those of the last solve stay.
+    /// The contacts of the present placement, for reading: the last solve's stay.
     pub(crate) fn detect_again(&self) -> Detected<R> {
         let mut detected = Detected::new(&self.model, 0);
         // The room that a step found is found again; else it has refused already.

@@ -53,11 +53,11 @@ pub const AWAKE: usize = usize::MAX;
 /// The sleeping trees; a part of the state. Empty lists: none ever was slow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sleep<R: Real> {
-    /// By tree: for how many steps it has been slow.
+    /// For each tree: for how many steps it has been slow.
     pub slow: Vec<u64>,
-    /// By tree: the lowest tree of the island with which it sleeps; `AWAKE` in none.
+    /// For each tree: the lowest tree of the island with which it sleeps; `AWAKE` in none.
     pub island: Vec<usize>,
-    /// By entry of qpos, where a tree sleeps: its position.
+    /// For each entry of qpos, where a tree sleeps: its position.
     pub qpos: Vec<R>,
     /// The impulses of each island's last step awake; ascending slots within one.
     pub kept: Vec<(usize, Warm<R>)>,

@@ -412,7 +412,7 @@ impl Batch {
         let shape = [self.arrays.worlds, all.first().map_or(0, Vec::len)];
         result(py, all.concat(), &shape)
     }
-    /// Return the forces that give accelerations (n, nv), by default those of the last solves.
+    /// Return the forces that give accelerations (n, nv), by default the last solves'.
     #[pyo3(signature = (qacc = None))]
     fn inverse<'py>(&self, py: Python<'py>, qacc: Option<Vec<f64>>) -> PyResult<Array<'py>> {
         let nv = self.model.nv;

@@ -38,13 +38,14 @@ pub(super) struct Group<R: Real> {
     /// The state at the start of the last solve, from which it can be repeated: its rows are in the
     /// working space of a thread, and gone with the next group.
     pub before: State<R>,
-    /// By lane.
+    /// One entry for each lane.
     pub last: Vec<Last>,
     /// Steps done in this call before one failed, and the error.
     pub failed: Option<(u64, Error)>,
     /// Worlds that failed while the others continued.
     pub standing: Standing,
-    /// By lane: whether all worlds stopped because of it. Its impulses must start no other state.
+    /// For each lane: whether all worlds stopped because of it. Its impulses must start no other
+    /// state.
     pub ended: Vec<bool>,
     /// The parts of its last adaptive step.
     pub stretches: Stretches,

@@ -14,16 +14,17 @@ use crate::solve::dofs::any_heap;
 pub(super) struct LaneLayout {
     /// The lanes of a group are two to this power.
     power: u32,
-    /// By world: group · lanes + lane.
+    /// For each world: group · lanes + lane.
     seat: Vec<usize>,
     /// All worlds in the order of their places.
     worlds: Vec<usize>,
-    /// By group: the kind of its models, and its worlds' range in `worlds`.
+    /// For each group: the kind of its models, and its worlds' range in `worlds`.
     groups: Vec<(usize, Range<usize>)>,
 }
 
 impl LaneLayout {
-    /// `lanes`: a power of two; `kinds`: the kind of each model, `model_of`: the model of each world.
+    /// `lanes`: a power of two; `kinds`: the kind of each model, `model_of`: the model of each
+    /// world.
     pub fn new(lanes: usize, kinds: &[usize], model_of: &[usize]) -> Self {
         let kind = |world: usize| kinds[model_of[world]];
         let mut worlds: Vec<usize> = (0..model_of.len()).collect();

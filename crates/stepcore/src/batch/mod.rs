@@ -42,7 +42,7 @@ pub struct Batch<R: Real> {
     pub worlds: usize,
     /// Each different one of the worlds' models.
     models: Vec<Arc<Model>>,
-    /// By world.
+    /// One entry for each world.
     model_of: Vec<usize>,
     dt: f64,
     accuracy: Option<f64>,
@@ -215,7 +215,7 @@ impl<R: Real> Batch<R> {
         true
     }
 
-    /// All worlds, those of one model next to each other.
+    /// All worlds, grouped by model.
     pub fn by_model(&self) -> &[usize] {
         self.layout.all()
     }

@@ -1,5 +1,5 @@
 //! The step of each integrator where the motion is linear, M dv' = −K dq − D dv, or x' = J x of
-//! x = [dq, dv]. With h = dt, D̂ and K̂ what the integrator takes at the end of the step:
+//! x = [dq, dv]. With h = dt, D̂ and K̂ its implicit parts at the end of the step:
 //!
 //! ```text
 //! Map::Taylor   x⁺ = (1 + z + z²/2 + …) x, z = h J

@@ -41,11 +41,12 @@ fn class(x: f64) -> (bool, bool) {
 
 /// The numbers of several models, and the data that depends on all of them.
 struct Numbers {
-    /// By model.
+    /// One entry for each model.
     lists: Vec<Vec<f64>>,
     /// How many numbers of each model were taken.
     taken: usize,
-    /// By pair: its place among the distinct sets of materials that pairs have; and these sets.
+    /// For each pair: its place among the distinct sets of materials that pairs have; and these
+    /// sets.
     places: Vec<usize>,
     sets: Vec<Vec<usize>>,
     spheres: Vec<Spheres>,
@@ -261,8 +262,8 @@ parts!(Model: pairs, gears, clamps, gravity, bodies, joints, dofs, trees, geoms,
     body_pairs: |_: &Model, all: &mut Numbers| std::mem::take(&mut all.body_pairs),
     guards: |_: &Model, all: &mut Numbers| std::mem::take(&mut all.guards));
 
-/// By pair: its place among the distinct sets of materials of the models' pairs; and these sets.
-/// The materials that two pairs share may differ from world to world.
+/// For each pair: its place among the distinct sets of materials of the models' pairs; and these
+/// sets. The materials that two pairs share may differ from world to world.
 fn sets(of: &[&Model]) -> (Vec<usize>, Vec<Vec<usize>>) {
     if let [one] = of {
         let own = one.pairs.iter().map(|pair| pair.material).collect();

@@ -15,7 +15,7 @@ pub struct Fluid {
     /// Velocity of the fluid [m/s].
     pub wind: Vector3<f64>,
     pub parts: Vec<Part>,
-    /// By body, into `parts`.
+    /// For each body, into `parts`.
     pub of_body: Vec<Span>,
 }
 
@@ -41,8 +41,8 @@ pub enum Shape {
     Ellipsoid(Box<Ellipsoid>),
 }
 
-/// The coefficients of an ellipsoid of semi-axes r. Areas, volumes and moments are multiplied by the
-/// fluid's density.
+/// The coefficients of an ellipsoid of semi-axes r. Areas, volumes and moments are multiplied by
+/// the fluid's density.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ellipsoid {
     /// (r_j r_k)² divided by the largest of the three: they give the area across a velocity.

@@ -50,7 +50,7 @@ fn point_inertia(mass: f64, p: &Vector3<f64>) -> Matrix3<f64> {
     (Matrix3::identity() * p.norm_squared() - p * p.transpose()) * mass
 }
 
-/// Inertia of a geom about its own centre, in body axes.
+/// Inertia of a geom about its centre, in body axes.
 fn own_inertia(g: &Geom, asset: &Asset, mass: f64) -> Matrix3<f64> {
     let quat = unit_quat(g.quat);
     match &asset.solid {

@@ -158,7 +158,7 @@ pub fn weigh(scene: &Scene, model: &mut Model, aligned: &[bool]) -> Result<()> {
 
 /// Bodies that MuJoCo weighs by their mass alone, whatever the armature of their joints and the
 /// number of their axes: slides through the origin along coordinate axes, the
-/// inertia's frame the body's own, no child, above it the world or one fixed
+/// inertia's frame the body's, no child, above it the world or one fixed
 /// child of the world, and no tendon with armature that has it in its path.
 fn plain<'a>(
     scene: &Scene,

@@ -178,7 +178,7 @@ pub struct Moved {
     pub ends: [bool; 2],
 }
 
-/// An equality, with what its rows share.
+/// An equality, with the data that its rows share.
 #[derive(Clone, Debug)]
 pub struct Equality<N = f64> {
     pub name: String,

@@ -44,8 +44,8 @@ impl Material {
     }
 
     /// The geom of higher priority decides; equals are mixed: the larger condim and friction,
-    /// softness by the share of solmix, and adhesion as the sum. Margins and gaps are distances, and
-    /// add up.
+    /// softness by the share of solmix, and adhesion as the sum. Margins and gaps are distances,
+    /// and add up.
     fn mixed(x: &Geom, y: &Geom) -> Self {
         let (margin, gap) = (x.margin + y.margin, x.gap + y.gap);
         let of = |condim, friction, soft, adhesion| Self {

@@ -86,13 +86,13 @@ pub struct Model<N: Scalar = f64> {
     /// Stored past controls, and the entries of each actuator.
     pub nhistory: usize,
     pub histories: Vec<Span>,
-    /// By actuator: the length along which it pulls, and the length after which its servo's target
-    /// is the same again (0: never).
+    /// For each actuator: the length along which it pulls, and the length after which its servo's
+    /// target is the same again (0: never).
     pub along: Vec<Transmission>,
     pub circles: Vec<f64>,
     /// The gears that transmissions point into.
     pub gears: Vec<N>,
-    /// By actuator and input of its controller: the element whose control that is.
+    /// For each actuator and input of its controller: the element whose control that is.
     pub feeders: Vec<[Option<usize>; 4]>,
     pub linkages: Vec<Linkage>,
     /// Whether some actuators are adhesions of contacts, which are found after the smooth forces.
@@ -121,7 +121,7 @@ pub struct Model<N: Scalar = f64> {
     pub sensors: Vec<Sensor>,
     /// Empty in a pile.
     pub pairs: Vec<Pair<N>>,
-    /// By pair, and by two bodies: the first tests of a step.
+    /// For each pair, and by two bodies: the first tests of a step.
     pub spheres: Vec<Spheres>,
     pub body_pairs: Vec<BodyPair>,
     /// Set if there are too many possible pairs for a list of them.
@@ -153,7 +153,7 @@ pub struct Model<N: Scalar = f64> {
     pub(crate) makers: Vec<Maker>,
     pub(crate) places: Places,
     pub(crate) acting: Acting<N>,
-    /// By actuator.
+    /// One entry for each actuator.
     pub(crate) drives: Vec<ActuatorAt<N>>,
 }
 

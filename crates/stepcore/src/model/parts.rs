@@ -285,9 +285,9 @@ pub struct BodyPair {
 pub struct Plane<N = f64> {
     /// The index of the world axis that is its normal.
     pub normal: usize,
-    /// By body of the tree.
+    /// One entry for each body of the tree.
     pub bodies: Vec<FlatBody<N>>,
-    /// By joint of the tree.
+    /// One entry for each joint of the tree.
     pub joints: Vec<FlatJoint<N>>,
     pub(super) first_joint: usize,
 }
@@ -355,15 +355,15 @@ pub struct DynamicPairs {
     pub solid: Vec<usize>,
     /// How many of them can move.
     pub moving: usize,
-    /// By geom: its part of the distance below which contacts are listed [m].
+    /// For each geom: its part of the distance below which contacts are listed [m].
     pub listed: Vec<f64>,
-    /// By geom: its class; and by two classes their material.
+    /// For each geom: its class; and by two classes their material.
     pub(super) class: Vec<u32>,
     pub(super) classes: usize,
     pub(super) mixed: Vec<u32>,
-    /// By two kinds of geoms.
+    /// The tests for two kinds of geoms.
     pub(super) tests: [[Option<ShapeTest>; KINDS]; KINDS],
-    /// By body: its first geom. The most geoms of any body.
+    /// For each body: its first geom. The most geoms of any body.
     pub(super) first: Vec<usize>,
     pub(super) most: usize,
     /// Pairs with tangents along which nothing can move.

@@ -1,4 +1,4 @@
-//! The principal axes of a symmetric matrix as a rotation from the matrix's own axes.
+//! The principal axes of a symmetric matrix as a rotation from the matrix's axes.
 
 use crate::spatial::{rotation, unit_quat};
 use nalgebra::{Matrix3, Vector3};

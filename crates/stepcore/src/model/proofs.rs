@@ -18,7 +18,7 @@ const MOST: usize = 1 << 18;
 static KEPT: Mutex<Lru<Question, Proof>> =
     Mutex::new(Lru::new(MOST, |question| question.words.len()));
 
-/// By pair whether its geoms never meet, and the positions of joints for which that holds.
+/// For each pair, whether its geoms never meet, and the positions of joints for which that holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proof {
     pub apart: Vec<bool>,

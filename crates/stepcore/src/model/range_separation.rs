@@ -232,7 +232,7 @@ impl<'a> Search<'a> {
         true
     }
 
-    /// What the middle of a box shows about it, if the joints can move the geoms by `moves` [m].
+    /// The conclusion from the middle of a box, if the joints can move the geoms by `moves` [m].
     /// The distance itself is expensive: it is computed only if boxes and centres do not decide.
     fn at_the_middle(&mut self, region: &[[f64; 2]], moves: f64) -> Middle {
         for (joint, [low, high]) in self.between.iter().zip(region) {
@@ -264,7 +264,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// What one configuration shows about all configurations near it.
+/// The conclusion from one configuration about all near it.
 enum Middle {
     /// The pair meets there.
     Meets,

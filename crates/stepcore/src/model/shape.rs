@@ -29,7 +29,7 @@ pub fn measure(g: &Geom) -> f64 {
     }
 }
 
-/// Principal moments of a shape of unit mass, about its centre, in its own axes.
+/// Principal moments of a shape of unit mass, about its centre, in its axes.
 pub fn unit_inertia(g: &Geom) -> Vector3<f64> {
     let [a, b, c] = g.size;
     let round = |across: f64, along: f64| Vector3::new(across, across, along);

@@ -49,8 +49,8 @@ impl<N: Constant> Model<N> {
         own..own + 1
     }
 
-    /// By slot: its place among the slots of its island. Copies of an island in one scene have the
-    /// same ranks.
+    /// For each slot: its place among the slots of its island. Copies of an island in one scene
+    /// have the same ranks.
     pub fn ranks(&self, islands: &[usize]) -> Vec<u32> {
         let tree = |body: usize| self.bodies[body].tree;
         let either = |a: usize, b: usize| tree(if tree(a) == NONE { b } else { a });

@@ -18,7 +18,7 @@ pub struct Solid {
     /// Its frame in the coordinates of its file: centre of mass [m], and w x y z.
     pub centre: Vector3<f64>,
     pub quat: [f64; 4],
-    /// Of unit mass, about the centre in this frame [m²].
+    /// Inertia at unit mass, about the centre in this frame [m²].
     pub inertia: Matrix3<f64>,
     /// Corners of the box around all vertices, in this frame [m].
     pub low: Vector3<f64>,

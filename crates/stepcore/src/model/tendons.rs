@@ -171,12 +171,12 @@ impl<N: Constant> Model<N> {
         self.tendons.iter().map(beyond).collect()
     }
 
-    /// By tree: whether the armature of a spatial tendon is part of its mass matrix.
+    /// For each tree: whether the armature of a spatial tendon is part of its mass matrix.
     pub(super) fn weighted_by_tendons(&self) -> Vec<bool> {
         self.trees_of_tendons(|tendon| !tendon.armature.vanishes())
     }
 
-    /// By tree: whether a spatial tendon that steps read runs over a body of it.
+    /// For each tree: whether a spatial tendon that steps read runs over a body of it.
     pub(super) fn passed_by_tendons(&self) -> Vec<bool> {
         self.trees_of_tendons(|tendon| tendon.used)
     }

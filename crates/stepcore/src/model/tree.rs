@@ -267,7 +267,7 @@ pub fn mark(model: &mut Model) {
     }
 }
 
-/// By tree: whether some of these bodies is in it.
+/// For each tree: whether some of these bodies is in it.
 fn trees_of(model: &Model, bodies: impl Iterator<Item = usize>) -> Vec<bool> {
     let mut found = vec![false; model.trees.len()];
     for tree in bodies.map(|body| model.bodies[body].tree).filter(|tree| *tree != NONE) {

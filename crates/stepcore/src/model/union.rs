@@ -1,6 +1,6 @@
 //! Union-find (Tarjan 1975): sets that grow into one another, each identified by its lowest member.
 
-/// By member: a member of its set that is no higher, at last the lowest.
+/// For each member: a member of its set that is no higher, at last the lowest.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Union {
     below: Vec<usize>,

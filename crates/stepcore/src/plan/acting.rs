@@ -86,14 +86,14 @@ pub(crate) struct Acting<N = f64> {
     pub tendon_spring: Vec<Acts<TendonAt<N>>>,
     pub tendon_damper: Vec<Acts<TendonAt<N>>>,
     pub compensation: Vec<Acts<MassAt<N>>>,
-    /// By body.
+    /// One entry for each body.
     pub fluid: Vec<Acts<usize>>,
-    /// By actuator.
+    /// One entry for each actuator.
     pub actuator: Vec<Acts<usize>>,
     pub driven_compensation: Vec<Acts<MassAt<N>>>,
     /// The first dof of a joint, and their number.
     pub joint_force: Vec<Acts<(usize, usize)>>,
-    /// By body.
+    /// One entry for each body.
     pub body_force: Vec<Acts<usize>>,
     pub gravity: Vec<Acts<MassAt<N>>>,
     pub held: Vec<Acts<MassAt<N>>>,

@@ -33,8 +33,8 @@ pub struct Actuator<N = f64> {
     pub feeds: Option<usize>,
     /// Whether it has an activation, and how that follows the control.
     pub dynamics: Dynamics,
-    /// For a filter: its time constant [s]. For a muscle: those of activation and deactivation [s],
-    /// and the width of control over which one becomes the other.
+    /// For a filter: its time constant [s]. For a muscle: those for activation and deactivation
+    /// [s], and the width of control over which one becomes the other.
     pub dynprm: [N; 3],
     /// Bounds of the control, of the activation, and of the force before the gear. None: none.
     pub ctrlrange: Option<[N; 2]>,
@@ -58,9 +58,9 @@ pub struct Actuator<N = f64> {
 /// The target that an actuator pulls, by index.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
-    /// The axes of a ball or a free joint's rotation are those of its body.
+    /// The axes of a ball or a free joint's rotation are its body's.
     Joint(usize),
-    /// The axes are those of the joint's parent frame.
+    /// The axes are the joint's parent frame's.
     InParent(usize),
     Tendon(usize),
     /// In the axes of the site; with a reference in the reference's axes, and measured from it.
@@ -110,8 +110,8 @@ pub enum Interp {
 pub struct Muscle<N = f64> {
     /// The operating range of lengths, of the optimal length.
     pub range: [f64; 2],
-    /// Peak force [N]; negative: `scale` over the acceleration that a unit force gives at the initial
-    /// configuration, filled in when the scene is compiled.
+    /// Peak force [N]; negative: `scale` over the acceleration that a unit force gives at the
+    /// initial configuration, filled in when the scene is compiled.
     pub force: N,
     pub scale: f64,
     /// Lengths beyond which it does not pull; the fastest shortening [1/s].
@@ -182,7 +182,7 @@ pub struct Motor {
     /// Bounds of the controller's voltage, and of the rate of the current.
     pub vmax: f64,
     pub current_rate: f64,
-    /// Of the winding to its surroundings: resistance, heat capacity; then the increase of the
+    /// From the winding to its surroundings: resistance, heat capacity; then the increase of the
     /// electrical resistance with each degree, the temperature at which it starts, and the
     /// temperature of the surroundings.
     pub thermal: Option<[f64; 5]>,

@@ -39,7 +39,7 @@ impl Default for ExplicitPair {
     }
 }
 
-/// Contact parameters that replace those of every contact: MuJoCo's `o_margin` and its like.
+/// Contact parameters that override every contact's: MuJoCo's `o_margin` and others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ContactOverride {
     pub margin: f64,

@@ -26,7 +26,7 @@ use crate::warm::{Sleep, Warm};
 use std::sync::Arc;
 
 impl<R: Real> Sleep<R> {
-    /// By body: whether it sleeps.
+    /// For each body: whether it sleeps.
     pub fn bodies(&self, model: &Model<R::Value>) -> Vec<bool> {
         model.bodies.iter().map(|body| self.has(body.tree)).collect()
     }
@@ -64,7 +64,7 @@ impl<R: Real> State<R> {
 }
 
 impl<R: Real> Sim<R> {
-    /// By body: whether it sleeps.
+    /// For each body: whether it sleeps.
     pub fn asleep(&self) -> Vec<bool> {
         self.state.sleep.bodies(&self.model)
     }

@@ -15,14 +15,14 @@ const LEAST: f64 = 1e-5;
 pub(crate) struct Sleeper<R: Real> {
     /// The trees that sleep from the start.
     pub initial: Arc<Sleep<R>>,
-    /// By tree: whether it never sleeps.
+    /// For each tree: whether it never sleeps.
     pub never: Vec<bool>,
-    /// By dof: the speed of a point that a unit of its velocity moves.
+    /// For each dof: the speed of a point that a unit of its velocity moves.
     pub length: Vec<f64>,
-    /// By tree: its entries of qpos.
+    /// For each tree: its entries of qpos.
     pub qpos: Vec<[usize; 2]>,
     pub union: Union,
-    /// By island: whether all of it may sleep.
+    /// For each island: whether all of it may sleep.
     pub ready: Vec<bool>,
 }
 
@@ -59,9 +59,9 @@ impl<R: Real> Sleeper<R> {
     }
 }
 
-/// By tree: whether it never sleeps. An automatic tree may sleep if no actuator drives it, whose
-/// force may change at any time, and if it shares no pulling tendon, and none with two others. A
-/// tree on a mocap body never sleeps: that body's earlier pose is not part of the state.
+/// For each tree: whether it never sleeps. An automatic tree may sleep if no actuator drives it,
+/// whose force may change at any time, and if it shares no pulling tendon, and none with two
+/// others. A tree on a mocap body never sleeps: that body's earlier pose is not part of the state.
 fn never(model: &Model) -> Vec<bool> {
     let mut bound = vec![false; model.trees.len()];
     for (actuator, along) in model.actuators.iter().zip(&model.along) {

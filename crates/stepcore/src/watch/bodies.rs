@@ -20,7 +20,7 @@ pub struct Bodies {
     /// Mass [kg] and centre of mass [m] of the body and all that hangs on it.
     pub subtree_mass: Vec<f64>,
     pub subtree_com: Vec<V3<f64>>,
-    /// The body between it and the world, and its own index for one on the world.
+    /// The body between it and the world, or its index if it is on the world.
     pub root: Vec<usize>,
     /// About the centre of mass of the root's subtree, and zero for the world.
     pub cinert: Vec<Inertia<f64>>,
@@ -76,7 +76,7 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// By body: see `Bodies::root`.
+/// For each body: see `Bodies::root`.
 fn roots(model: &Model) -> Vec<usize> {
     let mut roots: Vec<usize> = vec![0];
     for (index, body) in model.bodies.iter().enumerate().skip(1) {

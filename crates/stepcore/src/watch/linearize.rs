@@ -463,7 +463,8 @@ mod tests {
         Arc::new(Model::compile(&scene).unwrap())
     }
 
-    /// Derivatives with positions held between two steps equal those of steps that place anew.
+    /// Derivatives with positions held between two steps equal derivatives of steps that place
+    /// anew.
     #[test]
     fn what_is_held_is_what_is_placed_again() {
         for integrator in Integrator::ALL {

@@ -24,7 +24,7 @@ pub(crate) struct Past<R: Real> {
     size: usize,
     /// The place of the next of `recent`.
     at: usize,
-    /// By lane: steps since its world was placed there.
+    /// For each lane: steps since its world was placed there.
     steps: Vec<u64>,
 }
 

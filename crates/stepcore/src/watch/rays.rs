@@ -10,7 +10,7 @@ use crate::spatial::V3;
 pub struct RayFilter {
     /// Geoms of this body are not seen.
     pub excluded: Option<usize>,
-    /// By group, those below 0 counting as 0 and those above 5 as 5; None sees all.
+    /// For each group, those below 0 counting as 0 and those above 5 as 5; None sees all.
     pub groups: Option<[bool; 6]>,
     /// Geoms of bodies that are fixed to the world are not seen.
     pub moving: bool,

@@ -254,9 +254,9 @@ impl<R: Real> Sim<R> {
 pub struct Coupling {
     /// J H⁻¹ Jᵀ, row by row (rows × rows).
     pub a: Vec<f64>,
-    /// By row: one over the denominator of its update; the mass of the trees that it touches; the
-    /// friction of its cone; and 0 for an interval, 1 for a row of a convex cone, 2 and 3 for one
-    /// of a Coulomb cone, round or box; and the physical impulse of one unit of its impulse,
+    /// For each row: one over the denominator of its update; the mass of the trees that it touches;
+    /// the friction of its cone; and 0 for an interval, 1 for a row of a convex cone, 2 and 3 for
+    /// one of a Coulomb cone, round or box; and the physical impulse of one unit of its impulse,
     /// because torsion and rolling in a cone are solved in the measure of sliding, as `a` has them.
     pub rows: Vec<[f64; 5]>,
 }

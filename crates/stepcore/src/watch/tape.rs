@@ -24,7 +24,7 @@ use crate::sim::{At, Sim};
 pub struct Tape {
     lane: usize,
     impulses: BTreeMap<Element, Vec<f64>>,
-    /// Of the bias forces, by dof.
+    /// Impulses of the bias forces, by dof.
     bias: Vec<f64>,
     /// Servos whose force was at its bound.
     saturated: BTreeSet<Element>,

@@ -33,7 +33,7 @@ fn closed(build: &Build) -> Vec<Vec<usize>> {
 fn what_nothing_couples_has_the_chains_of_its_tree() {
     let alone = [vec![0], vec![0, 1], vec![0, 2], vec![3], vec![3, 4]];
     assert_eq!(closed(&trees(&[], 1.0)), alone);
-    // Of one chain; and a tendon that does not pull.
+    // Dofs of one chain; and a tendon that does not pull.
     assert_eq!(closed(&trees(&[&[0, 2]], 1.0)), alone);
     assert_eq!(closed(&trees(&[&[1, 2]], 0.0)), alone);
 }

@@ -5,7 +5,7 @@
 //! through the whole of its violation. So E − W never rises above its lowest earlier value, with
 //! violated rows counted there and not now. An integrator's error rises with the energy that
 //! circulates, and so does its allowance: `scale`, the most that moved or was stored without being
-//! a gain itself. No number here has a unit of its own.
+//! a gain itself. All constants here are dimensionless.
 
 use crate::real::Real;
 
@@ -73,7 +73,7 @@ impl Account {
         // The energy held by violated rows may be gained as well.
         let unearned = (free + level.held - self.least).max(0.0);
         let earned = if unearned > 0.0 {
-            // moving + held − unearned, but for rounding
+            // moving + held − unearned, up to rounding
             self.least + self.paid - level.gravity
         } else {
             level.moving + level.held

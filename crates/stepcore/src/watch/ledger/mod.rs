@@ -85,7 +85,7 @@ impl Care {
 pub(super) struct Milestone<R: Real> {
     pub state: State<R>,
     pub inputs: Inputs<R>,
-    /// By lane: the energy that had circulated [J], and the gain besides it.
+    /// For each lane: the energy that had circulated [J], and the gain besides it.
     pub scale: Vec<f64>,
     pub gained: Vec<f64>,
     /// Steps done before each change, and which arrays changed.
@@ -105,7 +105,7 @@ pub(crate) struct Ledger<R: Real> {
     /// The newest one, and how many there are.
     at: usize,
     len: usize,
-    /// By lane. No account is open until the first milestone.
+    /// One entry for each lane. No account is open until the first milestone.
     accounts: Vec<Account>,
     levels: Vec<Level>,
     verdicts: Vec<Verdict>,

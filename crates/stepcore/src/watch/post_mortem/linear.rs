@@ -2,7 +2,7 @@
 //! and how far does a healthy run swing?
 //!
 //! With M, K and D of one tree, or of trees that elements couple, at the present state, F = [0 1;
-//! −M⁻¹K −M⁻¹D] and each integrator's own map A(dt), measured in the energy norm ½ vᵀMv + ½ xᵀKx. A
+//! −M⁻¹K −M⁻¹D] and each integrator's map A(dt), measured in the energy norm ½ vᵀMv + ½ xᵀKx. A
 //! symplectic method conserves another energy: this one may swing by (1 + z/2)/(1 − z/2), z = ω dt,
 //! in a healthy run. ‖Aⁿ‖ for n = 1, 2, 4, … distinguishes that from growth.
 

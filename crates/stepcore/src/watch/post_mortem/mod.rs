@@ -1,4 +1,5 @@
-//! After a failure: the last steps are repeated and recorded, and the post-mortem is read from them.
+//! After a failure: the last steps are repeated and recorded, and the post-mortem is read from
+//! them.
 
 mod blame;
 mod budget;
