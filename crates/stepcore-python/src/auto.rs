@@ -26,8 +26,7 @@ const MOST: u64 = 512;
 /// The last trials decide by their median: a single one may have been disturbed.
 const VOTES: usize = 3;
 /// Up to this number of worlds both ways are kept. For more, both would need too much memory: a
-/// sample of this size is tried both ways, neighbours that share a register, from evenly spread
-/// registers.
+/// sample of this size is tried both ways, neighbours in evenly spread registers.
 const KEPT: usize = 1 << 16;
 const SAMPLE: usize = 1 << 11;
 
@@ -61,8 +60,7 @@ pub struct Auto {
 }
 
 impl Auto {
-    /// `kinds`: by world; `make(lanes, some)`: the same worlds, or some of them, in lanes or one by
-    /// one.
+    /// `kinds`: by world; `make(lanes, some)`: the same worlds, or some, in lanes or one by one.
     pub fn new(kinds: Vec<usize>, make: Box<Make>) -> Result<Self> {
         Ok(Self {
             worlds: kinds.len(),

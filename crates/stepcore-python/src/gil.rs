@@ -51,8 +51,7 @@ fn interrupted() -> bool {
     RAISED.with_borrow(Option::is_some)
 }
 
-/// The interpreter is about to end; its thread; the number of threads that are about to take the
-/// GIL.
+/// The interpreter is about to end; its thread; the number of threads about to take the GIL.
 static ENDING: AtomicBool = AtomicBool::new(false);
 static COMING_BACK: AtomicU64 = AtomicU64::new(0);
 thread_local! {

@@ -105,8 +105,7 @@ impl Arrays {
         )
     }
 
-    /// Lets `take(array, numbers)` overwrite the arrays that a step changes, of all worlds at a
-    /// time.
+    /// Lets `take(array, numbers)` overwrite the arrays that a step changes, all worlds at once.
     pub fn store(&self, _py: Python<'_>, mut take: impl FnMut(Array, &mut [f64]) + Send) {
         let mut own = self.memory.get().own();
         for array in &Array::ALL[..Array::CHANGED] {

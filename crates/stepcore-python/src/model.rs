@@ -389,8 +389,7 @@ impl Model {
             .collect()
     }
 
-    /// Return decisions of compilation that `entries` omits: by pair, tree and geom, in the model's
-    /// order.
+    /// Return decisions of compilation that `entries` omits: by pair, tree and geom, in order.
     fn plan<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let m = &*self.0;
         let plan = PyDict::new(py);

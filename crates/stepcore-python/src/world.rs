@@ -128,8 +128,7 @@ pub trait World: Send {
     fn stayed(&mut self);
     /// Keeps the last solve for reading, because the following operation is none.
     fn keep_solve(&mut self);
-    /// For each body, 6 numbers each, at the last solve or, before there was one, at the present
-    /// state.
+    /// 6 numbers for each body, at the last solve or, before there was one, at the present state.
     fn body_force(&mut self, given: &Given, what: BodyForce) -> Result<Vec<f64>>;
     /// A sensor's values, or all sensors', at the same state.
     fn sensordata(&mut self, given: &Given, sensor: Option<usize>) -> Result<Vec<f64>>;

@@ -271,7 +271,7 @@ impl<R: Real> Worlds for Batch<R> {
         let qacc: Vec<f64> = Batch::qacc(self, world).collect();
         let (mut lists, mut memo) = (lists(state, inputs, lane), Memo::of(state, lane));
         let Some(failed) = failed else { return Some(Solve { of, qacc, lists, memo }) };
-        // Its last solve led nowhere: readings are for its present state. Its lane holds another's
+        // Its last solve led nowhere: readings are for its present state. Its lane has other
         // impulses.
         lists[..Array::CHANGED].clone_from_slice(&failed.state);
         memo.forget();

@@ -1,5 +1,4 @@
-//! The memory of a world besides its struct: the size of all its lists; and whether it is
-//! available.
+//! The memory of a world besides its struct: the size of all its lists; and whether it fits.
 
 use std::hint::black_box;
 use std::sync::Arc;

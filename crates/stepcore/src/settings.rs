@@ -19,7 +19,7 @@ named!(
     Acceleration, "acceleration" {
         /// The lesson's method: rows in order.
         None = "none",
-        /// Momentum over the last moves, its coefficients chosen to minimise; blocks in a shuffled
+        /// Momentum over the last moves, its coefficients chosen to minimise; blocks in shuffled
         /// order.
         Momentum = "momentum",
     }
@@ -230,8 +230,8 @@ const LEAST_ACCURACY: [f64; 2] = [1e-10, 1e-4];
 const MOST_CONTACTS: usize = 1_000_000;
 
 impl Settings {
-    /// The time ahead for which contacts have rows [s]: laws on the guess need the distances it may
-    /// close.
+    /// The time ahead for which contacts have rows [s]: laws on the guess need every distance that
+    /// it may close.
     pub(crate) fn ahead(&self) -> Option<f64> {
         self.law.on_guess().then_some(self.dt)
     }

@@ -88,7 +88,10 @@ impl Stretches {
 ///
 /// Model and settings were checked when it was made, and cannot be changed afterwards:
 ///
-/// ```compile_fail fn backwards(sim: &mut stepcore::sim::Sim<f64>) { sim.settings.dt = -1.0; }
+/// ```compile_fail
+/// fn backwards(sim: &mut stepcore::sim::Sim<f64>) {
+///     sim.settings.dt = -1.0;
+/// }
 /// ```
 pub struct Sim<R: Real> {
     pub(crate) model: Arc<Model<R::Value>>,

@@ -316,8 +316,7 @@ impl Batch {
         Ok(())
     }
 
-    /// Return a snapshot for each world; own: those with their own time, which is start + steps ·
-    /// dt.
+    /// Return a snapshot for each world; own: those with a time of start + steps · dt.
     fn state<'py>(
         &self,
         py: Python<'py>,

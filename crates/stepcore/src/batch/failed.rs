@@ -50,7 +50,7 @@ impl Standing {
         self.lanes.iter().any(Option::is_some)
     }
 
-    /// Stores a lane's state; a lane that failed already, or that has no world, is only a diverging
+    /// Stores a lane's state; one that failed already, or without a world, is only a diverging
     /// copy.
     pub fn take<R: Real>(&mut self, state: &State<R>, lane: usize, done: u64, error: Error) {
         let Some(place) = self.lanes.get_mut(lane).filter(|place| place.is_none()) else { return };

@@ -44,8 +44,7 @@ pub(super) struct Group<R: Real> {
     pub failed: Option<(u64, Error)>,
     /// Worlds that failed while the others continued.
     pub standing: Standing,
-    /// For each lane: whether all worlds stopped because of it. Its impulses must start no other
-    /// state.
+    /// For each lane: whether it stopped all worlds. Its impulses must start no other state.
     pub ended: Vec<bool>,
     /// The parts of its last adaptive step.
     pub stretches: Stretches,

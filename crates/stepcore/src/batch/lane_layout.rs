@@ -23,8 +23,7 @@ pub(super) struct LaneLayout {
 }
 
 impl LaneLayout {
-    /// `lanes`: a power of two; `kinds`: the kind of each model, `model_of`: the model of each
-    /// world.
+    /// `lanes`: a power of two; `kinds`: each model's kind, `model_of`: each world's model.
     pub fn new(lanes: usize, kinds: &[usize], model_of: &[usize]) -> Self {
         let kind = |world: usize| kinds[model_of[world]];
         let mut worlds: Vec<usize> = (0..model_of.len()).collect();
@@ -106,7 +105,7 @@ pub fn fills_lanes(kinds: &[usize], model_of: &[usize], lanes: usize) -> bool {
     one || 3 * registers(lanes, kinds, model_of) <= model_of.len()
 }
 
-/// The kind of each model: models of one kind differ in numbers alone, and their worlds can share
+/// The kind of each model: models of one kind differ in numbers alone; their worlds can share
 /// lanes.
 pub fn kinds(models: &[Arc<Model>]) -> Vec<usize> {
     let mut first: Vec<&Arc<Model>> = vec![];

@@ -53,8 +53,7 @@ pub struct Batch<R: Real> {
     pub goes_on: bool,
 }
 
-/// The index of the model of each world, if there is only one; refuses more worlds than fit in
-/// memory.
+/// The index of the model of each world, if there is one; refuses more worlds than fit in memory.
 pub fn of_one_model<N: Constant>(model: &Model<N>, worlds: usize) -> Result<Vec<usize>> {
     let bytes = worlds.checked_mul(bytes_a_world(model));
     if !bytes.is_some_and(can_be_had) {

@@ -201,8 +201,7 @@ impl Motion<'_> {
 }
 
 impl Part<'_> {
-    /// One step, under its controls, and a sample if one follows it; `begins`: a call starts with
-    /// it.
+    /// One step, under its controls, and a sample if one follows; `begins`: a call starts with it.
     pub fn step<R: Real>(
         &mut self,
         step: usize,

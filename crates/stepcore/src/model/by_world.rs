@@ -45,8 +45,7 @@ struct Numbers {
     lists: Vec<Vec<f64>>,
     /// How many numbers of each model were taken.
     taken: usize,
-    /// For each pair: its place among the distinct sets of materials that pairs have; and these
-    /// sets.
+    /// For each pair: its place among the pairs' distinct sets of materials; and these sets.
     places: Vec<usize>,
     sets: Vec<Vec<usize>>,
     spheres: Vec<Spheres>,

@@ -1,7 +1,7 @@
 //! Contact tangents along which nothing can ever move.
 //!
 //! Under MuJoCo's pyramid the two edges along such a tangent are copies of the normal row, and
-//! `solve` folds them into one. A tangent is claimed only if it is still in every configuration, to
+//! `solve` folds them into one. Tangents are claimed only if still in every configuration, to
 //! rounding.
 //!
 //! - Slides only: the body never turns, and a tangent across every slide is still.

@@ -79,8 +79,7 @@ impl Material {
         of.overridden(scene)
     }
 
-    /// The material with the parameters that override every contact's, except condim, gap,
-    /// adhesion.
+    /// Applies the parameters that override every contact's: all but condim, gap, adhesion.
     fn overridden(self, scene: &Scene) -> Self {
         let Some(by) = &scene.contact_override else { return self };
         let (margin, friction, soft) = (by.margin, by.friction, by.soft.clone());

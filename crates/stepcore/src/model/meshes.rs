@@ -228,8 +228,7 @@ fn consistent(mesh: &Mesh, index: usize) -> Result<()> {
     Err(Error::Scene(words.into()))
 }
 
-/// Moves a geom from the coordinates of its mesh's file to the frame of the mesh; fits a primitive
-/// to it.
+/// Moves a geom from its mesh file's coordinates to the mesh's frame; fits a primitive to it.
 fn place(geom: &mut Geom, solid: &Solid, aabb: bool) {
     let mut centre = solid.centre;
     let turned = rotation(solid.quat);

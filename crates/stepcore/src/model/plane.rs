@@ -10,8 +10,8 @@ use nalgebra::Vector3;
 /// The largest deviation of a rotated axis from a world axis: rounding of poses.
 const TURNED: f64 = 8.0 * f64::EPSILON;
 
-/// Fills `Tree::plane` and `Geom::in_plane`. Equalities, and tendons with mass, need bodies in
-/// space.
+/// Fills `Tree::plane` and `Geom::in_plane`. Equalities and tendons with mass read the motion of
+/// bodies in space.
 pub(super) fn find(model: &mut Model, poses: &[Pose<f64>]) {
     let weighted = model.weighted_by_tendons();
     let quats = quats_at_qpos0(&model.bodies);

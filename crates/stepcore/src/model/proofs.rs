@@ -11,8 +11,7 @@ use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
 use std::sync::{Arc, Mutex, Weak};
 
-/// The largest number of words kept for all questions: a few robots with some of their variants, 2
-/// MB.
+/// The largest number of words kept for all questions: a few robots with some variants, 2 MB.
 const MOST: usize = 1 << 18;
 
 static KEPT: Mutex<Lru<Question, Proof>> =

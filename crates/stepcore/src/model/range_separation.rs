@@ -5,8 +5,7 @@
 //! largest motion that the joints can still give either geom, no configuration of that box lets the
 //! geoms meet. A hinge that turns by δ moves no point by more than its chord 2 sin(δ/2) times the
 //! point's distance from the hinge, which is at most the length of the links between them; a slide
-//! moves a point by δ. So the test is sound. It gives up (the pair may meet) if it needs too many
-//! boxes.
+//! moves a point by δ. So the test is sound. It gives up (the pair may meet) after too many boxes.
 //!
 //! Limits are soft, and a state can be set beyond them: ranges are widened by a tenth at both ends,
 //! and while a joint is beyond that all pairs are tested (`Model::guards`). A step's result is the

@@ -1,5 +1,4 @@
-//! The relation between a length and the dofs: its value at a position, and its gradient (the
-//! arms).
+//! The relation between a length and the dofs: value at a position, and gradient (the arms).
 //!
 //! Elements that pull along a length (an actuator, a limit, a tendon's spring) use this and need
 //! neither joint nor path. The lengths and arms of tendons are computed in `place/tendon.rs`.
@@ -74,8 +73,7 @@ impl Transmission {
         }
     }
 
-    /// The velocity along the arms: the rate of a hinge's, slide's or tendon's length [m/s or
-    /// rad/s].
+    /// The velocity along the arms: the rate of a hinge, slide or tendon [m/s or rad/s].
     #[inline(always)]
     pub fn velocity<R: Real>(
         self,

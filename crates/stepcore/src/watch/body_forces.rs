@@ -13,8 +13,7 @@ use crate::spatial::{splat, Force, Motion, Quat, V3};
 pub struct BodyForces {
     /// Acceleration of the body's point there, gravity counted as an upward acceleration.
     pub cacc: Vec<Motion<f64>>,
-    /// Applied forces, contacts, connections and spatial tendons. Nothing of the world's is
-    /// counted.
+    /// Applied forces, contacts, connections and spatial tendons. The world's are not counted.
     pub external: Vec<Force<f64>>,
     /// The force of the parent on the body, including everything that hangs on it.
     pub internal: Vec<Force<f64>>,

@@ -463,8 +463,7 @@ mod tests {
         Arc::new(Model::compile(&scene).unwrap())
     }
 
-    /// Derivatives with positions held between two steps equal derivatives of steps that place
-    /// anew.
+    /// Derivatives with held positions equal derivatives of steps that place anew.
     #[test]
     fn what_is_held_is_what_is_placed_again() {
         for integrator in Integrator::ALL {

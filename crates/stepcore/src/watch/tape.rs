@@ -153,8 +153,7 @@ impl<R: Real> Sim<R> {
         Levels { kinetic, stored: self.stored_by_element(lane) }
     }
 
-    /// The stored energy of each element at the present state, placed by `refresh`, in one lane
-    /// [J].
+    /// The stored energy of each element, placed by `refresh`, in one lane [J].
     pub(super) fn stored_by_element(&mut self, lane: usize) -> BTreeMap<Element, f64> {
         let model = self.model.clone();
         let mut energies = BTreeMap::new();

@@ -20,8 +20,7 @@ impl<R: Real> Sim<R> {
         (0..self.model.tendons.len()).map(rate).collect()
     }
 
-    /// Arms of each tendon by dof, in a lane: tendons × nv. Refuses them if they do not fit in
-    /// memory.
+    /// Arms of each tendon by dof, in a lane: tendons × nv. Refuses them without enough memory.
     pub fn tendon_jacobian(&self, lane: usize) -> Result<Vec<f64>> {
         let mut all = zeros("ten_J", self.model.tendons.len(), self.model.nv)?;
         for (row, tendon) in all.chunks_mut(self.model.nv.max(1)).zip(&self.model.tendons) {

@@ -231,8 +231,7 @@ impl<R: Real> Ledger<R> {
     }
 
     /// Advances `sim` by `n` steps, from milestone to milestone. `suspect` is called for each lane
-    /// that gained more energy [J] than possible, or is beyond all bounds: it allows that, or
-    /// fails.
+    /// that gained more energy [J] than possible, or is beyond all bounds: it allows it or fails.
     pub fn step<O: Observer<R>>(
         &mut self,
         sim: &mut Sim<R>,

@@ -63,8 +63,7 @@ impl<R: Real> Sim<R> {
         entries
     }
 
-    /// Whether the inputs have such an element at all: absent inputs give no number where nothing
-    /// acts.
+    /// Whether the inputs have such an element: absent inputs give no number where nothing acts.
     fn is_there(&self, element: Element, lane: usize) -> bool {
         let (model, index) = (&self.model, element.index as usize);
         let acts = |forces: &[R]| forces.iter().any(|force| force.lane(lane) != 0.0);

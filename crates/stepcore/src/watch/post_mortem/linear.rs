@@ -200,8 +200,7 @@ impl Oscillator {
         limits.iter().filter_map(limit).filter(|limit| limit.is_finite()).reduce(f64::min)
     }
 
-    /// The largest stable dt, to 1e-4, if `dt` is unstable; None if it is stable, or nothing is
-    /// known.
+    /// The largest stable dt, to 1e-4, if `dt` is unstable; None if it is stable or unknown.
     fn limit(&self, integrator: Integrator, dt: f64, budget: &Budget) -> Option<f64> {
         let unstable =
             |dt: f64| self.growth(integrator, dt, budget).map(|[radius, _]| radius > GROWS);

@@ -1,5 +1,4 @@
-//! After a failure: the last steps are repeated and recorded, and the post-mortem is read from
-//! them.
+//! After a failure: the last steps are repeated and recorded for the post-mortem.
 
 mod blame;
 mod budget;

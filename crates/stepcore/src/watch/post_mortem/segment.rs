@@ -266,8 +266,7 @@ impl<R: Real> Segment<R> {
         matches!(trial, Trial::Gained { gained, scale } if gained <= swing * scale)
     }
 
-    /// Whether its gain comes from the size of the step; None if that would take too long to find
-    /// out.
+    /// Whether its gain comes from the size of the step; None if that would take too long.
     pub fn smaller_steps_gain_less(
         &self,
         of: &Sim<R>,
