@@ -1,4 +1,4 @@
-//! `Settings` as Python sees it: the fields, defaults and limits of the engine's.
+//! `Settings` in Python: the fields, defaults and limits of the engine's.
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -12,7 +12,7 @@ use crate::errors::Raised;
 use crate::extract::{refuse, At, Read};
 use crate::nearest::{cut, nearest};
 
-/// A field as Python gets it.
+/// A field in Python.
 trait Shown {
     type Out;
     fn shown(self) -> Self::Out;
@@ -139,8 +139,8 @@ macro_rules! settings {
             Ok(())
         }
 
-        /// How a scene is simulated; immutable. Every field is a keyword argument with a default; a
-        /// bad value is a ValueError that names the field and its limit.
+        /// How a scene is simulated; immutable. Every field is a keyword argument with a default; a bad
+        /// value is a ValueError that names the field and its limit.
         #[pyclass(module = "stepcore", frozen)]
         #[derive(Clone, PartialEq)]
         pub struct Settings(pub Engine);
@@ -198,8 +198,7 @@ settings! {
     /// Time step [s], > 0.
     dt: f64,
     /// The largest error that a second of motion may add to the position of a body [m], or None for
-    /// steps of a fixed length: each step of `dt` is then made of as many shorter ones as this
-    /// takes.
+    /// steps of a fixed length: each step of `dt` is then made of as many shorter ones as this takes.
     accuracy: Accuracy,
     /// Integrator: "explicit", "semi-implicit", "euler" (semi-implicit with implicit joint
     /// damping), "implicitfast", "implicit", "discrete", "midpoint" or "rk4".
@@ -217,8 +216,8 @@ settings! {
     tolerance: f64,
     /// MuJoCo's tolerance: with a number of sweeps, a solve under "solref" stops after a sweep or a
     /// Newton step that lowers the cost by less than this share of the trace of the mass matrix
-    /// [m²/s⁴], >= 0; 0 for none, as in scenes that are not MJCF files. Newton's impulses then
-    /// agree with the velocities to that tolerance, else to rounding.
+    /// [m²/s⁴], >= 0; 0 for none, as in scenes that are not MJCF files. Newton's impulses then agree
+    /// with the velocities to that tolerance, else to rounding.
     cost_tolerance: f64,
     /// Whether a solve starts from the impulses and the acceleration of the last step.
     warm_start: bool,
