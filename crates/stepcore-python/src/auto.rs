@@ -25,8 +25,8 @@ const LEAST: u64 = 8;
 const MOST: u64 = 512;
 /// The last trials decide by their median: a single one may have been disturbed.
 const VOTES: usize = 3;
-/// Up to this number of worlds both ways are kept. For more, both would need too much memory: a
-/// sample of this size is tried both ways, neighbours in evenly spread registers.
+/// Up to `KEPT` worlds both ways are kept. For more, both would need too much memory: `SAMPLE` of
+/// them are tried both ways, neighbours that share a register, from evenly spread registers.
 const KEPT: usize = 1 << 16;
 const SAMPLE: usize = 1 << 11;
 

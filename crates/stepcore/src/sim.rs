@@ -402,7 +402,7 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// Checks the requirements of adaptive steps. They are made of steps of first order, of any length,
+/// Prepares settings for adaptive steps, which are made of steps of first order, of any length,
 /// under a law that does not depend on the length.
 fn extrapolates<R: Real>(settings: &mut Settings) -> Result<()> {
     if !R::ALONE {
@@ -441,7 +441,7 @@ pub(crate) fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()>
 }
 
 impl Effort {
-    /// Resets the solve's statistics in a step without rows.
+    /// Sets the numbers of a step without rows: it takes no sweeps.
     pub(crate) fn rest(&mut self) {
         (self.sweeps, self.decrement) = (0, 0.0);
     }

@@ -150,7 +150,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The pushes of contacts beyond their rows are part of the rows' initial velocity.
+    /// Adds the pushes of contacts beyond their rows to the velocity from which rows start.
     pub(crate) fn take_pushes(&mut self) {
         if !self.rows.pushes.is_empty() {
             self.next.smooth.copy_from_slice(&self.placed.guess);

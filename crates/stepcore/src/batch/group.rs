@@ -72,7 +72,7 @@ impl<R: Real> Group<R> {
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
 
-    /// Starts the last solve of the world in lane `own` with these arrays.
+    /// Sets the start of the last solve of the world in lane `own`: these arrays.
     pub fn begin(&mut self, own: usize, worlds: usize, given: &Given, of: Last, qacc: &[f64]) {
         let last = if own + 1 == worlds { R::LANES } else { own + 1 };
         for lane in own..last {

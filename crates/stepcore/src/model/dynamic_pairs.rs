@@ -189,7 +189,7 @@ impl DynamicPairs {
         )]))
     }
 
-    /// Moves explicit pairs to the list: they have parameters that differ from their geoms'.
+    /// Adds explicit pairs, which have separate parameters.
     fn take_explicit(&mut self, scene: &Scene, model: &mut Model) {
         for (_, index) in explicit(scene, model) {
             let pair = &scene.pairs[index];

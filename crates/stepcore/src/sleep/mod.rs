@@ -148,7 +148,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// Marks trees that slept in the same place at the last placement: they stay placed.
+    /// Skips the placement of trees that slept in the same place at the last placement.
     pub(crate) fn rest_asleep(&mut self, at: At) {
         let Self { model, state, next, placed, sleeper, .. } = self;
         let (qpos, qvel) = at.of(state, next);

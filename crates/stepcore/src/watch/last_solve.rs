@@ -121,7 +121,7 @@ impl<R: Real> LastSolve<R> {
         Some((state, inputs))
     }
 
-    /// Starts the last solve with these arrays, and the additions of `put` to the state.
+    /// Sets the start of the last solve: these arrays, and the additions of `put` to the state.
     pub fn begin(&mut self, given: &Given, put: impl FnOnce(&mut State<R>)) {
         self.start.put(0, given);
         self.inputs.put(0, given, ArraySet::ALL);

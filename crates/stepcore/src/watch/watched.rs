@@ -289,8 +289,8 @@ fn suspect<R: Real>(
 /// Explains, in an accompanying copy, why the next step of a world failed.
 pub(super) type Explain = fn(&Plain, Error) -> Error;
 
-/// Explains the same step in the number type `R`. A function that makes a copy uses this number
-/// type too, so that both steps are compiled once.
+/// Explains the same step in the number type `R`. The code that makes a copy chooses `R`, so that
+/// this step is compiled with its step, and not once more with the copy's.
 pub(super) fn explained<R: Real>(copy: &Plain, error: Error) -> Error {
     let plain = copy.sim::<R>().and_then(|plain| Watched::around(plain).step(1));
     plain.err().unwrap_or(error)
