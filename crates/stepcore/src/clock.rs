@@ -9,7 +9,7 @@ pub struct Clock<R: Real> {
     pub seconds: f64,
     /// The time between two samples of a control [s]: one step, or the whole of an adaptive step.
     pub period: f64,
-    /// The same in the engine's number [s], and its inverse [1/s].
+    /// The same in the engine's number type [s], and its inverse [1/s].
     pub dt: R,
     pub rate: R,
 }
