@@ -284,7 +284,13 @@ mod tests {
             checkpoint();
         };
         for _ in 0..3 {
-            let outcome = while_asking(|| true, || Ok(pool.share(20, &work)));
+            let outcome = while_asking(
+                || true,
+                || {
+                    pool.share(20, &work);
+                    Ok(())
+                },
+            );
             assert_eq!(outcome, Err(Error::Interrupted));
         }
     }

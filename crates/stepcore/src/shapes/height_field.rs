@@ -253,7 +253,7 @@ impl Stretch {
             (rows.0..=rows.1).flat_map(move |row| {
                 (columns.0..=columns.1).flat_map(move |col| {
                     // One field can have as many cells in a row as in all.
-                    if (row * near.field.ncol + col) % CELLS == 0 {
+                    if (row * near.field.ncol + col).is_multiple_of(CELLS) {
                         checkpoint();
                     }
                     [false, true].into_iter().filter_map(move |upper| near.prism(row, col, upper))
