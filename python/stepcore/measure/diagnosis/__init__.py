@@ -319,7 +319,7 @@ class Case:
         return tuple(self._theirs(found or self._lost(limit) or controls or last))
 
     def _seen(self, elements: tuple[Element, ...], limit: Limit) -> tuple[Element, ...]:
-        """Return the elements, without inertial forces if the motion is too slow for them to limit dt.
+        """Return the elements, without inertial forces if the motion is too slow for those.
 
         In one step, a rotation at a rate ω grows by a factor of at most 1 + (ω dt)²/2.
         """
