@@ -334,7 +334,7 @@ def test_a_random_stiff_servo_is_named(seed):
 @pytest.mark.long
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
 def test_a_stiff_table(cone):
-    """Four feet on the floor: within 20 % of where it begins to bounce."""
+    """Four feet on the floor: within 20 % of where it starts to bounce."""
     scene = stiff.table((-1e5, -500.0), dt=5e-3, integrator="euler", cone=cone)
     d = diagnosed(scene, horizon=0.5)
     assert all(name.startswith("contact `floor`/`foot") for name in d.together("euler"))

@@ -1,5 +1,5 @@
-"""`diagnose` names limits that a run confirms: the same one for every wanted dt, not a step
-at which a motion is stable by luck, and by elements that move the limit."""
+"""`diagnose` names limits that a run confirms: the same for every wanted dt, none where a
+motion is stable by luck, with the elements that move the limit."""
 
 import math
 

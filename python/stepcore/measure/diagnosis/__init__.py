@@ -359,7 +359,7 @@ class Case:
     def fed(self, integrator: str) -> range:
         """Return the controls of a user's function if they make the wanted step fail.
 
-        They do if the converged motion's controls make it stable, or fail only after the motion.
+        They do if it is stable, or fails only after the motion, under the converged controls.
         """
         seen, nu = self.observed(integrator), self.motions.model.nu
         if seen is None or seen.holds or self.motions.usual is None:

@@ -385,7 +385,7 @@ class Search:
         return self.judge.motions.of(Change())
 
     def candidates(self) -> dict[str, Callable[[], Advice | None]]:
-        """Return the kinds of changes to try, each with a function for the least one."""
+        """Return the kinds of changes to try, each with a function that finds the least one."""
         settings, found = self.model.settings, dict[str, Callable[[], Advice | None]]()
         if settings.law == "solref" and not settings.refsafe:
             words = "use refsafe=True, which softens rows that are too stiff"

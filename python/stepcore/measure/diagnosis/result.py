@@ -469,7 +469,7 @@ class Diagnosis(Result):
     # --- tables and data --------------------------------------------------------------------------
 
     def text(self, width: int | None = None, full: bool = False) -> str:
-        """Return the report, which begins with the answer.
+        """Return the report, which starts with the answer.
 
         width: as in `Result.text`. full: whether to list every element.
         """

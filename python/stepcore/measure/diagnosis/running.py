@@ -604,7 +604,7 @@ class Judge:
         return self.judged(pair) if late and self._cover(found.time) else found
 
     def _cover(self, time: float) -> bool:
-        """Extend the converged motion to a time [s], as `WORK` allows; return whether it was."""
+        """Extend the converged motion to a time [s], within `WORK`; return whether it is longer."""
         dt, known = self.fine.dt, self.long or self.fine
         steps = min(math.ceil(1.1 * time / dt), self.motions.most)
         if steps <= 1.05 * known.times[-1] / dt:
