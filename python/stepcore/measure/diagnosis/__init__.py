@@ -359,7 +359,8 @@ class Case:
     def fed(self, integrator: str) -> range:
         """Return the controls of a user's function if they make the wanted step fail.
 
-        They do if it is stable, or fails only after the motion, under the converged controls.
+        They do if it is stable, or fails only after the motion, under the controls of the converged
+        motion.
         """
         seen, nu = self.observed(integrator), self.motions.model.nu
         if seen is None or seen.holds or self.motions.usual is None:
