@@ -19,7 +19,7 @@ from stepcore import escapes
 
 Check = Callable[[Any, str, Any], Any]
 
-# Below this length a direction or a quaternion has no meaning (MuJoCo's own threshold).
+# Below this length a direction or a quaternion has no meaning (MuJoCo's threshold).
 TINY = 1e-14
 # Largest length of an error text, for any file or argument [characters].
 LONGEST = 1000
@@ -43,7 +43,7 @@ _WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def brief(text: str) -> str:
-    """Return the text of an error without the middle of long names, at most `LONGEST` long.
+    """Return the text of an error without the middle of long names, at most `LONGEST` characters.
 
     Names come first in an error, so names are shortened before the text is cut. Every error about a
     file or an element passes through this function.
@@ -69,7 +69,7 @@ def quoted(name: str) -> str:
 
 
 def nearest(name: str, known: Iterable[str], listed: int = 10) -> str:
-    """Return '; nearest: "damping"', or the first `listed` known names if none is near."""
+    """Return '; nearest: "damping"', or the first `listed` of the names if none is near."""
     names = [k for k in known if k]
     # Case is ignored, so that "rk4" is near "RK4".
     folded = {k.lower(): k for k in reversed(names)}
@@ -234,7 +234,7 @@ def threads(value: object) -> int:
 
 
 def checked(convert: Callable[[Any], Any], limit: str) -> Check:
-    """Return a check that stores what `convert` makes of a value, and refuses it for None."""
+    """Return a check that stores `convert(value)`, and refuses the value if that is None."""
 
     def check(owner: Any, field: str, value: object) -> Any:
         result = convert(value)

@@ -1,10 +1,10 @@
-"""`Deadline`: how long a measurement may take, and what it leaves out when its time is over.
+"""`Deadline`: the time limit of a measurement, and the work left out when the time is over.
 
 A measurement opens its deadline with `in_time`. Long work calls `check` from time to time, between
 runs and within them (`stepcore.executors.checkpoint`), which raises OutOfTime once the time is
-over. Work that an answer can do without is done in a `stage`: there the time ends that work only,
-and the result lists it as not done. Without other work there is no answer, and OutOfTime reaches
-the caller.
+over. Work that an answer can do without is done in a `stage`: the deadline ends only the stage,
+and the result lists its work as not done. Without the work outside of stages there is no answer,
+and OutOfTime reaches the caller.
 
 >>> from stepcore import deadline
 >>> times = iter(range(100))
@@ -47,13 +47,13 @@ SECONDS = {
 # after a deadline its largest share of the time, so that `seconds` holds within 20 % even though
 # work ends only at its next check.
 CLOSING, CLOSING_SHARE = 3.0, 0.15
-# The shares of the time at which a search ends, and the test of what it chose.
+# The shares of the time at which a search ends, and at which the test of its choice ends.
 SEARCHED, PROVEN = 0.7, 0.9
 
 F = TypeVar("F", bound=Callable[..., Any])
 clock = monotonic
-# Called with the answer so far of a long measurement; the command line sets it. Below, the time of
-# the first such report and the interval between reports [s].
+# Called with the preliminary answer of a long measurement; the command line sets it. Below, the
+# time of the first such report and the interval between reports [s].
 listener: Callable[[str], object] | None = None
 pace = (10.0, 20.0)
 _thread = threading.local()
@@ -73,7 +73,7 @@ class Deadline:
 
     seconds: the limit [s]; None for none.
     outer: the deadline of the measurement that makes this one, which applies too.
-    left_out: what the measurement left out because its time was over.
+    left_out: the work that the measurement left out because its time was over.
     """
 
     def __init__(self, seconds: float | None = None, outer: Deadline | None = None) -> None:
@@ -84,7 +84,7 @@ class Deadline:
         self.left_out: list[str] = []
         self._end: float = self.begun + self.seconds
         self._stop: threading.Event = threading.Event() if outer is None else outer._stop
-        # When the last answer must be complete, whichever measurement gives it.
+        # The time at which the last answer must be complete, of this or an outer measurement.
         self._last = self._end + min(CLOSING, CLOSING_SHARE * self.seconds)
         self._closing = False
         self._news = self._said = ""
@@ -113,7 +113,7 @@ class Deadline:
         return self._stop.is_set()
 
     def stop(self) -> None:
-        """End this measurement and all measurements around it with the answer so far."""
+        """End this measurement and all measurements around it with the answers they have."""
         self._outermost._last = min(self._outermost._last, clock() + CLOSING)
         self._stop.set()
 
@@ -122,7 +122,7 @@ class Deadline:
         return self if self.outer is None else self.outer._outermost
 
     def so_far(self, words: str) -> None:
-        """Set the answer so far, which the `listener` receives if the work still runs at its time.
+        """Set the preliminary answer, which `listener` gets if the work still runs at its time.
 
         words: the answer; replaces an earlier one that was not yet reported.
         """
@@ -133,7 +133,7 @@ class Deadline:
             self.announce()
 
     def announce(self) -> None:
-        """Report the answer so far, if a report is due."""
+        """Report the preliminary answer, if a report is due."""
         if self.outer is not None:
             self.outer.announce()
         elif self._news and listener is not None:
@@ -155,7 +155,7 @@ class Deadline:
     def stage(self, words: str | Callable[[], str], share: float = 1.0) -> Iterator[None]:
         """Do work that the answer can do without; if the time is over, it is left out.
 
-        words: what is left out then, or a function that returns it.
+        words: the description of the work, or a function that returns it.
         share: the stage ends at this share of all the time.
         """
         before = self._end
@@ -172,7 +172,7 @@ class Deadline:
 
     @contextmanager
     def closing(self) -> Iterator[None]:
-        """Complete the answer from what was run; all closings share the time kept for them."""
+        """Complete the answer from the runs made; all closings share the time kept for them."""
         before, last = (self._end, self._closing), self._outermost._last
         if not self.interrupted:
             last = min(last, max(self._end, clock() + CLOSING))
@@ -185,7 +185,7 @@ class Deadline:
     @property
     def longer(self) -> int:
         """A longer time to propose [s]."""
-        # Work that cannot end between two checks may have taken longer than it was given.
+        # Work that cannot end between two checks may have exceeded its time.
         given = self.seconds if self.spent < 2 * self.seconds < math.inf else self.spent
         return 2 * math.ceil(max(1.0, given))
 
@@ -222,7 +222,7 @@ def current() -> Deadline | None:
 
 
 def check() -> None:
-    """Raise OutOfTime if the time of the present work is over; announce what is due."""
+    """Raise OutOfTime if the time of the present work is over; report if a report is due."""
     deadline = current()
     if deadline is None:
         return

@@ -55,15 +55,15 @@ def each(
     points: the arguments of the calls.
     bar: the progress bar, which advances with each result.
     threads: number of threads.
-    executor: any `concurrent.futures` executor, used in place of threads and left open. An executor
+    executor: any `concurrent.futures` executor, used instead of threads and left open. An executor
         of processes needs a function and points that pickle (a function of a module, or a
         `functools.partial` of such a function).
     done: a list that receives the results as they come, for a caller that catches OutOfTime; None
         marks points without a result.
-    took: called with the indices of points and their results, as these come.
+    took: called with the indices of points and their results, as results come.
 
     The first error is raised. After an error or Ctrl-C, points that have not started are cancelled.
-    A lost worker is the executor's business: a Dask cluster repeats its points.
+    The executor handles lost workers: a Dask cluster repeats their points.
 
     Raises ValueError for work that cannot be sent to processes, RuntimeError if processes die and
     are not replaced, and OutOfTime at the deadline of this thread.
@@ -152,7 +152,7 @@ class _Chunks(Generic[T, R]):
     def _next(self) -> Future[list[R]]:
         """Wait for a finished chunk.
 
-        Threads look at the deadline themselves. Other executors do not know it.
+        Threads check the deadline themselves. Other executors cannot.
         """
         if isinstance(self.executor, ThreadPoolExecutor) or deadline.current() is None:
             return self.finished.get()

@@ -42,10 +42,10 @@ def path(name: str, value: object) -> str:
 def read(path: str | os.PathLike[str], expected: str) -> bytes:
     """Return the bytes of a regular file of at most `LARGEST` bytes; see `opened`.
 
-    Raises ValueError for a Git LFS pointer in place of a file that was not fetched.
+    Raises ValueError for a Git LFS pointer, whose file was not fetched.
     """
     with opened(path, expected) as (file, size):
-        # At most the reported size: system files that block until there is news report 0.
+        # At most the reported size: system files that block until an event report 0.
         data = file.read(size)
     if data.startswith(LFS):
         called = checks.cut(checks.without_middle(os.fsdecode(path)))
@@ -88,11 +88,11 @@ def opened(
 
 
 def arrays(path: str | os.PathLike[str], expected: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an .npz file by name, or the one of an .npy file under "".
+    """Return the arrays of an .npz file by name, or the array of an .npy file under "".
 
     Raises ValueError for a file that is neither or is damaged, for arrays of Python objects and for
-    arrays that are together larger than `LARGEST`, which a small file can claim to hold; and what
-    `read` raises.
+    arrays that are together larger than `LARGEST`, which a small file can claim to hold; also the
+    errors of `read`.
     """
     data = read(path, expected)
     try:
@@ -111,7 +111,7 @@ def arrays(path: str | os.PathLike[str], expected: str) -> dict[str, NDArray[Any
 
 
 def _array(data: bytes) -> NDArray[Any]:
-    """Return the array of an .npy file, whose header must not claim more numbers than it has."""
+    """Return the array of an .npy file; its header must not claim more numbers than it has."""
     file = io.BytesIO(data)
     version = np.lib.format.read_magic(file)
     header = np.lib.format.read_array_header_1_0

@@ -24,12 +24,12 @@ def rollout(
 ) -> tuple[Any, Any]:
     """Step every world from a state with given controls; return qpos and qvel after each step.
 
-    batch: the worlds; their activations and applied forces are as they are at the call.
+    batch: the worlds; their present activations and applied forces are used.
     qpos, qvel: the initial state, shapes (n, nq) and (n, nv). ctrl: shape (n, steps, nu).
     parameters: values of the model by path, as in `stepcore.torch.rollout`, of shape (n,).
 
     The results have shapes (n, steps, nq) and (n, steps, nv), and gradients by every array
-    given (`jax.grad`, in reverse). It works under `jax.jit`, as a pure callback. Computing is in
+    given (`jax.grad`, in reverse). It works under `jax.jit`, as a pure callback. It computes in
     double precision on the processor; turn on ``jax_enable_x64`` for gradients of that precision.
     """
     try:

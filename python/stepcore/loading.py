@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from stepcore.engine.model import Model
 
-# Folders of a package with models for its own tests only.
+# Folders of a package with models for its tests only.
 TESTS = {"test", "tests", "testing", "test_assets"}
 # Packages with models that the documentation mentions.
 WITH_MODELS = ("gymnasium", "dm_control")
@@ -63,7 +63,7 @@ def load(
     Raises FileNotFoundError for a missing file, IsADirectoryError for a folder, ValueError for an
     unknown name or kind, and MJCFError for a file that cannot be read. MJCFError is a ValueError;
     its text begins with ``file:line:`` and has a line for each error or unsupported feature. Warns
-    (`StiffnessWarning`) if the scene's own time step has a stability margin below 2.
+    (`StiffnessWarning`) if the scene's time step has a stability margin below 2.
 
     >>> load("lesson:stack").compile().nv
     2

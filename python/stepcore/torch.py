@@ -57,13 +57,13 @@ def rollout(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Step every world from a state with given controls; return qpos and qvel after each step.
 
-    batch: the worlds; their activations, applied forces and times are as they are at the call.
+    batch: the worlds; their present activations, applied forces and times are used.
     qpos, qvel: the initial state, shapes (n, nq) and (n, nv). ctrl: shape (n, steps, nu).
     parameters: values of the model by path, as in `Batch.param`, of shape (n,); a single entry of a
         vector is written "geom/floor/friction[0]".
 
     The results have shapes (n, steps, nq) and (n, steps, nv). They have gradients by every tensor
-    given, exact for each step; see `Batch.vjp`. Computing is in double precision on the processor.
+    given, exact for each step; see `Batch.vjp`. It computes in double precision on the processor.
 
     Raises the same errors as `Batch.rollout`.
     """

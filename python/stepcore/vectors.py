@@ -72,7 +72,7 @@ def has_avx2() -> bool:
 
 def _flags() -> list[str]:
     try:
-        # Read line by line: Linux generates the file on reading, and one processor is enough.
+        # Read line by line: Linux generates the file on reading, and one entry is enough.
         with open("/proc/cpuinfo", encoding="ascii", errors="replace") as facts:
             return next((line for line in facts if line.startswith("flags")), "").split()
     except OSError:

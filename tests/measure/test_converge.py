@@ -1,4 +1,4 @@
-"""`converge`: verdicts, rows by name, sweeps against steps, and every output."""
+"""`converge`: verdicts, the parts of an error, sweeps against steps, and every output."""
 
 import dataclasses
 import json
@@ -27,29 +27,20 @@ def heavy_stack():
 
 @pytest.fixture(scope="module")
 def heavy():
-    return sc.converge(heavy_stack(), horizon=0.512, starts=1, states=4, progress=False)
+    return sc.converge(heavy_stack(), horizon=0.512, starts=1, progress=False)
 
 
 def test_heavy_on_light_is_under_solved(heavy):
-    """It sinks, and more sweeps change that; the rows are named with the force reached."""
+    """It sinks, and converged forces change that."""
     assert heavy.verdict == "under-solved"
-    assert heavy.contraction == pytest.approx(0.999001, rel=1e-5)
-    names = heavy.table["name"]
-    assert set(names) == {"contact `floor`/`shape0`", "contact `shape0`/`shape1`"}
-    assert all(0 <= row.force < 0.1 * row.solved for row in heavy.rows)
-    verdict, rows, rate, *_ = heavy.sentences
-    assert verdict.startswith("Under-solved: body `ball")
-    assert rows.startswith("Force reached, of the converged force: contact `floor`/`shape0` (")
-    assert rate.startswith("Each sweep leaves 0.999001 of the solver's error (2.3e+03 sweeps")
+    assert heavy.ending.solver > heavy.solved.error
 
 
-def test_at_equal_work_smaller_steps_win(heavy):
-    """As for every slow contraction; and the residual by sweeps falls by the theory's factor."""
+def test_smaller_steps_gain_more_than_sweeps(heavy):
+    """Each sweep leaves 0.999 of the solver's error; a smaller step leaves less to solve."""
     assert heavy.better == "smaller steps"
-    errors = [split.trial.error for split in heavy.splits]
-    assert errors[0] < errors[1] < errors[2]
-    late, before = (heavy.sweeps["cold"][k] for k in (-1, -2))
-    assert late / before == pytest.approx(0.999001**2048, rel=0.02)
+    work, steps, sweeps = heavy.at_equal_work
+    assert heavy.shipped.work < work and steps < sweeps < heavy.shipped.error
 
 
 def test_errors_are_those_of_runs_by_hand(heavy):
@@ -77,10 +68,10 @@ def test_errors_are_those_of_runs_by_hand(heavy):
 def test_well_solved_is_said_so(scene):
     if scene.options["solver"] == "pgs" and scene.options["sweeps"] == 200:
         scene.options |= {"sweeps": "auto", "tolerance": 1e-9, "warm_start": True}
-    found = sc.converge(scene, horizon=0.2, starts=1, states=3, progress=False)
+    found = sc.converge(scene, horizon=0.2, starts=1, progress=False)
     assert found.verdict == "solved"
     said = found.sentences[0]
-    assert said.startswith("Solved: ") and "Force reached" not in str(found)
+    assert said.startswith("Solved: ")
     # The proposed shorter step was run, and has the reported error; or none helps.
     errors = {f"a dt of {seconds(t.dt)} leaves {metres(t.error)}": t.error for t in found.dts}
     told = [error for words, error in errors.items() if words in said]
@@ -174,26 +165,22 @@ def heavy_end(balls=4, ratio=1000.0):
 
 @pytest.fixture(scope="module")
 def chain():
-    return sc.converge(heavy_end(), horizon=0.125, starts=1, states=3, progress=False)
+    return sc.converge(heavy_end(), horizon=0.125, starts=1, progress=False)
 
 
 def test_j2_heavy_end_chain(chain):
-    """Smaller steps close the anchors' gaps; as many more sweeps do not."""
+    """A quarter of the step closes the anchors' gaps; four times the sweeps do not."""
     assert chain.verdict == "under-solved"
-    assert all(name.startswith("connect `link") for name in chain.table["name"])
-    assert chain.quarter.error < 0.5 * chain.more.error
-    errors = {(split.steps, split.sweeps): split.trial.error for split in chain.splits}
-    assert errors[16, 4] < 0.25 * errors[1, 64]
-    assert chain.better == "smaller steps"
+    (quarter,) = (trial for trial in chain.dts if trial.dt == chain.shipped.dt / 4)
+    assert quarter.error < 0.5 * chain.sweeps[0].error
 
 
 def test_what_has_no_rows_and_one_row():
     found = sc.converge(lesson.spring(), horizon=0.3, starts=1, progress=False)
     assert found.verdict == "no rows" and found.better == "neither"
     assert "so sweeps have no effect" in str(found)
-    found = sc.converge(lesson.drop(), horizon=0.512, starts=1, states=2, progress=False)
-    assert found.verdict == "solved" and found.contraction is None
-    assert "No two rows act at once" in str(found)
+    found = sc.converge(lesson.drop(), horizon=0.512, starts=1, progress=False)
+    assert found.verdict == "solved" and found.has_rows
 
 
 def test_another_process_gives_the_same(heavy):
@@ -203,22 +190,26 @@ def test_another_process_gives_the_same(heavy):
             heavy_stack(),
             horizon=0.512,
             starts=1,
-            states=4,
             executor=pool,
             progress=lambda *told: seen.append(told),
         )
     assert again.to_dict() == heavy.to_dict()
-    assert {label for label, *_ in seen} == {"runs", "sweeps"}
+    assert {label for label, *_ in seen} == {"runs"}
 
 
 def test_outputs(heavy, tmp_path, capsys):
     """Text within its width, JSON, a picture and a page; the command line."""
     assert max(map(len, heavy.text(90).splitlines())) <= 90
     data = json.loads(heavy.to_json())
-    assert data["verdict"] == "under-solved" and len(data["work"]) == 8
+    assert data["verdict"] == "under-solved"
+    assert [row["settings"] for row in data["rows"]][-3:] == [
+        "20 sweeps",
+        "80 sweeps",
+        "converged forces",
+    ]
     page = heavy.to_html(tmp_path / "a.html")
     assert (tmp_path / "a.html").read_text() == page and "Under-solved" in page
-    ask = ["converge", "lesson:spring", "--horizon", "0.2", "--starts", "1", "--states", "2"]
+    ask = ["converge", "lesson:spring", "--horizon", "0.2", "--starts", "1"]
     assert main([*ask, "--json", "--plot", str(tmp_path / "b.png")]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "no rows"
     assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
@@ -226,7 +217,6 @@ def test_outputs(heavy, tmp_path, capsys):
 
 def test_what_it_refuses():
     for wrong, words in (
-        ({"states": 0}, "states = 0: must be a whole number >= 1"),
         ({"horizon": -1.0}, "horizon = -1.0"),
         ({"control_dt": 0.003}, "control_dt = 0.003: must be a whole number of steps of 0.002 s"),
         ({"executor": 3}, "executor = 3: must be"),
@@ -240,50 +230,50 @@ def test_what_it_refuses():
 
 
 def test_the_page_says_what_is_so():
-    """docs/converge.md: where sweeps gain more than steps."""
+    """docs/converge.md: the example of more sweeps."""
     page = Path(__file__).parents[2] / "docs" / "converge.md"
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     assert len(blocks) == 1
     exec(blocks[0], {})
 
 
-def test_bodies_that_just_touch_at_the_start_do_not_stop_sweeps_from_converging():
-    """Their impulses at the start are rounding, of which every sweep leaves all."""
-    scene = sc.loads(
-        """<mujoco><option timestep="0.005" solver="PGS" iterations="4"/><worldbody>
-        <geom type="plane" size="1 1 1"/>
-        <body pos="0 0 .1"><freejoint/><geom size=".1" mass="1"/></body>
-        <body pos="0 0 .3"><freejoint/><geom size=".1" mass="100"/></body>
-        </worldbody></mujoco>"""
-    )
-    result = sc.converge(scene, horizon=0.1, starts=1, progress=False)
-    assert not any("do not converge" in said for said in result.sentences)
-    assert result.contraction < 1 - 1e-4
-
-
 # --- the report where runs fail ------------------------------------------------------------------
 
 
-def failing(result, fails):
-    """The same result, in which the splits that `fails` selects have failed."""
-    splits = [
-        split._replace(trial=dataclasses.replace(split.trial, failure="fails" * fails(split)))
-        for split in result.splits
-    ]
-    return dataclasses.replace(result, splits=splits)
-
-
 @pytest.mark.parametrize(
-    ("fails", "words"),
-    [
-        (lambda split: True, "both smaller steps and more sweeps fail"),
-        (lambda split: split.sweeps > split.steps, "only smaller steps do not fail"),
-        (lambda split: split.sweeps < split.steps, "only more sweeps do not fail"),
-    ],
+    ("fails", "better"),
+    [(("dts", "sweeps"), "neither"), (("sweeps",), "smaller steps"), (("dts",), "more sweeps")],
 )
-def test_no_verdict_stands_over_a_row_of_failures(heavy, fails, words):
-    (said,) = [s for s in failing(heavy, fails).sentences if s.startswith("At equal work")]
-    assert said.startswith(f"At equal work (row updates) {words}")
+def test_no_advice_names_settings_that_fail(heavy, fails, better):
+    failed = {
+        name: [dataclasses.replace(trial, failure="fails") for trial in getattr(heavy, name)]
+        for name in fails
+    }
+    assert dataclasses.replace(heavy, **failed).better == better
+
+
+def test_errors_are_compared_at_equal_work(heavy):
+    """Errors that fall as 1/work² and as 1/work, at ten times the shipped work."""
+
+    def trials(order):
+        runs = []
+        for factor in (3.0, 10.0):
+            error = heavy.shipped.error / factor**order
+            runs.append(
+                dataclasses.replace(
+                    heavy.shipped,
+                    errors=np.array([error]),
+                    work=factor * heavy.shipped.work,
+                    settings=heavy.settings.replace(dt=heavy.shipped.dt / factor),
+                )
+            )
+        return runs
+
+    result = dataclasses.replace(heavy, dts=trials(2), sweeps=trials(1))
+    work, steps, sweeps = result.at_equal_work
+    assert work == pytest.approx(10 * heavy.shipped.work)
+    assert steps == pytest.approx(heavy.shipped.error / 100)
+    assert sweeps == pytest.approx(heavy.shipped.error / 10)
 
 
 def test_few_sweeps_can_hide_what_diverges(heavy):
@@ -298,5 +288,5 @@ def test_few_sweeps_can_hide_what_diverges(heavy):
 def test_a_chain_whose_joints_whirl_is_not_solved():
     # Four sweeps a step: 48 steps lose energy, then the joints whirl at 2,400 rad/s.
     scene = heavy_end(8).with_settings(law="solref", integrator="euler", dt=1 / 60, sweeps=4)
-    found = sc.converge(scene, horizon=0.8, starts=1, states=2, progress=False)
+    found = sc.converge(scene, horizon=0.8, starts=1, progress=False)
     assert found.verdict in ("diverging", "under-solved") and found.shipped.error > 0.1

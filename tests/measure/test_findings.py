@@ -254,7 +254,7 @@ FAST = {"threads": 1, "progress": False, "starts": 1, "horizon": 0.4}
     "measured",
     [
         lambda scene: sc.trade(scene, dts=[0.002], further=0, by="flops", **FAST),
-        lambda scene: sc.converge(scene, states=1, **FAST),
+        lambda scene: sc.converge(scene, **FAST),
         lambda scene: sc.check(scene, threads=1, progress=False, horizon=0.4),
     ],
 )

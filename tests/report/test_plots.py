@@ -87,19 +87,13 @@ def test_an_ablation_shows_a_bar_for_each_feature(results):
     assert widths == pytest.approx([share for share in saved if share > 0])
 
 
-def test_a_convergence_shows_residual_by_sweeps_and_error_of_equal_work(results):
+def test_a_convergence_shows_error_against_work(results):
     convergence = results("convergence")
-    figure = convergence.plot()
-    sweeps, work = figure.axes
-    assert labels(sweeps) == ("sweeps", "residual [m/s]")
-    assert work.get_xlabel() == "RMS position error [m]"
-    assert {"cold start", "warm start"} <= {line.get_label() for line in sweeps.lines}
-    cold = next(line for line in sweeps.lines if line.get_label() == "cold start")
-    assert list(cold.get_xdata()) == convergence.sweeps["sweeps"]
-    splits = convergence.splits
-    assert [name.split("\n")[0] for name in ticks(work)] == [
-        f"{split.steps} × {split.sweeps}" for split in splits
-    ]
+    (axes,) = convergence.plot().axes
+    assert labels(axes)[1] == "RMS position error [m]"
+    steps, sweeps = axes.lines[:2]
+    assert sorted(steps.get_xdata()) == sorted(trial.work for trial in convergence.dts)
+    assert len(sweeps.get_xdata()) == 1 + len(convergence.sweeps)
 
 
 def test_a_predictability_shows_a_line_for_each_start(results):

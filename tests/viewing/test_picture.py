@@ -1,6 +1,7 @@
 """Pictures and videos."""
 
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -124,3 +125,13 @@ def test_a_video_has_even_sides(tmp_path):
 def test_only_a_sim_has_a_picture():
     with pytest.raises(ValueError, match=r"must be a stepcore\.Sim"):
         sc.picture(lesson.drop())
+
+
+def test_a_picture_is_drawn_after_mujoco_was_imported():
+    """MuJoCo chooses a way to draw when it is imported; without a display it chooses none."""
+    code = (
+        "import mujoco, stepcore as sc; from stepcore import lesson; "
+        "print(sc.picture(sc.Sim(lesson.stack()), width=160, height=120).shape)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout == "(120, 160, 3)\n"

@@ -38,7 +38,7 @@ pub fn check_sensor(model: &Model, sensor: Option<usize>) -> PyResult<()> {
     }
 }
 
-/// The arguments of `rays` beside the rays, as MuJoCo has them.
+/// The arguments of `rays` other than the rays, as in MuJoCo.
 pub fn ray_filter(excluded: Option<usize>, groups: Option<[bool; 6]>, moving: bool) -> RayFilter {
     RayFilter { excluded, groups, moving }
 }

@@ -1,8 +1,8 @@
 //! Worlds in lanes or one by one, whichever takes less time: it is measured while they run.
 //!
-//! Where neighbours touch different things a register does the work of all of them, and can take
+//! If neighbours touch different things a register does the work of all of them, and can take
 //! longer than its worlds alone. Both ways give the same bits, so a batch may change between them
-//! at any step: now and then it takes one step the other way, and stays with the quicker.
+//! at any step: now and then it takes one step the other way, and stays with the faster one.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,8 +25,8 @@ const LEAST: u64 = 8;
 const MOST: u64 = 512;
 /// The last trials decide by their median: a single one may have been disturbed.
 const VOTES: usize = 3;
-/// Up to so many worlds both ways are kept. Of more both would be too much memory: so many of them
-/// are tried both ways instead, neighbours that share a register, from registers evenly spread.
+/// Up to `KEPT` worlds both ways are kept. For more, both would need too much memory: `SAMPLE` of
+/// them are tried both ways, neighbours that share a register, from evenly spread registers.
 const KEPT: usize = 1 << 16;
 const SAMPLE: usize = 1 << 11;
 
@@ -35,32 +35,32 @@ pub type Make = dyn Fn(bool, Option<&[usize]>) -> Result<Box<dyn Worlds>> + Send
 
 pub struct Auto {
     worlds: usize,
-    /// By world the kind of its models, which stays whatever their numbers are.
+    /// For each world the kind of its models, which stays whatever their numbers are.
     kinds: Vec<usize>,
     now: Box<dyn Worlds>,
     /// The other way, once it was tried.
     other: Option<Box<dyn Worlds>>,
     make: Box<Make>,
     in_lanes: bool,
-    /// What the last portion of steps took a step.
+    /// The duration of a step in the last portion.
     cost: Duration,
-    /// Time of a step in lanes over that one by one, in the last trials.
+    /// Time of a step in lanes over the time one by one, in the last trials.
     ratios: Vec<f64>,
     steps: u64,
-    /// Those at the last turn.
+    /// The steps at the last turn.
     turned: u64,
     next: u64,
     gap: u64,
-    /// The next step is to be taken the other way.
+    /// Whether the next step is to be taken the other way.
     change: bool,
-    /// A world failed: how it goes on is known here only.
+    /// Whether a world failed: only the present way has its state.
     fixed: bool,
-    /// Every step is a trial.
+    /// Whether every step is a trial.
     always: bool,
 }
 
 impl Auto {
-    /// `kinds`: by world; `make(lanes, some)`: the same worlds, or some of them, in lanes or one by one.
+    /// `kinds`: by world; `make(lanes, some)`: the same worlds, or some, in lanes or one by one.
     pub fn new(kinds: Vec<usize>, make: Box<Make>) -> Result<Self> {
         Ok(Self {
             worlds: kinds.len(),
@@ -98,7 +98,7 @@ impl Auto {
                 self.turn()?;
             }
             let until = self.next.saturating_sub(self.steps);
-            // A trial is of one step, as is the one before it, which it is compared with.
+            // A trial is of one step, as is the one before it, with which it is compared.
             let portion = match until {
                 _ if trial => 1,
                 0 => left,
@@ -110,7 +110,7 @@ impl Auto {
             let took = started.elapsed() / portion.min(u32::MAX.into()) as u32;
             let before = std::mem::replace(&mut self.cost, took);
             if let Err(error) = outcome {
-                // What the other way has to say is of a part of the steps.
+                // The other way has checked only a part of the steps.
                 (self.fixed, self.other) = (true, None);
                 return Err(error);
             }
@@ -124,12 +124,12 @@ impl Auto {
         Ok(())
     }
 
-    /// When the next trial is.
+    /// Schedules the next trial.
     fn tried(&mut self) {
         (self.next, self.gap) = (self.steps + self.gap, (2 * self.gap).min(MOST));
     }
 
-    /// Steps some of the worlds both ways, aside; they all change if that is quicker.
+    /// Steps some of the worlds both ways in copies; all worlds change if that is faster.
     fn try_sample(&mut self) -> Result<()> {
         self.tried();
         let order = self.now.by_model();
@@ -144,7 +144,7 @@ impl Auto {
                 let lists = self.now.lists(*world);
                 made.put(place, &Given::new(|array| &lists[array as usize]));
             }
-            // The first step makes room.
+            // The first step allocates memory.
             let started = if made.step(1).is_ok() { Instant::now() } else { return Ok(()) };
             if made.step(1).is_err() {
                 return Ok(());
@@ -155,7 +155,7 @@ impl Auto {
         Ok(())
     }
 
-    /// Whether lanes take less time than worlds alone, which took so long in a trial.
+    /// Whether lanes take less time than worlds alone, which took this long in a trial.
     fn lanes_win(&mut self, lanes: Duration, alone: Duration) -> bool {
         self.ratios.push(lanes.as_secs_f64() / alone.as_secs_f64().max(1e-9));
         if self.ratios.len() > VOTES {
@@ -171,7 +171,7 @@ impl Auto {
         !self.fixed
     }
 
-    /// Goes on the other way.
+    /// Continues the other way.
     fn turn(&mut self) -> Result<()> {
         if self.steps - std::mem::replace(&mut self.turned, self.steps) >= LEAST {
             self.now.balance()?;
@@ -192,7 +192,7 @@ impl Auto {
         Ok(())
     }
 
-    /// Whatever happened, all worlds begin anew.
+    /// Restarts the trials: all worlds start anew.
     fn anew(&mut self) {
         (self.fixed, self.change) = (false, false);
     }

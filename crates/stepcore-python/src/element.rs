@@ -1,4 +1,4 @@
-//! Elements as Python sees them: (kind, index, part), part -1 for the whole of an element.
+//! Elements in Python: (kind, index, part), part -1 for the whole of an element.
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -15,7 +15,7 @@ pub fn id(element: Element) -> Id {
     (element.kind.word(), element.index, part)
 }
 
-/// The element that Python means, if the model has it.
+/// The element for these arguments, if the model has it.
 pub fn read(model: &Model, kind: &str, index: usize, part: i64) -> PyResult<Element> {
     let Some(found) = Kind::ALL.into_iter().find(|known| known.word() == kind) else {
         let known = Kind::ALL.map(Kind::word);

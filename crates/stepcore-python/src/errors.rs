@@ -48,28 +48,28 @@ pyo3::create_exception!(
      The run goes on. It is said once a Sim or Batch, whose energies are not looked at after that."
 );
 
-/// Says a warning of type `W` to Python's own caller of `step`.
+/// Issues a warning of type `W` to the Python caller of `step`.
 pub fn warn<W: PyTypeInfo>(py: Python<'_>, text: &str) -> PyResult<()> {
     let text = CString::new(printable(text)).unwrap_or_default();
     PyErr::warn(py, &py.get_type::<W>(), &text, 2)
 }
 
-/// A call that takes longer says why.
+/// The duration above which a call gives the reason.
 const SLOW: Duration = Duration::from_secs(1);
 
-/// Whether it was said why steps within an accuracy are slow: that is said once.
+/// Whether the reason for slow adaptive steps was given: it is given once.
 pub struct Slow(AtomicBool);
 
 /// A call, whose steps may be slow.
 pub struct SlowCall<'a> {
     said: &'a AtomicBool,
-    /// Nobody asks for the time where nothing is to be said.
+    /// The clock is not read if there will be no warning.
     begun: Option<Instant>,
     raised: Option<PyErr>,
 }
 
 impl Slow {
-    /// Under settings without an accuracy there is nothing to say.
+    /// With steps of a fixed length there is no warning.
     pub fn under(settings: &Settings) -> Self {
         Self(AtomicBool::new(settings.accuracy.0.is_none()))
     }
@@ -79,14 +79,14 @@ impl Slow {
         SlowCall { said: &self.0, begun, raised: None }
     }
 
-    /// Nobody who could choose other steps would read it.
+    /// Turns the warning off: no reader could choose other steps.
     pub fn keep_quiet(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 }
 
 impl SlowCall<'_> {
-    /// Some of its steps are done; `why`: what makes them slow, if that is known.
+    /// Records that some of its steps are done; `why`: the reason why they are slow, if known.
     pub fn portion(&mut self, why: impl FnOnce() -> Option<String>) {
         let early = self.begun.is_none_or(|begun| begun.elapsed() < SLOW);
         if early || self.said.load(Ordering::Relaxed) {
@@ -98,13 +98,13 @@ impl SlowCall<'_> {
         }
     }
 
-    /// What came of the call, or of the warning.
+    /// The result of the call, or of the warning.
     pub fn end(self, outcome: PyResult<()>) -> PyResult<()> {
         self.raised.map_or(outcome, Err)
     }
 }
 
-/// Whatever the engine refuses is raised in Python.
+/// Raises the engine's errors in Python.
 pub trait Raised<T> {
     fn raised(self, py: Python<'_>) -> PyResult<T>;
 }
@@ -115,7 +115,7 @@ impl<T> Raised<T> for Result<T, Error> {
     }
 }
 
-/// A text as a terminal may show it: names of a scene can hold commands to terminals, and
+/// A text that is safe in a terminal: names of a scene can hold commands to terminals, and
 /// characters that turn the direction of writing.
 pub fn printable(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
@@ -149,7 +149,7 @@ pub fn raise(py: Python<'_>, error: Error) -> PyErr {
             let attribute = raised.value(py).setattr("mentions", mentions);
             attribute.err().unwrap_or(raised)
         }
-        // By whoever asked for it: see `gil::release`.
+        // By the code that interrupted it: see `gil::release`.
         Error::Interrupted => PyKeyboardInterrupt::new_err(()),
         Error::Diverged(divergence) => {
             let raised = SimulationError::new_err(text);
@@ -159,23 +159,23 @@ pub fn raise(py: Python<'_>, error: Error) -> PyErr {
     }
 }
 
-/// `SimulationError.element` where no element stands out.
+/// `SimulationError.element` if no element stands out.
 const NONE: &str = "no single element";
 
-/// Where an element stands in a text, in characters, and its kind and index.
+/// The place of an element in a text, in characters, and its kind and index.
 fn mention(text: &str, mention: &Mention) -> (usize, usize, &'static str, u64) {
     let count = |bytes: usize| text.get(..bytes).map_or(0, |head| printable(head).chars().count());
     let (kind, index, _) = id(mention.element);
     (count(mention.at.start), count(mention.at.end), kind, index)
 }
 
-/// What is known of a step that could not be committed, as attributes.
+/// Attaches the data on a step that could not be committed as attributes.
 fn attach(error: &Bound<'_, PyBaseException>, divergence: &Divergence) -> PyResult<()> {
     error.setattr("step", divergence.step)?;
     error.setattr("time", divergence.time)?;
     error.setattr("world", divergence.world)?;
     error.setattr("gained", matches!(divergence.fault, Fault::Energy { .. }))?;
-    // The state itself is what cannot be, and not the step after it.
+    // The state itself is impossible, and not the step after it.
     let finite = matches!(divergence.fault, Fault::Energy { .. } | Fault::Beyond { .. });
     error.setattr("_finite", finite)?;
     let stopped = match &divergence.fault {
@@ -200,7 +200,7 @@ fn attach_element(error: &Bound<'_, PyBaseException>, element: Option<&Named>) -
     error.setattr("element", name)
 }
 
-/// What a post-mortem found, and from where its failure comes again.
+/// Attaches the findings of a post-mortem, and the state from which its failure recurs.
 fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> PyResult<()> {
     let py = error.py();
     attach_element(error, post.element.as_ref())?;

@@ -1,5 +1,5 @@
-//! Values out of Python. Every failure is a `ValueError` that names where the value
-//! stood (`geoms[3].size`), the value and what it must be.
+//! Values from Python. Every failure is a `ValueError` that names the place of the value
+//! (`geoms[3].size`), the value and its limit.
 
 use std::fmt;
 
@@ -12,7 +12,7 @@ use pyo3::types::{PyBool, PyDict, PyFloat, PyString};
 
 use crate::nearest::nearest;
 
-/// Where a value stands; printed only when something is wrong with it.
+/// The place of a value; printed only when something is wrong with it.
 #[derive(Clone, Copy)]
 pub enum At<'a> {
     Root,
@@ -50,12 +50,12 @@ pub fn refuse(value: &Bound<'_, PyAny>, at: &At, limit: &str) -> PyErr {
     PyValueError::new_err(format!("{at} = {shown}: must be {limit}"))
 }
 
-/// What can be taken out of a Python object.
+/// A type that can be read from a Python object.
 pub trait Read: Sized {
     fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self>;
 }
 
-/// Python's and numpy's truth values are numbers to Python, not here.
+/// Booleans of Python and numpy are numbers to Python, not here.
 fn is_bool(value: &Bound<'_, PyAny>) -> bool {
     value.get_type().name().is_ok_and(|name| name == "bool" || name == "bool_")
 }
@@ -83,7 +83,7 @@ macro_rules! read_whole {
         impl Read for $type {
             fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
                 match value.extract() {
-                    // numpy's truth values are no whole numbers by themselves.
+                    // numpy's booleans do not convert to integers by themselves.
                     Ok(number) if !value.is_instance_of::<PyBool>() => Ok(number),
                     _ => {
                         let limit = format!("a whole number from {} to {}", <$type>::MIN, <$type>::MAX);
@@ -130,7 +130,7 @@ impl<T: Read> Read for Vec<T> {
     }
 }
 
-/// The rows of an array of numpy, read at once, or of any list.
+/// The rows of a numpy array, read at once, or of any list.
 macro_rules! read_rows {
     ($($item:ty: $row:ty),+) => {$(
         impl Read for Arc<Vec<$row>> {
@@ -146,7 +146,7 @@ macro_rules! read_rows {
 }
 read_rows!(f64: f64, f64: [f64; 3], usize: [usize; 3]);
 
-/// What one row of an array holds.
+/// The content of one row of an array.
 trait Row<T>: Sized {
     fn rows(
         array: &PyReadonlyArrayDyn<'_, T>,
@@ -193,7 +193,7 @@ impl<T: Copy> Row<T> for [T; 3] {
     }
 }
 
-/// An empty list with room for so many; a MemoryError where the memory has none.
+/// An empty list with room for this many; a MemoryError if they do not fit in memory.
 fn room<T>(count: usize, at: &At) -> PyResult<Vec<T>> {
     let mut rows = Vec::new();
     rows.try_reserve_exact(count).map_err(|_| no_room(at, count))?;
@@ -242,7 +242,7 @@ impl<'a, 'py> Record<'a, 'py> {
     }
 }
 
-/// Reads a record from a dict with one key a field.
+/// Reads a record from a dict with one key for each field.
 macro_rules! record {
     ($type:ty { $($field:ident),+ $(,)? }) => {
         impl $crate::extract::Read for $type {

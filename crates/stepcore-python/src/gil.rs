@@ -14,12 +14,12 @@ use stepcore::interrupt::while_asking;
 
 use crate::errors::Raised;
 
-/// How long Python may wait for a Ctrl-C to be seen.
+/// The longest time until Python sees a Ctrl-C.
 const PATIENCE: Duration = Duration::from_millis(20);
-/// A portion of steps is at most so many times as long as the one before it.
+/// The largest ratio of the lengths of two successive portions of steps.
 const GROWTH: u64 = 16;
 
-/// How many steps were worth a portion when a call last ended: the next one begins with as many.
+/// The steps in a portion when a call last ended: the next one starts with this many.
 pub struct Pace(AtomicU64);
 
 impl Default for Pace {
@@ -29,12 +29,12 @@ impl Default for Pace {
 }
 
 thread_local! {
-    /// When solvers last asked for signals, and what a signal raised.
+    /// When solvers last checked signals, and the exception that a signal raised.
     static ASKED: Cell<Option<Instant>> = const { Cell::new(None) };
     static RAISED: RefCell<Option<PyErr>> = const { RefCell::new(None) };
 }
 
-/// Whether a signal wants a long step to end: served as often as between steps.
+/// Whether a signal is to end a long step: checked as often as between steps.
 fn interrupted() -> bool {
     if RAISED.with_borrow(Option::is_some) {
         return true;
@@ -51,15 +51,16 @@ fn interrupted() -> bool {
     RAISED.with_borrow(Option::is_some)
 }
 
-/// The interpreter is about to end; the thread in which it does; how many threads are about to take the GIL.
+/// The interpreter is about to end; its thread; the number of threads about to take the GIL.
 static ENDING: AtomicBool = AtomicBool::new(false);
 static COMING_BACK: AtomicU64 = AtomicU64::new(0);
 thread_local! {
     static ENDS: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Before this thread takes the GIL. An interpreter that ends takes a thread away that asks for it, and with
-/// Rust on the stack that aborts the program: such a thread waits here until the program has ended.
+/// Call before this thread takes the GIL. An ending interpreter kills a thread that requests it,
+/// and with Rust on the stack that aborts the program: such a thread waits here until the program
+/// ends.
 fn come_back() {
     COMING_BACK.fetch_add(1, Ordering::SeqCst);
     if ENDING.load(Ordering::SeqCst) && !ENDS.get() {
@@ -70,7 +71,7 @@ fn come_back() {
     }
 }
 
-/// This thread has the GIL again.
+/// Records that this thread has the GIL again.
 fn is_back() {
     COMING_BACK.fetch_sub(1, Ordering::SeqCst);
 }
@@ -84,8 +85,8 @@ pub fn with_python<T>(look: impl FnOnce(Python<'_>) -> T) -> T {
     })
 }
 
-/// Called by Python when the program ends, while every thread can still take the GIL: lets in those that are
-/// about to, and nobody after them.
+/// Called by Python when the program ends, while every thread can still take the GIL: lets in the
+/// threads that are about to, and none after them.
 #[pyfunction]
 pub fn end_threads(py: Python<'_>) {
     ENDS.set(true);
@@ -97,8 +98,8 @@ pub fn end_threads(py: Python<'_>) {
     });
 }
 
-/// Runs engine code without the GIL. What a signal raises within a long step ends it, and the step is
-/// not committed.
+/// Runs engine code without the GIL. An exception from a signal within a long step ends it, and the
+/// step is not committed.
 pub fn release<T: Send>(
     py: Python<'_>,
     run: impl FnOnce() -> Result<T, Error> + Send,
@@ -112,17 +113,17 @@ pub fn release<T: Send>(
     finish(py, done)
 }
 
-/// Single steps, of which the short ones keep the GIL: giving it up and taking it back takes as long
-/// as a small model's step, and no other thread gets far meanwhile.
+/// Single steps, of which the short ones keep the GIL: releasing it and taking it back takes as
+/// long as a small model's step, and no other thread gets far meanwhile.
 #[derive(Default)]
 pub struct Singles {
     calls: AtomicU64,
     short: AtomicBool,
 }
 
-/// A step as long as this is made without the GIL: ten times what giving it up takes.
+/// A step at least as long as this runs without the GIL: ten times the cost of releasing it.
 const SHORT: Duration = Duration::from_micros(10);
-/// Calls of which one is timed.
+/// One call in this many is timed.
 const TIMED: u64 = 32;
 
 impl Singles {
@@ -166,8 +167,8 @@ fn finish<T>(py: Python<'_>, done: thread::Result<Result<T, Error>>) -> PyResult
     }
 }
 
-/// The engine's side of an object, for one thread at a time. It can be used again after a
-/// panic: positions, velocities and inputs are put in anew before each use.
+/// The engine's side of an object, for one thread at a time. It can be used again after a panic:
+/// positions, velocities and inputs are copied in before each use.
 pub fn lock<'a, T>(engine: &'a Mutex<T>, object: &str) -> PyResult<MutexGuard<'a, T>> {
     match engine.try_lock() {
         Ok(guard) => Ok(guard),
@@ -187,7 +188,7 @@ pub fn steps(
     steps_told(py, n, &Pace::default(), None, advance)
 }
 
-/// The same; `told` is called with the count of each portion. What it raises ends the call.
+/// The same; `told` is called with the count of each portion. Its exceptions end the call.
 pub fn steps_told(
     py: Python<'_>,
     n: u64,
@@ -216,7 +217,7 @@ pub fn steps_told(
     Ok(())
 }
 
-/// How many steps take half as long as Python has patience, where `steps` took so long.
+/// The number of steps that take half of Python's patience, if `steps` took this long.
 fn fitting(steps: u64, took: Duration) -> u64 {
     let half = (PATIENCE / 2).as_nanos();
     (u128::from(steps) * half / took.as_nanos().max(1)) as u64

@@ -1,4 +1,4 @@
-//! The integrators as Python sees them: what each does, and its step where the motion is linear.
+//! The integrators in Python: the properties of each, and its step for linear motion.
 
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -9,8 +9,8 @@ use stepcore::integrator::{Integrator, Late, Scheme, Stages, Turning};
 use crate::errors::Raised;
 use crate::model::shaped;
 
-/// By name: where in a step forces are evaluated, and what of damping, bias forces and stiffness is
-/// taken at its end.
+/// Return by name: where in a step forces are evaluated, and which damping, bias forces and
+/// stiffness are taken at its end.
 #[pyfunction]
 pub fn integrators(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let all = PyDict::new(py);
@@ -39,7 +39,7 @@ pub fn integrators(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     Ok(all)
 }
 
-/// x⁺ of every column of x, or None where a matrix is singular: see `engine/linear_maps.py`.
+/// Return x⁺ for every column of x, or None if a matrix is singular: see `engine/linear_maps.py`.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)]
 pub fn linear_step<'py>(

@@ -1,10 +1,10 @@
-//! `stepcore._core`: the engine as Python sees it. Thin shims; no physics here.
+//! `stepcore._core`: the engine's Python interface. Thin shims; no physics here.
 //!
-//! `extract` and `scene` read what Python gives, `memory` holds the arrays that both
-//! sides see, `arguments` and `tables` are what methods take and give, `world` is one
-//! world of either precision and `worlds` many, `snapshot` a state as bytes, `gil` the
-//! one place where the GIL is released, `errors` the one map of errors, `readout` the one table
-//! of what is read by name.
+//! `extract` and `scene` read values from Python, `memory` holds the arrays that both sides see,
+//! `arguments` and `tables` are the arguments and results of methods, `world` is one world of
+//! either precision and `worlds` many, `snapshot` a state as bytes, `gil` the one place where the
+//! GIL is released, `errors` the one map of errors, `readout` the one table of quantities that are
+//! read by name.
 
 mod arguments;
 mod auto;
@@ -25,7 +25,7 @@ mod noise;
 mod readings;
 mod readout;
 mod scene;
-// What pyo3 writes into it.
+// For the code that pyo3 generates in it.
 #[allow(unsafe_op_in_unsafe_fn)]
 mod settings;
 mod sim;
@@ -36,7 +36,7 @@ mod worlds;
 
 use pyo3::prelude::*;
 
-// Objects lock what they hold (`gil::lock`, `memory`): no GIL is needed.
+// Objects lock their data (`gil::lock`, `memory`): no GIL is needed.
 #[pymodule(gil_used = false)]
 mod _core {
     use pyo3::prelude::*;

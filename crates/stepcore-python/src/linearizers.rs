@@ -1,4 +1,4 @@
-//! Linearisations of many worlds at many states as Python sees them.
+//! Linearisations of many worlds at many states, in Python.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -21,7 +21,7 @@ use crate::model::{result, Model};
 use crate::settings::Settings;
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
-/// The models around each.
+/// The models around each parameter.
 pub type Parameters<'py> = Vec<[PyRef<'py, Model>; AROUND]>;
 
 pub fn neighbourhood(model: &Arc<EngineModel>, parameters: &Parameters) -> Arc<Neighbourhood> {
@@ -32,11 +32,11 @@ pub fn neighbourhood(model: &Arc<EngineModel>, parameters: &Parameters) -> Arc<N
     Arc::new(Neighbourhood { model: model.clone(), parameters })
 }
 
-/// Linearisations of worlds, of which each has one of some models, that differ in numbers.
+/// Linearisations of worlds, each with one of some models, which differ in numbers.
 #[pyclass(module = "stepcore._core", frozen)]
 pub struct Linearizers {
     models: Vec<Arc<EngineModel>>,
-    /// By world: the number of its model.
+    /// For each world: the number of its model.
     of: Vec<usize>,
     first: usize,
     settings: EngineSettings,
@@ -56,7 +56,7 @@ impl Linearizers {
         Engine::new(&Sim::<f64>::new(self.models[0].clone(), settings)?, threads)
     }
 
-    /// How many states of the worlds are given, and all arrays of each.
+    /// The number of given states of the worlds, and all arrays of each.
     fn rows_of(
         &self,
         given: &HashMap<String, PyReadonlyArrayDyn<'_, f64>>,
@@ -85,7 +85,7 @@ impl Linearizers {
 
 #[pymethods]
 impl Linearizers {
-    /// `models`: the different ones. `of`: the number of each world's. `first`: the first world's
+    /// `models`: the distinct ones. `of`: the number of each world's. `first`: the first world's
     /// number, in errors.
     #[new]
     fn new(
@@ -108,10 +108,10 @@ impl Linearizers {
         })
     }
 
-    /// A (as many columns as rows), B (nu columns) and P, side by side, of a step from each of some states,
-    /// (worlds, states, rows, columns); the elements at which the nth are one-sided.
-    /// `parameters`: of each model, the models around each. `states`: arrays by name, of shape (worlds,
-    /// states, …); those that are absent are as at the start.
+    /// Return A (as many columns as rows), B (nu columns) and P, side by side, of a step from each
+    /// of some states, (worlds, states, rows, columns); the elements at which the nth are
+    /// one-sided. `parameters`: for each model, the models around each. `states`: arrays by name,
+    /// of shape (worlds, states, …); absent arrays are as at the start.
     fn linearize<'py>(
         &self,
         py: Python<'py>,

@@ -1,4 +1,4 @@
-//! What a world carries beside its arrays, and where its last solve began.
+//! The data of a world besides its arrays, and the start of its last solve.
 
 use stepcore::arrays::Given;
 use stepcore::batch::Last;
@@ -8,7 +8,7 @@ use stepcore::warm::{Sleep, Warm, WARM_ROWS};
 
 use crate::snapshot::Clock;
 
-/// Time, and what a step hands to the next beside the arrays.
+/// Time, and the data that a step passes to the next besides the arrays.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Memo {
     pub start: f64,
@@ -17,13 +17,13 @@ pub struct Memo {
     pub sleep: Sleep<f64>,
 }
 
-/// The last solve of one world: where it began, from which it can be made again.
+/// The last solve of one world: its start, from which it can be repeated.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solve {
     pub of: Last,
     pub qacc: Vec<f64>,
     pub lists: Lists,
-    /// Its time is that of no state.
+    /// Its time belongs to no state.
     pub memo: Memo,
 }
 
@@ -45,21 +45,21 @@ impl Memo {
         (self.start, self.steps) = (start, steps);
     }
 
-    /// Wakes everybody.
+    /// Wakes all trees.
     pub fn wake(&mut self) {
         self.warm.extend(self.sleep.kept.drain(..).map(|(_, warm)| warm));
         self.warm.sort_by_key(|warm| warm.slot);
         self.sleep = Sleep::new();
     }
 
-    /// Without impulses, and everybody awake.
+    /// Removes the impulses, and wakes all trees.
     pub fn forget(&mut self) {
         self.warm.clear();
         self.sleep = Sleep::new();
     }
 
-    /// One lane's part of a state. An impulse of zero is as good as none, and a lane has
-    /// zeros for the contacts of its neighbours.
+    /// One lane's part of a state. An impulse of zero equals none, and a lane has zeros for the
+    /// contacts of its neighbours.
     pub fn of<R: Real>(state: &State<R>, lane: usize) -> Self {
         let warm = state.warm.iter().map(|w| w.in_lane(lane)).filter(Warm::acts);
         let sleep = state.sleep.cast();
@@ -67,7 +67,7 @@ impl Memo {
     }
 }
 
-/// Impulses, and who sleeps, of a memo; its time is left out.
+/// Copies impulses and sleep of a memo into a state; its time is left out.
 pub fn put_memo<R: Real>(state: &mut State<R>, memo: &Memo) {
     state.sleep = memo.sleep.cast();
     state.warm = warm_of(memo).collect();
@@ -82,7 +82,7 @@ pub fn warm_of<R: Real>(memo: &Memo) -> impl Iterator<Item = Warm<R>> + '_ {
     })
 }
 
-/// Time, impulses and who sleeps: of the worlds in a state's lanes.
+/// Copies time, impulses and sleep of the worlds in a state's lanes.
 pub fn put_memos<R: Real>(state: &mut State<R>, memos: Vec<&Memo>) {
     (state.start, state.steps) = (memos[0].start, memos[0].steps);
     state.sleep = memos[0].sleep.cast();
@@ -106,7 +106,7 @@ pub fn put_memos<R: Real>(state: &mut State<R>, memos: Vec<&Memo>) {
     }
 }
 
-/// An impulse of a snapshot; that of an f64 world may be no number in f32, and is then none.
+/// An impulse of a snapshot; one of an f64 world that is not finite in f32 becomes zero.
 fn impulse<R: Real>(x: f64) -> f64 {
     if R::of(x).is_finite().all() {
         x

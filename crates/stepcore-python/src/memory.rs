@@ -1,7 +1,7 @@
-//! Numbers that Python and the engine both see: the arrays that are the user's to write.
+//! Numbers that Python and the engine both see: the arrays that the user may write.
 //!
-//! One block belongs to Rust for as long as a numpy view of it lives, so whatever is
-//! done to a view (reshaped, made read-only, resized) the block stays what it is.
+//! One block belongs to Rust for as long as a numpy view of it lives, so the block stays the same
+//! whatever is done to a view (reshaped, made read-only, resized).
 
 use std::cell::UnsafeCell;
 use std::ops::Range;
@@ -23,14 +23,14 @@ pub struct Arrays {
     /// Numbers a world has in each of `Array::ALL`, and their shape there.
     pub lengths: [usize; Array::COUNT],
     shapes: [Vec<usize>; Array::COUNT],
-    /// Where the first world's part of each begins.
+    /// The start of the first world's part of each.
     starts: [usize; Array::COUNT],
     pub worlds: usize,
     memory: Py<Memory>,
 }
 
 impl Arrays {
-    /// Every world as it is initially: see `Array::initial`.
+    /// The initial arrays of every world: see `Array::initial`.
     pub fn new(py: Python<'_>, model: &Model, worlds: usize) -> PyResult<Self> {
         let (lengths, shapes) = (Array::counts(model), Array::ALL.map(|array| array.shape(model)));
         let mut count = 0;
@@ -80,8 +80,8 @@ impl Arrays {
         })
     }
 
-    /// Lets `load` take in the arrays of the only world, of which some may have changed since it last
-    /// did so; it is not asked where none has.
+    /// Lets `load` copy in the arrays of the only world, of which some may have changed since it
+    /// last did so; it is not called if none has.
     pub fn load<E>(
         &self,
         _py: Python<'_>,
@@ -97,7 +97,7 @@ impl Arrays {
         })
     }
 
-    /// Lets `read` see all worlds' arrays, from as many threads as it likes.
+    /// Lets `read` see all worlds' arrays, from any number of threads.
     pub fn read_all<T>(&self, _py: Python<'_>, read: impl FnOnce(&Givens) -> T + Send) -> T {
         self.memory.get().read(
             |array| self.range(array),
@@ -105,7 +105,7 @@ impl Arrays {
         )
     }
 
-    /// Lets `take(array, numbers)` overwrite what a step changes, an array of all worlds at a time.
+    /// Lets `take(array, numbers)` overwrite the arrays that a step changes, all worlds at once.
     pub fn store(&self, _py: Python<'_>, mut take: impl FnMut(Array, &mut [f64]) + Send) {
         let mut own = self.memory.get().own();
         for array in &Array::ALL[..Array::CHANGED] {
@@ -123,7 +123,7 @@ impl Arrays {
         self.memory.get().write(array, self.range_of(array, world), values);
     }
 
-    /// Overwrites all of one world's arrays with numbers that stand one after the other.
+    /// Overwrites all of one world's arrays with numbers one after the other.
     pub fn restore(&self, py: Python<'_>, world: usize, mut numbers: &[f64]) {
         for array in Array::ALL {
             let (head, tail) = numbers.split_at(self.lengths[array as usize]);
@@ -132,7 +132,7 @@ impl Arrays {
         }
     }
 
-    /// Numpy views of all worlds' part of each array; `before`: axes before those of a world.
+    /// Numpy views of all worlds' part of each array; `before`: axes before a world's.
     pub fn views<'py>(&self, py: Python<'py>, before: &[usize]) -> PyResult<Vec<Named<'py>>> {
         let view = |array: Array| {
             let shape = [before, &self.shapes[array as usize]].concat();
@@ -149,16 +149,16 @@ pub struct Memory {
     own: Mutex<Own>,
 }
 
-/// What the engine reads and writes: what was checked is what is used, whoever writes meanwhile.
+/// The engine's copy, which is what was checked, whoever writes meanwhile.
 struct Own {
     numbers: Box<[f64]>,
-    /// Where it may differ from what the engine has.
+    /// The arrays that may differ from the engine's.
     news: ArraySet,
 }
 
-// SAFETY: here the numbers are reached one by one, as atomics; no slice of them exists. Numpy reads and
-// writes them through its views, also where it has released the GIL: a race, as it is for every numpy
-// array, of which each number is one that was written.
+// SAFETY: here the numbers are reached one by one, as atomics; no slice of them exists. Numpy reads
+// and writes them through its views, also where it has released the GIL: a race, as it is for every
+// numpy array, in which each number is one that was written.
 unsafe impl Sync for Memory {}
 
 impl Memory {
@@ -168,8 +168,8 @@ impl Memory {
         Self { numbers, own: Mutex::new(own) }
     }
 
-    /// Where a range starts. The pointer may be written through: it comes from the cells, not
-    /// from a reference to a number.
+    /// The start of a range. The pointer may be written through: it comes from the cells, not from
+    /// a reference to a number.
     fn start(&self, range: &Range<usize>) -> *mut f64 {
         UnsafeCell::raw_get(self.numbers[range.clone()].as_ptr())
     }
@@ -177,8 +177,8 @@ impl Memory {
     /// The numbers of a range, for this thread and all others.
     fn cells(&self, range: Range<usize>) -> impl Iterator<Item = &AtomicU64> {
         let cells = self.numbers[range].iter();
-        // SAFETY: a cell has the size and the alignment of eight bytes, lives as long as `self`, and is
-        // reached here as an atomic alone.
+        // SAFETY: a cell has the size and the alignment of eight bytes, lives as long as `self`,
+        // and is reached here as an atomic alone.
         cells.map(|cell| unsafe { AtomicU64::from_ptr(UnsafeCell::raw_get(cell).cast()) })
     }
 
@@ -186,8 +186,8 @@ impl Memory {
         self.own.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets `read` see a range of each array as it is now, and where there may be news; of other
-    /// numbers nothing is said.
+    /// Lets `read` see the present numbers of a range of each array, and which arrays may have
+    /// changed; for other numbers it returns no information.
     fn read<T>(
         &self,
         range: impl Fn(Array) -> Range<usize>,
@@ -197,7 +197,7 @@ impl Memory {
         for array in Array::ALL {
             let range = range(array);
             let own = &mut numbers[range.clone()];
-            // Most of the time nobody has written: that is found out first, without writing.
+            // Most of the time nothing was written: this is checked first, without writing.
             let both = own.iter().zip(self.cells(range.clone()));
             let differ = both
                 .fold(0, |differ, (own, now)| differ | own.to_bits() ^ now.load(Ordering::Relaxed));
@@ -236,8 +236,8 @@ impl Memory {
             let text = format!("a view of {} numbers cannot have shape {shape:?}", range.len());
             return Err(PyRuntimeError::new_err(text));
         }
-        // SAFETY: the pointer is that of as many numbers as the shape has, and they may be
-        // written. No reference to a number is made: numpy gets the address and the shape.
+        // SAFETY: the pointer is to as many numbers as the shape has, and they may be written. No
+        // reference to a number is made: numpy gets the address and the shape.
         let view = unsafe { ArrayViewMut::from_shape_ptr(IxDyn(shape), this.get().start(&range)) };
         // SAFETY: the block is never moved or freed before `this`, which the array holds.
         Ok(unsafe { PyArray::borrow_from_array(&view, this.clone().into_any()) })

@@ -1,4 +1,4 @@
-//! `Model` as Python sees it: counts, names and tables of the compiled scene.
+//! `Model` in Python: counts, names and tables of the compiled scene.
 
 use std::sync::Arc;
 
@@ -28,7 +28,7 @@ pub fn shaped<'py>(
     PyArray1::from_vec(py, values).reshape(shape.to_vec())
 }
 
-/// The same, read-only: what is written into a result would be lost in silence.
+/// The same, read-only: writing into a result would have no effect.
 pub fn result<'py>(
     py: Python<'py>,
     values: Vec<f64>,
@@ -43,7 +43,7 @@ pub fn result<'py>(
 #[pyclass(module = "stepcore._core", frozen)]
 pub struct Model(pub Arc<Engine>);
 
-/// Compiles a scene given as plain data: what `Scene.to_dict` returns.
+/// Compile a scene given as plain data: the result of `Scene.to_dict`.
 #[pyfunction]
 pub fn compile(scene: &Bound<'_, PyAny>) -> PyResult<Model> {
     let py = scene.py();
@@ -52,8 +52,8 @@ pub fn compile(scene: &Bound<'_, PyAny>) -> PyResult<Model> {
     Ok(Model(Arc::new(model)))
 }
 
-/// Gives back the memory that compiling keeps for models to come: hulls of meshes (at most some 100 MB), and
-/// which pairs of geoms never meet. The next model is compiled as the first one was.
+/// Free the memory that compiling keeps for later models: hulls of meshes (at most some 100 MB),
+/// and which pairs of geoms never meet. The next model is compiled as the first one was.
 #[pyfunction]
 pub fn empty_caches() {
     stepcore::model::empty_caches();
@@ -103,13 +103,13 @@ impl Model {
         Ok(names)
     }
 
-    /// What an element is called: kind, index and part as in rows, contacts and errors.
+    /// Return the name of an element: kind, index and part as in rows, contacts and errors.
     #[pyo3(signature = (kind, index, part = -1))]
     fn element_name(&self, kind: &str, index: usize, part: i64) -> PyResult<String> {
         Ok(printable(&self.0.element_name(read(&self.0, kind, index, part)?)))
     }
 
-    /// The parts of that: noun, owner and label, as in "spring", "joint", "`knee`".
+    /// Return the parts of that name: noun, owner and label, as in "spring", "joint", "`knee`".
     #[pyo3(signature = (kind, index, part = -1))]
     fn element_words(
         &self,
@@ -121,8 +121,8 @@ impl Model {
         Ok((words.noun, words.owner, printable(&words.label)))
     }
 
-    /// The force of all springs, dampers or actuators on the dofs at many states: ctrl (n, nu),
-    /// act (n, na), qpos (n, nq), qvel (n, nv).
+    /// Return the force of all springs, dampers or actuators on the dofs at many states: ctrl (n,
+    /// nu), act (n, na), qpos (n, nq), qvel (n, nv).
     fn element_force<'py>(
         &self,
         py: Python<'py>,
@@ -156,9 +156,9 @@ impl Model {
         result(py, forces, &[n, m.nv])
     }
 
-    /// Contacts of two geoms at positions qpos (n, nq), in numbers of type "f64" or "f32", in
-    /// lanes if the name ends so ("f32 lanes") and the module has them:
-    /// exists and feature (n, slots), dist (n, slots), pos and normal (n, slots, 3).
+    /// Find the contacts of two geoms at positions qpos (n, nq), in numbers of type "f64" or "f32",
+    /// in lanes if the name ends with that ("f32 lanes") and the module has them: exists and
+    /// feature (n, slots), dist (n, slots), pos and normal (n, slots, 3).
     fn touches<'py>(
         &self,
         py: Python<'py>,
@@ -191,15 +191,15 @@ impl Model {
         ])
     }
 
-    /// The convex hull of a geom, in its frame [m]: vertices (n, 3) and triangles (m, 3), flat;
-    /// None where it has none.
+    /// Return the convex hull of a geom, in its frame [m]: vertices (n, 3) and triangles (m, 3),
+    /// flat; None if it has none.
     fn geom_hull(&self, geom: usize) -> Option<(Vec<f64>, Vec<usize>)> {
         let hull = self.0.geoms.get(geom)?.hull.as_ref()?;
         let vertices = hull.vertices.iter().flat_map(|v| [v.x, v.y, v.z]);
         Some((vertices.collect(), hull.triangles.iter().flatten().copied().collect()))
     }
 
-    /// Numbers by name, each an array whose first axis is the element.
+    /// Return numbers by name, each an array whose first axis is the element.
     fn tables<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let m = &*self.0;
         let tables = PyDict::new(py);
@@ -283,7 +283,7 @@ impl Model {
         Ok(tables)
     }
 
-    /// Addresses and owners by name, a list of whole numbers each.
+    /// Return addresses and owners by name, each a list of integers.
     fn addresses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let m = &*self.0;
         let lists = PyDict::new(py);
@@ -318,12 +318,12 @@ impl Model {
         self.0.sensors.iter().map(|sensor| sensor.kind.word()).collect()
     }
 
-    /// Geoms that can meet, by index; empty in a heap.
+    /// Return the geoms that can meet, by index; empty in a pile.
     fn pairs(&self) -> Vec<(usize, usize)> {
         self.0.pairs.iter().map(|pair| (pair.geom1, pair.geom2)).collect()
     }
 
-    /// The pair of a contact: its geoms, condim, friction, solref and invweight.
+    /// Return the pair of a contact: its geoms, condim, friction, solref and invweight.
     fn pair(&self, index: usize) -> PyResult<(usize, usize, u32, f64, [f64; 2], f64)> {
         let m = &*self.0;
         let Some(pair) = m.pair(index) else {
@@ -335,15 +335,15 @@ impl Model {
         Ok((pair.geom1, pair.geom2, condim, material.friction[0], solref, pair.invweight))
     }
 
-    /// Of a heap, how many pairs can meet, by the two kinds of geoms; else None.
+    /// Return how many pairs of a pile can meet, by the two kinds of geoms; None for other models.
     fn heap(&self) -> Option<Vec<(&'static str, &'static str, usize)>> {
         self.0.dynamic_pairs.as_ref()?;
         let meet = self.0.tally().meet;
         Some(meet.into_iter().map(|((a, b), count)| (a.word(), b.word(), count)).collect())
     }
 
-    /// What a step does and leaves out: see `Plan` in `plan/mod.rs`. Stage, kind, name, what its
-    /// elements are, these by index, how many, whether it is used, why not, and the kind of rows.
+    /// Return the work that a step does and leaves out: see `Plan` in `plan/mod.rs`. Stage, kind,
+    /// name, type of elements, indices, how many, whether used, why not, and the kind of rows.
     #[allow(clippy::type_complexity)]
     fn entries(
         &self,
@@ -389,7 +389,7 @@ impl Model {
             .collect()
     }
 
-    /// What compiling decided that `entries` does not say: by pair, tree and geom, in the model's order.
+    /// Return decisions of compilation that `entries` omits: by pair, tree and geom, in order.
     fn plan<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let m = &*self.0;
         let plan = PyDict::new(py);
@@ -411,8 +411,8 @@ impl Model {
         Ok(plan)
     }
 
-    /// Time of every keyframe and its qpos, qvel, act, ctrl, mocap_pos and mocap_quat, defaults
-    /// filled in.
+    /// Return the time of every keyframe and its qpos, qvel, act, ctrl, mocap_pos and mocap_quat,
+    /// defaults filled in.
     fn keys(&self) -> Vec<(f64, Vec<Vec<f64>>)> {
         let m = &*self.0;
         let key = |k: &stepcore::scene::Key| {
@@ -431,8 +431,8 @@ impl Model {
         m.keys.iter().map(key).collect()
     }
 
-    /// Every array that is the user's to write, by name, as it is initially: its numbers one after
-    /// the other.
+    /// Return every array that the user may write, by name, with its initial numbers one after the
+    /// other.
     fn initial(&self) -> Vec<(&'static str, Vec<f64>)> {
         Array::ALL.map(|array| (array.name(), array.initial(&self.0))).to_vec()
     }

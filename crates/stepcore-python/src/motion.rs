@@ -1,4 +1,4 @@
-//! Motions, whole: controls in, samples out, in one call without the GIL.
+//! Whole motions: controls in, samples out, in one call without the GIL.
 
 use std::sync::Arc;
 
@@ -15,29 +15,29 @@ use crate::gil;
 use crate::memory::Arrays;
 use crate::model::shaped;
 
-/// Samples by name, and how often forces were evaluated in each world.
+/// Samples by name, and the number of force evaluations in each world.
 pub type Samples<'py> = (Vec<Bound<'py, PyArrayDyn<f64>>>, Vec<u64>);
 
-/// What Python asks for.
+/// The request from Python.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Asked {
-    /// What is sampled, by the names of `Sampled`.
+    /// The sampled quantities, by the names of `Sampled`.
     names: Vec<String>,
     steps: usize,
     every: usize,
     /// Steps for which a row of controls is held.
     hold: usize,
-    /// The start is sampled.
+    /// Whether the start is sampled.
     first: bool,
-    /// A world of a batch stops further than this from its start [m].
+    /// A world of a batch stops when a body is farther than this from its start [m].
     bound: f64,
-    /// After so many evaluations of the forces steps within an accuracy stop.
+    /// The number of force evaluations after which adaptive steps stop.
     most: u64,
 }
 
 impl Asked {
-    /// A sample after each step, under a row of controls for each.
+    /// Requests a sample after each step, with a row of controls for each.
     pub fn every_step(names: Vec<String>, steps: usize) -> Self {
         let (bound, most) = (f64::INFINITY, u64::MAX);
         Self { names, steps, every: 1, hold: 1, first: false, bound, most }
@@ -51,7 +51,7 @@ pub struct Play {
     asked: Asked,
     samples: usize,
     names: Vec<Sampled>,
-    /// Of all worlds alike, or of each; `rows` of them.
+    /// For all worlds together, or for each; `rows` of them.
     ctrl: Vec<f64>,
     rows: usize,
 }
@@ -77,8 +77,8 @@ impl Play {
         Ok(Self { model, worlds, asked, samples, names, ctrl, rows })
     }
 
-    /// Runs it: `run(motion, from, n)` makes some of its steps. Returns how many steps there were, and
-    /// what came of it.
+    /// Runs it: `run(motion, from, n)` makes some of its steps. Returns the number of steps, and
+    /// the outcome.
     pub fn run<'py>(
         &self,
         py: Python<'py>,
@@ -127,7 +127,7 @@ impl Play {
         self.asked.steps
     }
 
-    /// Shows numpy the controls of the last of so many steps.
+    /// Shows numpy the controls of the last of this many steps.
     pub fn write_last(&self, py: Python<'_>, steps: usize, arrays: &Arrays) {
         for world in 0..self.worlds {
             if let Some(row) = self.last_row(world, steps) {
@@ -136,7 +136,7 @@ impl Play {
         }
     }
 
-    /// A world's controls in the last of so many steps, if it had any.
+    /// A world's controls in the last of this many steps, if it had any.
     fn last_row(&self, world: usize, steps: usize) -> Option<&[f64]> {
         let nu = self.model.actuators.len();
         let row = steps.checked_sub(1)? / self.asked.hold.max(1);
@@ -146,7 +146,7 @@ impl Play {
     }
 }
 
-/// Controls of all worlds alike, or of each, checked.
+/// Controls for all worlds together, or for each, checked.
 fn controls(
     settings: &Settings,
     n: usize,
@@ -161,7 +161,7 @@ fn controls(
     let single = settings.precision == Precision::F32;
     let fine = |x: &f64| x.is_finite() && (!single || (*x as f32).is_finite());
     let in_order = ctrl.as_slice().ok();
-    // Without a branch for each, so that vectors serve.
+    // Without a branch for each, so that the loop vectorises.
     if let Some(list) = in_order.filter(|list| list.iter().fold(true, |all, x| all & fine(x))) {
         return Ok(list.to_vec());
     }
@@ -177,7 +177,7 @@ fn controls(
     Ok(all)
 }
 
-/// Zeros for every world, sample and entry, if the memory can hold them.
+/// Zeros for every world, sample and entry, if they fit in memory.
 fn room(n: usize, samples: usize, entries: usize) -> PyResult<Vec<f64>> {
     let mut room = Vec::new();
     let count = n.checked_mul(samples).and_then(|count| count.checked_mul(entries));

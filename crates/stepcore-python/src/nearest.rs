@@ -1,4 +1,4 @@
-//! The known names that a mistyped one may have meant.
+//! Suggestions for a mistyped name: the valid names that it may have meant.
 
 /// A name as a text shows it, cut to 80 characters.
 pub fn cut(name: &str) -> String {
@@ -8,7 +8,7 @@ pub fn cut(name: &str) -> String {
     name.chars().take(79).chain(['…']).collect()
 }
 
-/// "; nearest: a, b" out of the known names, for a name that is not among them.
+/// "; nearest: a, b" out of the valid names, for a name that is not among them.
 pub fn nearest(name: &str, known: &[&str]) -> String {
     // The time of the comparison grows with the length.
     let name = &cut(name);
@@ -26,7 +26,7 @@ pub fn nearest(name: &str, known: &[&str]) -> String {
     }
 }
 
-/// How many letters to insert, drop or change to get from one name to the other.
+/// The number of letters to insert, drop or change to get from one name to the other.
 fn edits(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

@@ -1,4 +1,4 @@
-//! Random numbers of many worlds: `stepcore.engine.noise` says what they are.
+//! Random numbers of many worlds: `stepcore.engine.noise` defines them.
 //!
 //! Only +, −, ×, ÷ and √: the same bits on every machine.
 
@@ -9,15 +9,15 @@ use pyo3::prelude::*;
 const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
 const HALF_SQRT: f64 = std::f64::consts::FRAC_1_SQRT_2;
 const LOG_2: f64 = std::f64::consts::LN_2;
-/// A uniform number has so many bits.
+/// The number of bits of a uniform number.
 const BITS: i32 = 52;
-/// Numbers at a time, whose loops the compiler can write in vectors.
+/// Numbers at a time, whose loops the compiler can vectorise.
 const PORTION: usize = 64;
 
 /// AS 241: numerator and denominator, the highest power first.
 struct Ratio([f64; 8], [f64; 8]);
 
-/// Of the middle.
+/// For the middle.
 const MIDDLE: Ratio = Ratio(
     [
         2_509.080_928_730_122_7,
@@ -40,7 +40,7 @@ const MIDDLE: Ratio = Ratio(
         1.0,
     ],
 );
-/// Of the tails.
+/// For the tails.
 const NEAR: Ratio = Ratio(
     [
         0.000_774_545_014_278_341_4,
@@ -63,7 +63,7 @@ const NEAR: Ratio = Ratio(
         1.0,
     ],
 );
-/// Far out in the tails.
+/// For the far tails.
 const FAR: Ratio = Ratio(
     [
         2.010_334_399_292_288_1e-7,
@@ -87,7 +87,7 @@ const FAR: Ratio = Ratio(
     ],
 );
 
-/// Half the width of what `MIDDLE` is for.
+/// Half the width of the range of `MIDDLE`.
 const REACH: f64 = 0.425;
 
 impl Ratio {
@@ -113,7 +113,7 @@ fn share(key: u64, place: u64) -> f64 {
     ((mixed(key ^ mixed(place)) >> (64 - BITS)) as f64 + 0.5) * 0.5f64.powi(BITS)
 }
 
-/// The quantiles of the normal distribution, in place of shares between 0 and 1.
+/// Replaces shares between 0 and 1 by quantiles of the normal distribution.
 fn quantiles(shares: &mut [f64]) {
     for shares in shares.chunks_mut(PORTION) {
         let mut middle = [0.0; PORTION];
@@ -152,8 +152,8 @@ fn log(x: f64) -> f64 {
     f64::from(exponent) * LOG_2 + 2.0 * z * series
 }
 
-/// The next `width` numbers of each stream, one stream after the other: of the normal distribution, or
-/// evenly between 0 and 1.
+/// Return the next `width` numbers of each stream, one stream after the other: of the normal
+/// distribution, or evenly between 0 and 1.
 #[pyfunction]
 pub fn noise<'py>(
     py: Python<'py>,
@@ -176,7 +176,7 @@ pub fn noise<'py>(
     Ok(PyArray1::from_vec(py, numbers))
 }
 
-/// The quantiles of the standard normal distribution of shares between 0 and 1.
+/// Return the quantiles of the standard normal distribution of shares between 0 and 1.
 #[pyfunction]
 pub fn quantile<'py>(
     py: Python<'py>,

@@ -1,5 +1,5 @@
-//! What is read of a state, of bodies and of rays, as plain numbers in MuJoCo's order: angular
-//! before linear.
+//! Quantities of a state, of bodies and of rays, as plain numbers in MuJoCo's order: angular before
+//! linear.
 
 use stepcore::error::Result;
 use stepcore::real::Real;
@@ -9,8 +9,8 @@ use stepcore::watch::{first_hit, tendon_path, Bodies, BodyForces, RayFilter, Way
 
 use crate::world::{BodyForce, Placed};
 
-/// By ray: distance in lengths of its direction and index of the geom, −1 where it meets none; the
-/// surface's outward normal, then zero.
+/// For each ray: distance in lengths of its direction and index of the geom, −1 if it meets none;
+/// the surface's outward normal, else zero.
 #[derive(Default)]
 pub struct Rays {
     pub dist: Vec<f64>,
@@ -23,7 +23,7 @@ pub fn flat<R: Real>(v: &V3<R>) -> [f64; 3] {
     [v.x.lane(0), v.y.lane(0), v.z.lane(0)]
 }
 
-/// Those of the first lane.
+/// The numbers of the first lane.
 pub fn numbers<R: Real>(values: &[R]) -> Vec<f64> {
     values.iter().map(|x| x.lane(0)).collect()
 }
@@ -32,7 +32,7 @@ fn six(ang: &V3<f64>, lin: &V3<f64>) -> [f64; 6] {
     [ang.x, ang.y, ang.z, lin.x, lin.y, lin.z]
 }
 
-/// What is read of the present state, which `sim` has placed.
+/// A quantity of the present state, which `sim` has placed.
 pub fn placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Result<Vec<f64>> {
     let model = sim.model().clone();
     let matrix = |m: &M3<R>| m.transpose().iter().map(|x| x.lane(0)).collect::<Vec<_>>();
@@ -99,7 +99,7 @@ pub fn placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Result<Vec<f64>> {
     })
 }
 
-/// Of the quantities about centres of mass, the one that is asked for.
+/// The requested one of the quantities about centres of mass.
 pub fn bodies(bodies: &Bodies, what: Placed) -> Vec<f64> {
     match what {
         Placed::SubtreeCom => bodies.subtree_com.iter().flat_map(|v| [v.x, v.y, v.z]).collect(),
@@ -119,7 +119,7 @@ pub fn body_force(forces: &BodyForces, what: BodyForce) -> Vec<f64> {
     }
 }
 
-/// By stretch, the points of a tendon's way one after the other.
+/// For each stretch, the points of a tendon's path one after the other.
 pub type TendonPath = Vec<Vec<f64>>;
 
 pub fn tendon_paths<R: Real>(sim: &mut Sim<R>) -> Vec<TendonPath> {
@@ -129,7 +129,7 @@ pub fn tendon_paths<R: Real>(sim: &mut Sim<R>) -> Vec<TendonPath> {
     model.tendons.iter().map(path).collect()
 }
 
-/// Each ray is 6 numbers: where it starts, and its direction.
+/// Each ray is 6 numbers: its origin and its direction.
 pub fn rays<R: Real>(sim: &mut Sim<R>, rays: &[f64], filter: &RayFilter) -> Rays {
     let model = sim.model().clone();
     let bodies = sim.bodies(0);

@@ -1,4 +1,4 @@
-//! What Python reads of worlds by name, as arrays: of the present state, or of the last solve.
+//! Quantities that Python reads of worlds by name: from the present state, or the last solve.
 
 use pyo3::exceptions::PyAttributeError;
 use pyo3::PyErr;
@@ -6,18 +6,18 @@ use stepcore::model::Model;
 
 use crate::world::{BodyForce, Placed, Solved};
 
-/// Where an array comes from.
+/// The source of an array.
 #[derive(Clone, Copy)]
 pub enum Readout {
     /// The present state.
     Placed(Placed),
-    /// The last solve, which a batch does again for it.
+    /// The last solve, which a batch repeats for it.
     Solved(Solved),
     BodyForce(BodyForce),
 }
 
 impl Readout {
-    /// By the name that it has in Python.
+    /// Finds it by its name in Python.
     pub fn named(name: &str) -> Result<Self, PyErr> {
         Ok(match name {
             "xpos" => Self::Placed(Placed::BodyPos),
@@ -52,7 +52,7 @@ impl Readout {
         })
     }
 
-    /// Of one world.
+    /// The shape for one world.
     pub fn shape(self, model: &Model) -> Vec<usize> {
         match self {
             Self::Placed(what) => what.shape(model),

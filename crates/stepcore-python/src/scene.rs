@@ -1,4 +1,4 @@
-//! The engine's scene out of the dict that `stepcore.Scene.to_dict` makes.
+//! Reads the engine's scene from the dict that `stepcore.Scene.to_dict` makes.
 
 use pyo3::prelude::*;
 use stepcore::scene::{
@@ -40,7 +40,7 @@ named!(Dynamics {
     "muscle" => Muscle,
 });
 
-/// By which of its fields is there.
+/// Distinguished by the field that is present.
 impl Read for Stop {
     fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
         let has = |field: &str| value.contains(field).unwrap_or(false);
@@ -90,7 +90,7 @@ impl Read for SensorType {
     }
 }
 
-/// By which of its fields is there.
+/// Distinguished by the field that is present.
 impl Read for Target {
     fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
         let has = |field: &str| value.contains(field).unwrap_or(false);

@@ -1,4 +1,4 @@
-//! `Settings` as Python sees it: the fields, defaults and limits of the engine's.
+//! `Settings` in Python: the fields, defaults and limits of the engine's.
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -12,7 +12,7 @@ use crate::errors::Raised;
 use crate::extract::{refuse, At, Read};
 use crate::nearest::{cut, nearest};
 
-/// A field as Python gets it.
+/// A field in Python.
 trait Shown {
     type Out;
     fn shown(self) -> Self::Out;

@@ -1,4 +1,4 @@
-//! `Sim` as Python sees it: one world, its arrays, and what can be read of it.
+//! `Sim` in Python: one world, its arrays, and its readable quantities.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -32,7 +32,7 @@ use crate::world::{world, Placed, World};
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// Energy before and after, and gains by element.
 type TapedStep = (f64, f64, Vec<(Id, f64)>);
-/// A length that was refused [s], and the body whose error was too large.
+/// A rejected length [s], and the body whose error was too large.
 type Refused = (f64, Option<usize>);
 /// Elements, forces (n, nv), energies (n,), entries of slopes (m, 5).
 type SlopesTable<'py> = (Vec<Id>, Array<'py>, Vec<f64>, Array<'py>);
@@ -45,7 +45,7 @@ pub struct Sim {
     world: Mutex<Box<dyn World>>,
     singles: gil::Singles,
     slow: Slow,
-    /// Of linearisations and motions.
+    /// The pace of linearisations and motions.
     pace: gil::Pace,
 }
 
@@ -54,12 +54,12 @@ impl Sim {
         gil::lock(&self.world, "Sim")
     }
 
-    /// Checks the arrays and copies them into the engine, which is about to solve.
+    /// Check the arrays and copy them into the engine, which is about to solve.
     fn load(&self, py: Python<'_>, world: &mut dyn World) -> PyResult<()> {
         self.arrays.load(py, |given, some| world.load(given, some)).raised(py)
     }
 
-    /// The same for who does something else.
+    /// The same before an operation other than a solve.
     fn load_beside(&self, py: Python<'_>, world: &mut dyn World) -> PyResult<()> {
         world.keep_solve();
         self.load(py, world)
@@ -106,12 +106,12 @@ impl Sim {
         })
     }
 
-    /// The arrays that are the user's to write, each with its name.
+    /// Return the arrays that the user may write, each with its name.
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<Named<'py>>> {
         self.arrays.views(py, &[])
     }
 
-    /// What has this name; see `Readout::named`.
+    /// Return the quantity of this name; see `Readout::named`.
     fn readout<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Array<'py>> {
         let what = Readout::named(name)?;
         let mut guard = self.lock()?;
@@ -128,7 +128,7 @@ impl Sim {
         result(py, numbers, &what.shape(&self.model))
     }
 
-    /// Advances by n steps.
+    /// Advance by n steps.
     fn step(&self, py: Python<'_>, n: &Bound<'_, PyAny>) -> PyResult<()> {
         let n = u64::read(n, &At::Root.field("n"))?;
         let mut guard = self.lock()?;
@@ -157,7 +157,7 @@ impl Sim {
         world.take_warning().map_or(Ok(()), |text| warn::<EnergyWarning>(py, &text))
     }
 
-    /// Steps under controls, (1, rows, nu); returns what is asked for.
+    /// Step under controls, (1, rows, nu); return the requested samples.
     #[pyo3(signature = (asked, ctrl = None))]
     fn follow<'py>(
         &self,
@@ -188,14 +188,14 @@ impl Sim {
         Ok(samples)
     }
 
-    /// Energies are not looked at, but by the ledger of the settings, and slow steps not explained.
+    /// Stop checking energies, except in the ledger of the settings, and explaining slow steps.
     fn unwatch(&self) -> PyResult<()> {
         self.slow.keep_quiet();
         self.lock()?.unwatch();
         Ok(())
     }
 
-    /// Balances the ledger at the present state.
+    /// Balance the ledger at the present state.
     fn balance(&self, py: Python<'_>) -> PyResult<()> {
         let mut guard = self.lock()?;
         let world = &mut **guard;
@@ -206,8 +206,8 @@ impl Sim {
         world.take_warning().map_or(Ok(()), |text| warn::<EnergyWarning>(py, &text))
     }
 
-    /// Steps once; returns the kinetic and spring energy before and after, and the energy that
-    /// each element injected.
+    /// Step once; return the kinetic and spring energy before and after, and the energy that each
+    /// element injected.
     fn taped_step(&self, py: Python<'_>) -> PyResult<TapedStep> {
         let mut guard = self.lock()?;
         let world = &mut **guard;
@@ -228,7 +228,7 @@ impl Sim {
         gil::release(py, || world.forward())
     }
 
-    /// Puts qpos and qvel where a step from here evaluates its forces last.
+    /// Put qpos and qvel where a step from here evaluates its forces last.
     fn go_to_last_stage(&self, py: Python<'_>) -> PyResult<()> {
         let mut guard = self.lock()?;
         let world = &mut **guard;
@@ -243,7 +243,7 @@ impl Sim {
         Ok(self.lock()?.time())
     }
 
-    /// Sets the time [s] from which steps are counted.
+    /// Set the time [s] from which steps are counted.
     #[setter]
     fn set_time(&self, time: &Bound<'_, PyAny>) -> PyResult<()> {
         let start = f64::read(time, &At::Root.field("time"))?;
@@ -254,7 +254,7 @@ impl Sim {
         Ok(())
     }
 
-    /// Forgets the impulses of the last step, and who slept: those sleep who do so from the start.
+    /// Forget the impulses of the last step, and reset sleep to its initial state.
     fn forget(&self) -> PyResult<()> {
         let mut world = self.lock()?;
         let memo = Memo { warm: Vec::new(), sleep: world.initial_sleep(), ..world.memo() };
@@ -263,8 +263,8 @@ impl Sim {
         Ok(())
     }
 
-    /// A (as many columns as rows), B (nu columns) and P, side by side, of a step from the present state; the
-    /// elements at which they are one-sided. `parameters`: the models around each.
+    /// Return A (as many columns as rows), B (nu columns) and P, side by side, of a step from the
+    /// present state; the elements where they are one-sided. `parameters`: the models around each.
     fn linearize<'py>(
         &self,
         py: Python<'py>,
@@ -283,15 +283,15 @@ impl Sim {
         })?;
         let degenerate = linearizer.degenerate.iter().map(|(_, at)| id(*at)).collect();
         let shape = [linearizer.rows(), linearizer.width()];
-        // Who works with the world now makes another one.
+        // Another thread that now works with the world makes a new one.
         if let Ok(mut world) = self.lock() {
             world.keep(linearizer);
         }
         Ok((result(py, matrix, &shape)?, degenerate))
     }
 
-    /// Of every element that acts at the present state: its force by dof, what it stores [J], and
-    /// the entries of its slopes, in the columns (nth element, dof, dof, stiffness, damping).
+    /// For every element that acts at the present state, return its force by dof, its stored energy
+    /// [J], and its slopes, in the columns (nth element, dof, dof, stiffness, damping).
     fn element_slopes<'py>(&self, py: Python<'py>) -> PyResult<SlopesTable<'py>> {
         let mut slopes = {
             let mut guard = self.lock()?;
@@ -318,7 +318,7 @@ impl Sim {
         ))
     }
 
-    /// Floating-point operations of the next n steps, by stage.
+    /// Count the floating-point operations of the next n steps, by stage.
     fn count(&self, py: Python<'_>, n: &Bound<'_, PyAny>) -> PyResult<Vec<(&'static str, u64)>> {
         let n = u64::read(n, &At::Root.field("n"))?;
         let mut counter = {
@@ -331,7 +331,7 @@ impl Sim {
         Ok(Stage::ALL.iter().map(|stage| stage.name()).zip(counter.counts).collect())
     }
 
-    /// Memory of state and working space in the engine.
+    /// Return the memory of state and working space in the engine.
     #[getter]
     fn nbytes(&self) -> PyResult<usize> {
         Ok(self.lock()?.bytes())
@@ -345,13 +345,13 @@ impl Sim {
         Ok(PyBytes::new(py, &self.arrays.read(py, 0, |given| encode(dt, &memo, None, given))))
     }
 
-    /// What the last solve began with and gave.
+    /// Return the start of the last solve and its result.
     fn last<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyBytes>>> {
         let world = self.lock()?;
         Ok(world.last().map(|last| PyBytes::new(py, &encode_last(world.dt(), &last))))
     }
 
-    /// last: what `last` returned at that state.
+    /// Restore a state; last: the result of `last` at that state.
     fn restore(&self, py: Python<'_>, state: &[u8], last: Option<&[u8]>) -> PyResult<()> {
         let mut world = self.lock()?;
         let last = last.map(|last| decode_last(last, self.arrays.lengths)).transpose();
@@ -382,7 +382,7 @@ impl Sim {
         self.placed(py, Placed::PointJacobian(body, point))
     }
 
-    /// A sensor's values, or all sensors'.
+    /// Return a sensor's values, or all sensors'.
     #[pyo3(signature = (sensor = None))]
     fn sensordata<'py>(&self, py: Python<'py>, sensor: Option<usize>) -> PyResult<Array<'py>> {
         check_sensor(&self.model, sensor)?;
@@ -393,7 +393,7 @@ impl Sim {
         let count = numbers.len();
         result(py, numbers, &[count])
     }
-    /// The forces that give an acceleration (nv,), by default that of the last solve.
+    /// Return the forces that give an acceleration (nv,), by default the last solve's.
     #[pyo3(signature = (qacc = None))]
     fn inverse<'py>(&self, py: Python<'py>, qacc: Option<Vec<f64>>) -> PyResult<Array<'py>> {
         let mut guard = self.lock()?;
@@ -401,7 +401,7 @@ impl Sim {
         let forces = self.arrays.read(py, 0, |given| world.inverse(given, qacc)).raised(py)?;
         result(py, forces, &[self.model.nv])
     }
-    /// Distances, geoms and normals of rays (n, 6) at the present state.
+    /// Return distances, geoms and normals of rays (n, 6) at the present state.
     #[pyo3(signature = (rays, excluded = None, groups = None, moving = false))]
     fn rays<'py>(
         &self,
@@ -418,13 +418,13 @@ impl Sim {
         let count = found.dist.len();
         Ok((result(py, found.dist, &[count])?, found.geom, result(py, found.normal, &[count, 3])?))
     }
-    /// The ways of all tendons, by stretch: points (n, 3), flat.
+    /// Return the paths of all tendons, by stretch: points (n, 3), flat.
     fn tendon_paths(&self, py: Python<'_>) -> PyResult<Vec<TendonPath>> {
         let mut guard = self.lock()?;
         let world = &mut **guard;
         self.arrays.read(py, 0, |given| world.tendon_paths(given)).raised(py)
     }
-    /// Elements that push, and the generalised force of each.
+    /// Return the elements that push, and the generalised force of each.
     fn element_forces<'py>(&self, py: Python<'py>) -> PyResult<(Vec<Id>, Array<'py>)> {
         let mut guard = self.lock()?;
         let world = &mut **guard;
@@ -433,7 +433,7 @@ impl Sim {
         let elements = forces.keys().map(|element| id(*element)).collect();
         Ok((elements, shaped(py, forces.into_values().flatten().collect(), &shape)?))
     }
-    /// Elements, geoms, and dist, pos, normal, force in the columns of one array.
+    /// Return elements, geoms, and dist, pos, normal, force in the columns of one array.
     fn contacts<'py>(&self, py: Python<'py>) -> PyResult<ContactTable<'py>> {
         contacts(py, self.lock()?.contacts())
     }
@@ -460,7 +460,7 @@ impl Sim {
     fn sweeps_done(&self) -> PyResult<u32> {
         Ok(self.lock()?.effort().sweeps)
     }
-    /// By body.
+    /// One entry for each body.
     #[getter]
     fn asleep(&self) -> PyResult<Vec<bool>> {
         Ok(self.lock()?.asleep())
@@ -473,8 +473,8 @@ impl Sim {
     fn evaluations(&self) -> PyResult<u64> {
         Ok(self.lock()?.effort().evaluations)
     }
-    /// Of the last step within an accuracy: the shortest part taken [s]; the shortest refused [s],
-    /// with the body whose error was too large.
+    /// Return, for the last adaptive step: the shortest accepted part [s]; the shortest rejected
+    /// one [s], with the body whose error was too large.
     #[getter]
     fn stretches(&self) -> PyResult<(f64, Option<Refused>)> {
         let stretches = self.lock()?.effort().stretches;
@@ -488,7 +488,7 @@ impl Sim {
     fn decrement(&self) -> PyResult<f64> {
         Ok(self.lock()?.effort().decrement)
     }
-    /// How often the list of contacts had to grow.
+    /// Return how many times the list of contacts had to grow.
     #[getter]
     fn contacts_grown(&self) -> PyResult<u64> {
         Ok(self.lock()?.grown())

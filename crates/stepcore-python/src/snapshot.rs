@@ -1,4 +1,4 @@
-//! A snapshot as bytes: the arrays of one world and what a step hands to the next; and the last solve.
+//! A snapshot as bytes: one world's arrays, the data passed to its next step, and the last solve.
 
 use stepcore::arrays::{Array, Given};
 use stepcore::batch::Last;
@@ -14,17 +14,17 @@ const HEAD: &[u8; 16] = b"stepcore state A";
 /// Bytes of a word.
 const WORD: usize = size_of::<u64>();
 
-/// Steps are counted in numbers that hold every one of them.
+/// Up to here a float holds every step count.
 const MOST_STEPS: u64 = 1 << 53;
 
-/// What a snapshot holds.
+/// The content of a snapshot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {
     pub dt: f64,
     pub memo: Memo,
-    /// In a batch all worlds count time together, beside each its own.
+    /// In a batch all worlds count time together, in addition to each world's time.
     pub shared: Clock,
-    /// Those of `Array::ALL` one after the other.
+    /// The arrays of `Array::ALL` one after the other.
     pub numbers: Vec<f64>,
 }
 
@@ -36,7 +36,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// The same time in steps of another length.
+    /// Expresses the same time in steps of another length.
     fn count_from_now(&mut self, dt: f64) {
         self.start += self.steps as f64 * dt;
         self.steps = 0;
@@ -44,7 +44,7 @@ impl Clock {
 }
 
 impl Snapshot {
-    /// Counts time in steps of `dt`; where the snapshot's were others, it goes on from there.
+    /// Counts time in steps of `dt`; if the snapshot's were others, it continues from there.
     pub fn count_in(&mut self, dt: f64) {
         if self.dt != dt {
             let mut own = self.memo.clock();
@@ -57,7 +57,7 @@ impl Snapshot {
     }
 }
 
-/// shared: the time that a batch's worlds share, where the world's own is another.
+/// shared: the time that a batch's worlds share, if this world's differs.
 pub fn encode(dt: f64, memo: &Memo, shared: Option<Clock>, given: &Given) -> Vec<u8> {
     let arrays = *given.lists();
     let mut bytes = HEAD.to_vec();
@@ -74,7 +74,7 @@ pub fn encode(dt: f64, memo: &Memo, shared: Option<Clock>, given: &Given) -> Vec
     bytes
 }
 
-/// Where the last solve began, as a snapshot, and what it gave.
+/// The start of the last solve, as a snapshot, and its result.
 pub fn encode_last(dt: f64, last: &Solve) -> Vec<u8> {
     let mut bytes = encode(dt, &last.memo, None, &last.given());
     put_numbers(&mut bytes, &last.qacc);
@@ -96,7 +96,7 @@ fn put_word_of_sum(bytes: &mut Vec<u8>) {
     put_word(bytes, sum);
 }
 
-/// Impulses, and who sleeps.
+/// Impulses, and the sleeping trees.
 fn put_memo(bytes: &mut Vec<u8>, memo: &Memo) {
     put_word(bytes, memo.warm.len() as u64);
     memo.warm.iter().for_each(|warm| encode_warm(bytes, warm));
@@ -122,8 +122,8 @@ fn encode_warm(bytes: &mut Vec<u8>, warm: &Warm<f64>) {
     }
 }
 
-/// Word after word by a rotation, an exclusive or and a product with an odd number (FxHash), each of
-/// which can be undone: every damage within one word changes it.
+/// Word after word by a rotation, an exclusive or and a product with an odd number (FxHash), each
+/// of which can be undone: every damage within one word changes it.
 fn checksum(bytes: &[u8]) -> u64 {
     let mix =
         |hash: u64, word: u64| (hash.rotate_left(5) ^ word).wrapping_mul(0x517c_c1b7_2722_0a95);
@@ -137,7 +137,7 @@ fn checksum(bytes: &[u8]) -> u64 {
 const OTHER: &str = "these are not the bytes of a state() of this version";
 const CHANGED: &str = "the bytes of this state() were changed";
 
-/// The snapshot in `bytes`, or what is wrong with them.
+/// Decodes the snapshot in `bytes`, or returns their error.
 pub fn decode(bytes: &[u8], lengths: [usize; Array::COUNT]) -> Result<Snapshot, String> {
     let rest = bytes.strip_prefix(HEAD.as_slice()).ok_or(OTHER)?;
     let mut rest = Rest(checked(rest, bytes)?);
@@ -188,14 +188,14 @@ fn checked<'a>(part: &'a [u8], bytes: &[u8]) -> Result<&'a [u8], String> {
     part.get(..part.len() - WORD).ok_or(OTHER.into())
 }
 
-/// Its impulses are finite and in order.
+/// Whether its impulses are finite and in order.
 fn is_sound(memo: &Memo) -> bool {
     let mut all = memo.warm.iter().chain(memo.sleep.kept.iter().map(|(_, warm)| warm));
     memo.warm.windows(2).all(|w| w[0].slot < w[1].slot)
         && all.all(|w| w.feature.is_finite() && w.impulse.iter().all(|x| x.is_finite()))
 }
 
-/// What is still to be read.
+/// The bytes that are still to be read.
 struct Rest<'a>(&'a [u8]);
 
 impl Rest<'_> {
@@ -224,7 +224,7 @@ impl Rest<'_> {
         Ok(Memo { start, steps, warm, sleep: self.sleep(nq)? })
     }
 
-    /// As many as were counted, each of at least one word.
+    /// As many items as were counted, each of at least one word.
     fn list<T>(
         &mut self,
         count: u64,

@@ -1,4 +1,4 @@
-//! Tables of contacts, rows and rays, as Python reads them.
+//! Tables of contacts, rows and rays for Python.
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;

@@ -1,4 +1,4 @@
-//! One world of either precision behind one interface: what `Sim` in Python holds.
+//! One world of either precision behind one interface: the content of `Sim` in Python.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use stepcore::watch::{
 use crate::memo::{put_memo, warm_of, Memo, Solve};
 use crate::readings::{self, flat, numbers, Rays, TendonPath};
 
-/// What is read of the present state.
+/// Quantities of the present state.
 #[derive(Clone, Copy)]
 pub enum Placed {
     BodyPos,
@@ -39,7 +39,7 @@ pub enum Placed {
     TendonForce,
     SiteMat,
     SubtreeCom,
-    /// As `Bodies` has them.
+    /// As in `Bodies`.
     Inertias,
     Velocities,
     MassMatrix,
@@ -50,11 +50,11 @@ pub enum Placed {
     Overlap,
     Jacobian(usize),
     SiteJacobian(usize),
-    /// Of the point of a body that is here in the world.
+    /// For the point of a body that is here in the world.
     PointJacobian(usize, [f64; 3]),
 }
 
-/// What is read of bodies in the last solve.
+/// Quantities of bodies in the last solve.
 #[derive(Clone, Copy)]
 pub enum BodyForce {
     External,
@@ -62,7 +62,7 @@ pub enum BodyForce {
     Acceleration,
 }
 
-/// What is read of the last solve.
+/// Quantities of the last solve.
 #[derive(Clone, Copy)]
 pub enum Solved {
     Acceleration,
@@ -90,25 +90,25 @@ pub struct Rows {
 
 pub trait World: Send {
     fn check(&self, given: &Given) -> Result<()>;
-    /// Checks some arrays and takes them in.
+    /// Checks some arrays and copies them in.
     fn load(&mut self, given: &Given, some: ArraySet) -> Result<()>;
     fn put(&mut self, given: &Given);
     fn take(&self, array: Array, out: &mut [f64]);
-    /// Lets so many threads share the work of each step.
+    /// Lets this many threads share the work of each step.
     fn use_threads(&mut self, threads: usize) -> Result<()>;
     fn step(&mut self, n: u64) -> Result<()>;
     /// Steps `from..from + n` of a motion.
     fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()>;
-    /// A call of so many steps ends: balances the ledger if they are enough.
+    /// Ends a call of this many steps: balances the ledger if they are enough.
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
     /// Puts the state where a step from here evaluates its forces last.
     fn go_to_last_stage(&mut self) -> Result<()>;
-    /// What is to be said of energies, once; see `Watched::take_warning`.
+    /// A warning about energies, given once; see `Watched::take_warning`.
     fn take_warning(&mut self) -> Option<String>;
-    /// Energies are not looked at, but by the ledger of the settings.
+    /// Stops checking energies, except in the ledger of the settings.
     fn unwatch(&mut self);
-    /// Steps once, and says how much energy each element injected.
+    /// Steps once, and returns the energy that each element injected.
     fn taped_step(&mut self) -> Result<StepGains>;
     /// Time of the state, and time step [s].
     fn time(&self) -> f64;
@@ -118,26 +118,25 @@ pub trait World: Send {
     fn set_memo(&mut self, memo: &Memo);
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>>;
     fn solved(&mut self, what: Solved) -> Vec<f64>;
-    /// The state at hand did not come from a solve: what is read of the last one is read there.
+    /// Records that the present state did not come from a solve: the last one is read there.
     fn unsolved(&mut self);
-    /// What the last solve began with.
+    /// The initial state and inputs of the last solve.
     fn last(&self) -> Option<Solve>;
-    /// The last solve began there; it is made again when something of it is read.
+    /// Sets the start of the last solve; it is repeated when something of it is read.
     fn set_last(&mut self, last: Option<&Solve>);
-    /// The last solve is one at the state at hand, to be done when something of it is read.
+    /// Makes the last solve one at the present state, to be done when something of it is read.
     fn stayed(&mut self);
-    /// The last solve is kept for reading, because what follows is none.
+    /// Keeps the last solve for reading, because the following operation is none.
     fn keep_solve(&mut self);
-    /// By body, 6 numbers each, at the last solve or, before there was one, at the present state.
+    /// 6 numbers for each body, at the last solve or, before there was one, at the present state.
     fn body_force(&mut self, given: &Given, what: BodyForce) -> Result<Vec<f64>>;
     /// A sensor's values, or all sensors', at the same state.
     fn sensordata(&mut self, given: &Given, sensor: Option<usize>) -> Result<Vec<f64>>;
-    /// Inverse dynamics at the present state; the acceleration is that of the last solve if none
-    /// is given.
+    /// Inverse dynamics at the present state; by default for the acceleration of the last solve.
     fn inverse(&mut self, given: &Given, qacc: Option<&[f64]>) -> Result<Vec<f64>>;
-    /// Through the present state: origin and direction, 6 numbers a ray.
+    /// Casts rays through the present state: origin and direction, 6 numbers for each ray.
     fn rays(&mut self, given: &Given, rays: &[f64], filter: &RayFilter) -> Result<Rays>;
-    /// Of every tendon.
+    /// The paths of all tendons.
     fn tendon_paths(&mut self, given: &Given) -> Result<Vec<TendonPath>>;
     fn contacts(&mut self) -> Contacts;
     /// The generalised force of every element that pushes, at the state of the last solve.
@@ -145,18 +144,18 @@ pub trait World: Send {
     fn rows(&mut self) -> Rows;
     fn coupling(&mut self) -> Coupling;
     fn residual(&mut self) -> f64;
-    /// What `max_recovery_speed` left of an overlap in the last solve.
+    /// The overlap that `max_recovery_speed` left in the last solve.
     fn unrecovered(&mut self) -> f64;
     fn effort(&mut self) -> Effort;
-    /// What makes steps within an accuracy slow.
+    /// The reason why adaptive steps are slow.
     fn slow(&self) -> Option<String>;
-    /// By body: whether it sleeps.
+    /// For each body: whether it sleeps.
     fn asleep(&self) -> Vec<bool>;
-    /// Who sleeps when it begins.
+    /// The sleeping trees at the start.
     fn initial_sleep(&self) -> Sleep<f64>;
-    /// How often the list of contacts had to grow.
+    /// The number of times the list of contacts had to grow.
     fn grown(&self) -> u64;
-    /// For a linearisation from the present state; `keep` it after use.
+    /// Prepares a linearisation at the present state; `keep` it after use.
     fn linearizer(&mut self, of: &Arc<Neighbourhood>) -> Result<Linearizer>;
     fn keep(&mut self, linearizer: Linearizer);
     fn element_slopes(&mut self) -> Result<ElementSlopes>;
@@ -164,7 +163,7 @@ pub trait World: Send {
     fn bytes(&self) -> usize;
 }
 
-/// A world in the precision that the settings ask for.
+/// A world in the precision of the settings.
 pub fn world(model: Arc<Model>, settings: &Settings) -> Result<Box<dyn World>> {
     Ok(match settings.precision {
         Precision::F64 => Box::new(One::<f64>::new(model, settings)?),
@@ -174,11 +173,11 @@ pub fn world(model: Arc<Model>, settings: &Settings) -> Result<Box<dyn World>> {
 
 struct One<R: Real> {
     watched: Watched<R>,
-    /// What is read is computed there, so that reading leaves the last solve as it is.
+    /// Readings are computed there, so that they leave the last solve as it is.
     last: LastSolve<R>,
-    /// What that solve belonged to.
+    /// The call to which that solve belonged.
     of: Last,
-    /// It is in no `Sim` yet, but for its acceleration.
+    /// Whether it is in no `Sim` yet, except for its acceleration.
     unmade: bool,
     /// The last one.
     linearizer: Option<Linearizer>,
@@ -203,12 +202,12 @@ impl<R: Real> One<R> {
         self.sim()
     }
 
-    /// What is solved now is the last solve.
+    /// Makes the present solve the last one.
     fn solves(&mut self, of: Last) {
         (self.of, self.unmade) = (of, false);
     }
 
-    /// An error ended in a solve at the state that it left.
+    /// Records the outcome: an error ended in a solve at the state that it left.
     fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
         if outcome.is_err() {
             self.stayed();
@@ -216,10 +215,10 @@ impl<R: Real> One<R> {
         outcome
     }
 
-    /// So many steps were taken.
+    /// Records that this many steps were taken.
     fn stepped(&mut self, n: u64, mut outcome: Result<()>) -> Result<()> {
         if n > 0 && self.sim().settings().accuracy.0.is_some() {
-            // What was solved last belongs to a part of a step: what is read is that of the state.
+            // The last solve belongs to a part of a step: readings are for the state.
             outcome = outcome.and_then(|()| self.watched.forward());
             self.stayed();
         }

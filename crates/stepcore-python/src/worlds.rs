@@ -1,5 +1,5 @@
-//! Many worlds of either precision, in lanes or one by one, behind one interface:
-//! what `Batch` in Python holds.
+//! Many worlds of either precision, in lanes or one by one, behind one interface: the content of
+//! `Batch` in Python.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use crate::auto::{Auto, Make};
 use crate::memo::{put_memos, Lists, Memo, Solve};
 use crate::world::World;
 
-// Worlds side by side, where the module has lanes.
+// Worlds in lanes, if the module has lanes.
 #[cfg(not(feature = "single"))]
 pub use stepcore::real::{Lanes as Wide, LanesF32 as WideF32};
 #[cfg(feature = "single")]
@@ -30,64 +30,64 @@ pub trait Worlds: Send + Sync {
     fn put(&mut self, world: usize, given: &Given);
     /// Checks the arrays of all worlds, then puts them.
     fn load(&mut self, given: &Givens) -> Result<()>;
-    /// Gives an array that a step changes, of all worlds.
+    /// Copies out an array that a step changes, for all worlds.
     fn store(&self, array: Array, numbers: &mut [f64]);
     fn step(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
     fn go_to_last_stage(&mut self) -> Result<()>;
     fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()>;
-    /// The error of a world that failed while the others went on.
+    /// The error of a world that failed while the others continued.
     fn failed(&self, world: usize) -> Option<&Error>;
     fn time(&self) -> f64;
     fn qacc(&self) -> Vec<f64>;
-    /// Of the last solves, where they were kept.
+    /// The actuators' forces in the last solves, if they were kept.
     fn actuator_forces(&self) -> Option<Vec<f64>>;
-    /// The worlds that failed while the others went on, and those of another that takes over.
+    /// The worlds that failed while the others continued; and the failures of a replaced batch.
     fn failures(&self) -> Vec<Option<Failed>>;
     fn set_failures(&mut self, failed: Vec<Option<Failed>>);
-    /// The last states of a world, and those of another batch's that goes on here.
+    /// The last states of a world, and of another batch's world that continues here.
     fn past(&self, world: usize) -> WorldPast;
     fn take_past(&mut self, world: usize, past: &WorldPast);
     /// A world's arrays as they are here.
     fn lists(&self, world: usize) -> Lists;
-    /// Does a world's last solve again in `into`, which then has its rows and contacts.
+    /// Repeats a world's last solve in `into`, which then has its rows and contacts.
     fn again(&self, world: usize, into: &mut dyn World) -> Result<()>;
-    /// Puts `into` where a world's last solve began, for what `into` reads by solving there.
+    /// Puts `into` at the start of a world's last solve, for readings that solve there.
     fn before(&self, world: usize, into: &mut dyn World) -> Result<()>;
     fn memo(&self, world: usize) -> Memo;
     fn memos(&self) -> Vec<Memo> {
         (0..self.by_model().len()).map(|world| self.memo(world)).collect()
     }
     fn set_memos(&mut self, memos: &[Memo]);
-    /// What a world's last solve began with.
+    /// The initial state and inputs of a world's last solve.
     fn last_of(&self, world: usize) -> Option<Solve>;
-    /// The last solves began there.
+    /// Sets the starts of the last solves.
     fn set_lasts(&mut self, lasts: &[Option<Solve>]);
-    /// Time and steps of all worlds; impulses forgotten.
+    /// Sets time and steps of all worlds, and removes impulses.
     fn restart(&mut self, start: f64);
-    /// The states at hand did not come from a solve.
+    /// Records that the present states did not come from a solve.
     fn unsolved(&mut self);
-    /// Some worlds begin anew; see `Batch::forget`.
+    /// Restarts some worlds; see `Batch::forget`.
     fn forget(&mut self, worlds: &[usize]);
-    /// What there is to say of a world's energies, once; see `unwatch`.
+    /// A warning about a world's energies, given once; see `unwatch`.
     fn take_warning(&mut self) -> Option<String>;
-    /// What makes steps within an accuracy slow.
+    /// The reason why adaptive steps are slow.
     fn slow(&self) -> Option<String>;
-    /// Accounts of energy are balanced where they end: before worlds go on elsewhere.
+    /// Balances accounts of energy where they end: before worlds continue elsewhere.
     fn balance(&mut self) -> Result<()>;
-    /// Energies are not looked at any more, but by the ledger of the settings.
+    /// Stops checking energies, except in the ledger of the settings.
     fn unwatch(&mut self);
-    /// In lanes now.
+    /// Whether worlds are in lanes now.
     fn in_lanes(&self) -> bool;
-    /// For tests: the way changes at every step, whichever takes less time.
+    /// For tests: changes the way at every step, whichever takes less time.
     fn turn_at_every_step(&mut self) {}
     /// Memory [bytes]; models are not in it.
     fn bytes(&self) -> usize;
     fn model(&self, world: usize) -> &Arc<Model>;
-    /// Gives the worlds models that differ in numbers from those that they have; false: that cannot
-    /// be done here, and nothing has changed.
+    /// Gives the worlds models that differ in numbers from their present ones; false: that is
+    /// impossible here, and nothing has changed.
     fn set_models(&mut self, how: &How, models: &[Arc<Model>], model_of: &[usize]) -> bool;
-    /// All worlds, those of one model beside each other.
+    /// All worlds, grouped by model.
     fn by_model(&self) -> &[usize];
 }
 
@@ -96,23 +96,23 @@ pub trait Worlds: Send + Sync {
 pub struct How {
     pub settings: Settings,
     pub threads: usize,
-    /// In lanes where it can be; None: where it takes less time.
+    /// In lanes if possible; None: if it takes less time.
     pub lanes: Option<bool>,
-    /// A world that fails stands still, and the others go on.
+    /// Whether a failed world stops alone, and the others continue.
     pub goes_on: bool,
-    /// Energies are not looked at, in whatever worlds are made.
+    /// Whether checking energies was stopped, in all worlds that are made.
     pub unwatched: Arc<AtomicBool>,
 }
 
 impl How {
-    /// Worlds in the precision that the settings ask for; `model_of`: the model of each.
+    /// Worlds in the precision of the settings; `model_of`: the model of each.
     pub fn worlds(&self, models: Vec<Arc<Model>>, model_of: &[usize]) -> Result<Box<dyn Worlds>> {
         let width = if self.single() { <WideF32>::LANES } else { <Wide>::LANES };
         let gains = models.iter().all(|model| gains_by_lanes(model, &self.settings));
         self.settings.check()?;
         let kinds = kinds(&models);
         let can = width > 1 && gains && fills_lanes(&kinds, model_of, width);
-        // An account of energies stays with those who began it, and one world has no neighbours.
+        // An account of energies stays with its worlds, and one world has no neighbours.
         if self.lanes.is_some() || !can || self.settings.ledger || model_of.len() == 1 {
             let alone = self.lanes.is_none() && model_of.len() == 1;
             let lanes = can && !alone && self.lanes != Some(false);
@@ -238,7 +238,7 @@ impl<R: Real> Worlds for Batch<R> {
         self.before(world, into)?;
         let (.., last) = self.last(world);
         match last {
-            // Where it fails, as where the world failed, there is nothing to read.
+            // If it fails, as where the world failed, there is nothing to read.
             _ if last == Last::Forward || Batch::failed(self, world).is_some() => {
                 match into.forward() {
                     Err(Error::Diverged(_)) => Ok(()),
@@ -271,8 +271,8 @@ impl<R: Real> Worlds for Batch<R> {
         let qacc: Vec<f64> = Batch::qacc(self, world).collect();
         let (mut lists, mut memo) = (lists(state, inputs, lane), Memo::of(state, lane));
         let Some(failed) = failed else { return Some(Solve { of, qacc, lists, memo }) };
-        // Its last solve led nowhere: what is read is that of the state it stands in. Its lane
-        // holds another's impulses.
+        // Its last solve led nowhere: readings are for its present state. Its lane has other
+        // impulses.
         lists[..Array::CHANGED].clone_from_slice(&failed.state);
         memo.forget();
         let now = self.state(world).0;

@@ -1,8 +1,8 @@
-//! One world's arrays as the user holds them: `f64`, whatever the engine computes
-//! with. They are checked before anything moves, copied in, and copied out again.
+//! One world's arrays in the user's layout: `f64`, whatever number the engine computes with. They
+//! are checked before anything moves, copied in, and copied out again.
 //!
-//! `Array` lists them. A new one is a line in each of its functions, and one in `State::lists` or in
-//! `Inputs::arrays`, where the engine keeps it.
+//! `Array` lists them. To add one, add a line to each of its functions, and one to `State::lists`
+//! or `Inputs::arrays`, whichever stores it.
 
 pub mod array;
 
@@ -20,10 +20,10 @@ use crate::sim::Sim;
 use crate::state::{Inputs, State};
 use crate::warm::{Sleep, Warm};
 
-/// The square of a quaternion's length from which it can still be scaled to 1 in any precision.
+/// The smallest squared length of a quaternion that can be scaled to 1 in any precision.
 const SHORTEST_SQUARE: f64 = 1e-30;
 
-/// State and inputs of one world, to be read.
+/// State and inputs of one world, read-only.
 #[derive(Clone, Copy)]
 pub struct Given<'a>([&'a [f64]; Array::COUNT]);
 
@@ -36,24 +36,24 @@ impl Index<Array> for Given<'_> {
 }
 
 impl<'a> Given<'a> {
-    /// Of what `list` holds for each array.
+    /// Create from a function that returns each array.
     pub fn new(list: impl FnMut(Array) -> &'a [f64]) -> Self {
         Self(Array::ALL.map(list))
     }
 
-    /// In the order of `Array::ALL`.
+    /// Return the arrays in the order of `Array::ALL`.
     pub fn lists(&self) -> &[&'a [f64]; Array::COUNT] {
         &self.0
     }
 
-    /// Refuses what is not finite in the engine's number, truths that are neither 0 nor 1, and
-    /// quaternions of no length.
+    /// Reject numbers that are not finite in the engine's number, truths other than 0 and 1, and
+    /// quaternions of zero length.
     /// `world`: its index in a batch, for the error text.
     pub fn check<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
         self.check_some::<R>(model, ArraySet::ALL, world)
     }
 
-    /// The same of some arrays.
+    /// The same for some arrays.
     pub fn check_some<R: Real>(
         &self,
         model: &Model,
@@ -90,7 +90,7 @@ impl<'a> Given<'a> {
         Ok(())
     }
 
-    /// The same of numbers that are finite.
+    /// The same for finite numbers.
     pub(crate) fn check_forms<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
         self.check_truths(model, world)?;
         self.check_quaternions::<R>(model, world)
@@ -136,21 +136,21 @@ impl<'a> Given<'a> {
     }
 }
 
-/// State and inputs of many worlds, to be read: of each array all worlds', one after the other.
+/// State and inputs of many worlds, read-only: each array holds all worlds, one after another.
 pub struct Givens<'a> {
     lists: [&'a [f64]; Array::COUNT],
-    /// Numbers of a world.
+    /// Numbers per world.
     lengths: [usize; Array::COUNT],
 }
 
 impl<'a> Givens<'a> {
-    /// Of what `list` holds for each array, of so many worlds.
+    /// Create from a function that returns each array, with this many worlds.
     pub fn new(worlds: usize, list: impl FnMut(Array) -> &'a [f64]) -> Self {
         let lists = Array::ALL.map(list);
         Self { lists, lengths: lists.map(|list| list.len() / worlds) }
     }
 
-    /// One world's.
+    /// Return one world.
     #[inline]
     pub fn of(&self, world: usize) -> Given<'a> {
         let mut own: [&[f64]; Array::COUNT] = [&[]; Array::COUNT];
@@ -160,22 +160,22 @@ impl<'a> Givens<'a> {
         Given(own)
     }
 
-    /// One array of one world.
+    /// Return one array of one world.
     #[inline(always)]
     fn list(&self, array: Array, world: usize) -> &'a [f64] {
         let length = self.lengths[array as usize];
         &self.lists[array as usize][world * length..(world + 1) * length]
     }
 
-    /// Whether all numbers of some worlds are finite in the engine's number: without a branch for
-    /// each, so that vectors serve.
+    /// Return whether all numbers of some worlds are finite in the engine's number: without a
+    /// branch for each, so that the loop vectorises.
     pub(crate) fn all_finite<R: Real>(&self, worlds: Range<usize>) -> bool {
         Array::ALL
             .iter()
             .fold(true, |all, array| all & self.all(*array, &worlds, |x| R::One::of(x).is_finite()))
     }
 
-    /// Whether no force is applied in some worlds.
+    /// Return whether no force is applied in some worlds.
     pub(crate) fn no_forces(&self, worlds: Range<usize>) -> bool {
         let forces = [Array::QfrcApplied, Array::XfrcApplied];
         forces.iter().fold(true, |none, array| none & self.all(*array, &worlds, |x| x == 0.0))
@@ -189,7 +189,7 @@ impl<'a> Givens<'a> {
 }
 
 impl<N: Constant> Model<N> {
-    /// Whether arrays hold truths or quaternions, which `Given::check_forms` looks at.
+    /// Return whether there are truths or quaternions, which `Given::check_forms` checks.
     pub(crate) fn has_forms(&self) -> bool {
         let turns = |joint: &Joint<N>| matches!(joint.kind, JointType::Ball | JointType::Free);
         let others = !(self.equalities.is_empty() && self.mocaps.is_empty());
@@ -216,7 +216,7 @@ fn put<R: Real>(to: &mut [R], lane: usize, from: &[f64]) {
 }
 
 impl<R: Real> State<R> {
-    /// Takes one world's state; says whether any of it differed.
+    /// Copy one world's state in; return whether any of it differed.
     pub fn put(&mut self, lane: usize, given: &Given) -> bool {
         let differs =
             |now: &[R], new: &[f64]| now.iter().zip(new).any(|(now, new)| now.lane(lane) != *new);
@@ -230,7 +230,7 @@ impl<R: Real> State<R> {
         changed
     }
 
-    /// Takes a world's state into one lane; says whether any of it differed.
+    /// Copy a world's state into one lane; return whether any of it differed.
     #[inline]
     pub(crate) fn put_of(&mut self, lane: usize, given: &Givens, world: usize) -> bool {
         let differs = |now: &[R], new: &[f64]| {
@@ -247,7 +247,7 @@ impl<R: Real> State<R> {
         changed
     }
 
-    /// Gives one world's part of an array that a step changes.
+    /// Copy out one world's part of an array that a step changes.
     pub fn take(&self, lane: usize, array: Array, out: &mut [f64]) {
         for (to, from) in out.iter_mut().zip(self.lists()[array as usize]) {
             *to = from.lane(lane);
@@ -256,19 +256,18 @@ impl<R: Real> State<R> {
 }
 
 impl<R: Real> Sim<R> {
-    /// Takes one world's arrays, which were checked; says whether its state changed. Lane 0
-    /// comes first.
+    /// Copy in one world's checked arrays; return whether its state changed. Lane 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given) -> bool {
         self.put_some(lane, given, ArraySet::ALL)
     }
 
-    /// The same of the arrays that may differ from those at hand.
+    /// The same for the arrays that may differ from the current ones.
     pub fn put_some(&mut self, lane: usize, given: &Given, some: ArraySet) -> bool {
         self.inputs.put(lane, given, some);
         some.meets(ArraySet::STATE) && self.state.put(lane, given)
     }
 
-    /// The world of lane 0 in plain numbers.
+    /// Return the world of lane 0 in plain numbers.
     pub fn plain(&self) -> Plain {
         Plain {
             model: self.model_of(0).clone(),
@@ -286,10 +285,10 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// A world in plain numbers, of which one in other numbers is made.
+/// A world in plain numbers, from which a world in other numbers is made.
 ///
-/// Between generic code that reads one and code of one number type that makes the other: so that each
-/// type's step is compiled in one crate, not in all that hand a world over.
+/// It decouples generic code that reads a world from code of one number type that creates another:
+/// so each type's step is compiled in one crate, not in every crate that passes a world on.
 pub struct Plain {
     model: Arc<Model>,
     settings: Settings,
@@ -301,12 +300,12 @@ pub struct Plain {
 }
 
 impl Plain {
-    /// The world in numbers as accurate as `f64`: the same model, settings, state and inputs.
+    /// Return the world in numbers as accurate as `f64`: the same model, settings, state and inputs.
     pub fn sim<R: Real>(&self) -> Result<Sim<R>> {
         self.under(self.settings.clone())
     }
 
-    /// The same with everybody awake.
+    /// The same with all trees awake.
     pub fn awake<R: Real>(&self) -> Result<Sim<R>> {
         let mut sim = self.under(Settings { sleep: false, ..self.settings.clone() })?;
         sim.state.wake();
@@ -319,7 +318,7 @@ impl Plain {
         Ok(sim)
     }
 
-    /// Lets a world of the same model stand where this one stands.
+    /// Copy this world's state into a world of the same model.
     pub(crate) fn give<R: Real>(&self, sim: &mut Sim<R>) {
         sim.put(0, &Given::new(|array| &self.lists[array as usize]));
         sim.state.warm.clear();
@@ -329,7 +328,7 @@ impl Plain {
     }
 }
 
-/// One lane of state and inputs, in the order of `Array::ALL`.
+/// Return one lane of state and inputs, in the order of `Array::ALL`.
 pub fn lists<R: Real>(state: &State<R>, inputs: &Inputs<R>, lane: usize) -> Vec<Vec<f64>> {
     let plain = |list: &[R]| list.iter().map(|x| x.lane(lane)).collect();
     let state = state.lists().into_iter().map(|list| plain(list));
@@ -337,13 +336,13 @@ pub fn lists<R: Real>(state: &State<R>, inputs: &Inputs<R>, lane: usize) -> Vec<
 }
 
 impl<R: Real> Inputs<R> {
-    /// Takes a world's inputs into one lane; no force is applied, here or there.
+    /// Copy a world's inputs into one lane; no force is applied, in either.
     #[inline]
     pub(crate) fn put_idle(&mut self, lane: usize, given: &Givens, world: usize) {
         self.set_idle_lane(lane, |array| given.list(array, world));
     }
 
-    /// Takes some of one world's inputs. Lane 0 comes first.
+    /// Copy in some of one world's inputs. Lane 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given, some: ArraySet) {
         let (_, inputs) = given.lists().split_at(Array::CHANGED);
         self.set_lane(lane, inputs, some);

@@ -2,28 +2,28 @@
 
 use std::sync::Arc;
 
-/// How the volume and the inertia of a mesh are found: MuJoCo's `mesh/inertia`.
+/// The method for the volume and the inertia of a mesh: MuJoCo's `mesh/inertia`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MeshInertia {
-    /// Of its convex hull.
+    /// From its convex hull.
     Convex,
-    /// Of the signed pyramids from its triangles: exact where the surface is closed.
+    /// From the signed pyramids under its triangles: exact if the surface is closed.
     Exact,
-    /// The same with every pyramid counted as positive.
+    /// From the same pyramids, all counted as positive.
     #[default]
     Legacy,
-    /// Of its surface, as a thin shell.
+    /// From its surface, as a thin shell.
     Shell,
 }
 
-/// Triangles, or the convex hull of points where there are none. Coordinates are those of its
-/// file after scale, refpos and refquat.
+/// Triangles, or the convex hull of points without triangles. Coordinates are the ones of its file
+/// after scale, refpos and refquat.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     pub name: String,
     /// [m]
     pub vertices: Arc<Vec<[f64; 3]>>,
-    /// Indices of vertices, counter-clockwise from outside; empty: the hull's.
+    /// Indices of vertices, counter-clockwise from outside; if empty, the hull's.
     pub faces: Arc<Vec<[usize; 3]>>,
     pub inertia: MeshInertia,
     /// The most vertices of the hull.
@@ -39,6 +39,6 @@ pub struct HField {
     /// Half sizes along x and y, height of the highest point, depth of the base [m].
     pub size: [f64; 4],
     /// Row by row from −y to y, each from −x to x, of any scale: the lowest becomes 0 and the
-    /// highest `size[2]`. Heights that are all the same are 0.
+    /// highest `size[2]`. Constant heights become 0.
     pub data: Arc<Vec<f64>>,
 }

@@ -1,15 +1,15 @@
-//! The time step, in every form in which the stages need it.
+//! The time step, in every form that the stages need.
 
 use crate::real::Real;
 
-/// Made once from the settings.
+/// The time step; computed once from the settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clock<R: Real> {
-    /// Time step [s], as it was set.
+    /// Time step [s], as set by the user.
     pub seconds: f64,
-    /// The time between two samples of a control [s]: a step, unless it is made of shorter ones.
+    /// The time between two samples of a control [s]: one step, or the whole of an adaptive step.
     pub period: f64,
-    /// The same in the engine's number [s], and its inverse [1/s].
+    /// The same in the engine's number type [s], and its inverse [1/s].
     pub dt: R,
     pub rate: R,
 }

@@ -5,7 +5,7 @@ use std::fmt;
 use crate::elements::{Mention, Named, Text};
 use crate::post_mortem::{short, PostMortem};
 
-/// Why something was refused or went wrong.
+/// The reason for a rejection or a failure.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Error {
     /// A value outside its limits, found before any state changed.
@@ -14,7 +14,7 @@ pub enum Error {
     Scene(Text),
     /// A step that cannot be committed.
     Diverged(Box<Divergence>),
-    /// A step that was to end before it was solved; it is not committed. See `interrupt.rs`.
+    /// A step that was interrupted before it was solved; it is not committed. See `interrupt.rs`.
     Interrupted,
 }
 
@@ -28,11 +28,11 @@ pub struct Divergence {
     pub world: usize,
     pub batch: bool,
     pub fault: Fault,
-    /// Which element it came from, and what would help: where somebody watched.
+    /// The element that it came from, and the fix, if an observer was present.
     pub post: Option<PostMortem>,
 }
 
-/// What is wrong with a step.
+/// The fault of a step.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Fault {
     /// The velocity or acceleration of a joint is not finite.
@@ -41,16 +41,16 @@ pub enum Fault {
     Position,
     /// The iteration of the integrator `midpoint` does not converge.
     Midpoint,
-    /// No stretch of a step is short enough for an accuracy [m/s]: the shortest [s] adds an error [m], which
-    /// is largest of this body.
+    /// No stretch of a step meets the tolerance [m/s]: the shortest [s] adds an error [m], which is
+    /// largest at this body.
     Rough { error: f64, length: f64, asked: f64, body: Named },
-    /// A body is further from where it began [m] than the bound of a motion.
+    /// A body is farther from its start [m] than the bound of a motion.
     Far { body: Named, far: f64, bound: f64 },
-    /// Steps within an accuracy evaluate forces more often than a motion may.
+    /// Adaptive steps evaluate forces more often than the limit.
     Evaluations,
-    /// A velocity that no motion has: see `Sim::beyond`.
+    /// A velocity beyond any motion: see `Sim::beyond`.
     Beyond { velocity: f64, joint: Named },
-    /// Energy that a passive scene cannot have gained, and what motion and springs hold [J].
+    /// Energy that a passive scene cannot have gained, and the energy of its motion and springs [J].
     Energy { gained: f64, moving: f64 },
 }
 
@@ -64,7 +64,7 @@ impl Error {
     }
 }
 
-/// A value as a text shows it: a number of more digits than carry a meaning has an exponent.
+/// Format a value for a text: a number with more digits than are meaningful gets an exponent.
 fn brief(value: String) -> String {
     // More than an index has, and than a number near 1 with its sign and point.
     const LONGEST: usize = 24;
@@ -75,7 +75,7 @@ fn brief(value: String) -> String {
 }
 
 impl Error {
-    /// The same, of a world of several.
+    /// The same for one of several worlds.
     pub(crate) fn in_world(mut self, world: usize) -> Self {
         match &mut self {
             Self::Value { limit, .. } => *limit += &format!(" (world {world})"),
@@ -85,7 +85,7 @@ impl Error {
         self
     }
 
-    /// Where the elements of a scene that it names stand in its text.
+    /// Return the places in the scene's text of the elements that the error names.
     pub fn mentions(&self) -> &[Mention] {
         match self {
             Self::Value { field, .. } => field.mentions(),
@@ -107,7 +107,7 @@ impl fmt::Display for Error {
 }
 
 impl Divergence {
-    /// The same where the run goes on.
+    /// The same if the run continues.
     pub(crate) fn warning(&self) -> String {
         let post = self.post.as_ref().map_or(String::new(), ToString::to_string);
         format!(

@@ -1,22 +1,22 @@
-//! The integrators: each is one value of what it does. Who steps, watches or explains asks the value,
-//! and nobody asks for a name.
+//! The integrators, each a value that describes its behaviour. All code reads that value, and none
+//! compares names.
 
 pub mod linear_map;
 
 use crate::named::named;
 
-/// Where in a step an integrator evaluates the forces.
+/// The points of a step at which an integrator evaluates the forces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stages {
     /// Once, at its start.
     Start,
-    /// In its middle, of which an iteration finds the velocity: `commit/midpoint.rs`.
+    /// In its middle, whose velocity an iteration finds: `commit/midpoint.rs`.
     Middle,
     /// At the four stages of `commit/rk4.rs`.
     Four,
 }
 
-/// Of which elements the damping is taken at the end of a step.
+/// The elements whose damping is evaluated at the end of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Late {
     /// Dampers of joints, unless MJCF's `eulerdamp` is off.
@@ -24,22 +24,22 @@ pub enum Late {
     All,
 }
 
-/// Of which bias forces the derivative by the velocities is taken at the end of a step.
+/// The bias forces whose derivative by the velocities is evaluated at the end of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turning {
-    /// Of single free bodies: `commit/damped.rs`.
+    /// Bias forces of single free bodies: `commit/damped.rs`.
     FreeBodies,
-    /// Of all trees: `commit/implicit.rs`.
+    /// Bias forces of all trees: `commit/implicit.rs`.
     Trees,
 }
 
-/// What of the rows acts at the stages of a step; the rest does after them.
+/// The rows that act at the stages of a step; the rest act after them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Inside {
-    /// The motion of the stages is smooth.
+    /// None: the motion of the stages is smooth.
     Nothing,
-    /// Equalities hold at every stage, as accelerations, so that the order of the integrator
-    /// is that of the motion on them.
+    /// Equalities hold at every stage, as accelerations, so that the integrator has its order for
+    /// the motion on them.
     Equalities,
     /// Every row, and the springs of law `penalty`.
     All,
@@ -56,18 +56,18 @@ pub enum Map {
     Split,
 }
 
-/// What an integrator does.
+/// The behaviour of an integrator.
 #[derive(Clone, Copy, Debug)]
 pub struct Scheme {
     pub stages: Stages,
-    /// What acts at its stages under law `solref`.
+    /// The rows that act at its stages under law `solref`.
     pub inside: Inside,
-    /// Positions move by the velocities at the start of the step.
+    /// Whether positions move by the velocities at the start of the step.
     pub moves_first: bool,
     pub damping: Option<Late>,
     pub turning: Option<Turning>,
-    /// Stiffness is taken at the end of the step too, and rows are solved in M + dt·D + dt²·K:
-    /// `place/effective.rs`.
+    /// Whether stiffness is evaluated at the end of the step too, and rows are solved in
+    /// M + dt·D + dt²·K: `place/effective.rs`.
     pub stiffness: bool,
     pub map: Map,
 }
@@ -84,7 +84,8 @@ impl Scheme {
         map: Map::Split,
     };
 
-    /// The damping that is taken at the end of a step of a model that has `eulerdamp`, or not.
+    /// Return the damping that is evaluated at the end of a step, for a model with or without
+    /// `eulerdamp`.
     pub fn late(&self, eulerdamp: bool) -> Option<Late> {
         self.damping.filter(|late| *late == Late::All || eulerdamp)
     }

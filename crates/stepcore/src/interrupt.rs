@@ -1,8 +1,8 @@
-//! Whether somebody wants a long computation to end: loops that may take long ask now and then.
+//! Interruption of long computations: loops that may take long check for it now and then.
 //!
-//! A computation that is to end is unwound up to `caught`, without the message of a panic (salsa cancels
-//! queries in the same way), so that loops deep inside need no way to return. What is half made then
-//! is dropped: a model that is being compiled, and the working space of a `Sim` (`Sim::whole`).
+//! An interrupted computation is unwound up to `caught`, without the message of a panic (salsa
+//! cancels queries in the same way), so that loops deep inside need no return path. Incomplete data
+//! are dropped: a model that is being compiled, and the working space of a `Sim` (`Sim::whole`).
 
 use std::any::Any;
 use std::cell::Cell;
@@ -14,12 +14,12 @@ thread_local! {
     static ASK: Cell<Option<fn() -> bool>> = const { Cell::new(None) };
 }
 
-/// What unwinds a computation.
+/// The payload that unwinds a computation.
 struct Interruption;
 
-/// Runs `work`, which asks `ask` now and then, in this thread, whether to end.
+/// Run `work`, which calls `ask` now and then, in this thread, to check for an interruption.
 pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> Result<T>) -> Result<T> {
-    /// Puts back what was asked before, after a panic too.
+    /// Restores the previous check, after a panic too.
     struct Before(Option<fn() -> bool>);
     impl Drop for Before {
         fn drop(&mut self) {
@@ -30,7 +30,7 @@ pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> Result<T>) -> R
     caught(work)
 }
 
-/// Runs `work`; `Error::Interrupted` if it was unwound.
+/// Run `work`; return `Error::Interrupted` if it was unwound.
 pub(crate) fn caught<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(ended)
 }
@@ -43,17 +43,17 @@ fn ended<T>(panic: Box<dyn Any + Send>) -> Result<T> {
     resume_unwind(panic)
 }
 
-/// From now on computations of this thread ask so.
+/// Use this check for later computations of this thread.
 pub(crate) fn ask(ask: fn() -> bool) {
     ASK.set(Some(ask));
 }
 
-/// Whether the computation is to end.
+/// Return whether the computation should end.
 pub(crate) fn asked() -> bool {
     ASK.get().is_some_and(|ask| ask())
 }
 
-/// Unwinds the computation if it is to end. To ask takes less than 100 ns.
+/// Unwind the computation if it should end. The check takes less than 100 ns.
 #[cold]
 #[inline(never)]
 pub(crate) fn checkpoint() {
@@ -62,22 +62,22 @@ pub(crate) fn checkpoint() {
     }
 }
 
-/// Work between two questions, in units of some nanoseconds: below a millisecond, and a thousand
-/// times what asking takes.
+/// Work between two checks, in units of some nanoseconds: below a millisecond, and a thousand times
+/// the cost of a check.
 const MUCH: usize = 1 << 14;
 
-/// Work of a row that is swept, an exact test of two shapes, and a part of a step within an accuracy:
-/// the least of each, as the unit is rough.
+/// Work of a row in a sweep, an exact test of two shapes, and a part of an adaptive step: the least
+/// of each, as the unit is rough.
 pub(crate) const ROW: usize = 16;
 pub(crate) const TEST: usize = 64;
 pub(crate) const STRETCH: usize = 1024;
 
-/// Counts the work of a loop, and asks now and then.
+/// Counts the work of a loop, and checks for an interruption now and then.
 #[derive(Default)]
 pub(crate) struct Meter(usize);
 
 impl Meter {
-    /// So much work, in units of some nanoseconds, is done or about to be.
+    /// Add this much work, finished or next, in units of some nanoseconds.
     #[inline(always)]
     pub fn count(&mut self, work: usize) {
         self.0 += work;

@@ -2,35 +2,34 @@
 //!
 //! # The tour
 //!
-//! A [`scene::Scene`] says what is modelled: bodies, joints, shapes, friction,
-//! softness. Compiling it gives a [`model::Model`], constant during a step.
-//! [`settings::Settings`] say how it is computed. A [`sim::Sim`] holds one state and
-//! steps it, and a step is one loop (`step.rs`):
+//! A [`scene::Scene`] is the model's description: bodies, joints, shapes, friction, softness.
+//! Compiling it gives a [`model::Model`], constant during a step. [`settings::Settings`] choose the
+//! computation. A [`sim::Sim`] holds one state and steps it, and a step is one loop (`step.rs`):
 //!
 //! 1. **place** (`place/`): joint positions to poses; the mass matrix and its
 //!    factors LᵀDL; the smooth forces; and the *guess*, the velocity that the
 //!    bodies would have if nothing were in the way.
-//! 2. **detect** (`detect/`): every pair of shapes that touch or are about to; where two shapes
-//!    touch, `shapes/` says.
+//! 2. **detect** (`detect/`): every pair of shapes that touch or are about to; `shapes/` computes
+//!    where two shapes touch.
 //! 3. **solve** (`solve/`): each contact, friction direction, limit, friction loss and
 //!    equality is a row: a direction J, a target t, a regulariser c and a set for its
-//!    impulse. One system, solved by projected Gauss-Seidel or by Newton, neither of
-//!    which knows what a row came from.
+//!    impulse. One system, solved by projected Gauss-Seidel or by Newton, both independent
+//!    of a row's origin.
 //! 4. **commit** (`commit/`): one file per integrator turns the solved velocity into
 //!    the next state. A state that is not finite is never committed.
 //!
-//! What pushes, stores, takes or constrains stands in `elements/`, one file each: a spring, an
-//! actuator, a limit, a contact. Stages, implicit integrators and watchers iterate over its two
-//! lists, and repeat none of its formulas; `model/transmission.rs` says how lengths follow the dofs.
+//! Everything that pushes, stores, dissipates or constrains is in `elements/`, one file each: a
+//! spring, an actuator, a limit, a contact. Stages, implicit integrators and observers iterate over
+//! its two lists, and repeat none of its formulas; `model/transmission.rs` maps dofs to lengths.
 //!
-//! Beside the loop: `model/` compiles a scene, `watch/` reads energy, momentum and
-//! residuals and names what made a run fail, `batch.rs` steps many worlds over threads,
-//! `arrays.rs` takes a user's numbers in and gives them back.
+//! Outside the loop: `model/` compiles a scene, `watch/` reads energy, momentum and residuals and
+//! names the cause of a failed run, `batch/` steps many worlds over threads, `arrays.rs` copies a
+//! user's numbers in and out.
 //!
-//! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight (`f32`: sixteen)
-//! worlds side by side that equal, bit for bit, the same worlds stepped alone. Two more
-//! accompany a world: [`real::Dual`] carries derivatives through the step
-//! ([`watch::Linearizer`]), [`real::Counted`] counts its operations ([`watch::Counter`]).
+//! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight (`f32`:
+//! sixteen) parallel worlds that equal, bit for bit, the same worlds stepped alone. Two more
+//! accompany a world: [`real::Dual`] carries derivatives through the step ([`watch::Linearizer`]),
+//! [`real::Counted`] counts its operations ([`watch::Counter`]).
 //!
 //! ```
 //! use std::sync::Arc;

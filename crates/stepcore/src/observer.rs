@@ -1,20 +1,20 @@
-//! Who watches a `Sim` step: the engine calls these hooks and knows nothing of what is behind.
+//! Observers of a `Sim`'s steps: the engine calls these hooks, independent of their implementation.
 
 use crate::real::Real;
 use crate::sim::{At, Sim};
 
-/// The hooks of one step, in the order of its stages. Each does nothing unless it is
-/// overridden. The calls of a step are few and dynamic, so that the step is compiled once for all who
-/// watch. A Python `Sim` is watched: its steps pay for the states of `watch/past.rs`, and for the work of `watch/ledger/drive.rs`.
+/// The hooks of one step, in the order of its stages. By default each does nothing. The calls of a
+/// step are few and dynamic, so that the step is compiled once for all observers. A Python `Sim` has
+/// one: its steps pay for the states of `watch/past.rs`, and for the work of `watch/ledger/drive.rs`.
 pub trait Observer<R: Real> {
     /// The smooth forces of `sim.placed`, at these positions and velocities, act for `share` of the step.
     fn placed(&mut self, _sim: &Sim<R>, _at: At, _share: f64) {}
 
     /// The rows of `sim.rows`, and under law `penalty` the contacts of `sim.detected`, act with
-    /// what was solved for them for `share` of the step.
+    /// their solution for `share` of the step.
     fn solved(&mut self, _sim: &Sim<R>, _at: At, _share: f64) {}
 
-    /// It reads more than the states of steps: what stages write.
+    /// Return whether it reads more than the states of steps: the output of stages.
     fn looks_inside(&self) -> bool {
         true
     }
@@ -23,14 +23,14 @@ pub trait Observer<R: Real> {
     fn committing(&mut self, _sim: &Sim<R>) {}
 }
 
-/// Nobody watches.
+/// No observer.
 impl<R: Real> Observer<R> for () {
     fn looks_inside(&self) -> bool {
         false
     }
 }
 
-/// Two watch.
+/// Two observers.
 impl<R: Real, A: Observer<R>, B: Observer<R>> Observer<R> for (&mut A, &mut B) {
     #[inline]
     fn placed(&mut self, sim: &Sim<R>, at: At, share: f64) {

@@ -1,9 +1,9 @@
-//! Threads that share the work of one world. They wait, and allocate nothing, between one piece of
-//! work and the next: for a moment awake, as the stages of a step follow one another closely and
-//! waking costs as long as hundreds of rows, then asleep.
+//! Threads that share the work of one world. Between two jobs they wait and allocate nothing: first
+//! awake for a moment, as the stages of a step follow one another closely and waking costs as long
+//! as hundreds of rows, then asleep.
 //!
-//! Work is cut into parts that depend on the world alone, and what they make is put together in the
-//! order of the parts: which thread did which, and how many there are, shows in no bit.
+//! Work is divided into parts that depend on the world alone, and results are combined in the order
+//! of the parts: the number of threads and their share of the parts change no bit.
 
 use crate::error::{Error, Result};
 use crate::interrupt::{ask, asked};
@@ -16,18 +16,18 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The most threads that may be asked for.
+/// The largest number of threads.
 pub(crate) const MOST_THREADS: usize = 1024;
-/// Contacts or near pairs below which waking threads costs more than they would save.
+/// The number of contacts or near pairs below which waking threads costs more than it saves.
 pub(crate) const WORTH_SHARING: usize = 1024;
-/// The same of rows that are solved.
+/// The same for rows to be solved.
 pub(crate) const ROWS_WORTH_SHARING: usize = 4 * WORTH_SHARING;
-/// How long the caller waits for the others to end theirs, until it asks again whether they are to.
+/// The time for which the caller waits for the other threads before it checks for an interruption.
 const ASLEEP: Duration = Duration::from_millis(20);
-/// How long a thread waits awake for more work, or for the others to end theirs.
+/// The time for which a thread waits awake for more work, or for the others to finish.
 const AWAKE: Duration = Duration::from_micros(50);
 
-/// Refuses a number of threads.
+/// Reject an invalid number of threads.
 pub(crate) fn check_threads(threads: usize) -> Result<()> {
     if (1..=MOST_THREADS).contains(&threads) {
         return Ok(());
@@ -35,54 +35,54 @@ pub(crate) fn check_threads(threads: usize) -> Result<()> {
     Err(Error::value("threads", threads, format!("from 1 to {MOST_THREADS}")))
 }
 
-/// What is done with each part, by its number.
+/// The function of each part, called with its number.
 type Work<'a> = &'a (dyn Fn(usize) + Sync);
 
-/// Threads beside the one that owns it.
+/// Threads in addition to the owner's.
 pub(crate) struct Pool {
     threads: usize,
-    /// The process that has the threads: one that was forked from it has none, and maybe a lock
-    /// that nobody opens.
+    /// The process that has the threads: a process forked from it has none, and possibly a lock
+    /// that is never released.
     process: u32,
     shared: Arc<Shared>,
 }
 
 thread_local! {
-    /// Whose thread this is.
+    /// The pool that this thread serves.
     static SERVES: RefCell<Option<Arc<Shared>>> = const { RefCell::new(None) };
 }
 
-/// What the threads look at.
+/// The data that the threads share.
 struct Shared {
     state: Mutex<State>,
     begin: Condvar,
     end: Condvar,
-    /// The next part that nobody has begun.
+    /// The next part that no thread has started.
     next: AtomicUsize,
-    /// Counts the pieces of work, and the end of all; each has its parts.
+    /// The number of jobs, including the final stop; each has its parts.
     round: AtomicU64,
-    /// Threads that have begun the work at hand.
+    /// Threads that work on the current job.
     busy: AtomicUsize,
-    /// Somebody wants the work at hand to end: what the threads ask, as the caller asks its own.
+    /// Whether the current job should end: the check for the threads, as the caller has its check.
     ended: AtomicBool,
 }
 
-/// Changes of `round` and `busy` are made while it is locked: who sleeps misses none.
+/// `round` and `busy` change only while it is locked: a sleeping thread misses no change.
 #[derive(Default)]
 struct State {
     work: Option<(Work<'static>, usize)>,
-    /// Threads that sleep.
+    /// The number of sleeping threads.
     asleep: usize,
     stop: bool,
     panic: Option<Box<dyn Any + Send>>,
 }
 
-/// Locks what no panic can leave half done.
+/// Lock data that no panic can leave inconsistent.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What a lock that nobody else can hold is around.
+/// Return the contents of a lock that nothing else can hold.
 pub(crate) fn inside<T>(mutex: &mut Mutex<T>) -> &mut T {
     mutex.get_mut().unwrap_or_else(PoisonError::into_inner)
 }
@@ -94,7 +94,7 @@ impl<T: Room> Room for Mutex<T> {
 }
 
 impl Pool {
-    /// None: one thread, which is the caller's.
+    /// None for one thread, which is the caller's.
     pub fn new(threads: usize) -> Result<Option<Arc<Self>>> {
         check_threads(threads)?;
         if threads == 1 {
@@ -109,7 +109,7 @@ impl Pool {
             busy: AtomicUsize::new(0),
             ended: AtomicBool::new(false),
         });
-        // Those that have started stop when it is dropped.
+        // Threads that have started stop when it is dropped.
         let pool = Self { threads, process: std::process::id(), shared };
         for _ in 1..threads {
             let shared = pool.shared.clone();
@@ -122,20 +122,20 @@ impl Pool {
         Ok(Some(Arc::new(pool)))
     }
 
-    /// The caller's thread counts.
+    /// Return the number of threads, including the caller's.
     pub fn threads(&self) -> usize {
         self.threads
     }
 
-    /// Does the work on every part from 0 to `parts`, and returns when all are done. One caller at a
+    /// Do the work on every part from 0 to `parts`, and return when all are done. One caller at a
     /// time.
     pub fn share(&self, parts: usize, work: Work) {
         if self.process != std::process::id() {
             return (0..parts).for_each(work);
         }
-        // SAFETY: threads use the reference only between counting themselves among the busy, while
-        // `state.work` holds it, and leaving these; and this function returns, or goes on with a
-        // panic, only after it has taken the work back and nobody is busy any more.
+        // SAFETY: threads use the reference only while they count among the busy, and start to
+        // count only while `state.work` holds it; this function returns, or continues with a panic,
+        // only after it has cleared `state.work` and no thread is busy any more.
         let work = unsafe { std::mem::transmute::<Work<'_>, Work<'static>>(work) };
         let shared = &*self.shared;
         let mut state = lock(&shared.state);
@@ -150,7 +150,7 @@ impl Pool {
         }
         shared.ended.store(false, Ordering::Relaxed);
         let own = catch_unwind(AssertUnwindSafe(|| shared.take_parts(work, parts)));
-        // Whoever comes from now on finds nothing to do.
+        // Threads that arrive from now on find no work.
         lock(&shared.state).work = None;
         awake_until(|| shared.busy.load(Ordering::Acquire) == 0);
         let mut state = lock(&shared.state);
@@ -172,7 +172,7 @@ impl Drop for Pool {
         if self.process != std::process::id() {
             return;
         }
-        // Nobody is busy, and nobody waits for the threads.
+        // No thread is busy, and no caller waits for the threads.
         lock(&self.shared.state).stop = true;
         self.shared.round.fetch_add(1, Ordering::Release);
         self.shared.begin.notify_all();
@@ -190,7 +190,7 @@ impl Shared {
         }
     }
 
-    /// A thread's life.
+    /// The main loop of a thread.
     fn serve(self: &Arc<Self>) {
         SERVES.set(Some(self.clone()));
         ask(|| SERVES.with_borrow(|own| own.iter().any(|own| own.ended.load(Ordering::Relaxed))));
@@ -223,7 +223,7 @@ impl Shared {
     }
 }
 
-/// Waits awake, for no longer than `AWAKE`.
+/// Wait awake, for no longer than `AWAKE`.
 fn awake_until(holds: impl Fn() -> bool) {
     if holds() {
         return;
@@ -244,7 +244,7 @@ mod tests {
     use super::*;
     use crate::interrupt::{checkpoint, while_asking};
 
-    /// Every part is done once, whoever does it.
+    /// Every part is done once, by any thread.
     #[test]
     fn every_part_is_done_once() {
         for threads in [2, 3, 7] {
@@ -262,7 +262,7 @@ mod tests {
         }
     }
 
-    /// A panic reaches the caller, and the pool goes on.
+    /// A panic reaches the caller, and the pool remains usable.
     #[test]
     fn a_panic_reaches_the_caller() {
         let pool = Pool::new(3).unwrap().unwrap();
@@ -276,7 +276,7 @@ mod tests {
         assert_eq!(sum.load(Ordering::Relaxed), 190);
     }
 
-    /// Who asks whether to end asks for all threads.
+    /// The caller's check for an interruption covers all threads.
     #[test]
     fn an_interrupt_ends_the_parts_of_all_threads() {
         let pool = Pool::new(3).unwrap().unwrap();

@@ -1,4 +1,4 @@
-//! What a failed run tells about itself, as plain data, and its paragraph.
+//! The explanation of a failed run, as plain data, and its paragraph.
 
 use std::fmt;
 
@@ -6,16 +6,16 @@ use crate::elements::Named;
 use crate::warm::Sleep;
 use crate::warm::Warm;
 
-/// Which dt would have been stable.
+/// The dt that would have been stable.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stable {
-    /// Nothing is known.
+    /// No result.
     Unknown,
-    /// The limit of the springs and dampers alone where the failing steps began [s]; `tried`: these
-    /// steps stay bounded just below it.
+    /// The stability limit of the springs and dampers alone at the start of the failing steps [s];
+    /// `tried`: these steps stay bounded just below it.
     Springs { dt: f64, tried: bool },
-    /// The integrator feeds springs energy at every dt; `semi_implicit`: the limit of that one
-    /// [s], None where it is stable at the present dt.
+    /// The integrator feeds springs energy at every dt; `semi_implicit`: the limit of that
+    /// integrator [s], None if it is stable at the present dt.
     Never { semi_implicit: Option<f64> },
     /// The last steps were run again with halved dt [s].
     Halved { dt: f64 },
@@ -25,7 +25,7 @@ pub enum Stable {
     NotFound,
 }
 
-/// The state of one world from which a failure comes again.
+/// The state of one world from which a failure is reproduced.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Start {
     /// Steps done, and the time from which they are counted [s].
@@ -37,7 +37,7 @@ pub struct Start {
     pub ctrl_history: Vec<f64>,
     /// Impulses of the last solve, by slot.
     pub warm: Vec<Warm<f64>>,
-    /// Who slept.
+    /// The trees that slept.
     pub sleep: Sleep<f64>,
 }
 
@@ -52,38 +52,38 @@ pub struct Held {
     pub mocap_quat: Vec<f64>,
 }
 
-/// Rows to blame because they were not solved.
+/// Rows that caused the failure because they were not solved.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Missed {
     pub element: Named,
-    /// Energy that they added at most, where the fault is one of energy [J].
+    /// The most energy that they added, if the fault is one of energy [J].
     pub added: Option<f64>,
-    /// The most by which they missed their law [m/s].
+    /// Their largest residual [m/s].
     pub residual: f64,
     /// Under sweeps 'auto' the same steps gain almost nothing.
     pub auto: bool,
 }
 
-/// What a failed run tells about itself: one world, in `f64`.
+/// The explanation of a failed run: one world, in `f64`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PostMortem {
-    /// From here, with these inputs, the failure comes again after `steps` steps.
+    /// From here, with these inputs, the failure recurs after `steps` steps.
     pub start: Start,
     pub inputs: Held,
-    /// Steps done since `start` before the inputs became these.
+    /// Steps done since `start` until the inputs became these.
     pub changes: Vec<(u64, Held)>,
     pub steps: u64,
     /// The element that the failure came from, if one stands out.
     pub element: Option<Named>,
-    /// The element is a servo that was at the bounds of its force, and not the first of `shares`.
+    /// Whether the element is a servo in saturation, and not the first of `shares`.
     pub saturated: bool,
     /// Each element's share of the energy injected, the largest first.
     pub shares: Vec<(Named, f64)>,
     /// The step from which the energy grew.
     pub since: Option<u64>,
-    /// Kinetic and stored energy grow by exp(growth) a step.
+    /// Kinetic and stored energy grow by exp(growth) per step.
     pub growth: Option<f64>,
-    /// Rows that answer for the failure, and no dt.
+    /// Rows that caused the failure at any dt.
     pub unsolved: Option<Missed>,
     pub stable: Stable,
     /// Time step [s], and the name of the integrator.
@@ -92,7 +92,7 @@ pub struct PostMortem {
 }
 
 impl fmt::Display for PostMortem {
-    /// Sentences, a space before each: the cause, the growth, and which dt would help.
+    /// Write sentences, a space before each: the cause, the growth, and the dt that would help.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.element {
             None => write!(f, " No single element stands out")?,
@@ -189,7 +189,7 @@ impl Stable {
     }
 }
 
-/// A number in a few digits, in whichever notation is short.
+/// Format a number in a few digits, in the shorter notation.
 pub(crate) fn short(x: f64) -> String {
     if x.is_infinite() {
         format!("more than {:.1e}", f64::MAX)

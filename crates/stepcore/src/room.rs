@@ -1,11 +1,10 @@
-//! How much memory a world holds beside its own struct: the room of all its lists; and whether
-//! there is as much.
+//! The memory of a world outside its struct (all its lists), and whether that much is available.
 
 use std::hint::black_box;
 use std::sync::Arc;
 
-/// Whether the memory has so many bytes. The black box has them used: the optimiser may leave out
-/// memory that nobody uses, and then never asks for it.
+/// Return whether this many bytes can be allocated. The black box makes them used: the optimiser
+/// may omit memory that is never used, and then never allocates it.
 pub(crate) fn can_be_had(bytes: usize) -> bool {
     let mut room = Vec::<u8>::new();
     room.try_reserve_exact(bytes).is_ok() && black_box(&mut room).capacity() >= bytes
@@ -16,7 +15,7 @@ pub(crate) trait Room {
     fn room(&self) -> usize;
 }
 
-/// Of a list whose items hold nothing there.
+/// Bytes of a list whose items hold none on the heap.
 pub(crate) fn listed<T>(list: &Vec<T>) -> usize {
     const { assert!(!std::mem::needs_drop::<T>()) }
     list.capacity() * size_of::<T>()
@@ -46,15 +45,15 @@ impl<T, const N: usize> Room for [Vec<T>; N] {
     }
 }
 
-/// Shared: counted by whoever made it.
+/// Shared data are counted by their owner.
 impl<T: ?Sized> Room for Arc<T> {
     fn room(&self) -> usize {
         0
     }
 }
 
-/// What a field of a struct holds on the heap, by the first of three ways that its type has: its
-/// own `Room`; the places of a list whose items hold nothing; nothing, where nothing is to drop.
+/// The bytes of a struct's field on the heap, by the first method that its type has: its `Room`;
+/// the capacity of a list whose items hold nothing; zero, if nothing is to drop.
 pub(crate) trait Bytes {
     fn bytes(self) -> usize;
 }
@@ -80,8 +79,8 @@ impl<T> Bytes for &Field<'_, T> {
     }
 }
 
-/// `Room` of a struct, whose every field is named: those counted; then those that are not. One
-/// that is left out does not compile, nor does one that may hold what nobody counts.
+/// `Room` of a struct, whose every field is named: first the counted ones, then the others. A
+/// missing field does not compile, nor does one that may hold uncounted memory.
 macro_rules! room {
     ($type:ident<R $(, $n:ident)*>: $($field:ident),* $(; $($(#[$a:meta])? $not:ident),*)?) => {
         impl<R: crate::real::Real $(, const $n: usize)*> crate::room::Room for $type<R $(, $n)*> {

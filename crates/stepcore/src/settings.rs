@@ -1,4 +1,4 @@
-//! `Settings`: how a scene is computed, and the overrides that change what is modelled.
+//! `Settings`: the computation of a scene, and the overrides that change the model.
 
 use crate::error::{Error, Result};
 pub use crate::integrator::Integrator;
@@ -6,7 +6,7 @@ use crate::integrator::{Inside, Stages};
 use crate::named::named;
 
 named!(
-    /// How the rows are solved.
+    /// The method that solves the rows.
     Solver, "solver" {
         /// Projected Gauss-Seidel: `solve/pgs.rs`.
         Pgs = "pgs",
@@ -15,16 +15,16 @@ named!(
     }
 );
 named!(
-    /// What speeds up projected Gauss-Seidel.
+    /// The acceleration of projected Gauss-Seidel.
     Acceleration, "acceleration" {
         /// The lesson's method: rows in order.
         None = "none",
-        /// Momentum over the last moves, its coefficients chosen to minimise; blocks in a shuffled order.
+        /// Momentum over the last moves, with coefficients by minimisation; blocks in a shuffled order.
         Momentum = "momentum",
     }
 );
 named!(
-    /// Which rows a violated constraint makes; see `solve/law.rs`.
+    /// The rows of a violated constraint; see `solve/law.rs`.
     Law, "law" {
         /// MuJoCo's spring-damper and impedance, at the present positions.
         SolRef = "solref",
@@ -39,8 +39,8 @@ named!(
     }
 );
 impl Law {
-    /// Uses the guess instead of the present positions: rows exist where the guess
-    /// overlaps, and their friction is Coulomb's.
+    /// Return whether the law uses the guess instead of the present positions: rows exist where the
+    /// guess overlaps, and their friction is Coulomb's.
     pub fn on_guess(self) -> bool {
         matches!(self, Self::Lesson | Self::Relaxed | Self::Rigid)
     }
@@ -63,12 +63,12 @@ named!(
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sweeps {
     AtMost(u32),
-    /// As many as the tolerance needs, or as rounding lets be of use; at most `Sweeps::MOST`.
+    /// As many as the tolerance needs, or until rounding; at most `Sweeps::MOST`.
     Auto,
 }
 
 impl Sweeps {
-    /// Where `Auto` gives up: a step has to end.
+    /// The limit of `Auto`: a step must end.
     pub const MOST: u32 = 10_000;
     /// The name of `Auto`.
     pub const AUTO: &'static str = "auto";
@@ -87,16 +87,16 @@ impl From<u32> for Sweeps {
     }
 }
 
-/// The most error that a second of motion may add to the position of a body [m]; None: steps have the length
-/// that was set.
+/// The largest error that a second of motion may add to the position of a body [m]; None: steps
+/// have the set length.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Accuracy(pub Option<f64>);
 
-/// How fast a contact may push an overlap apart.
+/// The largest speed at which a contact removes an overlap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RecoverySpeed {
-    /// As the law does: `RecoverySpeed::USUAL` under laws on velocities; `solref` has its own spring
-    /// and damper, and no limit.
+    /// The default of the law: `RecoverySpeed::USUAL` under laws on velocities; none under
+    /// `solref`, which has its spring and damper.
     Auto,
     /// Without a limit.
     None,
@@ -105,12 +105,12 @@ pub enum RecoverySpeed {
 }
 
 impl RecoverySpeed {
-    /// That of Box2D v3 (`maxContactPushSpeed`); Rapier and Unity's PhysX have 10 [m/s].
+    /// The value in Box2D v3 (`maxContactPushSpeed`); Rapier and Unity's PhysX have 10 [m/s].
     pub const USUAL: f64 = 3.0;
     pub const AUTO: &'static str = "auto";
     pub const NONE: &'static str = "none";
 
-    /// The limit under a law, if there is one [m/s].
+    /// Return the limit under a law, if there is one [m/s].
     pub fn under(self, law: Law) -> Option<f64> {
         match self {
             Self::Auto => law.on_guess().then_some(Self::USUAL),
@@ -120,49 +120,49 @@ impl RecoverySpeed {
     }
 }
 
-/// How to compute. SI units.
+/// Settings of the computation. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     // Numerics: cannot change the limit dt → 0.
     /// Time step [s], > 0.
     pub dt: f64,
-    /// With one, a step of `dt` is made of as many shorter ones as that takes.
+    /// With a tolerance, a step of `dt` is made of as many shorter ones as it needs.
     pub accuracy: Accuracy,
     pub integrator: Integrator,
     pub solver: Solver,
     pub acceleration: Acceleration,
-    /// The most sweeps, or Newton iterations, of one solve; under `newton` islands of few
-    /// rows are solved whatever it says.
+    /// The most sweeps, or Newton iterations, of one solve; `newton` ignores it for islands with
+    /// few rows.
     pub sweeps: Sweeps,
     /// A solve stops at this residual [m/s]; 0: after all sweeps.
     pub tolerance: f64,
-    /// A solve under `solref` stops where a sweep or a Newton step lowers the cost by less: MuJoCo's
+    /// A solve under `solref` stops when a sweep or a Newton step lowers the cost by less: MuJoCo's
     /// `tolerance`, a share of the trace of the mass matrix [m²/s⁴]; 0: never.
     pub cost_tolerance: f64,
     /// Start from the last step's impulses.
     pub warm_start: bool,
-    /// What the face chooses the engine's `Real` by.
+    /// Selects the engine's `Real` in the binding.
     pub precision: Precision,
     /// Contacts to reserve room for.
     pub max_contacts: usize,
-    /// Balance the account of energy every 64 steps, and write down what a post-mortem needs.
+    /// Balance energy every 64 steps, and record the data of a post-mortem.
     pub ledger: bool,
     // Modelling overrides.
     pub law: Law,
-    /// Share of a violation undone in a step, in (0, 1], under the laws on the guess.
+    /// Share of a violation removed in a step, in (0, 1], under the laws on the guess.
     pub beta: f64,
-    /// Regulariser of rows that hold a distance, under `lesson` and `relaxed`
-    /// [1/kg; 1/(kg·m²) of angular rows].
+    /// Regulariser of rows that keep a distance, under `lesson` and `relaxed` [1/kg; 1/(kg·m²) of
+    /// angular rows].
     pub softness: f64,
     /// Share e of the normal speed kept in an impact under `rigid`, in [0, 1].
     pub restitution: f64,
-    /// Overlap left alone under `rigid` [m].
+    /// Overlap that remains uncorrected under `rigid` [m].
     pub slop: f64,
-    /// The fastest that a contact pushes an overlap apart; `penalty` has no such limit.
+    /// The largest speed at which a contact removes an overlap; `penalty` has no such limit.
     pub max_recovery_speed: RecoverySpeed,
     /// Spring of a contact under `penalty` [N/m].
     pub penalty_stiffness: f64,
-    /// Its damping, as a share of the critical one of the mass that the contact moves.
+    /// Its damping, as a share of the critical damping of the mass that the contact moves.
     pub penalty_damping_ratio: f64,
     pub cone: Cone,
     /// Ratio of frictional to normal impedance under `solref`: MuJoCo's `impratio`.
@@ -170,17 +170,17 @@ pub struct Settings {
     /// Sweeps over friction alone, without a regulariser, after each solve under `solref`: MuJoCo's
     /// `noslip_iterations`.
     pub noslip_iterations: u32,
-    /// They end where one of them lowers the cost by less, as `cost_tolerance`: MuJoCo's
+    /// They end when one of them lowers the cost by less, like `cost_tolerance`: MuJoCo's
     /// `noslip_tolerance`; 0: never.
     pub noslip_tolerance: f64,
-    /// Friction under `solref` holds a contact that sticks by a spring, without creep: see
+    /// Friction under `solref` holds a sticking contact by a spring, without creep: see
     /// `elements/stiction.rs`.
     pub stiction: bool,
     /// Islands at rest sleep: see `sleep/`.
     pub sleep: bool,
     /// The speed below which a tree may sleep [m/s].
     pub sleep_tolerance: f64,
-    /// How long it must have been below it [s].
+    /// The time for which it must have been below it [s].
     pub sleep_time: f64,
     /// Keep the time constants of solref at 2 dt or above: MuJoCo's `refsafe`.
     pub refsafe: bool,
@@ -222,20 +222,21 @@ impl Default for Settings {
     }
 }
 
-/// The least accuracies in double and in single precision [m]: what rounding leaves of positions of some metres,
-/// differences of which tell an error.
+/// The smallest tolerances in double and in single precision [m]: the rounding of positions of some
+/// metres, whose differences estimate an error.
 const LEAST_ACCURACY: [f64; 2] = [1e-10, 1e-4];
-/// The most contacts that room may be reserved for.
+/// The most contacts for which room may be reserved.
 const MOST_CONTACTS: usize = 1_000_000;
 
 impl Settings {
-    /// How far ahead contacts have rows [s]: laws on the guess need every distance that it may close.
+    /// The time ahead for which contacts have rows [s]: laws on the guess need every distance that it
+    /// may close.
     pub(crate) fn ahead(&self) -> Option<f64> {
         self.law.on_guess().then_some(self.dt)
     }
 
-    /// What of the rows acts at the stages of a step: what the law makes as hard as can be, or a force.
-    /// A softness is that of the step's end.
+    /// Return the rows that act at the stages of a step: the hard ones, or forces. A softness
+    /// applies to the end of the step.
     pub(crate) fn inside(&self) -> Inside {
         let scheme = self.integrator.scheme();
         match self.law {
@@ -247,17 +248,18 @@ impl Settings {
         }
     }
 
-    /// Contacts are solved once, where a step of several stages began.
+    /// Return whether contacts are solved once, at the start of a step of several stages.
     pub(crate) fn rows_after_stages(&self) -> bool {
         self.law.on_guess() && self.integrator.scheme().stages != Stages::Start
     }
 
-    /// Equalities act within the step.
+    /// Return whether equalities act within the step.
     pub fn connects_inside(&self) -> bool {
         self.inside() == Inside::Equalities
     }
 
-    /// A tolerance on the cost of accelerations, on that of the impulses of a step [m²/s²].
+    /// Convert a tolerance on the cost of accelerations to one on the cost of a step's impulses
+    /// [m²/s²].
     pub(crate) fn cost_floor(&self, tolerance: f64) -> f64 {
         if self.law == Law::SolRef {
             tolerance * self.dt * self.dt
@@ -266,7 +268,7 @@ impl Settings {
         }
     }
 
-    /// Checks every field against its limit.
+    /// Check every field against its limit.
     pub fn check(&self) -> Result<()> {
         let number = |field: &str, value: f64, ok: bool, limit: &str| {
             if value.is_finite() && ok {
@@ -347,14 +349,14 @@ impl Settings {
         Ok(())
     }
 
-    /// Refuses an accuracy to what regards one step of a fixed length.
+    /// Reject an accuracy for functions that need steps of a fixed length.
     pub fn check_fixed(&self, who: &str) -> Result<()> {
         let Some(accuracy) = self.accuracy.0 else { return Ok(()) };
         let limit = format!("None for {who}, which regards one step of a fixed length");
         Err(Error::value("accuracy", accuracy, limit))
     }
 
-    /// Beside it stands what does not depend on the length of steps.
+    /// Check the accuracy, and that the other settings do not depend on the length of steps.
     fn check_accuracy(&self, accuracy: f64) -> Result<()> {
         let least = match self.precision {
             Precision::F64 => LEAST_ACCURACY[0],

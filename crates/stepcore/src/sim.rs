@@ -1,6 +1,6 @@
 //! `Sim`: one model, one state (or a lane register of states), and its working space.
 //!
-//! It steps, and knows nothing of who watches: see `observer.rs` and `watch/`.
+//! It steps, independent of its observers: see `observer.rs` and `watch/`.
 
 use crate::room::Room;
 use std::sync::Arc;
@@ -24,10 +24,10 @@ use crate::sleep::Sleeper;
 use crate::solve::{Noslip, Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
 
-/// From this size of its velocities on MuJoCo resets a world (`mjMAXVAL`): no motion is so fast.
+/// Velocities from this size on are beyond any motion: MuJoCo resets such a world (`mjMAXVAL`).
 const BEYOND: f64 = 1e10;
 
-/// How the last solve went.
+/// The effort of the last solve and of the run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Effort {
     /// Sweeps or Newton iterations of the last solve (the most of any island and lane).
@@ -36,27 +36,27 @@ pub struct Effort {
     pub row_updates: u64,
     /// The most rows that any solve since the start had.
     pub most_rows: usize,
-    /// How often forces were evaluated since the start: once a step or once a stage.
+    /// Evaluations of forces since the start: once per step or once per stage.
     pub evaluations: u64,
-    /// How often the distance of two convex shapes was searched since the start.
+    /// Searches for the distance of two convex shapes since the start.
     pub separations: u64,
     /// Newton's last decrement, relative; 0 under PGS.
     pub decrement: f64,
-    /// Of the last step within an accuracy.
+    /// The parts of the last adaptive step.
     pub stretches: Stretches,
 }
 
 /// The parts of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Stretches {
-    /// The shortest that was taken [s].
+    /// The shortest accepted [s].
     pub shortest: f64,
-    /// The shortest that was refused [s], and the body whose error was too large; None: it diverged.
+    /// The shortest rejected [s], and the body whose error was too large; None: it diverged.
     pub refused: Option<(f64, Option<usize>)>,
 }
 
 impl Stretches {
-    /// What makes steps of `dt` within an accuracy slow.
+    /// Explain why adaptive steps of `dt` are slow.
     pub fn slow(&self, dt: f64, accuracy: Option<f64>, model: &Model) -> Option<String> {
         let (accuracy, (_, refused)) = (accuracy?, self.refused?);
         let why = match refused {
@@ -84,9 +84,9 @@ impl Stretches {
     }
 }
 
-/// One world, or a register of worlds side by side. `step.rs` steps it.
+/// One world, or a register of parallel worlds. `step.rs` steps it.
 ///
-/// Model and settings were checked when it was made, and cannot be changed behind it:
+/// Model and settings were checked at its creation, and cannot be changed behind it:
 ///
 /// ```compile_fail
 /// fn backwards(sim: &mut stepcore::sim::Sim<f64>) {
@@ -95,18 +95,18 @@ impl Stretches {
 /// ```
 pub struct Sim<R: Real> {
     pub(crate) model: Arc<Model<R::Value>>,
-    /// The models of its worlds, by lane; the last one is that of the lanes that follow, too.
+    /// The models of its worlds, by lane; the last one also applies to the remaining lanes.
     pub(crate) models: ByLane,
     pub(crate) settings: Settings,
-    /// What a step does under these settings.
+    /// The plan of a step under these settings.
     pub(crate) plan: Plan,
     pub(crate) clock: Clock<R>,
-    /// What a step advances the time by [s]; within an accuracy it is made of shorter ones, of which
-    /// `clock` and `settings.dt` tell.
+    /// The time by which a step advances [s]; an adaptive step is made of shorter ones, whose
+    /// length is in `clock` and `settings.dt`.
     pub(crate) period: f64,
     pub state: State<R>,
     pub inputs: Inputs<R>,
-    /// What each stage wrote when it last ran.
+    /// The last output of each stage.
     pub placed: Placed<R>,
     pub detected: Detected<R>,
     pub rows: Rows<R>,
@@ -114,26 +114,26 @@ pub struct Sim<R: Real> {
     pub velocity: Vec<R>,
     pub qacc: Vec<R>,
     pub effort: Effort,
-    /// After so many evaluations of the forces a step within an accuracy is given up.
+    /// An adaptive step is aborted after this many evaluations of the forces.
     pub(crate) most: u64,
     pub(crate) next: Next<R>,
-    /// The next step has been placed, detected and solved already: see `ledger/audit.rs`.
+    /// Whether the next step is placed, detected and solved already: see `ledger/audit.rs`.
     pub(crate) stands: bool,
     pub(crate) solver: Box<dyn Solve<R>>,
     noslip: Noslip<R>,
     pub(crate) sleeper: Sleeper<R>,
-    /// Working space of steps within an accuracy.
+    /// Working space of adaptive steps.
     pub(crate) extrapolation: Option<Box<Extrapolation<R>>>,
 }
 
 /// The positions and velocities at which stages run.
 #[derive(Clone, Copy, PartialEq)]
 pub enum At {
-    /// Those of the state.
+    /// At the state.
     State,
-    /// Those of the state, the velocities made to keep the equalities: `next.start`.
+    /// At the state, with velocities projected onto the equalities: `next.start`.
     Start,
-    /// Those of a stage within the step: `next.trial`.
+    /// At a stage within the step: `next.trial`.
     Stage,
 }
 
@@ -146,7 +146,7 @@ impl At {
         }
     }
 
-    /// The activations there, in steps of `clock`.
+    /// Return the activations there, in steps of `clock`.
     pub(crate) fn activations<'a, R: Real>(
         self,
         state: &'a State<R>,
@@ -169,17 +169,17 @@ room!(Sim<R>: model, models, plan, clock, state, inputs, placed, detected, rows,
     next, stands, solver, noslip, sleeper, extrapolation; settings, period, most);
 
 impl<R: Real> Sim<R> {
-    /// A world at qpos0 and at rest; refuses settings outside their limits.
+    /// Create a world at qpos0 and at rest; reject settings outside their limits.
     pub fn new(model: Arc<Model>, settings: Settings) -> Result<Self> {
         Self::side_by_side(SideBySide::new([model].into())?, settings)
     }
 
-    /// The same of worlds, one a lane, whose models differ in numbers.
+    /// The same for several worlds, one per lane, whose models differ in numbers.
     pub(crate) fn side_by_side(models: SideBySide<R>, settings: Settings) -> Result<Self> {
         Self::solved_by(Box::new(Solvers::new()), models, settings)
     }
 
-    /// Makes the working space anew, which an interrupted step has left half made.
+    /// Reset the working space that an interrupted step has left inconsistent.
     #[cold]
     pub(crate) fn renew(&mut self) {
         let (model, pool) = (&self.model, self.rows.pool.take());
@@ -201,12 +201,12 @@ impl<R: Real> Sim<R> {
         self.clear_solve();
     }
 
-    /// The models of its worlds.
+    /// Return the models of its worlds.
     pub(crate) fn models(&self) -> SideBySide<R> {
         SideBySide { models: self.models.clone(), model: self.model.clone() }
     }
 
-    /// Its worlds are of these models from now on, which differ in numbers from those before.
+    /// Replace the models of its worlds by models that differ in numbers.
     pub(crate) fn take_models(&mut self, models: &SideBySide<R>) {
         if Arc::ptr_eq(&self.model, &models.model) {
             return;
@@ -218,7 +218,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// The same with a solver of one's own.
+    /// The same with a given solver.
     pub(crate) fn solved_by(
         solver: Box<dyn Solve<R>>,
         models: SideBySide<R>,
@@ -281,7 +281,8 @@ impl<R: Real> Sim<R> {
         Ok(sim)
     }
 
-    /// Lets so many threads share the work of each step. The motion is the same bits with any number.
+    /// Share the work of each step among this many threads. The motion has the same bits with any
+    /// number.
     pub fn use_threads(&mut self, threads: usize) -> Result<()> {
         let pool = Pool::new(threads)?;
         self.detected.pool.clone_from(&pool);
@@ -289,12 +290,12 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// That of the first world.
+    /// Return the model of the first world.
     pub fn model(&self) -> &Arc<Model> {
         &self.models[0]
     }
 
-    /// That of the world in a lane.
+    /// Return the model of the world in a lane.
     pub(crate) fn model_of(&self, lane: usize) -> &Arc<Model> {
         &self.models[lane.min(self.models.len() - 1)]
     }
@@ -303,31 +304,31 @@ impl<R: Real> Sim<R> {
         &self.settings
     }
 
-    /// Time of the state [s].
+    /// Return the time of the state [s].
     pub fn time(&self) -> f64 {
         self.state.time(self.period)
     }
 
-    /// What a step advances the time by [s].
+    /// Return the time by which a step advances [s].
     pub fn period(&self) -> f64 {
         self.period
     }
 
-    /// Starts the rows that were made from the last step's impulses if they are kept, but for
-    /// equalities that the stages held (`inside`).
+    /// Start the built rows from the last step's impulses, if these are stored, except equalities
+    /// that the stages held (`inside`).
     pub(crate) fn warm_start(&mut self, inside: bool) {
         if self.plan.warm_start {
             let last = self.next.last_impulses(&self.state);
             let lists = self.detected.dof_lists(&self.model);
             self.rows.warm_start(last, inside);
-            // Newton's method takes zones from them, and its start from the last acceleration.
+            // Newton's method uses them for zones, and starts from the last acceleration.
             if !self.plan.resumes {
                 self.rows.apply_impulses(lists, &self.placed.metric.inv_d);
             }
         }
     }
 
-    /// Solves the rows that were made, from the impulses that they hold.
+    /// Solve the built rows, from their current impulses.
     pub(crate) fn solve(&mut self) -> Result<()> {
         let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
         let dof_lists = self.detected.dof_lists(model);
@@ -344,19 +345,20 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The error for the lanes in `failed`, whose step cannot be committed: of the first one.
+    /// Return the error for the lanes in `failed`, whose step cannot be committed: the error of the
+    /// first one.
     pub(crate) fn diverged(&self, failed: R::Mask, fault: impl FnOnce(usize) -> Fault) -> Error {
         let lane = (0..R::LANES).find(|lane| failed.lane(*lane)).unwrap_or(0);
         Error::Diverged(Box::new(self.divergence(lane, fault(lane))))
     }
 
-    /// That at the present state of a lane, nothing explained yet.
+    /// Return the divergence at the present state of a lane, without an explanation.
     pub(crate) fn divergence(&self, lane: usize, fault: Fault) -> Divergence {
         let (step, time) = (self.state.steps, self.time());
         Divergence { step, time, world: lane, batch: false, fault, post: None }
     }
 
-    /// The first dof whose `quantity`, in `numbers`, is not finite in a lane.
+    /// Return the first dof whose `quantity`, in `numbers`, is not finite in a lane.
     pub(crate) fn not_finite(&self, lane: usize, quantity: &'static str, numbers: &[R]) -> Fault {
         let Some(dof) = numbers.iter().position(|x| !x.is_finite().lane(lane)) else {
             return Fault::Position;
@@ -365,7 +367,7 @@ impl<R: Real> Sim<R> {
         Fault::NotFinite { quantity, joint: self.model.named(joint) }
     }
 
-    /// The first velocity in a lane that is beyond all bounds, if there is one.
+    /// Return the first velocity in a lane that is beyond `BEYOND`, if there is one.
     pub(crate) fn beyond(&self, lane: usize) -> Option<Fault> {
         let velocities = self.state.qvel.iter().map(|velocity| velocity.lane(lane));
         let (dof, velocity) = velocities.enumerate().find(|(_, v)| v.abs() > BEYOND)?;
@@ -373,7 +375,7 @@ impl<R: Real> Sim<R> {
         Some(Fault::Beyond { velocity, joint: self.model.named(joint) })
     }
 
-    /// The first activation after the step that is not finite in a lane.
+    /// Return the first activation after the step that is not finite in a lane.
     pub(crate) fn act_not_finite(&self, lane: usize) -> Fault {
         let bad = self.next.act.iter().position(|x| !x.is_finite().lane(lane));
         let Some(entry) = bad else { return Fault::Position };
@@ -381,7 +383,7 @@ impl<R: Real> Sim<R> {
         Fault::NotFinite { quantity: "activation", joint: self.model.named(element) }
     }
 
-    /// Nothing is known of a solve any more.
+    /// Clear the last solve.
     pub fn clear_solve(&mut self) {
         self.rows.clear();
         self.detected.contacts.clear();
@@ -390,19 +392,19 @@ impl<R: Real> Sim<R> {
         self.velocity.copy_from_slice(&self.state.qvel);
     }
 
-    /// Memory of the state and of all working space [bytes]; the model is not in it.
+    /// Return the memory of the state and of all working space [bytes], without the model.
     pub fn bytes(&self) -> usize {
         size_of::<Self>() + self.room()
     }
 
-    /// The worst miss of the last solve, a speed [m/s]; 0 without rows.
+    /// Return the residual of the last solve [m/s]; 0 without rows.
     pub fn residual(&self) -> R {
         self.rows.residual(self.detected.dof_lists(&self.model))
     }
 }
 
-/// What steps within an accuracy need. They are made of steps of first order, of any length, under
-/// a law that does not look at it.
+/// Check the requirements of adaptive steps. They consist of first-order steps of any length, under
+/// a law that does not depend on it.
 fn extrapolates<R: Real>(settings: &mut Settings) -> Result<()> {
     if !R::ALONE {
         let limit = "1 with an accuracy: each world has steps of its own";
@@ -415,8 +417,8 @@ fn extrapolates<R: Real>(settings: &mut Settings) -> Result<()> {
     Ok(())
 }
 
-/// The precision that computes must hold every mass and its inverse, and for Newton,
-/// whose costs are energies of impulses, their squares.
+/// Check that the precision can represent every mass and its inverse, and for Newton, whose costs
+/// are energies of impulses, their squares.
 pub(crate) fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
     for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
         let mass = R::of(body.mass);
@@ -440,7 +442,7 @@ pub(crate) fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()>
 }
 
 impl Effort {
-    /// A step without rows takes none.
+    /// A step without rows needs no sweeps.
     pub(crate) fn rest(&mut self) {
         (self.sweeps, self.decrement) = (0, 0.0);
     }

@@ -12,17 +12,17 @@ use nalgebra::{Matrix3, Vector3};
 pub type V3<R> = Vector3<R>;
 pub type M3<R> = Matrix3<R>;
 
-/// The same constant vector in every lane.
+/// Return the same constant vector in every lane.
 #[inline(always)]
 pub fn splat<R: Real, N: Value<R>>(v: &Vector3<N>) -> V3<R> {
     V3::new(v.x.get(), v.y.get(), v.z.get())
 }
 
-/// from ← from − a x, of rows of a factorisation: short, and each the x of one soon after.
+/// from ← from − a x for rows of a factorisation: short, and each the next one's x soon after.
 ///
 /// One number at a time: a vector load of numbers that were just stored one by one waits for all of
 /// them, and rows are too short to make up for it (measured: the factors of 7 to 18 dofs take a
-/// fifth to a third less time so). The hint is what keeps a compiler from vectors.
+/// fifth to a third less time this way). The hint keeps a compiler from vectorising.
 #[inline(always)]
 pub(crate) fn subtract_scaled<R: Real>(from: &mut [R], a: R, x: &[R]) {
     for (from, x) in from.iter_mut().zip(x) {
@@ -34,7 +34,7 @@ pub(crate) fn subtract_scaled<R: Real>(from: &mut [R], a: R, x: &[R]) {
 /// Numbers that are computed side by side.
 pub(crate) const WIDE: usize = 4;
 
-/// own −= Σ by · l of N rows, one after the other: `WIDE` numbers at a time, which stay in registers.
+/// own −= Σ by · l over N rows, one after another: `WIDE` numbers at a time, which stay in registers.
 #[inline(always)]
 pub(crate) fn subtract_all<R: Real, const N: usize>(own: &mut [R], rows: [(R, &[R]); N]) {
     let len = own.len();
@@ -60,7 +60,7 @@ pub(crate) fn subtract_all<R: Real, const N: usize>(own: &mut [R], rows: [(R, &[
     }
 }
 
-/// A unit vector along x, y or z: which, and with which sign.
+/// The axis (x, y or z) and the sign of a unit vector along an axis.
 #[inline(always)]
 pub fn principal(unit: &Vector3<f64>) -> Option<(usize, f64)> {
     match [unit.x, unit.y, unit.z] {
@@ -154,8 +154,8 @@ impl<R: Real> Quat<R> {
         let (s, c) = (angle * R::of(0.5)).sin_cos();
         Self { w: c, v: V3::new(axis.x * s, axis.y * s, axis.z * s) }
     }
-    /// This one after a rotation by `angle` about the unit `axis`. About x, y or z it is half of a
-    /// product.
+    /// This rotation after a rotation by `angle` about the unit `axis`. About x, y or z it takes
+    /// half of a product.
     #[inline(always)]
     pub fn turned(&self, axis: &Vector3<f64>, angle: R) -> Self {
         let Some((k, sign)) = principal(axis) else {
@@ -177,7 +177,7 @@ impl<R: Real> Quat<R> {
         let angle = square.sqrt();
         let k = angle.recip_or_zero();
         let q = Self::about(&V3::new(r.x * k, r.y * k, r.z * k), angle);
-        // (1 − r²/8, r/2) + …: no axis is needed where there is none.
+        // (1 − r²/8, r/2) + …: a zero rotation needs no axis.
         let small = square.lt(R::of(NO_TURN));
         let half = |x: R| R::of(0.5) * x;
         Self {
@@ -235,7 +235,7 @@ impl<R: Real> Quat<R> {
     }
 }
 
-/// Length one; a quaternion that already has it keeps its bits.
+/// Scale to length one; a quaternion that already has it keeps its bits.
 pub(crate) fn unit_quat(q: [f64; 4]) -> [f64; 4] {
     let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     q.map(|x| x / length)
@@ -245,7 +245,7 @@ pub(crate) fn rotation(q: [f64; 4]) -> Matrix3<f64> {
     Quat::of(&q).matrix()
 }
 
-/// Where a shape is: its centre and its axes (columns of `rot`), in the world.
+/// The pose of a shape: its centre and its axes (columns of `rot`), in the world.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose<R: Real> {
     pub pos: V3<R>,
@@ -257,25 +257,25 @@ impl Pose<f64> {
         Self { pos, rot: rotation(quat) }
     }
 
-    /// The world point of a local one.
+    /// Return the world point of a local one.
     pub(crate) fn point(&self, local: Vector3<f64>) -> Vector3<f64> {
         self.pos + self.rot * local
     }
 
-    /// The world pose of a frame given in this one.
+    /// Return the world pose of a frame given in this one.
     pub(crate) fn then(&self, local: &Self) -> Self {
         Self { pos: self.point(local.pos), rot: self.rot * local.rot }
     }
 }
 
 impl<R: Real> Pose<R> {
-    /// One of the shape's own axes, in the world.
+    /// Return one of the shape's axes, in the world.
     #[inline(always)]
     pub fn axis(&self, i: usize) -> V3<R> {
         V3::new(self.rot[(0, i)], self.rot[(1, i)], self.rot[(2, i)])
     }
 
-    /// A world vector along the shape's own axes.
+    /// Return a world vector along the shape's axes.
     #[inline(always)]
     pub fn to_local(&self, v: &V3<R>) -> V3<R> {
         V3::new(self.axis(0).dot(v), self.axis(1).dot(v), self.axis(2).dot(v))
@@ -332,7 +332,7 @@ impl<R: Real> Motion<R> {
     pub fn at(&self, r: &V3<R>) -> V3<R> {
         self.lin + self.ang.cross(r)
     }
-    /// How large the square of a part of that could be, if nothing cancelled.
+    /// The largest possible square of a part of that, without cancellation.
     #[inline(always)]
     pub fn most_at(&self, r: &V3<R>) -> R {
         let turning = self.ang.dot(&self.ang) * r.dot(r);

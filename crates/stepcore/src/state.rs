@@ -1,4 +1,4 @@
-//! What a step changes, and what the user puts in from outside.
+//! The state that a step changes, and the user's inputs.
 
 use crate::arrays::array::{Array, ArraySet};
 use crate::model::Model;
@@ -6,7 +6,7 @@ use crate::real::{Mask, Real};
 use crate::spatial::{Quat, V3};
 use crate::warm::{Sleep, Warm};
 
-/// A complete snapshot: restored, a run continues bit for bit.
+/// A complete snapshot: a run restored from it continues bit for bit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State<R: Real> {
     /// Steps since `start`, and the time there [s]: time = start + steps · dt.
@@ -18,17 +18,17 @@ pub struct State<R: Real> {
     pub qvel: Vec<R>,
     /// Activations of actuators, in MuJoCo's order; na entries.
     pub act: Vec<R>,
-    /// Past controls of the actuators whose controls are late, each actuator's newest first.
+    /// Past controls of the actuators with delayed controls, each actuator's newest first.
     pub ctrl_history: Vec<R>,
     pub warm: Vec<Warm<R>>,
-    /// Who sleeps.
+    /// The sleeping trees.
     pub sleep: Sleep<R>,
 }
 
 room!(State<R>: steps, start, qpos, qvel, act, ctrl_history, warm, sleep);
 
 impl<R: Real> State<R> {
-    /// At qpos0 and at rest.
+    /// Create a state at qpos0 and at rest.
     pub fn new(model: &Model<R::Value>) -> Self {
         Self {
             steps: 0,
@@ -42,7 +42,7 @@ impl<R: Real> State<R> {
         }
     }
 
-    /// What of it the user holds, in the order of `arrays::Array`.
+    /// Return the user's part of it, in the order of `arrays::Array`.
     pub(crate) fn lists(&self) -> [&Vec<R>; Array::CHANGED] {
         [&self.qpos, &self.qvel, &self.act, &self.ctrl_history]
     }
@@ -51,7 +51,7 @@ impl<R: Real> State<R> {
         [&mut self.qpos, &mut self.qvel, &mut self.act, &mut self.ctrl_history]
     }
 
-    /// Copies into a state of the same model, whose room is used again.
+    /// Copy into a state of the same model, reusing its memory.
     pub(crate) fn copy_to(&self, to: &mut Self) {
         (to.steps, to.start) = (self.steps, self.start);
         for (to, from) in to.lists_mut().into_iter().zip(self.lists()) {
@@ -61,7 +61,7 @@ impl<R: Real> State<R> {
         self.sleep.copy_to(&mut to.sleep);
     }
 
-    /// One lane's next step starts without impulses.
+    /// Start one lane's next step without impulses.
     pub(crate) fn forget_impulses(&mut self, lane: usize) {
         if R::ALONE {
             return self.warm.clear();
@@ -70,33 +70,33 @@ impl<R: Real> State<R> {
         impulses.for_each(|impulse| impulse.set_lane(lane, 0.0));
     }
 
-    /// Time [s] of this state in steps of `dt`.
+    /// Return the time [s] of this state in steps of `dt`.
     pub fn time(&self, dt: f64) -> f64 {
         self.start + self.steps as f64 * dt
     }
 }
 
-/// How many arrays of inputs there are.
+/// The number of arrays of inputs.
 pub(crate) const INPUTS: usize = Array::COUNT - Array::CHANGED;
 
-/// Controls and applied forces: held during a step.
+/// Controls and applied forces: constant during a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inputs<R: Real> {
-    /// By actuator, in the unit that its gear expects.
+    /// Per actuator, in the unit that its gear expects.
     pub ctrl: Vec<R>,
     qfrc_applied: Vec<R>,
     xfrc_applied: Vec<R>,
     eq_active: Vec<R>,
     mocap_pos: Vec<R>,
     mocap_quat: Vec<R>,
-    /// Some applied force may not be zero. Whatever writes them writes this too.
+    /// Whether some applied force may be nonzero. All code that writes them writes this too.
     applied: bool,
 }
 
 room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat, applied);
 
 impl<R: Real> Inputs<R> {
-    /// No control, no force; equalities and mocap bodies as the scene has them.
+    /// Create inputs without control or force; equalities and mocap bodies as in the scene.
     pub fn new(model: &Model<R::Value>) -> Self {
         let initial = |array: Array| {
             let mut all = vec![R::zero(); array.count(model)];
@@ -117,7 +117,7 @@ impl<R: Real> Inputs<R> {
         }
     }
 
-    /// Generalised forces by dof [N or N·m].
+    /// Return the generalised forces by dof [N or N·m].
     pub fn qfrc_applied(&self) -> &[R] {
         &self.qfrc_applied
     }
@@ -128,30 +128,30 @@ impl<R: Real> Inputs<R> {
         &self.xfrc_applied
     }
 
-    /// False where every applied force is zero, so that a step need not add them.
+    /// Return false if every applied force is zero, so that a step need not add them.
     pub fn applied(&self) -> bool {
         self.applied
     }
 
-    /// Lets `write(qfrc_applied, xfrc_applied)` change the applied forces.
+    /// Change the applied forces with `write(qfrc_applied, xfrc_applied)`.
     pub fn apply(&mut self, write: impl FnOnce(&mut [R], &mut [R])) {
         self.edit(|[_, qfrc, xfrc, ..]| write(qfrc, xfrc));
     }
 
-    /// Where an equality acts.
+    /// Return the lanes in which an equality acts.
     #[inline(always)]
     pub(crate) fn eq_active(&self, index: usize) -> R::Mask {
         let (active, zero) = (self.eq_active[index], R::zero());
         active.gt(zero).or(active.lt(zero))
     }
 
-    /// Poses of mocap bodies.
+    /// Return the poses of mocap bodies.
     pub(crate) fn mocap(&self) -> impl Iterator<Item = (V3<R>, Quat<R>)> + '_ {
         let quats = self.mocap_quat.chunks(4).map(|quat| Quat::of(quat).normalized());
         self.mocap_pos.chunks(3).map(|pos| V3::new(pos[0], pos[1], pos[2])).zip(quats)
     }
 
-    /// In the order of `arrays::Array`.
+    /// Return the arrays in the order of `arrays::Array`.
     pub(crate) fn arrays(&self) -> [&[R]; INPUTS] {
         let Self { ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat, .. } = self;
         [ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat]
@@ -162,14 +162,14 @@ impl<R: Real> Inputs<R> {
         [ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat]
     }
 
-    /// Lets `write` change them, in this order.
+    /// Change them with `write`, in this order.
     pub(crate) fn edit(&mut self, write: impl FnOnce([&mut [R]; INPUTS])) {
         write(self.arrays_mut());
         let mut forces = self.qfrc_applied.iter().chain(&self.xfrc_applied);
         self.applied = forces.any(|force| !force.is_zero());
     }
 
-    /// Takes some of one world's arrays, in the order of `arrays`. Lane 0 comes first.
+    /// Copy in some of one world's arrays, in the order of `arrays`. Lane 0 comes first.
     pub(crate) fn set_lane(&mut self, lane: usize, given: &[&[f64]], some: ArraySet) {
         if some.has(Array::QfrcApplied) || some.has(Array::XfrcApplied) {
             let applied = given[1..3].iter().copied().flatten().any(|force| *force != 0.0);
@@ -183,7 +183,7 @@ impl<R: Real> Inputs<R> {
         }
     }
 
-    /// Takes a world's numbers into one lane; no force is applied there, and none was before.
+    /// Copy a world's numbers into one lane; no force is applied there, and none was before.
     #[inline(always)]
     pub(crate) fn set_idle_lane<'a>(&mut self, lane: usize, given: impl Fn(Array) -> &'a [f64]) {
         for (to, array) in self.arrays_mut().into_iter().zip(&Array::ALL[Array::CHANGED..]) {
@@ -195,26 +195,26 @@ impl<R: Real> Inputs<R> {
         }
     }
 
-    /// By array, whether it differs from that of `old`.
+    /// Return, by array, whether it differs from the one in `old`.
     pub(crate) fn changes(&self, old: &Self) -> [bool; INPUTS] {
         let (new, applied) = (self.arrays(), self.applied || old.applied);
         let mut changes = [false; INPUTS];
         for ((changes, array), (new, old)) in
             changes.iter_mut().zip(&Array::ALL[Array::CHANGED..]).zip(new.iter().zip(old.arrays()))
         {
-            // Where no force is applied, all of them are zero.
+            // If no force is applied, all of them are zero.
             let zero = !applied && matches!(array, Array::QfrcApplied | Array::XfrcApplied);
             *changes = !zero && *new != old;
         }
         changes
     }
 
-    /// Copies into inputs of the same model, whose room is used again.
+    /// Copy into inputs of the same model, reusing their memory.
     pub(crate) fn copy_to(&self, to: &mut Self) {
         self.copy_some([true; INPUTS], to);
     }
 
-    /// The same of some arrays.
+    /// The same for some arrays.
     pub(crate) fn copy_some(&self, some: [bool; INPUTS], to: &mut Self) {
         for ((to, from), copied) in to.arrays_mut().into_iter().zip(self.arrays()).zip(some) {
             if copied {

@@ -1,7 +1,7 @@
 //! The loop: place → detect → solve → commit.
 //!
-//! The integrator says how often a step runs the first three; `integrate` is in
-//! `commit/`. What is written here is the whole of a step.
+//! The integrator determines how often a step runs the first three; `integrate` is in `commit/`.
+//! This file contains the whole step.
 
 use crate::commit::Next;
 use crate::detect::Detected;
@@ -17,7 +17,7 @@ use crate::sim::{At, Sim};
 use crate::solve::{Choice, Part, Situation};
 
 impl<R: Real> Sim<R> {
-    /// Runs `work`; where it is interrupted, state and inputs are those of the last whole step.
+    /// Run `work`; if it is interrupted, state and inputs stay at the last whole step.
     pub(crate) fn whole<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         let outcome = caught(|| work(self));
         if matches!(outcome, Err(Error::Interrupted)) {
@@ -26,12 +26,12 @@ impl<R: Real> Sim<R> {
         outcome
     }
 
-    /// Advances by `n` steps, or to the last finite state before an error.
+    /// Advance by `n` steps, or to the last finite state before an error.
     pub fn step(&mut self, n: u64) -> Result<()> {
         self.step_watched(n, &mut ())
     }
 
-    /// The same while `observer` watches.
+    /// The same with an `observer`.
     pub fn step_watched(&mut self, n: u64, observer: &mut dyn Observer<R>) -> Result<()> {
         self.wake_where_off();
         for _ in 0..n {
@@ -48,7 +48,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The state and the next one change places.
+    /// Swap the state and the next one.
     #[inline(always)]
     pub(crate) fn swap_states(&mut self) {
         let (state, next) = (&mut self.state, &mut self.next);
@@ -60,7 +60,7 @@ impl<R: Real> Sim<R> {
         if self.model.nhistory > 0 {
             std::mem::swap(&mut state.ctrl_history, &mut next.ctrl_history);
         }
-        // What is restored may hold impulses that these settings do not keep.
+        // A restored state may hold impulses that these settings do not store.
         std::mem::swap(&mut state.warm, &mut next.warm);
         if R::ALONE && self.plan.sleeps {
             std::mem::swap(&mut state.sleep, &mut next.sleep);
@@ -84,7 +84,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// What forces depend on, with the placement at hand.
+    /// Return the inputs of forces, with the current placement.
     pub(crate) fn moment(&self, at: At) -> Moment<'_, R> {
         let (qpos, qvel) = at.of(&self.state, &self.next);
         let frames = self.placed.frames();
@@ -92,10 +92,10 @@ impl<R: Real> Sim<R> {
         Moment { model: &self.model, frames, qpos, qvel, act, inputs: &self.inputs }
     }
 
-    /// The next step begins at the positions of the last one, with their derivatives, of the same
-    /// models and inputs: what follows of these alone stays as it is.
+    /// Mark that the next step starts at the positions of the last one, with their derivatives, and
+    /// the same models and inputs: everything that follows from these alone is reused.
     pub(crate) fn hold_positions(&mut self) {
-        // Other integrators have placed further positions since.
+        // Other integrators have placed other positions since.
         self.placed.held = self.plan.scheme.stages == Stages::Start;
     }
 
@@ -150,7 +150,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// What contacts push beside their rows is part of what the rows start from.
+    /// Add impulses of contacts without rows to the start of the rows.
     pub(crate) fn take_pushes(&mut self) {
         if !self.rows.pushes.is_empty() {
             self.next.smooth.copy_from_slice(&self.placed.guess);
@@ -169,7 +169,7 @@ impl<R: Real> Sim<R> {
         self.detected.detect(&self.model, &self.placed, self.settings.ahead(), qpos)
     }
 
-    /// Rows of the contacts at hand.
+    /// Build the rows of the current contacts.
     pub(crate) fn make_rows(&mut self, at: At, part: Part) {
         R::enter(Stage::Rows);
         if !self.model.makes_rows(self.detected.contacts.len()) {
@@ -193,10 +193,10 @@ impl<R: Real> Sim<R> {
         self.rows.make(&now, &mut self.detected.contacts);
     }
 
-    /// The contacts of the placement at hand, for reading: those of the last solve stay.
+    /// Return the contacts of the current placement, for reading: the last solve's contacts remain.
     pub(crate) fn detect_again(&self) -> Detected<R> {
         let mut detected = Detected::new(&self.model, 0);
-        // Where a step found room there is room again; else it has refused already.
+        // If a step had room there is room again; else it has failed already.
         let _ = detected.detect(&self.model, &self.placed, self.settings.ahead(), &self.state.qpos);
         detected
     }
@@ -229,7 +229,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The acceleration that the smooth forces and equalities alone give; the model has some.
+    /// Compute the acceleration from the smooth forces and equalities alone; the model has some.
     pub(crate) fn smooth_and_connected(
         &mut self,
         at: At,
@@ -252,8 +252,8 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Solves the equalities alone from the guess at hand; what they change is in `velocity`.
-    /// Their impulses act for a share of the step.
+    /// Solve the equalities alone from the current guess; `velocity` gets their change. Their
+    /// impulses act for a share of the step.
     pub(crate) fn connect(&mut self, at: At, part: Part, share: f64, choice: Choice) -> Result<()> {
         self.make_rows(at, part);
         R::enter(Stage::Impulses);
@@ -274,7 +274,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The acceleration that the smooth forces alone give.
+    /// Compute the acceleration from the smooth forces alone.
     pub(crate) fn smooth(&mut self, at: At) {
         self.effort.evaluations += 1;
         let (qpos, qvel) = at.of(&self.state, &self.next);
@@ -289,7 +289,7 @@ impl<R: Real> Sim<R> {
         R::enter(Stage::Commit);
     }
 
-    /// A state that is not finite is never committed.
+    /// Check that the next state is finite: others are never committed.
     pub(crate) fn check_next(&self) -> Result<()> {
         let Next { qpos, qvel, act, .. } = &self.next;
         let bad = all_finite(qvel).and(all_finite(qpos)).not();
@@ -309,7 +309,7 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// Lanes in which every number is finite.
+/// Return the lanes in which every number is finite.
 pub(crate) fn all_finite<R: Real>(numbers: &[R]) -> R::Mask {
     numbers.iter().fold(R::Mask::of(true), |finite, x| finite.and(x.is_finite()))
 }

@@ -1,28 +1,28 @@
-//! What a step hands to the next beside positions and velocities: impulses and accelerations to start
-//! from, and who sleeps.
+//! Data that a step passes to the next besides positions and velocities: impulses and accelerations
+//! to start from, and the sleeping trees.
 
 use crate::real::Real;
 
-/// The most rows of a block, which `elements/constraints.rs` sees to: after their impulses stands the
-/// slip of friction that holds (`elements/stiction.rs`).
+/// The most rows of a block, ensured by `elements/constraints.rs`: their impulses are followed by
+/// the slip of sticking friction (`elements/stiction.rs`).
 pub const SLIP: usize = 10;
-/// What is kept of a contact's slip: as vectors, by which and about which geom 2 moved [m, rad].
+/// The stored numbers of a contact's slip: two vectors, the shift and the rotation of geom 2 [m, rad].
 pub const SLIPS: usize = 6;
-/// What is kept of a source from step to step.
+/// The stored numbers of a source.
 pub const WARM_ROWS: usize = SLIP + SLIPS;
 
-/// From this slot on stand accelerations, from which Newton's method starts (MuJoCo's
-/// `qacc_warmstart`), in the factored coordinates of the step that had them; `WARM_ROWS` dofs each.
+/// Slots from this one on hold accelerations, from which Newton's method starts (MuJoCo's
+/// `qacc_warmstart`), in the factored coordinates of their step; `WARM_ROWS` dofs each.
 pub const ACCELERATIONS: u64 = 1 << 48;
 
-/// The impulses of one contact, limit or other source, kept for the next step's start.
+/// The impulses of one contact, limit or other source, stored for the next step's start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warm<R: Real> {
-    /// Which source (see `Block::slot`); ascending in the list.
+    /// The slot of the source (see `Block::slot`); ascending in the list.
     pub slot: u64,
-    /// Which of its kin (see `Block::feature`); −1 in lanes that have none.
+    /// The feature among its kin (see `Block::feature`); −1 in lanes without one.
     pub feature: R,
-    /// By row of its block [N·s or N·m·s], zero beyond; from `SLIP` on slip [m] and turn [rad].
+    /// Per row of its block [N·s or N·m·s], zero beyond; from `SLIP` on slip [m] and turn [rad].
     pub impulse: [R; WARM_ROWS],
 }
 
@@ -41,7 +41,7 @@ impl<R: Real> Warm<R> {
         }
     }
 
-    /// An impulse of zero is as good as none.
+    /// Return whether it acts: an impulse of zero counts as none.
     pub fn acts(&self) -> bool {
         self.impulse.iter().any(|x| !x.is_zero())
     }
@@ -50,14 +50,14 @@ impl<R: Real> Warm<R> {
 /// The island of a tree that does not sleep.
 pub const AWAKE: usize = usize::MAX;
 
-/// Who sleeps; a part of the state. Empty lists: nobody ever was slow.
+/// The sleeping trees; a part of the state. Empty lists: no tree ever was slow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sleep<R: Real> {
-    /// By tree: for how many steps it has been slow.
+    /// Per tree: the number of steps for which it has been slow.
     pub slow: Vec<u64>,
-    /// By tree: the lowest tree of the island with which it sleeps; `AWAKE` in none.
+    /// Per tree: the lowest tree of its sleeping island; `AWAKE` if it does not sleep.
     pub island: Vec<usize>,
-    /// By entry of qpos, where a tree sleeps: its position.
+    /// Per entry of qpos, if its tree sleeps: its position.
     pub qpos: Vec<R>,
     /// The impulses of each island's last step awake; ascending slots within one.
     pub kept: Vec<(usize, Warm<R>)>,
@@ -72,17 +72,17 @@ impl<R: Real> Default for Sleep<R> {
 }
 
 impl<R: Real> Sleep<R> {
-    /// Nobody sleeps.
+    /// Create it with no sleeping tree.
     pub fn new() -> Self {
         Self { slow: vec![], island: vec![], qpos: vec![], kept: vec![] }
     }
 
-    /// Someone sleeps.
+    /// Return whether some tree sleeps.
     pub fn any(&self) -> bool {
         self.island.iter().any(|island| *island != AWAKE)
     }
 
-    /// Whether a tree sleeps.
+    /// Return whether a tree sleeps.
     pub fn has(&self, tree: usize) -> bool {
         self.island.get(tree).is_some_and(|island| *island != AWAKE)
     }
@@ -94,7 +94,7 @@ impl<R: Real> Sleep<R> {
         to.kept.clone_from(&self.kept);
     }
 
-    /// In other numbers; those of lane 0, as nobody sleeps in lanes.
+    /// Convert to other numbers, from lane 0, as no tree sleeps in lanes.
     pub fn cast<Q: Real>(&self) -> Sleep<Q> {
         let number = |x: R| Q::of(x.lane(0));
         let warm = |w: &Warm<R>| Warm::of(&w.in_lane(0));

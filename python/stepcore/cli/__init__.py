@@ -143,7 +143,7 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _say_what_it_does(argv: Sequence[str]) -> None:
-    """Say what a command does and how long it may take, before its module is imported."""
+    """Describe a command and its duration on the error stream, before its module is imported."""
     name = _asked(argv)
     if name not in COMMANDS or name in QUICK or not HELP.isdisjoint(argv):
         return

@@ -79,8 +79,8 @@ def add_options(
 ) -> None:
     """Add options that are arguments of a function, with its words, types and defaults.
 
-    options: of each argument the metavar, the choices, or what argparse is told of it; "flags" are
-        the option's names if these differ. excluding: mutually exclusive ones.
+    options: for each argument, the metavar, the choices, or keywords for argparse; "flags" are the
+        option's names if these differ. excluding: mutually exclusive options.
     """
     takes, (_, words) = inspect.signature(function).parameters, documented(function)
     alternatives = command.add_mutually_exclusive_group() if excluding else command
@@ -116,8 +116,8 @@ WORDS = {
     name: re.split(r"[;.] [Bb]y default|, or a text|\.(?: |$)", words)[0]
     for name, words in documented(Motion)[1].items()
 }
-# The options of a motion, by the field of `Motion` that each sets. "help" stands in place of the
-# field's own words; "usual" is what is taken without the option.
+# The options of a motion, by the field of `Motion` that each sets. "help" replaces the field's
+# description; "usual" is the default.
 OPTIONS: dict[str, dict[str, Any]] = {
     "horizon": {"type": time, "metavar": "S"},
     "starts": {"type": int, "metavar": "N"},
@@ -180,7 +180,7 @@ def add_file(command: argparse.ArgumentParser) -> None:
 
 
 def add_motion(group: Any, fields: Collection[str], **usual: Any) -> None:
-    """Add the options of a motion; fields: of `Motion`. usual: what is taken without an option."""
+    """Add the options of a motion; fields: of `Motion`. usual: the defaults of options."""
     drives = group.add_mutually_exclusive_group() if "ctrl" in fields else group
     for name, option in OPTIONS.items():
         if name in fields:
@@ -193,7 +193,7 @@ def add_motion(group: Any, fields: Collection[str], **usual: Any) -> None:
 
 
 def model_of(args: argparse.Namespace, warn: bool = True) -> Model:
-    """Return the compiled model of FILE; warn: whether to warn of stiffness, as `stepcore.load`."""
+    """Return the compiled model of FILE; warn: whether to warn of stiffness, as `load` does."""
     read = load if warn else find_scene
     return read(args.file, without=args.without, fuse=args.fuse).compile()
 

@@ -123,7 +123,7 @@ def call(args: argparse.Namespace, name: str) -> Result:
     if name in SECONDS:
         given["seconds"] = args.seconds
     given |= measurement.more(args, model)
-    # MuJoCo reads the file itself, if it is taken as it is.
+    # MuJoCo reads the file itself, if no option of loading changes it.
     source = getattr(args, "engine", "") == "mujoco"
     whole = model is None or (source and not args.without and args.fuse is not False)
     result: Result = function(args.file if whole else model, **given)
@@ -265,9 +265,8 @@ MEASUREMENTS = {
     ),
     "converge": Measurement(
         "convergence",
-        "lesson:stack --plot residual.png",
-        {"states": "N", "engine": ENGINE},
-        full="print every row, all runs of equal work, the residual by sweeps",
+        "lesson:stack --plot convergence.png",
+        {"engine": ENGINE},
     ),
     "identify": Measurement(
         "identification",

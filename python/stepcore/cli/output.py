@@ -66,7 +66,7 @@ def check_output(args: argparse.Namespace) -> None:
         with contextlib.suppress(OSError):
             status = os.stat(out)
             if stat.S_ISREG(status.st_mode):
-                # A file that the command may come to read later.
+                # The command must not read this file later.
                 files.outputs.add((status.st_dev, status.st_ino))
         if any(_same(out, other) for name, other in outputs if name != option):
             raise Usage(f"{option} {out}: another output of the command is the same file")

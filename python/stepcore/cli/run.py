@@ -39,7 +39,7 @@ from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 from stepcore.report.units import time_of
 
-# Extensions of --save, with the package that each needs; and what --save has without --record.
+# Extensions of --save, with the package that each needs; and the arrays saved without --record.
 SAVED = {".npz": "", ".csv": "", ".mcap": "mcap", ".html": "trimesh"}
 RECORD = ("qpos", "qvel", "ctrl", "energy", "overlap")
 # The default horizon of the run on a page [s].

@@ -1,6 +1,6 @@
 """Output of commands on a terminal: errors, missing characters, preliminary answers, Ctrl-C.
 
-The first Ctrl-C ends a measurement with its answer so far, the second at once.
+The first Ctrl-C ends a measurement with a preliminary answer, the second at once.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stepcore.escapes import printable
 from stepcore.report.terminal import last_line, watched
 
 # The exit statuses of a program interrupted by Ctrl-C, as shells report it, and of a measurement
-# without an answer in its time.
+# whose time ended before an answer.
 INTERRUPTED, UNDECIDED = 130, 3
 # On a terminal: the time of the first preliminary answer, and the interval between answers [s].
 OFTEN = (1.0, 0.5)

@@ -1,4 +1,4 @@
-"""`Actuator`: what one actuator of a compiled model does, said once for everything that asks."""
+"""`Actuator`: the law, ranges and joint of one actuator of a compiled model."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.sim import Sim
 
-# What a control sets: a length, a velocity, a force, or something else (muscles, adhesion,
-# controllers with further inputs).
+# The quantity that a control sets: a length, a velocity, a force, or something else (muscles,
+# adhesion, controllers with further inputs).
 SERVO, VELOCITY_SERVO, MOTOR, OTHER = "servo", "velocity servo", "motor", "other"
 
 
@@ -24,19 +24,19 @@ SERVO, VELOCITY_SERVO, MOTOR, OTHER = "servo", "velocity servo", "motor", "other
 class Actuator:
     """One actuator. Its force is gain × control + offset − kp × length − kv × velocity.
 
-    Forces, lengths and gains are those before the gear, unless said otherwise.
+    Forces, lengths and gains are before the gear, unless stated otherwise.
 
     index: in the model. kind: "servo", "velocity servo", "motor" or "other".
     gain: force per unit of control. offset: force at control 0 [N or N·m].
     kp, kv: the stiffness and the damping of its feedback. A servo that pushes away from its target
         has a negative kp.
     joint: the hinge or slide that it drives; None for tendons, bodies and joints of more dofs.
-    tendon: that it pulls at; None for all others.
-    dof, qposadr: where the joint's velocity and position stand; -1 without a joint.
+    tendon: the tendon that it pulls; None for all others.
+    dof, qposadr: indices of the joint's velocity and position; -1 without a joint.
     gear: the ratio of its length to the joint's coordinate.
     forcerange, ctrlrange: (low, high), ±inf without a range; the ctrlrange as it is applied.
     jointrange: the range of the force of all actuators of its joint, before the gear.
-    filtered: whether an activation stands between its control and its force.
+    filtered: whether its control acts on its force through an activation.
     integrates: whether its control sets the velocity of a servo's target.
     inertia: the inertia that moves with its joint in the model's initial pose, the other joints
         free [kg·m² or kg]; inf without a joint.
@@ -82,7 +82,7 @@ class Actuator:
 
     @property
     def forces(self) -> tuple[float, float]:
-        """The least and the greatest force at rest; of a motor, those of its control range."""
+        """The least and the greatest force at rest; a motor's are limited by its control range."""
         low, high = self.forcerange
         if self.kind == MOTOR:
             ends = sorted(self.gain * end for end in self.ctrlrange)
@@ -98,17 +98,17 @@ class Actuator:
         return bound
 
     def target(self, ctrl: Floats | float) -> Floats:
-        """Return the length that a control asks a servo for."""
+        """Return the target length of a servo at a control."""
         asked: Floats = (self.gain * np.asarray(ctrl) + self.offset) / self.kp
         return asked
 
     def holding(self, length: Floats | float) -> Floats:
-        """Return the control under which a servo is without force at a length."""
+        """Return the control at which a servo exerts no force at a length."""
         ctrl: Floats = (self.kp * np.asarray(length) - self.offset) / self.gain
         return ctrl
 
     def force(self, ctrl: float, length: float, velocity: float = 0.0) -> float:
-        """Return the force that it asks for, before the force range."""
+        """Return the force before it is clamped to the force range."""
         return self.gain * ctrl + self.offset - self.kp * length - self.kv * velocity
 
 
@@ -121,11 +121,11 @@ def actuators(model: Model) -> list[Actuator]:
 def loads(sim: Sim) -> Floats:
     """Return the force on each dof that holds a Sim at rest in its pose, (nv,) [N or N·m].
 
-    It is the bias less the passive forces, of the last `forward` or step; contacts carry none.
+    The force is the bias minus the passive forces of the last `forward` or step, without contacts.
     """
     speeds = np.array(sim.qvel)
     if speeds.any():
-        # Dampers and the forces of inertia hold nothing at rest.
+        # At rest, dampers and inertial forces are zero.
         sim.qvel[:] = 0.0
         sim.forward()
     need: Floats = np.array(sim.bias) - np.array(sim.passive)
@@ -140,7 +140,7 @@ def passing_stiffness(
 ) -> Floats:
     """Return the stiffness of servos whose gain falls to 1/√2 at a frequency [rad/s].
 
-    They are damped critically, or more by the damping of their joints alone.
+    The servos are critically damped, or overdamped by the damping of their joints alone.
     """
     weight = inertia * omega**2
     critical = weight / (math.sqrt(2) - 1)

@@ -52,7 +52,7 @@ class StateArray:
 class ReadOnly(Generic[T]):
     """An attribute that can be read but not assigned.
 
-    read: returns its value, given the object that has it and its name.
+    read: a function of the owner and the attribute's name that returns the value.
     """
 
     def __init__(self, doc: str, read: Callable[[Any, str], T]) -> None:
@@ -71,7 +71,7 @@ class ReadOnly(Generic[T]):
 def readout(doc: str, of: str = "") -> ReadOnly[Floats]:
     """Return an attribute that the engine computes from the state, or kept from the last solve.
 
-    of: what an alias with MuJoCo's name reads.
+    of: the readout that an alias with MuJoCo's name returns.
     """
     return ReadOnly(doc, lambda owner, name: owner._core.readout(of or name))
 
@@ -82,7 +82,7 @@ def constant(doc: str) -> ReadOnly[NDArray[Any]]:
 
 
 def element_names(doc: str) -> ReadOnly[tuple[str, ...]]:
-    """Return an attribute with the names of a model's elements, of the kind that its name says."""
+    """Return an attribute `<kind>_names` with the names of a model's elements of this kind."""
     return ReadOnly(doc, lambda owner, name: owner.names[name.removesuffix("_names")])
 
 
@@ -117,25 +117,25 @@ def indices_of(worlds: ArrayLike, n: int) -> NDArray[np.intp]:
 
 
 class State(bytes):
-    """A snapshot of one world. Two that are equal continue alike.
+    """A snapshot of one world. Equal snapshots continue identically.
 
-    last: what the last solve began with and gave, for what is read of it after `restore`.
+    last: input and result of the last solve, which the readouts of a solve need after `restore`.
     """
 
     last: bytes | None = None
 
 
 def kept(state: bytes, last: bytes | None) -> State:
-    """Return a snapshot with what is known of the last solve."""
+    """Return a snapshot with the data of the last solve."""
     own = State(state)
     own.last = last
     return own
 
 
 def snapshot(value: object, part: Any) -> tuple[bytes, bytes | None]:
-    """Return `part` of the snapshot `value`, and what it keeps of the last solve.
+    """Return `part` of the snapshot `value`, and its data of the last solve.
 
-    Raises ValueError for what are no bytes.
+    Raises ValueError unless `part` is bytes.
     """
     try:
         return bytes(memoryview(part)), getattr(part, "last", None)

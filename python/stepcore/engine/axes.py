@@ -61,7 +61,7 @@ AXES = {name: axes.split() for axes, names in _ARRAYS.items() for name in names.
 class Axis:
     """An axis of a recorded array. name: such as "body"; entries: the names of the entries.
 
-    units: of the entries of positions and velocities of joints; none of other arrays and of files.
+    units: the units of joint positions and velocities; empty for other arrays and for files.
     """
 
     name: str
@@ -83,7 +83,7 @@ def axes_of(model: Model | None, array: str, shape: Sequence[int]) -> tuple[Axis
 
 
 def units_of(model: Model | None, array: str) -> tuple[str, ...]:
-    """Return the unit of each position or velocity of the joints; none of another array."""
+    """Return the unit of each position or velocity of the joints; () for another array."""
     units = OF_JOINTS.get(array)
     if model is None or units is None:
         return ()

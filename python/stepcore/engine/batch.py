@@ -54,18 +54,18 @@ ON_FAILURE = ("stop", "go on")
 class Batch(World):
     """A simulation of many worlds of a model.
 
-    The arrays are those of a `Sim` with a leading world axis: an array documented with shape (nq,)
-    has shape (n, nq) here, and so on.
+    The arrays of a `Sim` have a leading world axis here: an array documented with shape (nq,) has
+    shape (n, nq), and so on.
 
     model: a `Model`, a `Scene`, which is compiled, or any argument of `stepcore.load`, such as the
         path of an MJCF file.
     n: the number of worlds.
-    settings: a `Settings` that replaces the model's own.
+    settings: a `Settings` that replaces the settings of the model.
     threads: the number of threads. The default is one per core, or a single thread for a batch that
         is too small to repay the cost of waking threads.
     lanes: True steps eight worlds (sixteen in single precision) at a time in the processor's vector
         registers; False steps them one by one. "auto" chooses the faster way: at increasing
-        intervals, a step is taken the other way and timed. Where worlds have different contacts, a
+        intervals, a step is taken the other way and timed. If worlds have different contacts, a
         register does the work of all its worlds, so walkers in contact may be faster one by one.
     on_failure: the treatment of a world that fails as in `Sim.step`. With "stop", SimulationError
         names the world, and all worlds keep the state before the first step in which a world
@@ -76,9 +76,9 @@ class Batch(World):
     fields: single fields of `Settings` to change, such as ``dt=0.005``.
 
     The results are bit-identical with any number of threads, with and without lanes, and in a
-    `Sim`. All worlds share one `time`, and one model except for the values in `param`. Of the last
-    solve a batch keeps only `qacc` and `actuator_force`: reading `contacts`, `rows`, `residual` or
-    `constraint_force` solves again, on the batch's threads.
+    `Sim`. All worlds share one `time`, and one model except for the values in `param`. A batch
+    keeps only `qacc` and `actuator_force` from the last solve: reading `contacts`, `rows`,
+    `residual` or `constraint_force` solves again, on the batch's threads.
 
     >>> from stepcore import Batch, Scene
     >>> scene = Scene()
@@ -172,7 +172,7 @@ class Batch(World):
         """Step with given controls and return every state.
 
         ctrl: shape (n, steps, nu), one row for each step; the last row stays in `ctrl`.
-        record: names of further quantities to record, such as "sensordata" or "energy": those that
+        record: names of further quantities to record, such as "sensordata" or "energy": all that
             `Sim.run` records, except momentum and the counts of one world's solve. Each quantity is
             read after each step, which may require one more solve.
         progress: as in `step`.
@@ -217,7 +217,7 @@ class Batch(World):
         return Linearizations(self._model, self._linearised_worlds().linear(states, by), by)
 
     def _linearised_worlds(self) -> LinearWorlds:
-        """Return the worlds as they are linearised, which are kept until a parameter is set."""
+        """Return the worlds for linearisation, which are kept until a parameter is set."""
         models = self._param.models()
         if self._linear_worlds is None or self._linear_worlds.models is not models:
             self._linear_worlds = LinearWorlds(models, self._threads)
@@ -235,16 +235,16 @@ class Batch(World):
         """Step with given controls, and return the gradient of a sum of the states, backward.
 
         ctrl: shape (n, steps, nu), as in `rollout`.
-        qpos, qvel, act: the gradient of a number by the states after each step, shapes
+        qpos, qvel, act: the gradient of a scalar with respect to the states after each step, shapes
             (n, steps, nq), …; None for zero.
         parameters: paths as in `Sim.linearize`.
-        error_bar: take the same gradient in steps half as long as well, which costs twice as much
-            again: `error` is how far apart both are. Not of a scene with late controls.
+        error_bar: compute the gradient with half the step as well, at three times the cost; `error`
+            is the distance of the two gradients. Must be False in a scene with late controls.
 
-        Each step is differentiated exactly where it began, its rows solved to rounding; see
-        `Sim.linearize`. Kept are the states and the gradient by each. Worlds share the batch's
-        threads, and the batch ends where the rollout ends. Warns (`GradientWarning`) where a
-        gradient grows without bound, and where its error is more than half of it.
+        Each step is differentiated exactly at the state where it starts, with rows solved to
+        rounding; see `Sim.linearize`. The states and the gradient with respect to each are kept.
+        Worlds share the batch's threads, and the batch ends in the last state of the rollout. Warns
+        (`GradientWarning`) if a gradient grows without bound or its error exceeds half of it.
 
         >>> import numpy as np
         >>> from stepcore import Batch, lesson
@@ -268,7 +268,7 @@ class Batch(World):
         ctrl_change: ArrayLike | None = None,
         parameters: Mapping[str, ArrayLike] = MappingProxyType({}),
     ) -> tuple[Rollout, Rollout]:
-        """Step with given controls; return the states, and how they change with their causes.
+        """Step with given controls; return the states and their directional derivative.
 
         ctrl: shape (n, steps, nu), as in `rollout`.
         qpos, qvel, act: changes of the initial state, shapes (n, nq), (n, nv), (n, na).
@@ -291,7 +291,7 @@ class Batch(World):
             warnings.warn(UnsolvedWarning(text), stacklevel=3)
 
     def _long(self, steps: int, progress: Choice) -> AbstractContextManager[Progress | None]:
-        """Return what shows the progress of a long call."""
+        """Return the progress bar of a long call."""
         checks.progress("Batch", progress)
         # The engine rejects an invalid number of steps.
         total = steps if isinstance(steps, (int, np.integer)) else 0
@@ -315,15 +315,15 @@ class Batch(World):
 
     @property
     def times(self) -> Floats:
-        """Time of each world [s], shape (n,), counted from the world's own last reset.
+        """Time of each world [s], shape (n,), counted from the last reset of this world.
 
-        The times differ from `time` where `reset` was called with `worlds`.
+        The times differ from `time` after a `reset` with `worlds`.
         """
         own = self._reset_to + self._steps_since_reset() * self.settings.dt
         return np.where(np.isnan(own), self.time, own)
 
     def _steps_since_reset(self) -> Floats:
-        """Return the steps of each world since its own reset, NaN where it had none."""
+        """Return the steps of each world since its individual reset; NaN without one."""
         steps: Floats = np.rint((self.time - self._reset_at) / self.settings.dt)
         return steps
 
@@ -331,7 +331,7 @@ class Batch(World):
     def nbytes(self) -> int:
         """Memory of all worlds, their arrays and the threads' workspace [bytes].
 
-        That in which `linearize` works is included once it was called, the shared model is not.
+        The workspace of `linearize` is included after its first call; the shared model is not.
         """
         size: int = self._core.nbytes
         linear: int = self._linear_worlds.core.nbytes if self._linear_worlds else 0
@@ -371,9 +371,9 @@ class Batch(World):
         worlds: the worlds to reset, as a mask of shape (n,) or as indices; None means all. Reset
             worlds continue bit-identically to a new `Sim`, and the other worlds are unaffected.
             `time` is reset only with None, else it continues; `times` has the time of each world.
-            Worlds that failed and are not reset try again from their present state.
-        qpos, qvel: values that replace those of the initial state or the keyframe in the reset
-            worlds, shape (nq,) or (k, nq) and (nv,) or (k, nv) for k worlds.
+            Failed worlds that are not reset continue from their present state.
+        qpos, qvel: values for the reset worlds instead of the initial state or the keyframe, shape
+            (nq,) or (k, nq) and (nv,) or (k, nv) for k worlds.
 
         Raises ValueError for an unknown keyframe, for worlds that do not exist or occur twice, and
         for arrays of another shape; nothing changes then.
@@ -401,7 +401,7 @@ class Batch(World):
         where: Any = slice(None) if worlds is None else chosen
         self._write(values, where)
         if key is None:
-            # The arrays that parameters change.
+            # Initial arrays that parameters change.
             for worlds_of, values in self._param._variants.initial():
                 self._write(values, np.intersect1d(worlds_of, chosen))
         for name, rows in own.items():
@@ -410,7 +410,7 @@ class Batch(World):
     def state(self) -> tuple[bytes, ...]:
         """Return a complete snapshot of every world; each is also a snapshot of a `Sim`.
 
-        A snapshot has the world's own time; see `Sim.state`.
+        A snapshot has the time of its world; see `Sim.state`.
         """
         steps = self._steps_since_reset()
         own = {
@@ -422,7 +422,7 @@ class Batch(World):
     def restore(self, state: tuple[bytes, ...]) -> None:
         """Restore a snapshot from `state`; the motion then continues bit-identically.
 
-        `time` becomes that of the batch at the snapshot, and `times` that of each world.
+        `time` becomes the time of the batch at the snapshot, and `times` the time of each world.
 
         Raises ValueError for any other argument; nothing changes then.
         """

@@ -31,7 +31,7 @@ def compiled_once(scene: Scene, copied: Scene) -> _core.Model:
     """
     try:
         key = hashlib.blake2b(bare(scene), digest_size=16).digest()
-    except Exception:  # pickling a user's own data can raise any error
+    except Exception:  # pickling user-defined data can raise any error
         return compiled(copied)
     if scene._compiled is None or scene._compiled[0] != key:
         scene._compiled = key, compiled(copied)

@@ -30,7 +30,7 @@ class ControlError(ValueError):
 
     @classmethod
     def not_repeatable(cls, function: Callable[..., Any], again: str) -> ControlError:
-        """Return the error of a function with other results in a run that is made again."""
+        """Return the error of a function with other results in a repeated run."""
         return cls(
             f"{control_name(function)} returned other controls when {again}: it is random, or "
             "remembers earlier calls. Runs with it cannot be compared; give a callable object that "
@@ -103,7 +103,7 @@ def fresh(function: Control) -> Control:
     """
     try:
         return copy.deepcopy(function)
-    except Exception:  # copying a user's own object can raise any error
+    except Exception:  # copying a user-defined object can raise any error
         return function
 
 

@@ -102,12 +102,12 @@ class Coordinates:
             result[..., v : v + 3] = turned(product(back, after[..., q : q + 4]))
         return result
 
-    # To first order, by derivatives.
+    # First-order changes and gradients.
 
     def _turns(self, qpos: Floats, q: int, inverse: bool) -> Floats:
-        """Return the change of a quaternion by a turn about each body axis, (…, 3, 4).
+        """Return the derivative of a quaternion by a turn about each body axis, (…, 3, 4).
 
-        inverse: its pseudo-inverse, transposed. The rows are at right angles, each |q|/2 long.
+        inverse: the transposed pseudo-inverse. The rows are orthogonal, each |q|/2 long.
         """
         quat = qpos[..., q : q + 4]
         w, x, y, z = np.moveaxis(quat, -1, 0)
@@ -116,7 +116,7 @@ class Coordinates:
         return turns * (4 / (quat**2).sum(-1))[..., None, None] if inverse else turns
 
     def of_dofs(self, qpos: Floats, change: Floats, inverse: bool = False) -> Floats:
-        """Return a change of dofs (or, inverse, a gradient) as one of qpos; (…, nv) to (…, nq)."""
+        """Convert a change (inverse: a gradient) of the dofs to qpos; (…, nv) to (…, nq)."""
         out = np.zeros(qpos.shape)
         out[..., self._numbers[0]] = change[..., self._numbers[1]]
         for q, v in self._quaternions:
@@ -125,7 +125,7 @@ class Coordinates:
         return out
 
     def to_dofs(self, qpos: Floats, gradient: Floats, inverse: bool = False) -> Floats:
-        """Return a gradient by qpos as one by the dofs; (…, nq) to (…, nv)."""
+        """Convert a gradient by qpos to a gradient by the dofs; (…, nq) to (…, nv)."""
         out = np.zeros((*qpos.shape[:-1], self.nv))
         out[..., self._numbers[1]] = gradient[..., self._numbers[0]]
         for q, v in self._quaternions:
@@ -134,7 +134,7 @@ class Coordinates:
         return out
 
     def changed(self, qpos: Floats, change: Floats) -> Floats:
-        """Return a change of qpos as one of the dofs; (…, nq) to (…, nv)."""
+        """Convert a change of qpos to a change of the dofs; (…, nq) to (…, nv)."""
         return self.to_dofs(qpos, change, inverse=True)
 
     def nudged(self, qpos: Floats, change: Floats) -> Floats:

@@ -78,8 +78,8 @@ class Element:
     def fields(self, model: Model) -> tuple[SceneField, ...]:
         """Return the scene fields that parametrise this element.
 
-        The fields of a contact are those of its explicit pair or of both its geoms, or of the
-        override that replaces them.
+        A contact has the fields of its explicit pair or of both its geoms, or of the override that
+        replaces them.
         """
         scene, layout = model.scene, Layout(model.scene)
         kind, names = FIELDS.get(self.kind, (self.kind, ()))
@@ -96,8 +96,8 @@ class SceneField:
     """A field of a scene that parametrises an element.
 
     kind, index: the owner of the field, in the order of the compiled model. name: the field's name.
-    value, default, unit: the present value, that of a new scene, and the unit of both ("" for
-    none). path: the argument of `Model.with_values`; "" where the owner has no name.
+    value, default, unit: the present value, the value in a new scene, and the unit of both (""
+    for none). path: the argument of `Model.with_values`; "" if the owner has no name.
     """
 
     kind: str
@@ -124,7 +124,7 @@ class SceneField:
         return cls(kind, index, name, value, default, unit, path)
 
     def assign(self, layout: Layout, value: Any) -> None:
-        """Set this field in the scene of `layout`, a copy of the field's own scene."""
+        """Set this field in the scene of `layout`, a copy of the field's scene."""
         setattr(_owner(layout, self.kind, self.index), self.name, value)
 
 

@@ -1,4 +1,4 @@
-"""The error of a run, from a second, finer run beside it."""
+"""The error of a run, estimated by a second, finer run."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.sim import Sim
 
-# The finer run: a share of the accuracy, or of the time step. Of first order its own error is that
-# share of the run's, and the distance the rest; of a higher order the distance is nearly all of it.
+# The finer run: a fraction of the accuracy, or of the time step. In a first-order method its error
+# is this fraction of the run's error and the distance is the rest; in a higher-order method the
+# distance is nearly the whole error.
 ACCURACY, STEP = 1 / 10, 4
-# The runs have parted when a body is so far off, as a share of the scene's lengths, and are
-# together again below the second share: two runs that have parted can meet by chance.
+# The runs have diverged if the distance of a body exceeds the first fraction of the scene's
+# lengths, and agree again below the second: diverged runs can meet by chance.
 PARTED, TOGETHER = 0.1, 0.001
 # The longest time between two comparisons [s].
 LOOK = 0.05
 
 
 class ErrorBar(NamedTuple):
-    """The estimated error of a run in position [m], inf where it is not known.
+    """The estimated error of a run in position [m], inf if it is unknown.
 
-    rms: over the moving bodies, in the norm of `stepcore.engine.norm`. largest: of the body that is
-    farthest off.
+    rms: over the moving bodies, in the norm of `stepcore.engine.norm`. largest: the largest error
+    of a body.
     """
 
     rms: float
@@ -43,9 +44,9 @@ class ErrorBar(NamedTuple):
 class FinerRun:
     """A finer run of the same model from the same state, under the same inputs.
 
-    It begins where the first run does, and again wherever somebody writes the state of that.
+    It starts from the state of the first run, and restarts whenever that state is written.
 
-    until: the time from which the two have parted [s]; inf while they are together.
+    until: the time at which the runs diverged [s]; inf while they agree.
     """
 
     def __init__(self, sim: Sim) -> None:
@@ -56,29 +57,28 @@ class FinerRun:
         self.of, self.sim = sim, type(sim)(model, own)
         self.sim._core.unwatch()
         self.steps = round(model.settings.dt / own.dt)
-        # The distance over the error, at least.
+        # The smallest ratio of distance to error.
         self.seen = 1 - (1 / STEP if sim.settings.accuracy is None else ACCURACY)
         self.block = max(1, round(LOOK / model.settings.dt))
         self.matter = Matter.of(model)
         reach = longest(model, self.matter)
         self.parted, self.together = PARTED * reach, TOGETHER * reach
         self.until = np.inf
-        # The state of the first run when both were there last, None where they have not met; and
-        # the inputs that both had.
+        # State of the first run at the last common time, None before; and the inputs of both runs.
         self.state: list[bytes] | None = None
         self.inputs: list[bytes] | None = None
         self.failed = False
-        # How far bodies are apart now, once it was asked; and steps since it was looked at.
+        # The present distances of the bodies, once computed; and steps since the last comparison.
         self.far: Floats | None = None
         self.unseen = 0
-        # How far they were apart at the last two blocks' ends, and steps since then.
+        # The distances at the ends of the last two blocks, and steps since then.
         self.before: list[Floats] = []
         self.since = 0
-        # What the finer run's own copy of a control function returned last.
+        # The last result of the finer run's copy of a control function.
         self.ctrl: Floats | None = None
 
     def step(self, n: int) -> None:
-        """Make n steps of the first run, and as much time of the finer one."""
+        """Take n steps of the first run, and advance the finer run by the same time."""
         whole = isinstance(n, (int, np.integer)) and n > 0
         while whole and n > self.block:
             self._step(self.block)
@@ -105,12 +105,12 @@ class FinerRun:
             self._look()
 
     def _fail(self) -> None:
-        """The finer run is not where the first is, and does not go on."""
+        """Stop the finer run, which is no longer at the time of the first run."""
         self.failed, self.until = True, min(self.until, self.of.time)
         self._keep()
 
     def _look(self) -> None:
-        """Look whether the runs have parted, or are together again."""
+        """Check whether the runs have diverged, or agree again."""
         if self.unseen and not self.failed:
             distances = self._distances()
             far = float(distances.max(initial=0.0))
@@ -124,13 +124,13 @@ class FinerRun:
         self.unseen = 0
 
     def judged(self) -> FinerRun:
-        """Return this run, having looked at where both are."""
+        """Compare the runs, and return this run."""
         self.meet()
         self._look()
         return self
 
     def meet(self) -> None:
-        """Begin at the state of the first run, unless it comes from a step; take its inputs."""
+        """Copy the inputs of the first run, and also its state unless that comes from a step."""
         first, own = self.of._arrays, self.sim._arrays
         if self.state != self._bits(STATE):
             for name in STATE:
@@ -155,10 +155,10 @@ class FinerRun:
         return [self.of._arrays[name].tobytes() for name in names]
 
     def errors(self) -> Floats:
-        """Return the error of each body [m], (nbody,); inf where it is not known.
+        """Return the error of each body [m], (nbody,); inf if it is unknown.
 
-        It is at least half of what it was within the last tenth of a second: two runs that land are
-        near each other for a moment, alike off.
+        It is at least half of its value within the last tenth of a second: two runs that land are
+        close to each other for a moment, although their errors are not smaller.
         """
         errors = np.zeros(self.of.model.nbody)
         known = not np.isfinite(self.until)
@@ -175,7 +175,7 @@ class FinerRun:
         return ErrorBar(float(rms(far)[0]), float(largest(far)[0]))
 
     def _distances(self) -> Floats:
-        """How far each moving body is from where it is in the finer run [m]."""
+        """Return the distance of each moving body from its pose in the finer run [m]."""
         if self.far is None:
             self.far = apart(self._poses(self.of), self._poses(self.sim), self.matter)[0, 0]
         return self.far
@@ -186,39 +186,39 @@ class FinerRun:
         return Tracks(com[None, None], sim.xquat[moving][None, None])
 
     def kept(self) -> tuple[bytes, float, bool, list[Floats], int]:
-        """Return what a copy goes on from."""
+        """Return the state from which a copy continues."""
         self.judged()
         return self.sim.state(), self.until, self.failed, self.before, self.since
 
     def go_on(
         self, state: bytes, until: float, failed: bool, before: list[Floats], since: int
     ) -> None:
-        """Go on where `kept` was called."""
+        """Continue from a result of `kept`."""
         self.sim.restore(state)
         self.until, self.failed, self.before, self.since = until, failed, before, since
         self._keep()
 
 
 def judged(sim: Any, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of what to record, with the error where it is measured."""
+    """Return the names of quantities to record, including the error if it is measured."""
     errors = () if getattr(sim, "_finer", None) is None else ("error", "body_error")
     return tuple(dict.fromkeys((*names, *errors)))
 
 
 @contextmanager
 def driven(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
-    """Control the finer run of a Sim, if there is one, by its own copy of a control function.
+    """Control the finer run of a Sim, if there is one, by another copy of a control function.
 
-    The function that is given has to be called at the beginning of each period, before the controls
-    of the first run are set. Raises ControlError if the control function is not repeatable: the two
-    runs would tell nothing about the error.
+    The yielded function has to be called at the beginning of each period, before the controls of
+    the first run are set. Raises ControlError if the control function is not repeatable: the
+    distance of the two runs would not be the error.
     """
     finer: FinerRun | None = getattr(sim, "_finer", None)
     if finer is None or not callable(control):
         yield lambda: None
         return
     finer.meet()
-    # Of the finer run alone: what a function reads of the first may differ at the same state.
+    # Both calls read the finer run: the first run's readouts may differ at the same state.
     first, again = (np.array(controls(fresh(control), finer.sim)) for _ in range(2))
     if not np.array_equal(first, again):
         raise ControlError.not_repeatable(control, "a finer run asked for the error bar")
@@ -247,7 +247,7 @@ def finer_settings(settings: Settings) -> Settings:
 
 
 def longest(model: Model, matter: Matter) -> float:
-    """Return the longest way from a parent's frame over a moving body's own to its mass [m]."""
+    """Return the longest path from a parent's frame via a moving body's frame to its mass [m]."""
     bodies = Layout(model.scene).bodies
     arms = [np.linalg.norm(bodies[index].pos) for index in matter.moving]
     ways = np.array(arms) + np.linalg.norm(matter.ipos, axis=1) + matter.gyration

@@ -47,9 +47,9 @@ class Removal:
 
 @dataclass(frozen=True)
 class MotionUsage:
-    """The pairs of bodies that touched, and what reached a limit, during a motion.
+    """The pairs of bodies that touched, and the elements that reached a limit, during a motion.
 
-    limited: ("joint" or "tendon", index). All are indices in the order of the compiled model.
+    limited: ("joint" or "tendon", index). All indices are in the order of the compiled model.
     """
 
     touched: frozenset[tuple[int, int]]
@@ -107,13 +107,13 @@ def _change(scene: Scene, edit: str, value: Any) -> None:
 def _cleared(kind: str, own: Sequence[int], held: str, *fields: str, name: str) -> list[Removal]:
     """Return the removal that clears fields of elements; none without elements.
 
-    held: the scene's list of them. name: of the removal, or one element's noun, to be counted.
+    held: the scene's list of the elements. name: the noun of one element, which is counted.
     """
     edit = ("cleared", (held, tuple(own), fields))
     return [Removal(kind, counted(len(own), name), (edit,))] if own else []
 
 
-# Who has a feature, its fields, and its name; the first four are those of joints and tendons.
+# Test for a feature, its fields and its name; joints and tendons share the first four features.
 HAS: dict[str, tuple[Callable[[Any], bool], tuple[str, ...], str]] = {
     "spring": (lambda e: e.sprung, ("stiffness", "stiffnesspoly"), "springs"),
     "damper": (lambda e: e.damped, ("damping", "dampingpoly"), "damping"),
@@ -143,7 +143,7 @@ class RemovableFeatures:
 
     def removals(self, usage: MotionUsage, settings: Settings) -> list[Removal]:
         """Return the removal of every feature, one at a time."""
-        # Every solve begins from zero impulses.
+        # Every solve starts from zero impulses.
         cold = Removal("warm start", "", (("settings", (("warm_start", False),)),))
         return [
             *self._friction(settings),

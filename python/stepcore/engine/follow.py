@@ -1,4 +1,4 @@
-"""`follow`: the motions of a model from several starts, whole, under controls over time."""
+"""`follow`: complete motions of a model from several starts, under controls over time."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from stepcore.executors import checkpoint
 # The states of a run at which operations are counted.
 COUNTED = 8
 DEAR = "the accuracy takes more evaluations of the forces than the run may"
-# Batches that are kept for the next call with the same model, settings and number of starts: a
-# search goes through a few settings again and again. Ten steps of eight half_cheetahs take 54 µs
-# with one that was kept, and 196 µs anew.
+# The number of batches kept for a call with the same model, settings and number of starts: a search
+# uses a few settings repeatedly. Ten steps of eight half_cheetahs take 54 µs with a kept batch, and
+# 196 µs with a new one.
 KEPT = 4
 
 
@@ -36,12 +36,12 @@ KEPT = 4
 class Followed:
     """Motions from several starts.
 
-    times: of the samples [s], (n + 1,); the first is 0, the start.
-    data: what was recorded, by name, (starts, n + 1, …); NaN after a run has ended.
-    failures: why runs ended early, by the index of the start.
-    made: steps that each start made, (starts,).
-    inner: evaluations of the forces under a setting `accuracy`, whose steps are made of several;
-        else as `made`; (starts,).
+    times: times of the samples [s], (n + 1,); the first is 0, the start.
+    data: recorded arrays by name, (starts, n + 1, …); NaN after a run has ended.
+    failures: the errors of runs that ended early, by the index of the start.
+    made: the number of steps of each start, (starts,).
+    inner: evaluations of the forces of adaptive steps, with the setting `accuracy`; else as `made`;
+        (starts,).
     counted: the operations, or a function that counts them.
     seconds: processor time of the call [s].
     """
@@ -55,7 +55,7 @@ class Followed:
     seconds: float
 
     def __getitem__(self, name: str) -> Floats:
-        """Return what was recorded under a name; KeyError, with the nearest, if it was not."""
+        """Return a recorded array; raise KeyError with the nearest name if there is none."""
         if name not in self.data:
             near = checks.nearest(name, self.data)
             raise KeyError(f"{checks.shown(name)} was not recorded{near}")
@@ -63,11 +63,11 @@ class Followed:
 
     @functools.cached_property
     def operations(self) -> Floats:
-        """Floating-point operations of each start, (starts,); NaN where they were not counted.
+        """Floating-point operations of each start, (starts,); NaN if they were not counted.
 
-        They are counted when they are read first: the run is made again, and eight of its steps are
-        counted by `Sim.count_flops`. The count of all steps was within 5 % of that on four robots,
-        and within 16 % on a walking Go2.
+        They are counted at the first access: the run is repeated, and eight of its steps are
+        counted by `Sim.count_flops`. The count of all steps was within 5 % of this estimate on four
+        robots, and within 16 % on a walking Go2.
         """
         return self.counted() if callable(self.counted) else self.counted
 
@@ -88,22 +88,22 @@ def follow(
 ) -> Followed:
     """Run a model from several starts, and record the motions.
 
-    The motions are those of `Sim.step` bit for bit, at any number of starts and threads. A run that
-    fails ends, and the others go on. Energies are looked at only with the setting ``ledger``.
+    The motions are bit-identical to `Sim.step`, at any number of starts and threads. A run that
+    fails ends, and the others go on. Energies are checked only with the setting ``ledger``.
 
-    model: with the settings of the runs.
-    steps: how many, a multiple of `every`.
-    every: steps from one sample to the next.
-    ctrl: controls, of shape (starts, rows, nu), or (1, rows, nu) for all starts alike. Each row is
-        held for `hold` steps, the last one to the end. None leaves the initial controls.
+    model: the model, with the settings of the runs.
+    steps: the number of steps, a multiple of `every`.
+    every: the number of steps from one sample to the next.
+    ctrl: controls, of shape (starts, rows, nu), or (1, rows, nu) for all starts. Each row is held
+        for `hold` steps, the last one to the end. None leaves the initial controls.
     control: a function of (time, sim) that returns the controls, called every `hold` steps with the
         Sim of each start. A callable object is copied for each start.
     record: names as in `Sim.run`, read at the start and at each sample.
-    bound: a run ends where a body is further than this from its place at the start [m]; looked at
-        at the samples.
-    most: evaluations of the forces after which steps within an accuracy end; those of a control
-        function, and what the engine does not sample, end after the step.
-    threads: threads that share the starts.
+    bound: the largest distance of a body from its position at the start [m]; a run ends at the
+        first sample beyond it.
+    most: the number of force evaluations at which an adaptive run ends. A run with a control
+        function, or with quantities that the engine does not sample, ends after the step.
+    threads: the number of threads that share the starts.
 
     Raises ValueError for arguments outside their limits, ControlError for a control function that
     fails under any settings, and OutOfTime at the deadline of this thread.
@@ -139,7 +139,7 @@ def of_one_run(error: SimulationError) -> SimulationError:
 
 
 class _Run:
-    """The arguments of `follow`, checked, and its result as it grows."""
+    """The checked arguments of `follow`, and its partial result."""
 
     def __init__(
         self,
@@ -172,7 +172,7 @@ class _Run:
         self.inner = self.made.copy()
         self.data: dict[str, Floats] = {}
         self.failures: dict[int, SimulationError] = {}
-        # Where the bodies of each run began.
+        # Positions of the bodies at the start of each run.
         self.home: dict[int, Floats] = {}
 
     def table(self, ctrl: ArrayLike) -> Floats:
@@ -223,7 +223,7 @@ class _Run:
         samples, evaluations = core.follow(how, self.ctrl, lambda count: checkpoint())
         self.data = dict(zip(self.names, samples, strict=True))
         for name, values in given.items():
-            # As they were given, not as single precision has them.
+            # The given values, not rounded to single precision.
             self.data[name][:, 0] = values
             if name == "ctrl" and self.ctrl is None:
                 self.data[name][:] = values[:, None]
@@ -239,7 +239,7 @@ class _Run:
         _keep_batch(key, kept)
 
     def alone(self, start: int) -> None:
-        """Run one start as a Sim."""
+        """Run one start in a Sim."""
         sim = unwatched(Sim(self.model))
         self.starts[start].put(sim)
         drive: Any = None if self.control is None else fresh(self.control)
@@ -268,7 +268,7 @@ class _Run:
             self.inner[start] = sim._core.evaluations
 
     def operations(self) -> Floats:
-        """Count the operations of each start: those of some of its steps, for each step."""
+        """Estimate the operations of each start from a few of its steps."""
         operations = np.full(len(self.starts), np.nan)
         for start, made in enumerate(self.made.tolist() if self.control is None else ()):
             checkpoint()
@@ -294,7 +294,7 @@ def _failure(text: str, step: int, time: float, world: int) -> SimulationError:
     return error
 
 
-# A core batch, its arrays, and what these hold initially; by what it is of.
+# The key of a kept batch; and a core batch, its arrays, and their initial values.
 _Key = tuple[_core.Model, Settings, int, int]
 _Kept = tuple[_core.Batch, dict[str, Floats], dict[str, Floats]]
 _batches: list[tuple[_Key, _Kept]] = []
@@ -302,7 +302,7 @@ _lock = threading.Lock()
 
 
 def _kept_batch(key: _Key) -> _Kept:
-    """Return a batch at time 0 whose worlds begin anew; it is the caller's until it is kept."""
+    """Return a reset batch at time 0, for exclusive use until `_keep_batch`."""
     with _lock:
         for place, (other, kept) in enumerate(_batches):
             if other[0] is key[0] and other[1:] == key[1:]:

@@ -1,6 +1,6 @@
-"""Derivatives of rollouts, step by step: forward, and gradients on their way back.
+"""Derivatives of rollouts, step by step, in forward and reverse mode.
 
-Also what makes a gradient say nothing.
+The module also detects gradients that are meaningless.
 """
 
 from __future__ import annotations
@@ -24,40 +24,40 @@ if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
     from stepcore.report.progress import Choice
 
-# A gradient that grows more than this on its way back says nothing beyond the next step or two; nor
-# does a part of one that is smaller by this.
+# A gradient that grows by more than this in the backward pass is valid for a step or two only; a
+# part that is smaller by this factor is noise.
 GROWTH = 1e6
-# One that is another by this share of itself in steps half as long says nothing either.
+# A gradient is meaningless if it changes by this fraction in steps half as long.
 APART = 0.5
 TINY = np.finfo(float).tiny
-# Steps before and after one, in which its contact is looked for.
+# The number of steps before and after a step in which its contact is searched.
 NEAR = 50
-# Steps of a world that are linearised together, and as many numbers of matrices as are in memory
-# at once: 64 MiB.
+# The number of steps of a world that are linearised together, and the largest number of matrix
+# entries in memory: 64 MiB.
 BLOCK, ROOM = 64, 2**23
-# What x is made of.
+# The parts of x.
 X = (*STATE, "ctrl_history")
 
 
 class GradientWarning(UserWarning):
-    """A gradient says nothing over a rollout; the text names the world, the time and the impact.
+    """A gradient over a rollout is meaningless; the text names world, time and impact.
 
-    It grows without bound or, as its error bar tells, is another one in shorter steps.
+    It grows without bound or, by its error bar, changes in shorter steps.
     """
 
 
 class Gradients(NamedTuple):
-    """What `Batch.vjp` returns: the rollout, and the gradient of each world.
+    """The rollout, and the gradient of each world; the result of `Batch.vjp`.
 
     rollout: the states after each step.
-    qpos, qvel, act: by the initial state, shapes (n, nq), (n, nv), (n, na). That of a quaternion
-        keeps its length.
+    qpos, qvel, act: by the initial state, shapes (n, nq), (n, nv), (n, na). A step along the
+        gradient of a quaternion keeps its length.
     ctrl: by the controls, shape (n, steps, nu).
     parameters: by each parameter, by its label, shape (n,).
-    growth: how much the gradient grew on its way back at most, shape (n,).
-    one_sided: (world, step, element) where a state is exactly at a corner of the element's law.
-    error: with `error_bar`, how far it is from that in steps half as long, as a share of it, shape
-        (n,), infinite where these fail; else None.
+    growth: the largest growth of the gradient in the backward pass, shape (n,).
+    one_sided: (world, step, element) for each state exactly at a corner of the element's law.
+    error: with `error_bar`, the relative distance from the gradient in steps half as long, shape
+        (n,), infinite if these steps fail; else None.
     """
 
     rollout: Rollout
@@ -74,7 +74,7 @@ class Gradients(NamedTuple):
 def rows_of(
     given: Mapping[str, ArrayLike | None], sizes: Mapping[str, tuple[int, ...]]
 ) -> dict[str, Floats]:
-    """Arrays of these shapes; None is zero."""
+    """Return checked arrays of these shapes, with zeros for None."""
     arrays = {}
     for name, value in given.items():
         array = np.zeros(sizes[name]) if value is None else numbers(name, value)
@@ -85,17 +85,17 @@ def rows_of(
 
 
 class Steps:
-    """The steps of a rollout of a batch, each to be linearised where it began.
+    """The steps of a rollout of a batch, each to be linearised at the state where it starts.
 
     Arguments are checked first; `roll` then steps the batch, once.
     """
 
     rollout: Rollout
-    # Of each world, before the first step and after each.
+    # The states of each world, before the first step and after each step.
     states: dict[str, Floats]
 
     def __init__(self, batch: Batch, ctrl: ArrayLike, parameters: Sequence[str]) -> None:
-        # Refuses steps that cannot be linearised before one is taken.
+        # Raise errors of steps that cannot be linearised before the first step.
         LinearWorlds([batch.model], 1)
         self.by = columns(batch.model, parameters)
         self.labels = [column.label for column in self.by]
@@ -107,11 +107,11 @@ class Steps:
         self.count = self.ctrl.shape[1]
         self.tangents = Coordinates(batch.model)
         self._linearised: tuple[range, LinearWorlds] | None = None
-        # Of x.
+        # The size of x.
         self.size = 2 * batch.model.nv + batch.model.na + batch._arrays["ctrl_history"].shape[1]
 
     def sizes(self, *rows: int) -> dict[str, tuple[int, ...]]:
-        """The shapes of arrays with so many rows for each world's state."""
+        """Return the shapes of arrays of states, with these leading rows for each world."""
         model = self.batch.model
         widths = (model.nq, model.nv, model.na)
         return {name: (self.n, *rows, width) for name, width in zip(STATE, widths, strict=True)}
@@ -132,7 +132,7 @@ class Steps:
         return self
 
     def halved(self) -> Steps:
-        """The same rollout in steps half as long, of a batch of its own that goes on."""
+        """Return the same rollout in steps half as long, in a new batch with on_failure="go on"."""
         batch = self.batch
         model = batch.model.with_settings(dt=batch.settings.dt / 2)
         own = type(batch)(model, self.n, threads=batch._threads, on_failure="go on")
@@ -142,40 +142,40 @@ class Steps:
         for name, rows in (self.start | self.held).items():
             getattr(own, name)[...] = rows
         steps = Steps(own, np.repeat(self.ctrl, 2, axis=1), self.labels).roll(progress=False)
-        # Where a world fails is no state to be linearised at.
+        # States of failed worlds cannot be linearised: use the initial state.
         failed = list(own.failures)
         for name, rows in steps.states.items():
             rows[failed] = steps.start[name][failed, None]
         return steps
 
     def shares(self) -> list[range]:
-        """Return all worlds, as many at a time as `ROOM` holds the steps of a block of."""
+        """Return ranges of worlds, each so small that a block of its steps fits in `ROOM`."""
         block = BLOCK * self.size * (self.size + self.batch.model.nu + len(self.labels))
         most = max(1, ROOM // max(1, block))
         return [range(k, min(k + most, self.n)) for k in range(0, self.n, most)]
 
     def blocks(self) -> list[range]:
-        """All steps, as many at a time as are linearised together."""
+        """Return the ranges of steps that are linearised together."""
         return [range(k, min(k + BLOCK, self.count)) for k in range(0, self.count, BLOCK)]
 
     def changes(self) -> Floats:
-        """What each step changes of x, nearly, (n, steps, size)."""
+        """Return the approximate change of x in each step, (n, steps, size)."""
         moved = self.batch.settings.dt * self.states["qvel"][:, 1:]
         others = (np.diff(self.states[name], axis=1) for name in X[1:])
         return np.concatenate([moved, *others], axis=-1)
 
     def dofs(self, given: Mapping[str, Floats]) -> Floats:
-        """The gradients by the states after each step as those of x, (n, steps, size)."""
+        """Convert gradients by the states after each step to gradients by x, (n, steps, size)."""
         dq = self.tangents.to_dofs(self.rollout.qpos, given["qpos"])
         return self.x([dq, given["qvel"], given["act"]])
 
     def x(self, parts: Sequence[Floats]) -> Floats:
-        """Changes by dof, of velocities and activations as those of x; none of the past."""
+        """Join parts for dofs, velocities and activations to x; past controls are zero."""
         past = np.zeros((*parts[1].shape[:-1], self.batch._arrays["ctrl_history"].shape[1]))
         return np.concatenate([*parts, past], axis=-1)
 
     def linear(self, worlds: range, steps: range) -> LinearSteps:
-        """Linearise some steps of some worlds: of shape (worlds, steps, …)."""
+        """Linearise some steps of some worlds, shape (worlds, steps, …)."""
         own, some = slice(worlds.start, worlds.stop), slice(steps.start, steps.stop)
         states = {name: rows[own, some] for name, rows in self.states.items()}
         states["ctrl"] = self.ctrl[own, some]
@@ -209,7 +209,7 @@ def vjp(
 
 
 def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = None) -> Gradients:
-    """Return the gradient of the rollout that was made.
+    """Return the gradient of a rollout.
 
     halved: the same rollout in steps half as long, for the error.
     """
@@ -234,7 +234,7 @@ def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = Non
             of = max(parts, key=lambda part: parts[part][world])
             texts.append(_parted(steps, int(world), of, float(error[world]), back, finer))
     for text in texts:
-        # In the name of who calls `Batch.vjp`.
+        # The warning points to the caller of `Batch.vjp`.
         warnings.warn(GradientWarning(text), stacklevel=4)
     first = back.rows[:, 0]
     return Gradients(
@@ -253,8 +253,8 @@ def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = Non
 class Tape:
     """A rollout from given states and values of parameters, for other packages' gradients.
 
-    qpos, qvel, ctrl: as in `Batch.vjp`. values: of the parameters, each of shape (n,). What else
-    the worlds have is as at the call.
+    qpos, qvel, ctrl: as in `Batch.vjp`. values: values of the parameters, each of shape (n,). All
+    other inputs of the worlds have their values at the call.
 
     rollout: the states after each step.
     """
@@ -287,7 +287,7 @@ class Tape:
         self.rollout = self.steps.roll().rollout
 
     def gradient(self, qpos: Floats, qvel: Floats) -> tuple[Floats, ...]:
-        """Return the gradient by qpos, qvel, ctrl and each parameter, of one by the states."""
+        """Return the gradient by qpos, qvel, ctrl and parameters, given one by the states."""
         sizes = self.steps.sizes(self.steps.count)
         found = pulled(self.steps, rows_of({"qpos": qpos, "qvel": qvel, "act": None}, sizes))
         by = (found.parameters[label] for label in self.labels)
@@ -341,13 +341,13 @@ def jvp(
 
 
 class Adjoints(NamedTuple):
-    """A gradient by the states, from the last to the first.
+    """Gradients of a backward pass, from the last state to the first.
 
-    rows: by the state where each step begins, and after the last: shape (n, steps + 1, size of x).
-    after: by the state after each step, with what is asked of that itself, (n, steps, size of x).
+    rows: by the state at the start of each step, and after the last, (n, steps + 1, size of x).
+    after: by the state after each step, including its direct weight, (n, steps, size of x).
     ctrl: by the controls, (n, steps, nu). values: by the parameters, (n, parameters).
-    ctrl_terms: the sum of the sizes of what those by the controls are sums of, (n,).
-    sizes: of a row, (n, steps).
+    ctrl_terms: the sum of the absolute terms of the gradient by the controls, (n,).
+    sizes: the norm of each row, (n, steps).
     sided: as `Gradients.one_sided`.
     """
 
@@ -361,7 +361,7 @@ class Adjoints(NamedTuple):
 
 
 def adjoints(steps: Steps, weights: Floats) -> Adjoints:
-    """Go back through a rollout.
+    """Run the backward pass of a rollout.
 
     weights: the gradient by the state after each step, (n, steps, size of x).
     """
@@ -393,18 +393,18 @@ def adjoints(steps: Steps, weights: Floats) -> Adjoints:
 
 
 def _spread(rows: Floats) -> Floats:
-    """What is asked of each state, asked after the second of two steps; (n, steps, …)."""
+    """Return the weights of states for steps half as long, after every second step."""
     out = np.zeros((rows.shape[0], 2 * rows.shape[1], *rows.shape[2:]))
     out[:, 1::2] = rows
     return out
 
 
 def _apart(back: Adjoints, finer: Adjoints, steps: Steps, asked: Floats) -> dict[str, Floats]:
-    """How far each part of a gradient is from that in steps half as long, as a share of it, (n,).
+    """Return the relative distance of each part of a gradient from steps half as long, (n,).
 
-    Below these sizes a part is nothing: a share of what the gradient was by any state; of what the
-    controls' is a sum of; for a change of a parameter by itself, of what all steps change.
-    asked: the size of the gradient that was given, (n,).
+    A part is negligible below 1/`GROWTH` of: the largest gradient by a state; for controls, the sum
+    of its absolute terms; for the relative change of a parameter, the changes of all steps.
+    asked: the size of the given gradient, (n,).
     """
     most = np.maximum(asked, back.sizes.max(axis=1, initial=0.0))
     both = finer.ctrl[:, ::2] + finer.ctrl[:, 1::2]
@@ -420,7 +420,7 @@ def _apart(back: Adjoints, finer: Adjoints, steps: Steps, asked: Floats) -> dict
 
 
 def _distance(one: Floats, other: Floats, least: Floats | float = 0.0) -> Floats:
-    """Of rows of worlds, as a share of the larger."""
+    """Return the distance of the rows of each world, relative to the larger."""
     off, *sizes = (
         np.linalg.norm(rows.reshape(len(rows), -1), axis=1) for rows in (one - other, one, other)
     )
@@ -428,7 +428,7 @@ def _distance(one: Floats, other: Floats, least: Floats | float = 0.0) -> Floats
 
 
 def _grown(steps: Steps, world: int, growth: float, back: Adjoints) -> str:
-    """Say that a gradient has grown, in which step most, and which contact began there."""
+    """Return the warning of a gradient that grows, with the step and the contact of its peak."""
     sizes, asked = back.sizes[world], np.linalg.norm(back.after[world], axis=1)
     step = int(np.where(asked > 0, sizes / np.maximum(asked, TINY), 1.0).argmax())
     return (
@@ -441,12 +441,12 @@ def _grown(steps: Steps, world: int, growth: float, back: Adjoints) -> str:
 def _parted(
     steps: Steps, world: int, of: str, error: float, back: Adjoints, finer: Adjoints
 ) -> str:
-    """Say where the gradient becomes another one than in steps half as long.
+    """Return the warning of a gradient that changes in steps half as long, and where that starts.
 
     of: the part that changes most.
     """
     each = _distance(back.rows[world], finer.rows[world, ::2])
-    # Before it the gradient by the states has parted, whatever it is asked by.
+    # Before this step the gradient by the states differs, whatever the weights.
     parts = np.flatnonzero(each >= min(error, 1.0) / 2)
     where = ""
     if parts.size:
@@ -459,11 +459,11 @@ def _parted(
 
 
 def _at(steps: Steps, world: int, step: int, back: bool = False) -> str:
-    """Return a step in words, with the contact that pushes most near where it begins."""
+    """Return a step in words, with the contact of largest force near its start."""
     dt = steps.batch.settings.dt
     words = f"step {step} [{steps.time + step * dt:.4g} s]" + " on its way back" * back
     touches = _touching(steps, world)
-    # In steps half as long an impact of few steps may be over before, or still to come.
+    # In steps half as long, an impact of a few steps may end earlier or start later.
     near = range(max(0, step - NEAR), min(step + NEAR, steps.count))
     k = next((k for k in sorted(near, key=lambda k: abs(k - step)) if touches(k)), None)
     if k is None:
@@ -473,14 +473,14 @@ def _at(steps: Steps, world: int, step: int, back: bool = False) -> str:
     while k and pair in touches(k - 1):
         k -= 1
     names = " with ".join(f"`{checks.cut(name, 60)}`" for name in pair)
-    # What touches from the beginning on had no impact.
+    # A contact that exists from the beginning had no impact.
     return f"{words}, at the " + (
         f"impact of {names} at {steps.time + k * dt:.4g} s" if k else f"contact of {names}"
     )
 
 
 def _touching(steps: Steps, world: int) -> Callable[[int], dict[tuple[str, str], float]]:
-    """Return a function of a step: the geoms that touch where it begins, with their force [N]."""
+    """Return a function of a step that returns the geoms in contact at its start and forces [N]."""
     sim = unwatched(Sim(steps.models[world]))
     for name, rows in steps.held.items():
         getattr(sim, name)[...] = rows[world]
@@ -500,9 +500,9 @@ def _touching(steps: Steps, world: int) -> Callable[[int], dict[tuple[str, str],
 
 
 def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -> Floats:
-    """Return the derivatives of a world's states by numbers, then by its first x.
+    """Return the derivatives of a world's states by parameters, then by its initial x.
 
-    changes: of the controls by further numbers, shape (steps, nu, further).
+    changes: derivatives of the controls by further parameters, shape (steps, nu, further).
 
     Shape (steps + 1, size of x, parameters + further + size of x); the first row is the initial
     state.
@@ -511,11 +511,11 @@ def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -
     size, labels = steps.size, len(steps.labels)
     pushes = np.zeros((steps.count, model.nu, 0)) if changes is None else changes
     count = labels + pushes.shape[2]
-    # The numbers stand below the state as what stays: each step is one product.
+    # The constant parameters extend the state, so that each step is one product.
     slopes = np.zeros((steps.count + 1, size + count, count + size))
     slopes[0, :size, count:] = np.eye(size)
     slopes[:, size:, :count] = np.eye(count)
-    # A step alone needs no executors.
+    # Imported here because single steps need no executors.
     from stepcore.executors import checkpoint
 
     for block in steps.blocks():

@@ -1,4 +1,4 @@
-"""What each integrator does, and the linear map of one step of it: x⁺ = A x for x = [dq, dv].
+"""Properties of each integrator, and the linear map of its step: x⁺ = A x for x = [dq, dv].
 
 The formulas of the maps are the engine's: crates/stepcore/src/integrator/linear_map.rs.
 """
@@ -21,7 +21,7 @@ STAGED = tuple(name for name, scheme in INTEGRATORS.items() if scheme["stages"] 
 def implicit_kinds(integrator: str, eulerdamp: bool) -> tuple[str, ...]:
     """Return the kinds of elements whose damping an integrator treats implicitly.
 
-    eulerdamp: whether damping of joints alone is treated so (MJCF's flag).
+    eulerdamp: whether an integrator for joint damping alone treats it implicitly (MJCF's flag).
     """
     damping = INTEGRATORS[integrator]["damping"]
     if damping == "joints":

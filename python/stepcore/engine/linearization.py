@@ -34,7 +34,7 @@ class Linearization:
     x = (dq, dv, dw, dc) is a small change of position, velocity, activation and past controls, and
     u is a small change of ctrl. dq has nv entries [m or rad] and changes qpos as a velocity dq does
     in one second: a ball or free joint rotates by a rotation vector in its body's axes. dw has na
-    entries, and dc those of ctrl_history, of scenes with late controls.
+    entries, and dc has the entries of ctrl_history, in scenes with late controls.
 
     A: shape (n, n), where n is the number of entries of x. B: shape (n, nu). dt: the time step [s].
     P: shape (n, number of parameters), by changes p of the parameters.
@@ -106,8 +106,8 @@ class Linearization:
 class Linearizations(Sequence[Linearization]):
     """Steps of many worlds, each linearised about its state: a `Linearization` of each by index.
 
-    A, B, P: the matrices of all worlds, arrays with a first axis of one world each.
-    parameters: paths of those of P.
+    A, B, P: the matrices of all worlds, with the worlds as the first axis.
+    parameters: paths of the parameters of P.
 
     >>> from stepcore import Batch, lesson
     >>> linear = Batch(lesson.spring(), 3, dt=0.01).linearize()
@@ -137,7 +137,7 @@ class Linearizations(Sequence[Linearization]):
     @overload
     def __getitem__(self, index: slice) -> list[Linearization]: ...
     def __getitem__(self, index: int | slice) -> Linearization | list[Linearization]:
-        """The linearisation of a world, or a list of those of some."""
+        """Return the linearisation of a world, or a list of linearisations for a slice."""
         if isinstance(index, slice):
             return [self[k] for k in range(*index.indices(len(self)))]
         world = range(len(self))[index]
@@ -162,7 +162,7 @@ class Linearizations(Sequence[Linearization]):
 class LinearSteps(NamedTuple):
     """Linearised steps of worlds: A, B and P, each of shape (worlds, steps, size of x, …).
 
-    degenerate: where these are one-sided: a world's and a step's number, and the element.
+    degenerate: (world, step, element) wherever the matrices are one-sided.
     """
 
     A: Floats
@@ -172,7 +172,7 @@ class LinearSteps(NamedTuple):
 
 
 def linear_step(model: Model, core: Any, by: Sequence[Column]) -> LinearSteps:
-    """Linearise the next step of a `_core.Sim`, by these parameters too."""
+    """Linearise the next step of a `_core.Sim`, also by these parameters."""
     around = models_around(model, by)
     with _named_parameters(by):
         numbers, degenerate = core.linearize(around)
@@ -182,7 +182,7 @@ def linear_step(model: Model, core: Any, by: Sequence[Column]) -> LinearSteps:
 
 @contextmanager
 def _named_parameters(by: Sequence[Column]) -> Iterator[None]:
-    """Name parameters in errors of the core, which knows their numbers."""
+    """Replace the numbers of parameters in errors of the core by labels."""
     try:
         yield
     except ValueError as error:
@@ -202,7 +202,7 @@ def _split(numbers: Floats, apart: Floats, degenerate: list[tuple[int, int, Any]
 class LinearWorlds:
     """Worlds whose steps are linearised together, on several threads.
 
-    models: of each world; they differ in numbers. first: the first world's number, in errors.
+    models: the model of each world; they differ in values only. first: index of the first world.
     """
 
     def __init__(self, models: Sequence[Model], threads: int, first: int = 0) -> None:
@@ -217,7 +217,7 @@ class LinearWorlds:
         self._by: tuple[list[str], list[Any], Floats] | None = None
 
     def _around(self, by: Sequence[Column]) -> tuple[list[Any], Floats]:
-        """The models around parameters, by model; and how far apart their values are, by world."""
+        """Return the models around parameters, by model; and their distances in value, by world."""
         labels = [column.label for column in by]
         if self._by is None or self._by[0] != labels:
             around, apart = [], np.zeros((len(self.different), len(by)))

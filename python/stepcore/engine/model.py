@@ -44,7 +44,7 @@ class Model(checks.KnownNames):
     """A compiled scene.
 
     scene: the `Scene`, which is copied, so that later edits do not change the model.
-    settings: a `Settings` that replaces the scene's own.
+    settings: a `Settings` that replaces the settings of the scene.
     fields: single fields of `Settings` to change, such as ``dt=0.005``.
 
     A model is immutable, and many Sims can share it. The arrays of a model are read-only and follow
@@ -98,7 +98,7 @@ class Model(checks.KnownNames):
     ) -> Touches:
         """Return the contact points and the signed distance of two geoms at given positions.
 
-        The collision test is that of a step, evaluated at every given pose and at any distance.
+        The collision test is the same as in a step, evaluated at every given pose and any distance.
         Nothing is stepped, and margins and exclusions are ignored.
 
         geom1, geom2: names or indices. The normal points from `geom1` to `geom2`.
@@ -141,7 +141,7 @@ class Model(checks.KnownNames):
 
     @property
     def core(self) -> _core.Model:
-        """The engine's own object, for use within stepcore."""
+        """The engine's model, for use within stepcore."""
         return self._core
 
     # Counts.
@@ -177,14 +177,14 @@ class Model(checks.KnownNames):
     def is_heap(self) -> bool:
         """Whether pairs of geoms are found during the run, because too many pairs can collide.
 
-        Compilation lists up to 2000 pairs in `pairs`, or up to 20,000 where fewer than eight trees
-        move. A model with more pairs is a heap.
+        Compilation lists up to 2000 pairs in `pairs`, or up to 20,000 if fewer than eight trees
+        move. A model with more pairs is called a pile.
         """
         return self._core.heap() is not None
 
     @functools.cached_property
     def heap(self) -> dict[tuple[str, str], int]:
-        """The number of pairs that can collide, by the types of both geoms; empty unless a heap."""
+        """The number of pairs that can collide, by geom types; empty unless `is_heap`."""
         return {(one, two): count for one, two, count in self._core.heap() or ()}
 
     # Names, in the order of the arrays.
@@ -215,7 +215,7 @@ class Model(checks.KnownNames):
         return self._core.element_name(checks.word("kind", kind), index, part)
 
     def element_words(self, kind: str, index: int, part: int = -1) -> tuple[str, str, str]:
-        """Return noun, owner and label of an element's name, as in "spring", "joint", "`knee`"."""
+        """Return noun, owner and label of an element's name: "spring", "joint", "`knee`"."""
         return self._core.element_words(kind, index, part)
 
     def called(self, kind: str) -> tuple[str, ...]:
@@ -459,12 +459,12 @@ class Model(checks.KnownNames):
 
     @functools.cached_property
     def asked(self) -> set[tuple[Any, ...]]:
-        """The settings whose pitfalls were told; copies with other settings share it."""
+        """The settings whose pitfalls were reported; copies with other settings share this set."""
         return set()
 
     @functools.cached_property
     def around(self) -> dict[str, list[_core.Model]]:
-        """The compiled models around the value of each parameter; later copies share them."""
+        """The compiled models around the value of each parameter; later copies share the dict."""
         return {}
 
     @functools.cached_property

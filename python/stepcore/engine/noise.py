@@ -3,7 +3,7 @@
 A number is a hash of the seed, the stream's name, the world and the count of numbers that the world
 has drawn. A number therefore depends neither on the number of worlds nor on the draws of other
 worlds. The hash applies SplitMix64's finaliser (Steele, Lea & Flood, "Fast splittable pseudorandom
-number generators", 2014) to each of these inputs in turn; a name enters by its 64-bit BLAKE2b hash
+number generators", 2014) to each of these inputs in order; a name enters by its 64-bit BLAKE2b hash
 (RFC 7693). Normal numbers are quantiles of uniform numbers by Wichura's algorithm AS 241 (1988),
 exact to 1e-15. Only +, −, ×, ÷ and √ are used, so results are bit-identical on every machine.
 """
@@ -28,7 +28,7 @@ class Noise:
     """A generator of random numbers for n worlds, with an independent stream for each world.
 
     n: the number of worlds. The stream of world k does not depend on n.
-    seed: an integer from 0 to 2**63 - 1. See `of_seeds` for worlds with seeds of their own.
+    seed: an integer from 0 to 2**63 - 1. See `of_seeds` for a separate seed for each world.
     name: the name of the stream. Streams of different names are independent, so that noise on
         controls does not change the draws of resets.
 
@@ -50,7 +50,7 @@ class Noise:
 
     @classmethod
     def of_seeds(cls, seeds: ArrayLike, name: str = "") -> Noise:
-        """Return a Noise whose worlds have seeds of their own.
+        """Return a Noise with a separate seed for each world.
 
         seeds: integers from 0 to 2**63 - 1, shape (n,). World k draws what the first world of
             ``Noise(1, seeds[k], name)`` draws.
@@ -66,7 +66,7 @@ class Noise:
         return noise
 
     def _begin(self, seed: int | Words, name: str, worlds: Words) -> None:
-        """Make the key of each world's stream, of which nothing was drawn yet."""
+        """Compute the key of each world's stream, and set the counts of drawn numbers to 0."""
         if not isinstance(name, str):
             raise checks.refuse("Noise", "name", name, "a text")
         self.seed, self.name = seed, name

@@ -1,10 +1,10 @@
-"""How far two motions are apart: the one norm of all measurements and error bars.
+"""The distance between two motions: the norm of all measurements and error bars.
 
-At a sample, two poses of a body are √(d² + (r θ)²) apart: d is the distance of its centres of mass,
-θ the angle between its orientations, and r = √(tr I / 2m) its radius of gyration, so that this is
-the RMS displacement of the body's mass. The distance of two motions from one start is the RMS of
-this over samples and moving bodies [m]; beside it stands the largest at any time. Of several starts
-the worst and the median one are told.
+The distance of two poses of a body is √(d² + (r θ)²): d is the distance of the centres of mass, θ
+the angle between the orientations, and r = √(tr I / 2m) the radius of gyration, so that this is the
+RMS displacement of the body's mass. The distance of two motions from one start is the RMS of this
+over samples and moving bodies [m]; the largest distance at any time is also reported. For several
+starts, results report the worst and the median start.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Matter:
-    """The moving bodies of a model, as far as the norm needs them.
+    """The properties of a model's moving bodies that the norm needs.
 
     moving: their indices. ipos: centres of mass in the bodies' frames [m], (bodies, 3).
     gyration: radii of gyration [m], (bodies,).
@@ -54,8 +54,8 @@ class Tracks:
 
     com: centres of mass [m], (starts, n, bodies, 3). quat: orientations, (starts, n, bodies, 4).
         Both are NaN after a run has ended.
-    failures: why a run ended early, by its place among the starts.
-    evaluations: how often forces were evaluated in steps within an accuracy, (starts,), if counted.
+    failures: why a run ended early, by the index of its start.
+    evaluations: the number of force evaluations of adaptive steps, (starts,), if counted.
     """
 
     com: np.ndarray
@@ -77,7 +77,7 @@ class Tracks:
         return next((f"start {starts[k]}: {why}" for k, why in failed), "")
 
     def some(self, indices: Sequence[int]) -> Tracks:
-        """Return the tracks of some of the starts, by their places."""
+        """Return the tracks of some of the starts, by their indices."""
         places = {k: n for n, k in enumerate(indices)}
         failures = {places[k]: why for k, why in self.failures.items() if k in places}
         own = list(indices)
@@ -92,7 +92,7 @@ class Tracks:
 
     @classmethod
     def joined(cls, parts: Sequence[Tracks]) -> Tracks:
-        """Return the tracks of all starts of some parts, in their order."""
+        """Return the tracks of all starts of several parts, in their order."""
         failures, first = dict[int, str](), 0
         for part in parts:
             failures |= {first + k: why for k, why in part.failures.items()}
@@ -104,9 +104,9 @@ class Tracks:
 
 
 def apart(a: Tracks, b: Tracks, matter: Matter) -> np.ndarray:
-    """Return how far bodies are apart at every sample [m], (starts, n, bodies).
+    """Return the distance of each body at every sample [m], (starts, n, bodies).
 
-    Samples that a run has not reached are infinitely far.
+    The distance is infinite at samples that a run has not reached.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         half = np.minimum(_length(a.quat - b.quat), _length(a.quat + b.quat))
@@ -117,14 +117,14 @@ def apart(a: Tracks, b: Tracks, matter: Matter) -> np.ndarray:
 
 
 def _length(vectors: np.ndarray) -> np.ndarray:
-    """Return what `numpy.linalg.norm` of the last axis does, in half the time for a few bodies."""
+    """Return the norm over the last axis, in half the time of numpy.linalg for a few bodies."""
     return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
 
 
 def rms(far: np.ndarray, scored: np.ndarray | None = None) -> np.ndarray:
-    """Return the RMS over samples and bodies, of every start [m], (starts,).
+    """Return the RMS distance over samples and bodies, of every start [m], (starts,).
 
-    far: what `apart` returns. scored: the samples that count, (starts, n); by default all.
+    far: the distances from `apart`. scored: the samples that count, (starts, n); by default all.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         squares = np.mean(far**2, axis=2)

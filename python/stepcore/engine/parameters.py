@@ -1,4 +1,4 @@
-"""Values of a model by path: those that differ from world to world, and those to derive by."""
+"""Values of a model by path, which differ from world to world or are variables of derivatives."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from stepcore import _core
     from stepcore.engine.model import Model
 
-# Where the model is compiled around a value: these multiples of a share of it. Of a number that
-# goes with 1/p³ the derivative is then off by 2e-12 of itself, and by 1e-12 for rounding.
+# The model is compiled at these multiples of a fraction of a value around it. The derivative of
+# 1/p³ then has a relative error of 2e-12, and of 1e-12 from rounding.
 AROUND = (-2, -1, 1, 2)
 SHARE = 2.0**-11
-# Impedances are clamped at 0.0001 and 0.9999: the models around one are within.
+# Impedances are clamped at 0.0001 and 0.9999; the models around a value must be inside.
 CLAMPED = 0.00011
 ENTRY = re.compile(r"(.*)\[(\d+)\]")
 
@@ -62,7 +62,7 @@ def own_value(model: Model, path: str) -> Floats:
 
 
 class Rows(np.ndarray[Any, np.dtype[np.float64]]):
-    """The array of a path, one row for each world: assigning to some rows assigns the parameter."""
+    """The array of a path, one row for each world; assigning to rows assigns the parameter."""
 
     _assign: Callable[[Floats], None] | None = None
 
@@ -81,24 +81,24 @@ class Rows(np.ndarray[Any, np.dtype[np.float64]]):
 class Parameters(Mapping[str, Floats]):
     """Model values that differ from world to world of a batch, as arrays by path: `Batch.param`.
 
-    The paths are those of `Model.with_values`: "geom/floor/friction", "body/arm/mass",
+    The paths are as in `Model.with_values`: "geom/floor/friction", "body/arm/mass",
     "joint/knee/damping", "actuator/motor/gainprm", "gravity". An array has one row for each world:
     shape (n,) for a number or for the first entry of a vector, (n, k) for a vector of k entries. A
     single number applies to all worlds.
 
     Assignment compiles the model for every distinct row, so derived constants, such as the inverse
-    masses of contacts, are also those of the world. Each world is bit-identical to a `Sim` of
+    masses of contacts, also follow the world's values. Each world is bit-identical to a `Sim` of
     ``model.with_values`` with the world's row. `update` assigns several paths and compiles once.
-    States, controls and impulses do not change. Until the next step, readouts of the last step are
-    those of the present state.
+    States, controls and impulses do not change. Until the next step, readouts of the last step
+    describe the present state.
 
-    Reading returns a copy of the assigned array, or the model's own value in every world.
+    Reading returns a copy of the assigned array, or the value in the model for every world.
     ``param[path][worlds] = values`` assigns rows of this array, as a reset does: only the models of
     these worlds are compiled, and only their lanes are rewritten. ``del`` and `clear` restore the
-    model's own values. Iteration yields the assigned paths.
+    values of the model. Iteration yields the assigned paths.
 
     Worlds of distinct rows share vector lanes, as long as each value is zero in all of them or in
-    none. Assigning an array again compiles the models of those worlds alone that have new values.
+    none. Assigning an array again compiles only the models of worlds with new values.
 
     An invalid value raises a ValueError that names path, world, value and limit; nothing changes
     then.
@@ -149,7 +149,7 @@ class Parameters(Mapping[str, Floats]):
         self._take(self._columns | new)
 
     def clear(self) -> None:
-        """Restore the model's own values in all worlds."""
+        """Restore the values of the model in all worlds."""
         self._take({})
 
     def models(self) -> list[Model]:
@@ -192,7 +192,7 @@ class Variants:
     """The models compiled for all distinct rows of a table of parameters.
 
     model_of: for each world, the index of its row's model.
-    before: another table, whose models serve where its rows are the same.
+    before: another table, whose models are reused for equal rows.
     """
 
     def __init__(
@@ -207,14 +207,14 @@ class Variants:
         table = np.concatenate([np.zeros((n, 0)), *parts], axis=1)
         every, size = table.tobytes(), table[0].nbytes
         rows = [every[world * size : (world + 1) * size] for world in range(n)]
-        # By row, its model's place, and its first world.
+        # The index of the model and the first world of each row.
         places: dict[bytes, int] = {}
         self.model_of = [places.setdefault(row, len(places)) for row in rows]
         first = dict(zip(reversed(rows), range(n - 1, -1, -1), strict=True))
         self._layout = [(path, column.shape[1:]) for path, column in columns.items()]
         kept: dict[bytes, _core.Model | ValueError] = {}
         self._variation: ModelVariation | None = None
-        # By row: the initial arrays that differ from the base model's.
+        # The initial arrays of each row that differ from the base model's.
         self._initial: dict[bytes, dict[str, Any]] = {}
         if before is not None and before._layout == self._layout:
             kept, self._variation = before._made, before._variation
@@ -226,7 +226,7 @@ class Variants:
 
     @property
     def models(self) -> list[Any]:
-        """The engine's models, or the errors that refuse a row."""
+        """The engine's models, or the errors of rejected rows."""
         return list(self._made.values())
 
     def _compiled(self, worlds: list[int]) -> list[_core.Model | ValueError]:
@@ -304,14 +304,14 @@ def _value(model: Model, path: str, row: Any) -> Any:
     return value
 
 
-# Derivatives by values.
+# Derivatives with respect to values.
 
 
 @dataclass(frozen=True)
 class Column:
     """A number of a model by which a step is differentiated.
 
-    path: of the value, as in `Model.with_values`. entry: of a vector; None for a number.
+    path: as in `Model.with_values`. entry: the index in a vector; None for a number.
     value: the number in the model.
     """
 
@@ -331,12 +331,12 @@ class Column:
 
     @property
     def apart(self) -> float:
-        """The distance between the values around that of the model."""
+        """The distance between the values around the model's value."""
         near = min(self.value, 1.0 - self.value) if self.clamped else abs(self.value)
         return near * SHARE
 
     def check(self) -> None:
-        """Refuse a number by which no step is differentiated."""
+        """Raise ValueError for a number by which no step is differentiated."""
         limit = None
         if self.value == 0 or not np.isfinite(self.value):
             limit = "finite and not zero: what is zero is left out of a step"
@@ -347,7 +347,7 @@ class Column:
 
 
 def columns(model: Model, parameters: Sequence[str]) -> list[Column]:
-    """Return the columns of parameters; raise ValueError for a value that is zero, too.
+    """Return the columns of parameters; raise ValueError also for a value that is zero.
 
     See `named_columns`.
     """
@@ -358,9 +358,9 @@ def columns(model: Model, parameters: Sequence[str]) -> list[Column]:
 
 
 def named_columns(model: Model, parameters: Sequence[str]) -> list[Column]:
-    """Return the columns of parameters: of a vector, those of its entries that are not zero.
+    """Return the columns of parameters; a vector has one for each nonzero entry.
 
-    The power of an impedance that is 1 or 2, which steps compute in another way, is left out too.
+    An impedance's power of 1 or 2 is also omitted, because steps compute it differently.
 
     Raises ValueError for an unknown path.
     """
@@ -381,7 +381,7 @@ def split_entry(name: str) -> tuple[str, int | None]:
 
 
 def _expanded(model: Model, name: str) -> list[str]:
-    """Return the paths that a pattern such as "actuator/*/gain" stands for."""
+    """Return the paths that match a pattern such as "actuator/*/gain"."""
     parts = name.split("/")
     if "*" not in name or name in WHOLE or len(parts) < 3:
         return [name]
@@ -390,7 +390,7 @@ def _expanded(model: Model, name: str) -> list[str]:
     named = model.names.get(kind, ())[kind == "body" :]
     known = fnmatch.filter(filter(None, named), pattern)
     if kind == "joint":
-        # A free joint has no friction, damping or armature that anybody means by "all joints".
+        # "All joints" excludes free joints, whose friction, damping and armature are rarely meant.
         kinds = dict(zip(named, model.jnt_type, strict=True))
         known = [one for one in known if kinds[one] != "free"] or known
     if not known:
@@ -435,7 +435,7 @@ def models_around(model: Model, by: Sequence[Column]) -> list[list[_core.Model]]
         for k in AROUND:
             value = own_value(model, column.path)
             value[() if column.entry is None else column.entry] = column.value + k * column.apart
-            # What lies between two values that are allowed is allowed, and nearer to zero too.
+            # Values between two valid values, or closer to zero, are valid too.
             checked = k == max(AROUND)
             try:
                 data = variation.data({column.path: value.tolist()}, checked=checked)

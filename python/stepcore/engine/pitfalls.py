@@ -1,6 +1,6 @@
-"""What a model's settings make of it, and finite motions would not tell.
+"""Pitfalls of a model's settings that a finite motion does not reveal.
 
-Both are closed forms of the scene and its settings: no model is linearised or run.
+Two closed forms of the scene and its settings detect them: no model is linearised or run.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.tables import ContactPair
 
-# Two light slides in a closed loop hold where an integrator that damps after the rows takes up to 5
-# times what it leaves of a velocity, and diverge at 10 (`tests/engine/test_pitfalls.py`).
+# Limit of dt·c/m, the removed over the remaining velocity, if an integrator damps after the rows:
+# two light slides in a closed loop hold at 5 and diverge at 10 (`tests/engine/test_pitfalls.py`).
 DAMPED = 5.0
-# Depths from here on are not told [m].
+# Larger depths are not reported as numbers [m].
 FARTHEST = 10.0
-# Contacts of a body at rest, which share its weight; of other shapes one a corner of a face.
+# Contacts of a body at rest, which share its weight; other shapes have one per corner of a face.
 CONTACTS, FACE = {"sphere": 1, "ellipsoid": 1, "capsule": 2}, 4
-# So many pairs of a heap are looked at: those of the floor with every geom are the first.
+# The number of pairs of a pile that are examined; pairs of the floor with a geom come first.
 HEAP = 2000
-# What was said: a measurement makes many Sims of a model.
+# Texts of earlier warnings: a measurement creates many Sims of a model.
 _said: set[str] = set()
 
 
 class ModelWarning(UserWarning):
-    """What the settings of a model make of it: friction that is too soft, rows that damping undoes.
+    """Settings make friction of a model too soft, or let damping undo constraint rows.
 
     >>> import warnings
     >>> from stepcore import Sim, loads
@@ -54,7 +54,7 @@ class ModelWarning(UserWarning):
 
 
 def warn_of_pitfalls(model: Model, stacklevel: int = 3) -> None:
-    """Warn in one line for each thing that the settings make of a model, once in a program.
+    """Warn of each pitfall of a model's settings in one line, once per process.
 
     stacklevel: as of `warnings.warn`, counted from this function.
     """
@@ -70,7 +70,7 @@ def warn_of_pitfalls(model: Model, stacklevel: int = 3) -> None:
 
 
 def unwarned(model: Model) -> Model:
-    """Tell nothing of the pitfalls of a model that a measurement tries, and return the model."""
+    """Disable the warnings of a model that a measurement tries, and return the model."""
     model.asked.add(_asked(model))
     return model
 
@@ -81,10 +81,10 @@ def _asked(model: Model) -> tuple[Any, ...]:
 
 
 def soft_pyramids(model: Model) -> Iterator[str]:
-    """Yield the geom that sinks deepest where its friction makes pyramids too soft to hold it.
+    """Yield the geom that sinks deepest because its friction makes pyramids too soft to hold it.
 
-    Each edge of a pyramid of friction μ has 2μ²(1 + μ²) times the softness of a normal alone, and
-    four of them share a contact's force (MuJoCo's rows; with no friction the depth at rest is
+    Each edge of a pyramid of friction μ is 2μ²(1 + μ²) times as soft as a normal alone, and four
+    edges share a contact's force (MuJoCo's rows; without friction the depth at rest is
     (1 − d) g/(k d²), d the impedance of deep contacts and k = 1/timeconst² or -solref).
     """
     settings, scene = model.settings, model.scene
@@ -104,7 +104,7 @@ def soft_pyramids(model: Model) -> Iterator[str]:
     }
     for index, friction, (time, ratio) in pressed:
         size, geom, d = sizes[index], geoms[index], np.float64(geoms[index].solimp[1])
-        # As numpy's numbers, which overflow to infinity.
+        # NumPy scalars overflow to infinity.
         slope, time = np.float64(friction), np.float64(time)
         with np.errstate(all="ignore"):
             stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
@@ -124,7 +124,7 @@ def soft_pyramids(model: Model) -> Iterator[str]:
 
 
 def _pairs(model: Model, geoms: int) -> Iterator[ContactPair]:
-    """Yield the pairs that can meet; of a heap, which lists none, those of its first geoms."""
+    """Yield the pairs that can meet; in a pile, which lists none, the pairs of its first geoms."""
     for index in range(min(geoms**2, HEAP) if model.is_heap else model.npair):
         with contextlib.suppress(ValueError):
             yield model.contact_pair(index)
@@ -133,8 +133,8 @@ def _pairs(model: Model, geoms: int) -> Iterator[ContactPair]:
 def undone_rows(model: Model) -> Iterator[str]:
     """Yield the joint or tendon whose damping undoes most of the rows of a closed loop.
 
-    Under a law on velocities rows set velocities, and these integrators damp them afterwards: by
-    1/(1 + dt·c/m) each, which keeps a row only where all its dofs are damped alike.
+    Under a law on velocities, rows set velocities, and these integrators damp each one afterwards
+    by 1/(1 + dt·c/m), which preserves a row only if all its dofs are damped equally.
     """
     settings = model.settings
     scheme = INTEGRATORS[settings.integrator]

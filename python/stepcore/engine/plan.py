@@ -51,7 +51,7 @@ class PlanEntry:
     why: the reason for the omission, or a remark.
     rows: the number of rows at the state.
     stages: the stages of `Sim.stage_flops` that the entry represents, if any.
-    flops, micros: operations and time [µs] per step; None if they were not measured.
+    flops, micros: operations and time [µs] per step; None if not measured.
     """
 
     stage: str
@@ -225,7 +225,7 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
     )
 
 
-# By the beginning of an entry's name: the stages of `Sim.stage_flops` that are its own.
+# The stages of `Sim.stage_flops` that an entry represents, by the beginning of its name.
 OWN_STAGES = {
     "poses of bodies": ("place/kinematics",),
     "mass matrix and its factors": ("place/inertia", "place/factor"),
@@ -234,7 +234,7 @@ OWN_STAGES = {
     "impulses": ("solve/impulses",),
     "integrator": ("commit",),
 }
-# The same: the kind of `Removal` that leaves it out, or the feature of the scene that switches it.
+# The kind of `Removal`, or the feature of the scene, that removes an entry; same keys.
 REMOVALS = {
     "of which Coriolis": "velocity forces",
     "springs": "joint springs",
@@ -378,12 +378,12 @@ def _first(table: dict[str, Any], name: str) -> Any:
 def _entry(
     stage: str, name: str, names: Iterable[str], why: str = "", kind: str = "term"
 ) -> Listed:
-    """Return an entry of these elements; why: the reason for which it is left out."""
+    """Return an entry of these elements; why: the reason for its omission."""
     names = tuple(names)
     return PlanEntry(stage, kind, name, names, not why, why, len(names)), None
 
 
-# Steps of a timing; timings are interleaved with those of the complete model.
+# The number of steps of a timing; timings are interleaved with timings of the complete model.
 STEPS = 20
 
 
@@ -418,7 +418,7 @@ class StepCost:
         return Counter(str(kind) for kind in self.whole.rows["kind"])
 
     def priced(self, entry: PlanEntry, removal: Removal | None) -> PlanEntry:
-        """Return the entry with its own work, or with the work that its removal saves."""
+        """Return the entry with the work of its stages, or the work that its removal saves."""
         if entry.stages:
             return replace(entry, flops=sum(self.stages[stage] for stage in entry.stages))
         if removal is None or not entry.used:
@@ -433,7 +433,7 @@ class StepCost:
         return replace(entry, micros=whole - reduced)
 
     def _place(self, sim: Sim) -> None:
-        """Put a variant, whose rows may differ, into the state."""
+        """Set a variant, whose rows may differ, to the state."""
         self.whole.restore(self.state)
         for name in ("qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"):
             getattr(sim, name)[:] = getattr(self.whole, name)

@@ -1,4 +1,4 @@
-"""`Replay`, a failed run that can be repeated, and `PostMortem`, what elements did in it."""
+"""`Replay`, a failed run that can be repeated, and `PostMortem`, the energy of elements in it."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class Replay:
     inputs: (step, ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat) at each
         change of an input; steps count from `state`.
     steps: the number of steps to the last finite state. The next step gives a non-finite value; or,
-        with a ledger, the last finite state has more energy than is physically possible, or is
-        faster than anything moves.
+        with a ledger, the last finite state has more energy than is physically possible, or an
+        impossible speed.
     happened: the attributes and the text of the error, a digest of the last finite state, and
-        "finite": whether that state is what cannot be, and not the step after it.
+        "finite": whether that state is the failure, instead of the step after it.
 
     >>> import stepcore as sc
     >>> sim = sc.Sim(sc.lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)
@@ -80,7 +80,7 @@ class Replay:
         own = dict(sim.arrays())
         changes = {step: arrays for step, *arrays in self.inputs}
         time, energy, steps = list[float](), list[float](), list[dict[Any, float]]()
-        # A replay that fails too early is not the same.
+        # A replay that fails too early differs from the run.
         with contextlib.suppress(SimulationError):
             for step in range(self.steps):
                 _put(own, changes.get(step))
@@ -365,7 +365,7 @@ def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
 
 # Checks of the fields of a replay file, because anyone can write such a file.
 
-# The engine keeps a state only some hundred steps before a failure.
+# The engine keeps states of only a few hundred steps before a failure.
 MOST_STEPS = 100_000
 # Array types in a scene: numbers, and indices of vertices.
 ARRAYS = ("<f8", "<i8", "<u8", "<i4", "<u4")
@@ -431,7 +431,7 @@ def _numbers(owner: Any, name: str, value: object) -> list[float]:
     return list(checks.numbers(owner, name, value))
 
 
-# Attributes of the error in a replay; the file has the error's text and the last state beside them.
+# Attributes of the error in a replay; the file also has the error's text and the last state.
 ATTRIBUTES: dict[str, Any] = {
     "step": whole,
     "time": _float,

@@ -54,12 +54,12 @@ def converged_settings(
 
 
 def balanced(settings: Settings) -> Settings:
-    """Return the settings with an account of energies, where steps have a fixed length."""
+    """Return the settings with an energy ledger, unless steps are adaptive."""
     return settings.replace(ledger=settings.accuracy is None)
 
 
 def in_metres(scene: Scene, fields: SettingsFields) -> SettingsFields:
-    """Return the fields with an accuracy of "0.1%" in metres: a share of the scene's size."""
+    """Return the fields with an accuracy such as "0.1%" of the scene's size in metres."""
     asked = fields.get("accuracy")
     if not (isinstance(asked, str) and asked.strip().endswith("%")):
         return fields
@@ -69,9 +69,9 @@ def in_metres(scene: Scene, fields: SettingsFields) -> SettingsFields:
 
 
 def refsafe_note(scene: Scene, settings: Settings) -> str:
-    """Say that contacts are harder within an accuracy than at the file's step; "" if they are not.
+    """Return a note that contacts are harder in adaptive steps than at the file's step; else "".
 
-    With steps of no fixed length there is no refsafe.
+    Adaptive steps do not apply refsafe.
     """
     dt, tau = scene.options.get("dt", Settings().dt), clamping(scene)
     if settings.accuracy is None or not settings.refsafe or tau is None or tau >= 2 * dt:
@@ -83,10 +83,10 @@ def refsafe_note(scene: Scene, settings: Settings) -> str:
 
 
 def spinning_note(model: Model, settings: Settings, speeds: np.ndarray) -> str:
-    """Say which body turns so fast that steps within an accuracy add more than was asked.
+    """Return a note on the joint whose turn is too fast for the accuracy of adaptive steps.
 
-    An error of velocity counts for 0.03 s (`commit/extrapolation.rs`). A body that turns by more
-    than a radian in that time keeps it for longer: a heavy top at 60 rad/s is off by 5 times.
+    An error of velocity counts for 0.03 s (`commit/extrapolation.rs`). If a body turns by more than
+    a radian in that time, the error lasts longer: 5 times the accuracy for a heavy top at 60 rad/s.
 
     speeds: velocities of the run, (…, nv).
     """

@@ -38,13 +38,13 @@ class Sim(World):
 
     model: a `Model`, a `Scene`, which is compiled, or any argument of `stepcore.load`, such as the
         path of an MJCF file.
-    settings: a `Settings` that replaces the model's own.
+    settings: a `Settings` that replaces the settings of the model.
     threads: the number of threads that share the work of each step, from 1 to 1024. The results are
-        bit-identical for any number. Several threads speed up heaps of hundreds of bodies or more
+        bit-identical for any number. Several threads speed up piles of hundreds of bodies or more
         (`Model.is_heap`); one thread does all other work.
-    error_bar: whether a finer run goes beside this one, from which `error` is known: with a tenth
-        of the ``accuracy``, or with a quarter of ``dt`` and rows solved to rounding. A run then
-        takes 2 to 5 times as long, or 4 to 10 times. The motion is the same.
+    error_bar: whether to estimate `error` by a simultaneous finer run: with a tenth of the
+        ``accuracy``, or with a quarter of ``dt`` and rows solved to rounding. A run then takes 2 to
+        5 times as long, or 4 to 10 times. The motion is the same.
     fields: single fields of `Settings` to change, such as ``dt=0.005, solver="pgs"``.
 
     The state arrays (qpos, qvel, ctrl, qfrc_applied, xfrc_applied) can be written, in place or by
@@ -92,7 +92,7 @@ class Sim(World):
     def step(self, n: int = 1) -> None:
         """Take n steps, with the GIL released (a single step of a few microseconds keeps it).
 
-        With the setting ``accuracy`` each step of dt is made of as many shorter ones as that takes.
+        With the setting ``accuracy``, steps are adaptive: each step of dt is divided as needed.
 
         Raises ValueError if a state or input is not finite; no step is taken then. Raises
         SimulationError if the motion becomes non-finite or, with the setting ``ledger``, has more
@@ -103,7 +103,7 @@ class Sim(World):
         if self._finer is not None:
             self._finer.step(n)
             return
-        # As `_call`, with a frame less: a small model's step takes no longer than these.
+        # Equivalent to `_call` with one frame less, which takes as long as a small model's step.
         try:
             self._core.step(n)
         except SimulationError as error:
@@ -111,7 +111,7 @@ class Sim(World):
             raise
 
     def advance(self, duration: float) -> None:
-        """Go on by a time [s], a whole number of steps; see `step`, whose errors this raises.
+        """Advance by a time [s], a whole number of steps; raise the same errors as `step`.
 
         Raises ValueError for a duration that is not a whole number of steps.
 
@@ -135,22 +135,22 @@ class Sim(World):
         """Linearise the next step about the present state, without taking the step.
 
         parameters: paths of values of the model, as in `Model.with_values`, by which the step is
-            differentiated too: "body/torso/mass", "geom/floor/friction[0]", "actuator/*/gain". Of a
-            vector, all entries that are not zero.
+            also differentiated: "body/torso/mass", "geom/floor/friction[0]", "actuator/*/gain". The
+            path of a vector means all its nonzero entries.
 
         The derivatives are exact: dual numbers are propagated through the step, contacts and solver
         included, with the settings of this Sim and in float64. Controls, applied forces and the
-        solver's initial impulses are constant in the map. Where a law switches (a contact that just
-        touches, a limit just reached, a clamped control) the derivatives are one-sided: they
-        describe the branch that the step takes at this state. `degenerate` of the result names the
-        elements that are exactly at one.
+        solver's initial impulses are constant in the map. If a law switches at the state (a contact
+        that just touches, a limit just reached, a clamped control), the derivatives are one-sided:
+        they describe the branch that the step takes at this state. `degenerate` of the result names
+        the elements that are exactly at a switch.
 
-        By a parameter, all that follows of it when the model is compiled is differentiated with the
-        model at four values nearby, which are compiled once.
+        Derivatives by a parameter include all constants that the compiler derives from it, by the
+        models at four nearby values, which are compiled once.
 
-        The cost is that of about (2 nv + nu + parameters)/8 steps in dual numbers, each a few times
-        as expensive as a plain step; the first call makes their working space, which is kept. The
-        GIL is released. See docs/linearize.md.
+        The cost is about (2 nv + nu + parameters)/8 steps in dual numbers, each a few times as
+        expensive as a plain step; the first call allocates the workspace, which is kept. The GIL is
+        released. See docs/linearize.md.
 
         Raises the same errors as `step`, and ValueError if the step has an infinite derivative, and
         for a parameter that is unknown, zero, or changes more than numbers of the model.
@@ -166,8 +166,8 @@ class Sim(World):
         and through the solve of the constraint rows with the present active set. Gravity is an
         element, and so is the gyroscopic torque of each spinning body, which is a part of `bias`.
 
-        The cost is that of nv/2 calls of `forward` in dual numbers. Raises the same errors as
-        `forward`, and ValueError if a force has an infinite derivative.
+        The cost is nv/2 calls of `forward` in dual numbers. Raises the same errors as `forward`,
+        and ValueError if a force has an infinite derivative.
         """
         return element_slopes(self._model, self._core)
 
@@ -209,9 +209,9 @@ class Sim(World):
     def state(self) -> bytes:
         """Return a complete snapshot: state, inputs, time, step count and warm-start impulses.
 
-        Equal snapshots continue alike. Beside these bytes a snapshot keeps where the last solve
-        began: after `restore`, in a copy and after unpickling, ``qacc``, contacts, rows and forces
-        are those of that solve. Plain bytes with the same content restore the state alone.
+        Equal snapshots continue identically. A snapshot also has the state at which the last solve
+        started: after `restore`, in a copy and after unpickling, ``qacc``, contacts, rows and
+        forces describe that solve. Plain bytes with the same content restore the state alone.
         """
         return kept(self._core.state(), self._core.last())
 
@@ -304,10 +304,10 @@ class Sim(World):
     def error(self) -> ErrorBar:
         """The estimated error in position [m] since the state was last written: RMS and largest.
 
-        It is the distance from a finer run under the same inputs, from `error_bar=True`, in the
-        norm of all measurements (`stepcore.engine.norm`): of a body, the distance between centres
-        of mass, and the turn times the radius of gyration. inf: it is not known, see
-        `predictable_until`.
+        The error is the distance from a finer run under the same inputs (`error_bar=True`), in the
+        norm of all measurements (`stepcore.engine.norm`): the distance between centres of mass of a
+        body, combined with its rotation times the radius of gyration. It is inf if the error is
+        unknown; see `predictable_until`.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.spring(), dt=0.01, error_bar=True)
@@ -325,11 +325,11 @@ class Sim(World):
 
     @property
     def predictable_until(self) -> float:
-        """The time from which no error is known [s]; inf while one is.
+        """The time from which the error is unknown [s]; inf while it is known.
 
-        From then on the finer run is elsewhere, by more than a tenth of the scene's lengths, or has
-        failed: the step is far too long, or the motion is one in which every error grows.
-        `stepcore.predict` tells which.
+        From then on the distance from the finer run exceeds a tenth of the scene's lengths, or the
+        finer run has failed: either the step is far too long, or the motion amplifies every error.
+        `stepcore.predict` distinguishes these cases.
         """
         return self._judge().until
 
@@ -469,7 +469,7 @@ class Sim(World):
 
     @property
     def contacts_grown(self) -> int:
-        """How often the list of contacts had to grow; 0 if `max_contacts` was enough."""
+        """Number of times that the list of contacts grew; 0 if `max_contacts` was sufficient."""
         return self._core.contacts_grown
 
     def __reduce__(self) -> tuple[Any, ...]:

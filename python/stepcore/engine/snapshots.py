@@ -18,8 +18,8 @@ MEMORY = 2**28
 class Snapshots:
     """States of a `Sim` during a run, each with the inputs of the following step.
 
-    A solve from such a state is bit-identical to that of the run, so contacts and forces can be
-    computed later and need not be recorded.
+    A solve from such a state is bit-identical to the solve in the run, so contacts and forces can
+    be computed later and need not be recorded.
 
     model: the simulated model. states: snapshots by `Sim.state`.
     """
@@ -54,5 +54,5 @@ class Taking:
             self.states.append(bytes(self.sim.state()))
 
     def kept(self) -> Snapshots:
-        """Return the snapshots taken so far."""
+        """Return the snapshots."""
         return Snapshots(type(self.sim), self.sim.model, tuple(self.states))

@@ -17,7 +17,7 @@ class Start:
 
     qpos: shape (nq,). qvel: shape (nv,). act: shape (na,), None for zeros.
     mocap: positions [m] and quaternions of the mocap bodies, (nmocap, 3) and (nmocap, 4); None for
-        those of the scene.
+        the poses in the scene.
     """
 
     qpos: np.ndarray

@@ -1,9 +1,9 @@
-"""Estimate from closed forms whether a scene's own step is too long for what acts on a joint.
+"""Estimate from closed forms whether a scene's step is too long for the elements on a joint.
 
-A joint or a tendon with everything that acts along it alone, all else free, is an oscillator: its
-stiffness k and damping c over the inertia that it moves, of which the engine has the inverse. Its
-largest stable dt has a closed form for each integrator. Nothing is linearised or run, so this is
-cheap enough for `load`; `stepcore.diagnose` runs the motion.
+A joint or a tendon with all elements that act along it, everything else free, is an oscillator with
+stiffness k, damping c and the inertia that it moves, whose inverse the engine has. Its largest
+stable dt has a closed form for each integrator. Nothing is linearised or run, so this is cheap
+enough for `load`; `stepcore.diagnose` runs the motion.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from stepcore.scene.elements.tendon import Tendon
     from stepcore.scene.scene import Scene
 
-# Shorter steps are not told [s].
+# Shorter steps are not reported as numbers [s].
 SHORTEST = 1e-6
-# With more joints or geoms a scene is not compiled at load.
+# A scene with more joints or geoms is not compiled by `load`.
 LARGE = 1000
 
 
 class StiffnessWarning(UserWarning):
-    """A scene's own time step may be unstable, by an estimate for each joint by itself.
+    """A scene's time step may be unstable, by an estimate for each joint alone.
 
     >>> import warnings
     >>> text = '''<mujoco><option timestep="0.01" integrator="implicitfast"/><worldbody>
@@ -52,11 +52,11 @@ class StiffnessWarning(UserWarning):
 
 
 class Gain(NamedTuple):
-    """What an element does along a joint or a tendon.
+    """Stiffness and damping of an element along a joint or a tendon.
 
     element: its kind and index. along: ("joint" or "tendon", its index). mobility: the inverse of
-    the inertia that moves along it, all else free. stiffness, damping: with the first coefficient
-    of polynomials, a servo with its feedback.
+    the inertia that moves along it, everything else free. stiffness, damping: the first coefficient
+    of polynomials; a servo's feedback is included.
     """
 
     element: tuple[str, int]
@@ -75,7 +75,7 @@ def slack_lengths(model: Model) -> dict[int, tuple[float, float]]:
 def gains(model: Model) -> Iterator[Gain]:
     """Yield the springs and dampers of joints and tendons, and the actuators along these.
 
-    A spring of a tendon counts where it is not slack at qpos0.
+    The spring of a tendon has zero stiffness if it is slack at qpos0.
     """
     scene, features, length = model.scene, model.scene.features, model.tendon_length0
     mobility = {("joint", j): model.dof_invweight0[d] for j, d in enumerate(model.jnt_dofadr)}
@@ -100,7 +100,7 @@ def gains(model: Model) -> Iterator[Gain]:
 def oscillator_dt(square: float, implicit: float, explicit: float, integrator: str) -> float:
     """Return the largest stable dt [s] of an oscillator; inf if every step is stable.
 
-    square: ω² [1/s²]. implicit, explicit: the damping rates that the integrator treats so [1/s].
+    square: ω² [1/s²]. implicit, explicit: the implicitly and explicitly treated damping [1/s].
     """
     if integrator == "midpoint":
         return math.inf
@@ -108,7 +108,7 @@ def oscillator_dt(square: float, implicit: float, explicit: float, integrator: s
     if integrator in ("explicit", "rk4"):
         fastest = rate / 2 + math.sqrt(max(rate**2 / 4 - square, 0.0))
         if integrator == "rk4":
-            # Its region of stability reaches to 2.785 on the real axis, to 2√2 on the imaginary.
+            # The region of stability extends to 2.785 on the real axis, to 2√2 on the imaginary.
             reach = 2.785 if rate > omega else 2 * math.sqrt(2)
             return reach / max(fastest, omega, 1e-300)
         return 2 / fastest if rate > 2 * omega else rate / square if square else math.inf
@@ -122,11 +122,11 @@ def oscillator_dt(square: float, implicit: float, explicit: float, integrator: s
 
 
 def stiffest(model: Model) -> tuple[float, Element | None]:
-    """Return the least dt [s] that joints and tendons by themselves allow, and who is stiffest."""
+    """Return the least stable dt [s] of the single joints and tendons, and the stiffest element."""
     integrator = model.settings.integrator
     hidden = implicit_kinds(integrator, model.scene.features.eulerdamp)
-    # By what it is along: ω², damping rates that are treated implicitly and explicitly, and whose
-    # they are.
+    # For each joint or tendon: ω², the implicitly and explicitly treated damping rates, and the
+    # element of each.
     found: dict[tuple[str, int], list[tuple[float, float, float, tuple[str, int]]]] = {}
     for own in gains(model):
         rate = own.mobility * own.damping
@@ -145,7 +145,7 @@ def stiffest(model: Model) -> tuple[float, Element | None]:
 
 
 def estimate(scene: Scene) -> str:
-    """Return the text of the warning, "" if there is none."""
+    """Return the text of the warning; "" if there is none."""
     acts = any(joint.sprung or joint.damped for joint in scene.joints)
     acts = acts or any(tendon.sprung or tendon.damped for tendon in scene.tendons)
     acts = acts or any(actuator.type != "motor" for actuator in scene.actuators)
@@ -167,7 +167,7 @@ def estimate(scene: Scene) -> str:
 
 
 def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:
-    """Warn in one line if a closed form says that the scene's own dt is unstable.
+    """Warn in one line if a closed form shows that the scene's dt is unstable.
 
     A scene that does not compile, or whose numbers overflow, raises no warning: compiling or
     running the scene raises the error.
@@ -177,7 +177,7 @@ def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:
     try:
         text = estimate(scene)
     except (ValueError, ArithmeticError, RuntimeError):
-        # A warning never fails a load.
+        # A warning never makes `load` fail.
         return
     if text:
         warnings.warn(StiffnessWarning(escapes.printable(text)), stacklevel=stacklevel)

@@ -1,4 +1,4 @@
-"""What worlds return: contacts and rows as structured arrays; keyframes, hits, sums as tuples."""
+"""Tables of worlds: contacts and rows as structured arrays; keyframes, hits, sums as tuples."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Touches(NamedTuple):
 
 
 class RayHits(NamedTuple):
-    """The first hits of rays; the shape (…) is that of the rays.
+    """The first hits of rays, with the shape (…) of the rays.
 
     distance: in units of the length of each ray's direction, i.e. metres for a unit vector; −1
         without a hit. Shape (…).

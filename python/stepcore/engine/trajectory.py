@@ -34,7 +34,7 @@ SomeWorld = TypeVar("SomeWorld", bound=World)
 # Controls over a run: a function of (time, sim), or a table with a row for each control period.
 Driven = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
-# What an instant of a run has of the step before it.
+# Arrays whose values at an instant of a run belong to the step before it.
 LATE = ("ctrl", "sensordata")
 UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
 
@@ -43,12 +43,12 @@ UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run`
 KIND, VERSION, TIME = "stepcore trajectory", 1, "time [s]"
 OTHERS = (".tsv", ".txt", ".json", ".xlsx", ".parquet", ".html", ".mcap", ".mp4", ".gif")
 
-# What the engine samples within a run, see `sampled`; the rest is read between its calls.
+# Arrays that the engine samples within a run, see `sampled`; others are read between its calls.
 SAMPLED = {
     *("time", "qpos", "qvel", "act", "ctrl_history", "ctrl", "xpos", "xquat", "energy"),
     *("qacc", "actuator_force"),
 }
-# What is recorded of one world only: counts of its solve, its error bar, and a pair of arrays.
+# Quantities recorded in a `Sim` only: counts of its solve, its error bar, and a pair of arrays.
 OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum", "error", "body_error")
 OF_WORLDS = (*READINGS, "energy", "overlap", "sensordata", "residual", "unrecovered_overlap")
 RECORDED = (*OF_WORLDS, *OF_ONE_WORLD)
@@ -166,9 +166,9 @@ class Trajectory:
         `to_pandas`.
 
         A .csv file has a row for each instant, a column "time [s]" that begins at 0, and columns
-        such as "qpos[knee]"; controls and readings of sensors are those from its time on, as a
-        `Log` has them. As the controls of a motion (``ctrl="run.csv"``), either file plays the
-        recorded controls again.
+        such as "qpos[knee]"; controls and sensor readings apply from the time of their row on, as
+        in a `Log`. As the controls of a motion (``ctrl="run.csv"``), either file plays the recorded
+        controls again.
 
         path: the file to write.
 
@@ -228,7 +228,7 @@ class Trajectory:
 
     @classmethod
     def _of(cls, arrays: Mapping[str, NDArray[Any]]) -> Trajectory:
-        """Return the run of a file's arrays; ValueError or KeyError for inconsistent ones."""
+        """Return the run of a file's arrays; raise ValueError or KeyError if inconsistent."""
         time = arrays["time"]
         data = {n.removeprefix("data/"): arrays[n] for n in arrays if n.startswith("data/")}
         if time.ndim != 1 or time.dtype.kind != "f":
@@ -377,10 +377,10 @@ class Trajectory:
 
 
 def acting(array: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Return what acts or is read from each instant on, of a recorded array.
+    """Return the values of a recorded array that apply from each instant on.
 
     An instant has the controls and the readings of the step before it. At the end the last controls
-    go on, and no reading is known.
+    continue, and the readings are unknown (NaN).
     """
     if array not in LATE:
         return values
@@ -429,14 +429,14 @@ def pieces(
     pauses: Sequence[int] = (),
     snapshots: Taking | None = None,
 ) -> Iterator[int]:
-    """Run a Sim under controls, and yield how many steps were made wherever the caller looks.
+    """Run a Sim under controls, and yield the number of completed steps at each pause.
 
-    This is the one loop over control periods: between two looks the engine runs on its own.
+    This is the only loop over control periods; between two pauses the engine runs uninterrupted.
 
-    control: a function of (time, sim), or a table of controls; of a period of `hold` steps each.
-    arrays: by name; what comes of a step is written behind the numbers that it came from.
-    pauses: numbers of steps, after each multiple of which the caller looks; also at both ends.
-    snapshots: are taken with the controls of the step that follows.
+    control: a function of (time, sim), or a table of controls; each applies for `hold` steps.
+    arrays: arrays by name; the result of a step is written after the entry that it starts from.
+    pauses: numbers of steps; the loop pauses at each multiple of each, and at both ends.
+    snapshots: a recorder, which gets the controls of the following step.
     """
     function = control if callable(control) else None
     table = None if function is not None or control is None else np.asarray(control)
@@ -474,18 +474,18 @@ def samples(
 ) -> list[NDArray[Any]]:
     """Take steps, and return quantities after each of them, (worlds, steps, …).
 
-    The engine makes all steps in one call, if it samples all of these quantities; what it does not
-    is read between its calls.
+    The engine takes all steps in one call if it samples all of these quantities; otherwise they are
+    read between its calls.
 
-    ctrl: a row for each step, (worlds, steps, nu); None leaves the controls at hand.
-    told: of a `Batch`: is told how many steps were made.
+    ctrl: a row for each step, (worlds, steps, nu); None leaves the present controls.
+    told: for a `Batch`, a function that is called with the number of new steps.
     rooms: arrays to write into, and to return.
     """
     own = () if told is None else (told,)
     if _sampled(world, names):
         made, _ = world._call(world._core.follow, asked(names, steps), ctrl, *own)
         if ctrl is None and "ctrl" in names:
-            # As they were given, not as single precision has them.
+            # The given values, not rounded to single precision.
             made[names.index("ctrl")][:] = world._arrays["ctrl"].reshape(len(made[0]), 1, -1)
         for room, values in zip(rooms or (), made, strict=rooms is not None):
             room[...] = values
@@ -511,7 +511,7 @@ def samples(
 
 
 def _room(value: Any, n: int, steps: int, batch: bool) -> NDArray[Any]:
-    """Return an array for so many steps of a quantity of n worlds."""
+    """Return an array for a quantity of n worlds in this number of steps."""
     given = np.asarray(value)
     return np.empty((n, steps, *given.shape[batch:]), dtype=given.dtype)
 
@@ -520,7 +520,7 @@ def _sampled(world: World, names: Sequence[str]) -> bool:
     """Return whether the engine samples all of these quantities within its steps."""
     if getattr(world, "_finer", None) is not None:
         return False
-    # A world that failed while others go on is read where it stands.
+    # With on_failure="go on", the last state of a failed world is read between calls.
     stands = getattr(world, "_on_failure", "stop") == "go on" and not set(names) <= set(STATE)
     return not stands and sampled(names, world.settings)
 
@@ -556,7 +556,7 @@ def _table(sim: SomeWorld, control: ArrayLike) -> Floats:
 
 def sampled(names: Collection[str], settings: Settings) -> bool:
     """Return whether the engine samples all of these quantities within a run."""
-    # What was solved last within an accuracy belongs to a part of a step.
+    # The last solve of an adaptive step belongs to a part of the step.
     solved = {"qacc", "actuator_force"} if settings.accuracy is not None else set()
     return set(names) <= SAMPLED - solved
 
@@ -570,7 +570,7 @@ def asked(
     bound: float = np.inf,
     most: float = np.inf,
 ) -> _core._Asked:
-    """Return what the engine is asked for: samples of a run, the first at the start or not."""
+    """Return the engine's request for samples of a run; `first`: whether to sample the start."""
     return {
         "names": list(names),
         "steps": steps,

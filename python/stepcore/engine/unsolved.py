@@ -3,7 +3,7 @@
 Impacts cause large residuals in single steps of healthy runs. A run is not healthy if the residual
 exceeds the speed that gravity adds in one step during half of the run: the rows then violate their
 constraints, so that a stack sinks, a wheel slips or a chain comes apart. With ``sweeps="auto"`` one
-such sample is enough: every step was to be solved.
+such sample is enough, because every step should be solved.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 # The threshold of a large residual without gravity [m/s].
 WEIGHTLESS = 0.05
-# The approximate number of samples of a run, and the fewest of which the median says something. A
-# batch samples after 64, 128, 256, … steps and warns of a world with this number of consecutive
-# large residuals.
+# The approximate number of samples of a run, and the fewest with a meaningful median. A batch
+# samples after 64, 128, 256, … steps and warns of a world with this number of consecutive large
+# residuals.
 LOOKS, FEWEST, IN_A_ROW = 64, 16, 3
 
 
 class UnsolvedWarning(UserWarning):
-    """Constraint rows stay unsolved; the text names the worst row, its residual and a remedy."""
+    """Constraint rows stay unsolved; the text names the worst row, its residual and a fix."""
 
 
 class Residuals:
@@ -49,7 +49,7 @@ class Residuals:
         return float(np.median(self.seen)) if len(self.seen) >= FEWEST else 0.0
 
     def sentence(self, settings: Settings) -> str:
-        """Return a sentence on unsolved rows and a remedy; "" if there are none."""
+        """Return a sentence on unsolved rows and a fix; "" if there are none."""
         residual = self.worst if settings.sweeps == "auto" else self.typical
         return unsolved(settings, self.row, residual) if residual > self.large else ""
 

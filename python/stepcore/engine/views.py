@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Entry:
-    """The entry of a view's element in an array of its world; `writable`: it can be assigned."""
+    """The entry of a view's element in an array; `writable`: whether it can be assigned."""
 
     def __init__(self, array: str, doc: str, writable: bool = False) -> None:
         self.array, self.__doc__, self.writable = array, doc, writable

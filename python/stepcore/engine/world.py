@@ -144,7 +144,7 @@ class World(checks.KnownNames, ABC):
     )
     actuator_force = readout("Force of each actuator before its gear [N or N·m], shape (nu,).")
 
-    # The index of all worlds in front of that of an element.
+    # The index of all worlds, which precedes the index of an element.
     _lead: tuple[slice, ...] = ()
     _core: Any
     _model: Model
@@ -217,7 +217,7 @@ class World(checks.KnownNames, ABC):
     def inverse(self, qacc: ArrayLike | None = None) -> Floats:
         """Compute the forces that cause an acceleration at the present state, shape (nv,).
 
-        qacc: the acceleration [m/s² or rad/s²], shape (nv,); by default that of the last solve.
+        qacc: the acceleration [m/s² or rad/s²], shape (nv,); by default from the last solve.
 
         The result is the generalised force that actuators and applied forces must exert together
         [N or N·m]: M qacc + bias − passive − Jᵀf, where f are the constraint forces that follow
@@ -256,7 +256,7 @@ class World(checks.KnownNames, ABC):
         groups: the groups (0 to 5) whose geoms can be hit; None means all groups.
         static: False ignores geoms that are fixed to the world.
 
-        The rules are those of MuJoCo's `mj_ray`: a ray that starts inside a geom hits the surface
+        The rules are as in MuJoCo's `mj_ray`: a ray that starts inside a geom hits the surface
         from within, a plane is hit from the front and within its size, and a mesh is hit at its
         triangles. Visual-only meshes and height fields of a file are not in the scene, so rays
         pass through them.
@@ -276,7 +276,7 @@ class World(checks.KnownNames, ABC):
         ends = [_vectors("origin", origin), _vectors("direction", direction)]
         if not ends[1].any(axis=-1).all():
             raise ValueError("direction = (0, 0, 0): must have a length")
-        # The axes of rays after that of the worlds.
+        # The axes of rays after the axis of the worlds.
         further = (1,) * max(max(end.ndim for end in ends) - 1, 1)
         try:
             *lead, _ = np.broadcast_shapes(*(end.shape for end in ends), (*worlds, *further))
@@ -342,7 +342,7 @@ class World(checks.KnownNames, ABC):
 
         key: the name or index of a keyframe.
 
-        Controls become those of the keyframe, or 0 without a keyframe. Applied forces become 0 and
+        Controls are set to the keyframe's, or to 0 without a keyframe. Applied forces become 0 and
         warm-start impulses are discarded. Mocap bodies take the poses of the keyframe, or of the
         scene without a keyframe. `eq_active` takes the values of the scene.
 

@@ -1,4 +1,4 @@
-"""Experiments: a user's questions to a scene, on one loop: vary, run, score, choose, confirm, say.
+"""Experiments on a scene, all by one loop: vary, run, score, choose, confirm, report.
 
 `Study` runs `Change`s of a scene in one motion and scores them as `Trial`s; `choose` chooses, and
 `Study.answer` returns the numbers and sentences as an `Answer`. `units` reads and prints lengths
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from stepcore.experiment.trial import Trial as Trial
     from stepcore.report import units as units
 
-# Each name with its module: imported when it is first used, as all of stepcore is.
+# The module of each name. A module is imported when one of its names is first used.
 _HOME = {
     **{"Answer": "answer", "Change": "change", "Motion": "motion", "Servo": "change"},
     **{"Study": "study", "Trial": "trial", "Workers": "arguments"},

@@ -1,4 +1,4 @@
-"""`Answer`: what a user's own question found, as text, table, JSON, page and plot."""
+"""`Answer`: the answer to a user's question, as text, table, JSON, page and plot."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ WORDS: Mapping[str, Callable[[float], str]] = {"m": metres, "s": seconds}
 
 @dataclass(eq=False, repr=False)
 class Answer(Result):
-    """The answer to a user's own question; `Study.answer` returns it.
+    """The answer to a user's question; `Study.answer` returns it.
 
     subject: the quantity measured. said: the answer in sentences. rows: the numbers, by column; an
-    infinite one is of a run that failed.
+    infinite number marks a failed run.
     of_columns: the units of columns. axes: the columns along the axes of the plot.
-    motion: that of the study. settings: the shipped ones.
+    motion: the motion of the study. settings: the settings as shipped.
     """
 
     kind = "answer"
@@ -64,7 +64,7 @@ class Answer(Result):
         return words(value) if words else value
 
     def label(self, column: str) -> str:
-        """Return a column with its unit, unless its cells have theirs."""
+        """Return a column's name with its unit, unless the cells themselves have units."""
         unit = self.of_columns.get(column, "")
         return column if not unit or unit in WORDS else f"{column} [{unit}]"
 

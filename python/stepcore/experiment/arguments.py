@@ -1,4 +1,4 @@
-"""The arguments that all measurements share: the model, the motion, and where runs are made."""
+"""The arguments that all measurements share: the model, the motion and the workers."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ R = TypeVar("R")
 Bar = Progress | str | None
 # The models that a measurement accepts; files are loaded, and scenes compiled.
 Source = Model | Scene | str | os.PathLike[str]
-# The measurements that run a model whose steps keep an accuracy.
+# The measurements that accept models with adaptive steps.
 WITHIN_ACCURACY = ("trade", "check", "predict", "diagnose", "stability_map")
 
 
 @dataclass(frozen=True)
 class Workers:
-    """What makes the runs of a measurement, from the arguments that every measurement has.
+    """Threads or an executor for the runs of a measurement; every measurement has these arguments.
 
     threads: the number of runs at the same time; by default one per core.
-    executor: any `concurrent.futures` executor, used in place of threads. Costs are timed
+    executor: any `concurrent.futures` executor, used instead of threads. Costs are timed
         afterwards, on one thread.
     progress: False for no bar, or a function of (label, done, total).
-    seconds: (of the measurement) the longest time [s]; by default there is none. When the time is
-        over, the result has what is known, and `unfinished` says what was not done.
+    seconds: (of the measurement) the time limit [s]; by default there is none. When the time is
+        over, the result has what was completed, and `unfinished` lists the rest.
     """
 
     threads: int = 1
@@ -81,7 +81,7 @@ class Workers:
     ) -> list[R]:
         """Call a job at every point, and return the results in the order of the points.
 
-        done: filled with the results so far; took: called with them as they come. See
+        done: a list that receives the results; took: called with results as they come. See
             `stepcore.executors.each`.
 
         Raises OutOfTime if the measurement's time is over before the last result.
@@ -117,7 +117,7 @@ class MeasurementFields(MotionFields, total=False):
     seconds: float | None
 
 
-# These keyword arguments that are not fields of `Motion`.
+# The keyword arguments of measurements that are not fields of `Motion`.
 SHARED = MeasurementFields.__annotations__.keys() - MotionFields.__annotations__.keys()
 
 

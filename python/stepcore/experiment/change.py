@@ -1,4 +1,4 @@
-"""`Change`: what is different from the scene as shipped; the only way to make a changed copy."""
+"""`Change`: the differences from the scene as shipped; the only way to make a changed copy."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from stepcore.signatures import SettingsFields
 
 
-# Settings that change what is modelled: they move the limit dt → 0. (Sleep and f32 are errors of
-# the numbers; refsafe, which softens contacts at long steps, is none at short ones.)
+# Settings that change the modelled physics, and so the limit dt → 0. (Sleep and f32 cause numerical
+# errors; refsafe softens contacts at long steps only.)
 MODELLING = (
     *("law", "softness", "beta", "restitution", "slop", "max_recovery_speed", "penalty_stiffness"),
     *("penalty_damping_ratio", "cone", "impratio", "stiction", "noslip_iterations"),
@@ -33,7 +33,7 @@ MODELLING = (
 
 
 class Servo(NamedTuple):
-    """A position servo in place of an actuator: force = kp × (control − length) − kv × velocity.
+    """A position servo, replacing an actuator: force = kp × (control − length) − kv × velocity.
 
     actuator: its name or index; in a model without actuators, the name of a joint, which gets one.
     kp, kv: the gains, before the gear. forcerange: bounds of the force, before the gear.
@@ -47,12 +47,12 @@ class Servo(NamedTuple):
 
 @dataclass(frozen=True, init=False, repr=False)
 class Change:
-    """Settings, values of the model, features left out, and servos in place of actuators.
+    """Settings, values of the model, features left out, and servos that replace actuators.
 
     values: new values by path, as in `Model.with_values`: ``{"actuator/knee/kp": 80.0}``.
     without: features to leave out: names of flags of the scene ("gravity", "contact", "limit", …),
         or `Removal`s.
-    servos: `Servo`s that take the place of actuators.
+    servos: `Servo`s that replace actuators.
     settings: fields of `Settings`, such as ``dt=0.001, integrator="rk4"``; ``dt="1ms"`` is a time.
 
     Changes are constant, can be compared, hashed and pickled. An empty one is the scene as shipped.
@@ -79,7 +79,7 @@ class Change:
         **settings: Unpack[SettingsFields],
     ) -> None:
         own = {path: _constant(value) for path, value in (values or {}).items()}
-        # A name is that of a feature that the scene has a flag for.
+        # A string names a feature for which the scene has a flag.
         removed = {
             Removal(one, "", (("feature", one),)) if isinstance(one, str) else one
             for one in without
@@ -105,7 +105,7 @@ class Change:
         return cls(**{k: v for k, v in settings.as_dict().items() if v != before[k]})
 
     def also(self, other: Change) -> Change:
-        """Return both changes; of a setting or value in both, that of `other`."""
+        """Return both changes; `other` takes precedence for settings and values in both."""
         settings = {**dict(self.settings), **dict(other.settings)}
         values = {**dict(self.values), **dict(other.values)}
         servos = {servo.actuator: servo for servo in (*self.servos, *other.servos)}
@@ -113,30 +113,30 @@ class Change:
 
     @property
     def physics(self) -> Change:
-        """What changes the model: all but settings, and of these such as the cone."""
+        """The part that changes the model: without the settings that are not in `MODELLING`."""
         model = {name: value for name, value in self.settings if name in MODELLING}
         return Change(dict(self.values), self.without, self.servos, **model)
 
     @property
     def size(self) -> int:
-        """How much of the model is changed: the number of values, features left out and servos.
+        """The number of changed values, features left out and servos.
 
-        Settings do not count, because the model stays what it is.
+        Settings do not count, because they leave the model as it is.
         """
         return len(self.values) + len(self.without) + len(self.servos)
 
     @property
     def models(self) -> bool:
-        """Whether the change is of what is modelled, so that its motion has a limit of its own."""
+        """Whether the modelled physics changes, so that the motion has another limit dt → 0."""
         return bool(self.size) or any(name in MODELLING for name, _ in self.settings)
 
     def of(self, model: Model) -> Model:
         """Return the changed model.
 
-        Raises ValueError for what the model does not have, and for values outside their limits.
+        Raises ValueError for elements that the model lacks, and for values outside their limits.
         """
         if self.without:
-            # What is left out may be one of the settings, as warm start.
+            # A removal may be a setting, such as warm start.
             own = model.scene.with_settings(model.settings)
             model = without(own, self.without).compile()
         if self.values:
@@ -146,12 +146,12 @@ class Change:
         return self.with_settings(model)
 
     def with_settings(self, model: Model) -> Model:
-        """Return a model that has the change of the model already, with the change of settings."""
+        """Return a model with the changed settings; it must have the other changes already."""
         return model.with_settings(**dict(self.settings)) if self.settings else model
 
     @property
     def words(self) -> str:
-        """The change as a person says it; "as shipped" for none."""
+        """The change in words; "as shipped" if it is empty."""
         settings = dict(self.settings)
         order = dict.fromkeys([*(name for name in FIRST if name in settings), *settings])
         parts = [_setting(name, settings[name]) for name in order]
@@ -161,7 +161,7 @@ class Change:
         return ", ".join(parts) or "as shipped"
 
     def label(self, shipped: Settings) -> str:
-        """Return the settings in words as tables have them, and what else is changed.
+        """Return the settings in the words of tables, and the other changes.
 
         shipped: the settings of the scene.
         """
@@ -171,9 +171,9 @@ class Change:
 
     @property
     def mjcf(self) -> str:
-        """The change as an MJCF file says it: `<option>`, and attributes by element.
+        """The change as MJCF: `<option>`, and attributes by element.
 
-        What MJCF cannot say stands in a comment.
+        Comments list the parts that MJCF cannot express.
         """
         attributes, flags, rest = said(dict(self.settings))
         lines = []
@@ -210,7 +210,7 @@ def _law(servo: Servo) -> dict[str, Any]:
 
 
 def _with_servos(model: Model, servos: Iterable[Servo]) -> Model:
-    """Return the model with servos in place of actuators; filters of controls stay."""
+    """Return the model with servos that replace actuators and keep their control filters."""
     if not model.nu:
         model = with_motors(model, [model.index("joint", servo.actuator) for servo in servos])
     scene = copy.deepcopy(model.scene)
@@ -226,11 +226,11 @@ def _with_servos(model: Model, servos: Iterable[Servo]) -> Model:
 
 
 def powered(model: Model) -> Model:
-    """Return a model without actuators with motors on the joints whose effort it bounds.
+    """Add motors to a model without actuators, on the joints whose effort it bounds.
 
-    A URDF does not name its motors, but says what they can do. Where it bounds no effort (many have
-    0, which bounds none), joints with a range have motors without bounds; where it bounds some, so
-    have those whose limit nobody filled in. What follows another joint has none.
+    A URDF lists no motors, but bounds their efforts. If it bounds no effort (many files have 0,
+    which is no bound), joints with a range get motors without bounds. If it bounds some, only those
+    whose limit is not filled in get them. Joints that follow another joint get no motor.
     """
     if model.nu:
         return model
@@ -260,7 +260,7 @@ def powered(model: Model) -> Model:
 
 
 def with_motors(model: Model, joints: Sequence[int], others: Sequence[int] = ()) -> Model:
-    """Return the model with motors on joints, and in place of some actuators."""
+    """Return the model with motors on some joints, and instead of some actuators (`others`)."""
     if not joints and not others:
         return model
     scene = copy.deepcopy(model.scene)
@@ -282,7 +282,7 @@ def _constant(value: Any) -> Any:
     return tuple(np.asarray(value).tolist()) if isinstance(value, list | np.ndarray) else value
 
 
-# The order in which settings are said; the others follow by name.
+# The settings that are listed first, in this order; the others follow by name.
 FIRST = ("integrator", "solver", "sweeps", "accuracy", "dt")
 
 

@@ -1,7 +1,7 @@
-"""Choosing among trials: the cheapest rung of a ladder, the frontier, many at once; and the proof.
+"""Choices among trials: the cheapest rung of a ladder, the frontier, a greedy set; validation.
 
-A choice is made on the starts of a search and tested on further ones, which then join the search
-(`Study.settled`). What is told of it comes from starts that no choice has seen: `Proof`.
+A choice is made on the starts of a search and tested on held-out starts, which then join the
+search. The reported result comes from starts that no choice has used: `Proof`.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from stepcore.report.units import counted, metres
 
 T = TypeVar("T")
 
-# How often starts on which a choice fails may join it, and how many of them at a time.
+# How often starts on which a choice fails may join the search, and how many of them at a time.
 ROUNDS, JOIN = 8, 3
-# The confidence with which the bound of a proof holds.
+# The confidence level of the bound of a `Proof`.
 CONFIDENCE = 0.95
 
 
 def frontier(trials: Iterable[Trial], price: Callable[[Trial], float]) -> list[Trial]:
-    """Return the trials that no other one beats in price and error, the cheapest first.
+    """Return the trials that no other trial beats in both price and error, the cheapest first.
 
-    Of equal trials the first remains. Failed trials are left out.
+    The first of equal trials is kept. Failed trials are left out.
     """
     kept, best = list[Trial](), math.inf
     for trial in sorted(trials, key=lambda t: (price(t), t.error)):
@@ -48,14 +48,14 @@ def least(
 ) -> int | None:
     """Return the least rung of a ladder whose error is within a bound, or None if none was found.
 
-    It climbs from a first rung. How far it climbs follows from the order at which the error falls,
-    and it gives up where that order says that the top of the ladder is not enough. Then it goes
-    down between a rung that fails and one that holds. Below a rung that fails nothing is tried, so
-    that a lucky coarse rung is not found.
+    The search climbs from a first rung, by jumps that follow from the order at which the error
+    falls. It gives up if that order shows that the top of the ladder is not enough. Then it narrows
+    the gap between a rung that fails and one that holds. It tries nothing below a rung that fails,
+    so that a lucky coarse rung is not found.
 
-    ladder: numbers that rise, such as steps in a period. error: of a rung; inf if it failed.
-    first: the number to begin near. ratio: a rung that holds, so near one that fails, is enough.
-    cliff: for stability, where the error falls at once and has no order: it doubles up to the top.
+    ladder: increasing numbers, such as steps in a period. error: of a rung; inf if it failed.
+    first: the number to start near. ratio: from a failing rung to a holding one that is accepted.
+    cliff: for stability, where the error falls at once and has no order: the jumps are doublings.
 
     >>> least(range(1, 1000), lambda n: 1 / n**2, 1e-4, first=8)
     100
@@ -69,7 +69,7 @@ def least(
         return known[k]
 
     def order(k: int, j: int) -> float:
-        """The order between two rungs, k the coarser one."""
+        """Return the order of convergence between two rungs; k: the coarser one."""
         return math.log(known[k] / known[j]) / math.log(rungs[j] / rungs[k])
 
     def rung(n: float) -> int:
@@ -103,7 +103,7 @@ def least(
 
 
 def greedy(parts: Sequence[T], holds: Callable[[tuple[T, ...]], bool]) -> tuple[T, ...]:
-    """Return as many parts as hold together, tried in the given order; what fails is halved.
+    """Return as many parts as hold together, tried in the given order; failing sets are halved.
 
     >>> greedy([1, 2, 3, 4], lambda some: sum(some) <= 6)
     (1, 2, 3)
@@ -121,11 +121,11 @@ def greedy(parts: Sequence[T], holds: Callable[[tuple[T, ...]], bool]) -> tuple[
 
 @dataclass(frozen=True)
 class Proof:
-    """What a choice did on starts that no choice has seen.
+    """The validation of a choice on held-out starts.
 
-    trial: the choice, run from these starts. error: what was asked [m].
-    missed: the number of these starts that exceed it. unclear: the number of those whose converged
-    motion is not known well enough to tell.
+    trial: the choice, run from these starts. error: the requested error [m].
+    missed: the number of starts that exceed it. unclear: the number of starts whose error differs
+    from it by no more than the uncertainty.
 
     >>> [round(share_of(missed, 32), 3) for missed in (0, 2)]
     [0.089, 0.184]
@@ -138,7 +138,7 @@ class Proof:
 
     @classmethod
     def of(cls, trial: Trial, error: float) -> Proof:
-        """Return what a trial proves of an error [m]."""
+        """Return the validation of a trial against a requested error [m]."""
         if trial.failure:
             return cls(trial, error, len(trial.starts))
         unclear = np.abs(trial.errors - error) <= trial.unsure
@@ -153,7 +153,7 @@ class Proof:
     def share(self) -> float:
         """The largest share of all starts that misses the error, with 95 % confidence.
 
-        Starts that cannot be told count as misses.
+        Unclear starts count as misses.
         """
         return share_of(self.missed + self.unclear, self.starts)
 
@@ -183,9 +183,9 @@ class Proof:
 
 
 def share_of(missed: int, starts: int) -> float:
-    """Return the largest share of misses that k of n do not refute: Clopper and Pearson's bound.
+    """Return Clopper and Pearson's upper bound of the share of misses, from k misses of n starts.
 
-    It is the share p at which k or fewer misses have a probability of 5 %.
+    The bound is the share p at which k or fewer misses have a probability of 5 %.
     """
     if missed >= starts:
         return 1.0

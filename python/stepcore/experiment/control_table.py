@@ -1,14 +1,14 @@
-"""Controls over time, and the logs of users that they come from.
+"""Controls over time, and the users' logs that they come from.
 
-`ControlTable`: a user's log, played as controls. `PositionTable`: one whose positions servos
-follow. `ControlLog`: controls at times of their own. `Controls`: what drives a motion: rows or a
-function, and servos that obey the rows.
+`ControlTable`: a user's log, played as controls. `PositionTable`: a log whose positions servos
+follow. `ControlLog`: rows of controls with times. `Controls`: the input of a motion: rows or a
+function, and servos that get the rows as targets.
 
-The true controls are those of a log at its own times, held or interpolated. The controls of a step
-are the mean of these over the step. The mean neither delays a row nor loses one, whatever the step:
+The exact controls are the rows of a log at their times, held or interpolated. A step gets the mean
+of the exact controls over the step. The mean neither delays a row nor loses one, whatever the step:
 the impulse of a motor is exact, and the rest of the sampling error falls as dt². (Controls that are
 read at the beginning of a step come half a step late on average, so that their error falls as dt
-and hides that of the integrator.) The error of a run at a coarse step includes the sampling error.
+and hides the integrator's.) The error of a run at a coarse step includes the sampling error.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from stepcore.engine.model import Model
 from stepcore.experiment.change import Servo
 from stepcore.experiment.log import Log
 
-# The longest time step that is tried by default, in shipped ones. A period that follows from a log
-# has at least as many of the model's steps.
+# The longest time step that is tried by default, in shipped steps. A period that follows from a log
+# has at least this many of the model's steps.
 LONGEST = 4
 # A row takes effect at the beginning of a step if it is this close to it, in steps: rounding of
 # the times of a file.
@@ -36,10 +36,10 @@ ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ControlLog:
-    """Controls at times of their own.
+    """Rows of controls with times.
 
     times: when each row takes effect, from 0 on [s], shape (n,).
-    rows: the controls of all actuators, (n, nu); or those of several starts, (starts, n, nu).
+    rows: the controls of all actuators, (n, nu); or of several starts, (starts, n, nu).
     linear: whether the controls between two rows are interpolated; by default a row is held until
         the next. The last row stays to the end.
     """
@@ -63,13 +63,13 @@ class ControlLog:
         return values
 
     def slopes(self, start: float, dt: float, count: int) -> np.ndarray:
-        """Return the derivatives of `steps` by `start`, as it falls, shape (…, count, nu)."""
+        """Return the derivatives of `steps` by a decreasing `start`, shape (…, count, nu)."""
         edges = start + dt * (np.arange(count + 1) - ROUNDING)
         slopes: np.ndarray = np.diff(self._within(self._row(edges), edges), axis=-2) / dt
         return slopes
 
     def held(self, dt: float) -> int:
-        """Return for how many steps of dt [s] every row is held; 0 if they are no whole steps."""
+        """Return the number of steps of dt [s] for which each row is held; 0 if it is not whole."""
         gaps = np.diff(self.times)
         if self.linear or not len(gaps):
             return int(not len(gaps))
@@ -77,7 +77,7 @@ class ControlLog:
         return steps if np.allclose(gaps, steps * dt, rtol=1e-9) else 0
 
     def ends_on(self, period: float) -> bool:
-        """Return whether rows are held from one end of a period to another [s]."""
+        """Return whether rows are held, and change only at the ends of periods; period: [s]."""
         count = self.times / period
         return not self.linear and bool(np.all(np.abs(count - np.round(count)) <= ROUNDING))
 
@@ -117,13 +117,13 @@ class ControlLog:
 
 @dataclass(frozen=True, eq=False)
 class Controls:
-    """What drives a motion.
+    """The input of a motion.
 
     log: rows over time; None with a function.
     function: the user's function of (time, sim), which is called once a control period.
-    words: of controls that nobody gave; "" for the user's own.
-    remarks: sentences on what controls that nobody gave could not do.
-    servos: take the place of actuators of the model, and get the rows as their targets.
+    words: the description of default controls; "" for the user's controls.
+    remarks: sentences on limitations of default controls.
+    servos: replace actuators of the model, and get the rows as their targets.
     """
 
     log: ControlLog | None = None
@@ -143,7 +143,7 @@ class Controls:
         return self.log is None or self.log.rows.ndim == 2
 
     def rows(self, starts: Sequence[int], dt: float, count: int) -> tuple[np.ndarray | None, int]:
-        """Return the controls of some starts, and for how many steps a row is held.
+        """Return the controls of some starts, and the number of steps for which a row is held.
 
         The shape is (starts, rows, nu), or (1, rows, nu) for controls that all starts share; None
         without controls.
@@ -166,7 +166,7 @@ class Controls:
         return replace(self, log=log)
 
     def joined(self, other: Controls) -> Controls:
-        """Return the controls with those of further starts after these."""
+        """Return these controls, followed by the controls of more starts."""
         if self.shared or self.log is None or other.log is None:
             return self
         rows = np.concatenate([self.log.rows, other.log.rows])
@@ -186,7 +186,7 @@ class ControlTable(Log):
 
     @property
     def rows(self) -> np.ndarray:
-        """The numbers of all columns in a row each, (n, columns)."""
+        """The numbers of all columns, shape (n, columns)."""
         return np.column_stack([*self.columns.values()])
 
     @property
@@ -216,10 +216,10 @@ class ControlTable(Log):
     def period(self, dt: float) -> float | None:
         """Return the control period [s], or None if the rows do not determine one; dt: [s].
 
-        Rows without times have a period of dt. Rows at equal times have a period in which all steps
-        can end on their times: the spacing or a whole part of it, in at least `LONGEST` steps of
-        dt, so that longer steps can be tried.
-        Otherwise the rows follow their own times whatever the period; see `ControlLog`.
+        Rows without times have a period of dt. Equally spaced rows have a period that divides the
+        spacing, so that steps can end on the times of rows: the shortest one of at least `LONGEST`
+        steps of dt, so that longer steps can be tried.
+        Other rows follow their times whatever the period; see `ControlLog`.
         """
         if self.times is None:
             return dt
@@ -240,7 +240,7 @@ class ControlTable(Log):
     ) -> ControlLog:
         """Return the controls over time.
 
-        model: a Model, or what names actuators and their joints as one does.
+        model: a Model, or an object that names actuators and their joints in the same way.
         held: the controls of actuators without a column, (nu,). period: of rows without times [s].
         linear: whether to interpolate the rows. sampled: whether rows that are held take effect at
         the beginning of a period.
@@ -253,7 +253,7 @@ class ControlTable(Log):
         if self.times is None:
             return ControlLog(period * np.arange(len(rows)), rows)
         if sampled and not linear:
-            # A row that is in effect for less than a period, from its beginning on, is not seen.
+            # Only the row in effect at the beginning of each period counts.
             periods = period * np.arange(math.floor(self.duration / period) + 2)
             index = np.searchsorted(self.times, periods + 1e-6 * period, side="right") - 1
             return ControlLog(periods, rows[index])
@@ -263,8 +263,8 @@ class ControlTable(Log):
 class PositionTable(ControlTable):
     """A log whose positions of hinges and slides are followed; see `Motion`.
 
-    Servos get the controls with which they are without force in the recorded position. Motors get
-    servos in their place, with the gains of the default motion "hold".
+    Servos get the controls at which their force is zero in the recorded position. Motors are
+    replaced by servos, with the gains of the default motion "hold".
     """
 
     asked, follows = "qpos", True
@@ -275,7 +275,7 @@ class PositionTable(ControlTable):
     def poses(self, model: Model, qpos: np.ndarray) -> np.ndarray:
         """Return a pose for each row, shape (n, nq); qpos: of the joints without a column.
 
-        Joints of several coordinates have a pose of their own in arrays alone.
+        The poses of joints with several coordinates can only come from arrays.
         """
         placed = self.placed(model)
         if "qpos" not in placed.arrays:

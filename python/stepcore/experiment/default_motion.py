@@ -1,22 +1,22 @@
-"""The motion of a measurement that is given no controls: one that the machine could make.
+"""The default motion, of a measurement without controls: one that the machine could make.
 
 `kind_of` chooses it from the model alone:
 
-- Nothing is actuated: "fall". The scene falls, rolls and comes to rest. (A URDF, which has no
-  actuators, was given motors before, on the joints whose effort it bounds: see `change.powered`.)
+- Nothing is actuated: "fall". The scene falls, rolls and comes to rest. (A URDF has no actuators,
+  but got motors before, on the joints whose effort it bounds: see `change.powered`.)
 - Servos, or motors on a fixed base or with controls in N or N·m: "move". All joints move together,
   from the start to a random pose near it in 0.8 s (minimum jerk), rest for 0.2 s, and return. A
-  joint goes up to a tenth of its range and at most 0.5 rad; each start has a pose of its own.
-  Contacts on which the robot stands keep their places. Position servos get these poses as their
-  controls, velocity servos get the velocities. Motors get servos in their place, which carry the
+  joint goes up to a tenth of its range and at most 0.5 rad, to a different pose from each start.
+  Contacts that support the robot keep their places. Position servos get these poses as their
+  controls, velocity servos get the velocities. Motors are replaced by servos, which carry the
   static load of the start; see `stepcore.experiment.moves`.
 - Motors with controls within ±1 on a body that moves about (the walkers of gymnasium and
-  dm_control), muscles and all else: "sines", which are what policies look like.
+  dm_control), muscles and all else: "sines", which resemble policies.
 
-A motion is tried by running it under the shipped settings, from all starts at once. It is made
-smaller until no force takes more than half of what holding the start leaves of its bound, no
-actuator is at its bound for more than 5 % of the time, and no limit or contact is met that holding
-the start does not meet. What cannot be reached is said.
+A motion is tested by running it under the shipped settings, from all starts at once. It is reduced
+until no force takes more than half of the range that holding the start leaves, no actuator is
+saturated for more than 5 % of the time, and no limit or contact is met that holding the start does
+not meet. The result reports moves that cannot be made.
 
 The other kinds are for comparison: "hold" holds the start, "random" draws new controls in every
 control period, and "fall" sets all controls to 0.
@@ -41,7 +41,7 @@ from stepcore.report.units import counted, metres, percent, radians, seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
 # The sines of a control: their number, frequencies [Hz], and amplitude as a share of the control
-# range. They grow over a time [s], because a jump would shock a stiff servo.
+# range. They grow over `RAMP` [s], because a jump would shock a stiff servo.
 SINES, HERTZ, RANGED, RAMP = 3, (0.3, 3.0), 0.4, 0.25
 
 
@@ -52,18 +52,18 @@ def kind_of(model: Model) -> str:
     drives = actuators(model)
     if any(drive.kind in (SERVO, VELOCITY_SERVO) for drive in drives):
         return "move"
-    # A control range within ±1 has no unit: it is an action, as of gymnasium and dm_control.
+    # A control range within ±1 has no unit: it is an action, as in gymnasium and dm_control.
     actions = all(abs(end) <= 1.0 for drive in drives for end in drive.ctrlrange)
     moves = any(drive.kind == MOTOR for drive in drives)
     return "move" if moves and not (actions and moves_about(model, drives)) else "sines"
 
 
 class Asked(NamedTuple):
-    """What controls are made for.
+    """The inputs from which controls are made.
 
-    home, held: the state and the controls of the keyframe, (nu,). starts: those of the runs.
-    seed: of the controls; those of a start depend on its index alone, not on how many there are.
-    period: the control period [s]. periods: their number.
+    home, held: the state and the controls of the keyframe, (nu,). starts: the starts of the runs.
+    seed: of the controls, which depend on a start's index, but not on the number of starts.
+    period: the control period [s]. periods: the number of periods.
     whole: whether controls are constant over each period.
     """
 
@@ -77,7 +77,7 @@ class Asked(NamedTuple):
 
 
 def default_motion(model: Model, kind: str | None, asked: Asked) -> Controls:
-    """Return the controls of a motion without controls of its own.
+    """Return the controls of a motion for which the user gave none.
 
     kind: one of `KINDS`; None chooses it.
     """
@@ -110,7 +110,7 @@ def actuators_in_words(model: Model) -> str:
 
 
 def _said(moves: Moves, chosen: Chosen, horizon: float) -> Iterator[str]:
-    """Yield the motion, its loads, and why the machine, or some starts, do not move."""
+    """Describe the motion and its loads, and why the machine or some starts do not move."""
     far, motors = _far(moves, chosen), bool(moves.servos)
     if far:
         who = "a PD controller drives the joints" if motors else "servos move"
@@ -135,7 +135,7 @@ def _said(moves: Moves, chosen: Chosen, horizon: float) -> Iterator[str]:
 
 
 def _far(moves: Moves, chosen: Chosen) -> str:
-    """Return how far the moves go: "to poses up to 0.35 rad and 5 mm away"; "" if nothing moves."""
+    """Describe the largest moves: "to poses up to 0.35 rad and 5 mm away"; "" if nothing moves."""
     slides = np.array([moves.model.jnt_type[joint] == "slide" for joint in moves.joints], bool)
     ends = (radians, chosen.far[~slides]), (metres, chosen.far[slides])
     parts = [said(float(far.max())) for said, far in ends if far.max(initial=0.0) > 1e-6]
@@ -149,11 +149,11 @@ def _far(moves: Moves, chosen: Chosen) -> str:
 
 
 def _loads(moves: Moves, chosen: Chosen) -> Iterator[str]:
-    """Yield the top speed of a joint, the largest force, and what is saturated."""
+    """Describe the top speed of a joint, the largest force, and the saturation."""
     model = moves.model
     speed = np.max([seen.speed[moves.dofs] for seen in chosen.seen], axis=0)
     turns = [model.jnt_type[joint] == "hinge" for joint in moves.joints]
-    # Below 1 mrad/s or 1 mm/s it settles.
+    # Speeds below 1 mrad/s or 1 mm/s are settling.
     if len(speed) and speed.max() > 1e-3:
         fast = int(np.where(turns, speed, 0).argmax()) if any(turns) else int(speed.argmax())
         joint = _name(model, "joint", moves.joints[fast])
@@ -183,8 +183,8 @@ def by_rule(
 ) -> Controls:
     """Return controls that follow from their ranges alone: "hold", "fall", "random" or "sines".
 
-    what: the actuators in words; names: of each. ranges: of the controls, (nu, 2), infinite without
-    one.
+    what: the actuators in words. names: their names. ranges: of the controls, (nu, 2); infinite for
+    a control without a range.
     """
     held, periods = asked.held, asked.periods
     times = asked.period * np.arange(periods)
@@ -248,7 +248,7 @@ def _sines_in_words(what: str, names: Sequence[str], free: np.ndarray, held: np.
 def followed(table: PositionTable, model: Model, asked: Asked) -> Controls:
     """Return the controls that follow the positions; between rows they are interpolated.
 
-    Servos in place of motors are made for the first pose.
+    Servos that replace motors are made for the first pose.
     """
     start = asked.home
     poses = table.poses(model, start.qpos)
@@ -272,7 +272,7 @@ def followed(table: PositionTable, model: Model, asked: Asked) -> Controls:
             row[servo.index] = servo.holding(lengths[servo.index])
         if not motors:
             continue
-        # What the pose needs more than the first one, which servos carry.
+        # The load in addition to the first pose's, which servos carry.
         sim.forward()
         load = resting(sim, dofs, np.zeros((0, model.nv)))
         first = load if first is None else first

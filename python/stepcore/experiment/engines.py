@@ -1,7 +1,7 @@
-"""Engines: what runs a change of a scene and counts its work. Truth, norm and choices are theirs.
+"""Engines, which run a change of a scene and count its work; all have the same truth and norm.
 
 An `Engine` runs a `Schedule` under a `Change` and returns `Tracks`. `Stepcore` is this package's
-own engine; `stepcore.experiment.mujoco_engine` runs MuJoCo.
+engine; `stepcore.experiment.mujoco_engine` runs MuJoCo.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
 from stepcore.experiment.sizes import scene_size
 
-# A run has failed if a body is so many sizes of the scene away from where it began. A distance of a
-# few sizes is an error that is told; at a hundred, bodies have left the scene that was modelled.
-# What falls freely may fall twice as far.
+# A run has failed if a body is this many sizes of the scene away from its start. A distance of a
+# few sizes is reported as an error; at a hundred, bodies have left the modelled scene.
+# Twice the distance of free fall is allowed in addition.
 FAR = 100.0
 # The integrators that are tried under MuJoCo's law, and under the laws on velocities.
 CONVEX = ("rk4", "implicitfast", "euler", "semi-implicit", "discrete", "midpoint", "implicit")
 ON_VELOCITIES = ("rk4", "semi-implicit", "midpoint", "explicit")
-# Steps within an accuracy are not counted one by one where a run would take more operations: eight
-# steps of solo12, falling onto its own legs, took 49 s to count, those of 22 humanoids 186 s.
+# Adaptive steps are not counted one by one if a run would take more operations: eight steps of
+# solo12, falling onto its legs, took 49 s to count, steps of 22 humanoids 186 s.
 # dm_control's humanoid has 3.5e9.
 DEAR = 5e9
 # Numbers of sweeps that are tried.
@@ -50,10 +50,10 @@ SWEEPS = (2, 8, 30)
 
 @dataclass(frozen=True)
 class Way:
-    """A way to the converged motion: a ladder of changes, each rung finer than the last.
+    """A method for the converged motion: a ladder of changes, each rung finer than the last.
 
     name: of the method. at: returns the change of a rung, from 0 on.
-    fixed: whether steps have a fixed length, so that nudged runs can be compared bit by bit.
+    fixed: whether steps have a fixed length, so that perturbed runs can be compared bit by bit.
     """
 
     name: str
@@ -62,12 +62,12 @@ class Way:
 
 
 class Engine(ABC):
-    """What runs changes of one scene.
+    """Base class of the engines, each of which runs changes of one scene.
 
     name: of the engine. title: of the scene. refusal: why stepcore has no model of it; else "".
     shipped: the settings of the scene. dt: its time step [s]. nv: the number of dofs.
     matter: the moving bodies. coordinates: of the states. size: the size of the scene [m].
-    gravity: [m/s²]. nearby: how far a nudge moves a state whose growth is measured, relative to the
+    gravity: [m/s²]. nearby: the perturbation of a state whose growth is measured, relative to the
     size or in radians.
     """
 
@@ -86,7 +86,7 @@ class Engine(ABC):
         self._counts = dict[Change, float]()
 
     def __getstate__(self) -> dict[str, Any]:
-        # An executor pickles in a thread of its own, while this one counts on.
+        # An executor pickles in another thread, while this thread counts on.
         state = dict(self.__dict__)
         return {name: dict(v) if isinstance(v, dict) else v for name, v in state.items()}
 
@@ -107,7 +107,7 @@ class Engine(ABC):
         return float(self.shipped.dt)
 
     def farthest(self, schedule: Schedule) -> float:
-        """Return how far from its start a body may come before a run has failed [m]."""
+        """Return the distance of a body from its start beyond which a run has failed [m]."""
         return FAR * self.size + self.gravity * schedule.horizon**2
 
     def scheduled(
@@ -117,18 +117,18 @@ class Engine(ABC):
         return scheduled(motion, self.model, period, starts, horizon)
 
     def settings(self, change: Change) -> Any:
-        """Return all settings of a change; ValueError for what the engine does not have."""
+        """Return all settings of a change; ValueError for settings that the engine lacks."""
         return self.shipped.replace(**dict(change.settings))
 
     @abstractmethod
     def compile(self, change: Change, schedule: Schedule) -> None:
-        """Make the changed model; ValueError for what the scene or the engine does not have."""
+        """Make the changed model; ValueError for parts that the scene or the engine lacks."""
 
     def work(self, change: Change, schedule: Schedule) -> float:
-        """Count the operations of a simulated second; inf where no step can be made.
+        """Count the operations of a simulated second; inf if no step can be made.
 
-        They are counted at the same states for all changes. A step costs about the same at all
-        lengths, so each method is counted at one of them; steps within an accuracy at their own.
+        The states are the same for all changes. A step costs about the same at all lengths, so each
+        method is counted at one length; adaptive steps are counted at the change's length.
         """
         try:
             settings = self.settings(change)
@@ -142,11 +142,11 @@ class Engine(ABC):
         return self._counts[change] / float(settings.dt)
 
     def evaluation(self, change: Change, schedule: Schedule) -> float:
-        """Count the operations of an evaluation of the forces, in steps within an accuracy."""
+        """Count the operations of an evaluation of the forces in adaptive steps."""
         return math.nan
 
     def halved(self, schedule: Schedule, integrator: str) -> Way:
-        """Return the way of an integrator whose steps are halved from rung to rung."""
+        """Return the method of an integrator whose steps are halved from rung to rung."""
         steps = schedule.steps(self.dt)
 
         def at(k: int) -> Change:
@@ -158,20 +158,20 @@ class Engine(ABC):
     def follow(
         self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
     ) -> Tracks:
-        """Run a change from some starts. A run that fails, or is refused, is one of `failures`.
+        """Run a change from some starts. `failures` has the runs that fail or are refused.
 
         first: 0 for tracks that have the start itself before the samples of the schedule.
         """
 
     @abstractmethod
     def ways(self, schedule: Schedule, goal: float) -> list[Way]:
-        """Return ways to the converged motion; goal: how exact it should be [m]."""
+        """Return methods for the converged motion; goal: its target uncertainty [m]."""
 
     @abstractmethod
     def families(self, schedule: Schedule) -> list[Change]:
         """Return the settings to try, all but the time step: integrators with solvers.
 
-        One solver is enough where no row acts.
+        One solver is enough if no row acts.
         """
 
     @abstractmethod
@@ -192,7 +192,7 @@ class Engine(ABC):
 
 
 def spread(states: np.ndarray) -> np.ndarray:
-    """Return the places of a few finite states, evenly spread over a motion; states: (n, …)."""
+    """Return the indices of a few finite states, evenly spread over a motion; states: (n, …)."""
     whole = np.flatnonzero(np.isfinite(states).all(axis=-1))
     return whole[np.unique(np.linspace(0, len(whole) - 1, COUNTED).astype(int))]
 
@@ -259,10 +259,10 @@ class Stepcore(Engine):
         model, once = schedule.on(self.of(change)), change.also(Change(accuracy=None, dt=self.dt))
         if model.settings.accuracy is not None:
             if once not in self._evaluations:
-                # Whole steps may fail where short ones do not.
+                # Steps of full length may fail where adaptive ones do not.
                 with contextlib.suppress(SimulationError):
                     self._counts[once] = self._counted(once, schedule)
-            # An evaluation takes about as long within another accuracy.
+            # An evaluation takes about as long at another accuracy.
             each = self._evaluations.get(once, 0.0)
             if each and (dear := self._dear(model, schedule, DEAR / each)):
                 self._evaluations[change] = each
@@ -276,14 +276,14 @@ class Stepcore(Engine):
                 getattr(sim, name)[:] = values
             before = sim._core.evaluations
             try:
-                # The second step has impulses to begin from.
+                # The second step is warm-started from the first one's impulses.
                 sim.step(1)
                 count = sim.count_flops()
                 if sim.settings.accuracy is not None:
                     before = sim._core.evaluations
                     sim.step(1)
             except SimulationError as error:
-                # Of a shipped motion that blows up the late states are none to step from.
+                # If the shipped motion blows up, no step can be made from its late states.
                 failed = error
                 continue
             counts.append(count)
@@ -294,11 +294,11 @@ class Stepcore(Engine):
         return sum(counts) / len(counts)
 
     def _dear(self, model: Model, schedule: Schedule, often: float) -> float:
-        """Return how often a step within an accuracy evaluates forces, if that is too often.
+        """Return the force evaluations of an adaptive step, if they are too many to be counted.
 
-        It is at least the mean over states of the shipped motion; 0 if operations can be counted.
+        The result is a lower bound of the mean over states; 0 if operations can be counted.
 
-        often: how often a run may evaluate them.
+        often: the largest number of force evaluations of a run.
         """
         starts = [Start(qpos, qvel, act) for qpos, qvel, act, _ in self._looks]
         ctrl = np.array([look[3:] for look in self._looks]) if model.nu else None
@@ -326,7 +326,7 @@ class Stepcore(Engine):
         return [Change(integrator=name, **solver) for name in able for solver in solvers]
 
     def _exact(self, **fields: Any) -> Change:
-        # As the scene's rows are, so soft are those of its converged motion.
+        # The rows of the converged motion are as soft as the scene's.
         shipped = self.shipped.replace(sleep=False)
         exact = converged_settings(shipped, warm_start=True, refsafe=False, **fields)
         return Change.between(exact, self.shipped)
@@ -354,7 +354,7 @@ def run(
 ) -> Followed:
     """Run a schedule under a model's settings, from some of its starts; see `follow`.
 
-    Samples are those of the schedule, after the start itself.
+    The samples are the start itself, then the samples of the schedule.
     """
     dt, model = model.settings.dt, schedule.on(model)
     count = schedule.steps(dt)
@@ -373,8 +373,8 @@ def visits(
 ) -> Iterator[tuple[int, float, Sim]]:
     """Yield a Sim at states of a motion, after `forward`, with its start and its time [s].
 
-    every: control periods between two states, a divisor of the periods. A run that fails ends, and
-    where it is about to: there no acceleration is finite.
+    every: control periods between two states, a divisor of the periods. A run ends at a failure, or
+    just before one, at a state without finite accelerations.
     """
     names = ("qpos", "qvel", "act", "ctrl")
     often = dataclasses.replace(schedule, every=every)
@@ -397,7 +397,7 @@ def visits(
 def check_repeatable(model: Model, schedule: Schedule, control: Control) -> None:
     """Raise ControlError if the user's control function of a schedule is not repeatable.
 
-    The beginning of a run is made twice. If the controls differ, they depend on more than the
+    The beginning of a run is simulated twice. If the controls differ, they depend on more than the
     motion, and runs cannot be compared.
     """
     beginning = dataclasses.replace(schedule, periods=min(32, schedule.periods), every=1)

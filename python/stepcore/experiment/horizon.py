@@ -1,16 +1,16 @@
-"""How long a motion without a horizon of its own is simulated: until it has come to rest.
+"""The default horizon of a motion: the time until it has come to rest.
 
 One second does not show a box that topples at 1.4 s, an arm that sags, or balls that leave a cup. A
 pilot run under the shipped settings, from the first start, therefore goes on until
 
 - the motion has come to rest: at its speed, and at the speed to which this would grow by the bound,
   no body would move 1 % of the scene's size in 10 s;
-- or it repeats: over a whole period every body is where it was a period before, to 2 % of its own
-  way, or at rest; a body that a control drives through the scene may be a constant way further on;
+- or it repeats: over a whole period every body is where it was a period before, to 2 % of its path,
+  or at rest; a body that a control drives through the scene may be a constant distance further on;
 - or the bound is reached, in simulated time or in computing.
 
-Motions that repeat or have no end by their making (`Motion.kind` "move", "sines" and "random"), and
-rows without times, are not tried. A log with times is run to its end, within the bound.
+Motions that repeat or never end by construction (`Motion.kind` "move", "sines" and "random"), and
+rows without times, have no pilot run. A log with times is run to its end, within the bound.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ LONGEST, STEPS, COST = 10.0, 20_000, 1e9
 SHARE = 1 / 30
 # The operations that take as long as a call of a control function: 20 µs.
 CALL = 9e4
-# The time between two judgements, and the shortest period of a motion that repeats [s].
+# The time between two checks, and the shortest period of a motion that repeats [s].
 LOOK = 0.1
-# The time over which a speed is averaged [s]. Growth is that from one such time to the next.
+# The time over which a speed is averaged [s]. Growth is measured from one such time to the next.
 WINDOW = 0.25
-# The way that a motion at rest may go in `LONGEST`, over the scene's size; and how far one that
-# repeats may be from where it was, over its way.
+# The largest path of a motion at rest in `LONGEST`, over the scene's size; and the largest distance
+# of a repeating motion from its place a period before, over its path.
 STILL, ALIKE = 0.01, 0.02
-# The most that growth until the bound may count, as an exponent: rounding grows to any size.
+# The largest exponent of growth until the bound that counts: rounding grows to any size.
 GROWTH = -math.log(np.finfo(float).eps)
 
 
@@ -73,9 +73,9 @@ class Horizon:
 def horizon_of(
     model: Model, motion: Motion, default: float = HORIZON, cost: float = COST
 ) -> Horizon:
-    """Return how long a motion is simulated: its own horizon, or until it has come to rest.
+    """Return the horizon of a motion: the given one, or the time until it has come to rest.
 
-    default: the horizon of a motion that is at rest by then, or is not tried [s].
+    default: the horizon of a motion that is at rest by then, or has no pilot run [s].
     cost: the largest cost of a run [floating-point operations].
     """
     if motion.horizon is not None:
@@ -104,9 +104,9 @@ def horizon_of(
 def settled_motion(
     engine: Engine, motion: Motion, starts: int, effort: float
 ) -> tuple[Motion, Horizon]:
-    """Return a motion with the horizon for which a converged motion can be computed, and why.
+    """Return a motion whose horizon leaves its converged motion affordable, and that horizon.
 
-    starts: of the study. effort: the most operations of the study.
+    starts: the number of starts of the study. effort: its largest number of operations.
     """
     far = Horizon(motion.horizon or HORIZON)
     if engine.known:
@@ -115,14 +115,14 @@ def settled_motion(
 
 
 def _paid(sim: Sim, flops: float, cost: float) -> float:
-    """Return for how long a motion may run for its cost [s]; flops: of a step."""
+    """Return the simulated time that a cost pays for [s]; flops: the operations of a step."""
     return float(cost * sim.settings.dt / max(flops, 1.0))
 
 
 class _Pilot:
-    """The pilot run: first over the default horizon, and then, if it is not at rest, whole.
+    """The pilot run: first over the default horizon, and if it is not at rest, up to the bound.
 
-    It is looked at from the default horizon on, as if it had ended there.
+    It is checked from the default horizon on, as if it had ended there.
     """
 
     def __init__(self, model: Model, motion: Motion, default: float, cost: float) -> None:
@@ -150,7 +150,7 @@ class _Pilot:
         most = min(whole, look * math.ceil(paid / self.every / look))
         if not failed and first < most:
             places, paid, failed = self._places(most)
-            # What came later may cost more than the beginning.
+            # Later steps may cost more than the first ones.
             most = max(first + 1, min(most, look * math.ceil(paid / self.every / look)))
             places = places[: most + 1]
         for end in range(look * math.ceil((first + 1) / look), len(places), look):
@@ -171,8 +171,8 @@ class _Pilot:
     def _places(self, samples: int) -> tuple[np.ndarray, float, bool]:
         """Run over some samples; return the places of the bodies, up to a failure.
 
-        Places are centres and turns [m], (n, bodies, 7). Also returned are how much of the motion
-        may be run for its cost [s], and whether the run failed.
+        Places are centres and rotations [m], (n, bodies, 7). The function also returns the time
+        that the cost pays for [s], and whether the run failed.
         """
         part = replace(self.schedule, periods=samples * self.count)
         states = ["qpos", "qvel", "act", "ctrl"]
@@ -187,7 +187,7 @@ class _Pilot:
             return np.zeros((1, len(self.matter.moving), 7)), 0.0, True
         good = int(np.isfinite(ran["xpos"][0]).all(axis=(1, 2)).sum())
         xpos, quat = (ran[name][0, :good, self.matter.moving] for name in ("xpos", "xquat"))
-        # Of the two quaternions of a rotation, the one near the last.
+        # A rotation has two quaternions: take the one near the previous sample's.
         quat, xpos = quat.swapaxes(0, 1).copy(), xpos.swapaxes(0, 1)
         flips = np.sum(quat[1:] * quat[:-1], axis=2) < 0
         quat[1:][np.logical_xor.accumulate(flips, axis=0)] *= -1
@@ -206,13 +206,13 @@ class _Pilot:
         return "at rest" if self._rests(places) else ", where it repeats" * self._repeats(places)
 
     def _rests(self, places: np.ndarray) -> bool:
-        """Return whether the bodies move slowly at the end, and will."""
+        """Return whether the bodies move slowly at the end, and will continue to."""
         return len(places) >= 2 * round(WINDOW / self.every) and self._still(
             np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1), len(places)
         )
 
     def _still(self, way: np.ndarray, samples: int) -> bool:
-        """Return whether a way from sample to sample [m] is short at the end, and will be."""
+        """Return whether the paths between samples [m] are short at the end, and will stay so."""
         count, time = round(WINDOW / self.every), (samples - 1) * self.every
         parts = way[-2 * count : -count], way[-count:]
         before, now = (float(part.mean()) / self.every for part in parts)
@@ -221,7 +221,7 @@ class _Pilot:
         return now * LONGEST * math.exp(exponent) <= STILL * self.size
 
     def _repeats(self, places: np.ndarray) -> bool:
-        """Return whether every body that moves is, for a whole period, where it was before."""
+        """Return whether every moving body is, for a whole period, where it was before."""
         way = np.linalg.norm(np.diff(places, axis=0), axis=2)
         moves = [k for k, own in enumerate(way.T) if not self._still(own, len(places))]
         back = places[::-1, moves]
@@ -241,9 +241,9 @@ class _Pilot:
         )
 
     def _alike(self, moved: np.ndarray, lag: int, ways: np.ndarray) -> bool:
-        """Return whether bodies moved little in a period [m], or as much at all of its times."""
+        """Return whether bodies moved little in a period [m], or equally at all of its times."""
         mean = moved.mean(axis=0) * [1, 1, 1, 0, 0, 0, 0]
-        # What falls or climbs does not drive, and what is slow creeps.
+        # Falling and climbing bodies do not drive, and slow bodies creep.
         mean[:, :3] -= np.outer(mean[:, :3] @ self.up, self.up)
         fast = np.linalg.norm(mean, axis=1) * LONGEST >= self.size * lag * self.every
         moved = moved - mean * (self.driven & fast)[:, None]

@@ -1,4 +1,4 @@
-"""`Log`: what was measured of a robot over time, and what each column is of a model."""
+"""`Log`: measurements of a robot over time, with the place of each column in a model."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from stepcore.experiment.change import with_motors
 from stepcore.experiment.log_files import TIMES, UNITS, content_of, parts_of, plain
 from stepcore.report.units import counted, seconds
 
-# What a log can tell of a model: in the words of a sentence, and in those of columns.
+# The quantities that a log can have: their names in sentences, and their names in columns.
 SAID = {"qpos": "position", "qvel": "velocity", "effort": "torque", "ctrl": "control"}
 SAID |= {"sensordata": "reading"}
 SPELT = {
@@ -38,16 +38,16 @@ INDEXED = re.compile(r"(?P<word>\w+)\[(?P<name>.+)\]")
 SUFFIXED = re.compile(r"(?P<name>.+)[./_](?P<word>[A-Za-z]+)")
 UNIT = re.compile(r"(?P<name>.+?)(?:\s*\[([^][]*)\]|\s*\(([^()]*)\)|_([a-zµ]+))")
 CLOCK = re.compile(r"[%_]*(time|t|stamp|time_?stamp|seconds|elapsed)_*", re.IGNORECASE)
-# Rows this far apart [s], of so many, are in another unit: no motion of a robot is known at 2 Hz,
-# and slower schedules that a person writes have fewer rows.
+# This many rows this far apart [s] have times in another unit: 2 Hz does not resolve the motion of
+# a robot, and slower schedules that a person writes have fewer rows.
 SLOW, MANY = 0.5, 20
 
 
 class Names:
-    """What columns of a log may be of a model: the index of each name in each array.
+    """The names that columns of a log may have: the index of each name in each array of a model.
 
-    own: names of coordinates, dofs, actuators and readings. also: of a joint its actuators, and of
-    an actuator its joint.
+    own: names of coordinates, dofs, actuators and readings. also: the actuators of each joint, and
+    the joint of each actuator.
     """
 
     def __init__(self, model: Any) -> None:
@@ -75,19 +75,19 @@ class Names:
         self._any = re.compile(rf"(?<![^\W_])({some})(?![^\W_])", re.IGNORECASE)
 
     def spellings(self, title: str) -> Iterator[tuple[str, str]]:
-        """Yield what a column may be named, with names in the model's upper and lower case."""
+        """Yield readings of a column's title, with names in the model's upper and lower case."""
         for text, unit in spellings(title):
             if self._cased and not self.knows(text):
                 text = self._any.sub(lambda found: self._cased[found[0].lower()], text)
             yield text, unit
 
     def find(self, array: str, name: str) -> list[int]:
-        """Return the entries that a name stands for in an array."""
+        """Return the entries of an array that a name denotes."""
         own = self.own[array].get(name)
         return self.also[array].get(name, []) if own is None else [own]
 
     def knows(self, name: str) -> bool:
-        """Return whether something of the model has this name."""
+        """Return whether an entry of the model has this name."""
         return any(name in own for own in self.own.values())
 
     def called(self, array: str, index: int) -> str:
@@ -105,8 +105,8 @@ class Placed:
     """A log as arrays of a model.
 
     arrays: numbers by array, shape (n, size), NaN where there are none. titles: the column of each
-    entry that has one, by array and index; names: of the entries. unread: columns that are nothing
-    of the model. notes: what was changed in the numbers.
+    entry that has one, by array and index; names: of the entries. unread: columns that match
+    nothing in the model. notes: changes of the numbers.
     """
 
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
@@ -117,7 +117,7 @@ class Placed:
 
     @property
     def words(self) -> str:
-        """What was read: "position and torque of joint_1 … joint_7"."""
+        """The quantities read, in words: "position and torque of joint_1 … joint_7"."""
         alike: dict[str, list[str]] = {}
         for array in (array for array in SAID if array in self.names):
             names = self.names[array]
@@ -136,29 +136,29 @@ class Log:
     Every command and measurement takes the same logs: `ctrl` and `follow` of a `Motion`, and
     `identify`. See docs/your_robot.md.
 
-    A column is named by a joint, an actuator or a sensor, and by what it is: "knee.position" [rad
+    A column's title names a joint, an actuator or a sensor, and a quantity: "knee.position" [rad
     or m], "knee.velocity", "knee.effort" or "knee.torque" [N·m or N], "knee.control". "/" and "_"
-    may stand for the point; "position[knee]" is the same; topics may stand before
-    ("/joint_states/knee/position"). A unit may follow ("knee [deg]"), or units have a row of their
-    own below the names. The name of a sensor alone is its reading, of an actuator its control, and
-    of a joint its position; of controls without such words, a joint's name is its actuator's.
+    may replace the point; "position[knee]" means the same; topics may come first
+    ("/joint_states/knee/position"). A unit may follow ("knee [deg]"), or the row below the names
+    has the units. The name of a sensor alone means its reading, of an actuator its control, and of
+    a joint its position; in controls without such words, a joint's name means its actuator.
     Each row holds from its time on. An empty cell is not measured.
 
-    Times are a column "time", "t", "timestamp" or "stamp": in seconds, in the unit told ("t [ms]"),
-    since 1970 in s, ms, µs or ns, or as dates of ISO 8601.
+    Times are a column "time", "t", "timestamp" or "stamp": in seconds, in the given unit
+    ("t [ms]"), since 1970 in s, ms, µs or ns, or as dates of ISO 8601.
 
-    source: a .csv, .npz, .npy, .parquet or .mcap file (of MCAP one topic, in JSON or of
+    source: a .csv, .npz, .npy, .parquet or .mcap file (one topic of MCAP, in JSON or of
         sensor_msgs/JointState); a DataFrame; a dict or a structured array of columns; rows without
         names; or a recorded run. "log.csv:effort" takes torques as controls, for which motors
         replace the model's servos; "log.mcap:/TOPIC" and "log.mcap:/TOPIC.effort" choose a topic.
-    name: of the log in errors; a file has its own.
-    controls: as behind the colon of a path: "effort", or such as "position", of what commands.
+    name: of the log in errors; a file's name replaces it.
+    controls: the quantity taken as controls, as after the colon of a path, such as "effort".
 
     Attributes: `times` [s] from the first row on, (n,), None without; `columns`, numbers by name,
     (n,), or (n, m) for arrays; `source`, in words; `path`, or None.
 
-    Raises ValueError for what is no log (with row, column and cure), ImportError without the
-    package that a format needs, and OSError for a file that cannot be read.
+    Raises ValueError for anything that is no log (with row, column and fix), ImportError without
+    the package that a format needs, and OSError for a file that cannot be read.
 
     >>> log = Log({"t [ms]": [0, 8, 16], "knee [deg]": [0.0, 90.0, 180.0]})
     >>> log
@@ -167,11 +167,11 @@ class Log:
     [0.0, 0.008, 0.016]
     """
 
-    # What the name of a joint alone is: "ctrl" or "qpos"; "" if both would do is an error.
+    # The meaning of a joint's name alone: "ctrl" or "qpos"; with "", two meanings are an error.
     asked = ""
-    # Whether servos follow its positions; and whether whoever reads it can have them followed.
+    # Whether servos follow its positions; and whether the user could request that by `follow`.
     follows = can_follow = False
-    # The time of the first row, as the source has it [s].
+    # The time of the first row in the source [s].
     begin = 0.0
 
     def __init__(self, source: Any, name: str = "log", controls: str = "") -> None:
@@ -219,7 +219,7 @@ class Log:
 
     @property
     def pace(self) -> str:
-        """How long the log is and its rate in words; "" without times."""
+        """The length and the rate of the log in words; "" without times."""
         if self.times is None or len(self.times) < 2:
             return ""
         rate = (len(self.times) - 1) / self.duration
@@ -241,7 +241,7 @@ class Log:
         return None
 
     def _seconds(self, title: str, unit: str, values: np.ndarray) -> np.ndarray:
-        """Return times in seconds, also of a unit that is not told."""
+        """Return times in seconds; a missing unit is inferred."""
         scale = TIMES.get(plain(unit))
         if scale is not None:
             return values * scale
@@ -259,7 +259,7 @@ class Log:
         return values * since[0] if since else values
 
     def _in_order(self, title: str, times: np.ndarray) -> np.ndarray:
-        """Return times; raise ValueError for one that is none, repeated or before the last."""
+        """Return times; raise ValueError for one that is not finite, or does not increase."""
         bad = np.flatnonzero(~np.isfinite(times))
         if len(bad):
             raise ValueError(f"{self.at(bad[0], title)} = {times[bad[0]]}: must be a time")
@@ -291,10 +291,10 @@ class Log:
     # --- columns ----------------------------------------------------------------------------------
 
     def placed(self, model: Any) -> Placed:
-        """Return the log as arrays of a Model, or of what names actuators and joints as one does.
+        """Return the log as arrays of a Model, or of an object that names parts as a Model does.
 
-        Raises ValueError for a column that may be two things, for two that are the same, for one
-        that is nearly the name of something without a column, and for what is no number.
+        Raises ValueError for a column with two meanings, for two columns of one meaning, for one
+        that is nearly the name of an entry without a column, and for cells that are no numbers.
         """
         last = self.__dict__.get("_last")
         if last is None or last[0] is not model:
@@ -352,9 +352,9 @@ class Log:
     def _bare(
         self, names: Names, title: str, told: bool, drives: Collection[int]
     ) -> tuple[str, int, str] | None:
-        """Return array, entry and unit of a column that is named by something of the model alone.
+        """Return array, entry and unit of a column whose title is just a name of the model.
 
-        told: whether other columns say what they are. drives: actuators that have a column.
+        told: whether other columns name their quantity. drives: actuators that have a column.
         """
         for text, unit in names.spellings(title):
             own = [key for key in ("ctrl", "qpos", "sensordata") if text in names.own[key]]
@@ -376,7 +376,7 @@ class Log:
         return None
 
     def _entry(self, names: Names, array: str, name: str) -> int | None:
-        """Return the entry of an array that a name stands for; None without one."""
+        """Return the entry of an array that a name denotes; None without one."""
         entries = names.find(array, name)
         if len(entries) > 1:
             several = ", ".join(names.called(array, k) for k in entries)
@@ -384,7 +384,7 @@ class Log:
         return entries[0] if entries else None
 
     def _put_array(self, names: Names, placed: Placed, title: str, values: np.ndarray) -> None:
-        """Put rows of all entries of an array: "qpos", or those without a name."""
+        """Put rows of all entries of an array: of a title such as "qpos", or without a title."""
         array = WORDS.get(title, "") if title else self.asked
         if not array:
             placed.unread.append(title)
@@ -406,7 +406,7 @@ class Log:
         values: np.ndarray,
         place: tuple[str, int, str],
     ) -> None:
-        """Put the numbers of a column at its place: array, entry, and the unit that is told."""
+        """Put the numbers of a column at its place: array, entry, and the unit in its title."""
         array, k, told = place
         self._check_text(title)
         unit = self._content.units.get(title, told)
@@ -428,7 +428,7 @@ class Log:
         placed.names.setdefault(array, []).append(name)
 
     def _check_unread(self, names: Names, placed: Placed) -> None:
-        """Refuse what is nearly the name of something without a column, or drives nothing."""
+        """Refuse titles that nearly name an entry without a column, and controls of nothing."""
         free = {
             array: [name for name, k in own.items() if (array, k) not in placed.titles]
             for array, own in names.own.items()
@@ -461,7 +461,7 @@ class Log:
                 )
 
     def _unwrap(self, model: Model, placed: Placed) -> None:
-        """Make angles go on where they jump by a turn, unless that leaves the joint's range."""
+        """Unwrap angles that jump by a turn, unless the result leaves the joint's range."""
         for joint, title, values in self._hinges(model, placed):
             known, turn = np.isfinite(values), 2 * np.pi
             jumps = np.abs(np.diff(values[known])) > 0.75 * turn
@@ -483,7 +483,7 @@ class Log:
                 yield joint, placed.titles["qpos", q], placed.arrays["qpos"][:, q]
 
     def _check_degrees(self, model: Model, placed: Placed) -> None:
-        """Refuse positions far beyond a range, or that change in another unit than velocities."""
+        """Refuse positions that are far beyond the range, or in another unit than velocities."""
         for joint, title, values in self._hinges(model, placed):
             v, told = int(model.jnt_dofadr[joint]), {plain(unit) for _, unit in spellings(title)}
             if (told - {""}) & UNITS.keys() or self._content.units.get(title):
@@ -497,24 +497,24 @@ class Log:
                 rate = float(np.nansum(speed * moved) / (np.nansum(speed**2) or 1.0))
             if np.degrees(0.8) < rate < np.degrees(1.2):
                 why = f"changes {rate:.3g} times as fast as its velocity"
-            # What stays within a radian would be less than a degree.
+            # A column within a radian would be within a degree.
             elif not max(3 * limit, 1.0) < most < np.degrees(3 * limit):
                 continue
             cure = f'it looks like degrees: name the column "{title} [deg]"'
             raise ValueError(f"{self.source}, column {title}: {why}: {cure}")
 
-    # --- what drives ------------------------------------------------------------------------------
+    # --- controls ---------------------------------------------------------------------------------
 
     def told(self, model: Any) -> str:
-        """Return in a line what is read: "10 s at 125 Hz: position and torque of knee"."""
+        """Describe the log in a line: "10 s at 125 Hz: position and torque of knee"."""
         placed = self.placed(model)
         return "; ".join([": ".join(filter(None, [self.pace, placed.words])), *placed.notes])
 
     def driven(self, model: Model) -> Model:
         """Return the model with motors for torques, or followed positions, that nothing drives.
 
-        They are made on joints without actuators where the log has torques and no controls, and,
-        where it takes torques as controls, in place of other actuators.
+        Joints without actuators get motors if the log has torques and no controls. If the log takes
+        torques as controls, motors also replace other actuators.
 
         Raises ValueError for torques of joints whose actuators are no motors.
         """
@@ -534,8 +534,8 @@ class Log:
                 f"the torques, by motors in place of these, write {path}:effort (in Python "
                 f'Log(…, controls="effort")){follow}'
             )
-        # Followed joints get motors only where a model has no actuators at all; and where tendons
-        # are driven, torques of joints may be theirs.
+        # Followed joints get motors only if a model has no actuators at all; and if tendons are
+        # driven, the torques of joints may come from them.
         driven = {drive.dof for drive in drives}
         free = not model.nu if follows else -1 not in driven
         places = model.jnt_qposadr if follows else model.jnt_dofadr
@@ -555,11 +555,11 @@ class Log:
         return made
 
     def controls(self, model: Any, held: np.ndarray) -> np.ndarray:
-        """Return the controls of all actuators, (n, nu): as logged, or as torques ask for.
+        """Return the controls of all actuators, (n, nu): as logged, or for the logged torques.
 
         held: the controls of actuators without a column, (nu,).
 
-        Raises ValueError for a log that drives nothing, and for a control that is not known.
+        Raises ValueError for a log that drives nothing, and for a missing control.
         """
         placed = self.placed(model)
         played = {}
@@ -598,7 +598,7 @@ class Log:
 
 
 def spellings(title: str) -> Iterator[tuple[str, str]]:
-    """Yield what a column may be named, with its unit or "": with topics before it, then without.
+    """Yield readings of a title and their unit or "": with topics before the name, then without.
 
     >>> [*spellings("/joints/knee [deg]")]
     [('joints/knee [deg]', ''), ('joints/knee', 'deg'), ('knee [deg]', ''), ('knee', 'deg')]

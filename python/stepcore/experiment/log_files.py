@@ -1,6 +1,6 @@
-"""What a log is read from: CSV, npz, Parquet and MCAP files, DataFrames, dicts and arrays.
+"""The sources of a log: CSV, npz, Parquet and MCAP files, DataFrames, dicts and arrays.
 
-`content_of` returns the columns as they stand there; `stepcore.experiment.log` says what they are.
+`content_of` returns the columns of a source; `stepcore.experiment.log` interprets them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from stepcore.engine.trajectory import KIND, Trajectory, acting
 from stepcore.needs import need
 
 ENDINGS = (".csv", ".npz", ".npy", ".parquet", ".mcap")
-# A path, and behind a colon the topic of an MCAP file and what is taken of it as controls:
+# A path, then after a colon the topic of an MCAP file and the quantity taken as controls:
 # "log.csv:effort", "log.mcap:/joints.effort".
 PATH = re.compile(
     rf"(?P<file>.+({'|'.join(map(re.escape, ENDINGS))}))(:(?P<part>[^:]+))?", re.DOTALL
@@ -35,7 +35,7 @@ TABLE = "a table"
 # Cells without a number, and the beginnings of lines that are comments.
 MISSING = ("", "nan", "null", "none", "na", "n/a", "-", "--")
 COMMENTS = ("#", "%", "//")
-# What a unit is in SI. Those of times count seconds.
+# The factors of units to SI units; times are in seconds.
 TIMES = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 UNITS = TIMES | dict.fromkeys(("", "-", "1", "rad", "rad/s", "m", "m/s"), 1.0)
 UNITS |= dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180)
@@ -45,17 +45,16 @@ UNITS |= {"mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3, "cm/s": 1e-2, "mnm": 1e-3, "kn":
 UNITS |= {"rpm": math.pi / 30, "1/min": math.pi / 30}
 # The topic of arrays in logs of stepcore.
 OWN = "/recorded"
-# Lists of names, and of numbers by these, in the messages of ROS.
+# The lists of names, and the lists of numbers in their order, in the messages of ROS.
 NAMES, STATES = ("name", "names", "joint_names"), ("position", "velocity", "effort")
 
 
 @dataclass
 class Content:
-    """Columns by name, each of shape (n,) or (n, m); rows without names stand under "".
+    """Columns by name, each of shape (n,) or (n, m); rows without names have the key "".
 
-    units: of columns, where they are told apart from the names. lines: the line of each row in a
-    file of text. texts: of columns with other texts than numbers, the first: its place and what it
-    is.
+    units: of columns, if the file gives them apart from the names. lines: the line of each row in
+    a text file. texts: the first cell of each column that is not a number: its place and its text.
     """
 
     columns: dict[str, np.ndarray]
@@ -65,7 +64,7 @@ class Content:
 
 
 def parts_of(path: str) -> tuple[str, str | None, str]:
-    """Return the file of a path, the topic of an MCAP file or None, and what is taken of it.
+    """Return the file of a path, the topic of an MCAP file or None, and the quantity taken.
 
     >>> parts_of("log.csv:effort"), parts_of("a.mcap:/joints.effort"), parts_of("a.mcap:/joints")
     (('log.csv', None, 'effort'), ('a.mcap', '/joints', 'effort'), ('a.mcap', '/joints', ''))
@@ -86,11 +85,11 @@ def is_file(text: str) -> bool:
 
 
 def content_of(source: Any, name: str) -> Content:
-    """Return what a user's source holds.
+    """Return the content of a user's source.
 
     name: of the source in errors.
 
-    Raises ValueError for what is no table, ImportError, and OSError for a file.
+    Raises ValueError for anything that is no table, ImportError, and OSError for a file.
     """
     if isinstance(source, (str, os.PathLike)):
         return _of_file(os.fsdecode(source), name)
@@ -149,9 +148,9 @@ def _of_file(path: str, name: str) -> Content:
 
 
 def _of_columns(name: str, given: Mapping[Any, Any]) -> Content:
-    """Return columns of the same length; a single number is that of all rows.
+    """Return columns of the same length; a single number applies to all rows.
 
-    Arrays "position", "velocity" and "effort" beside a list of names have a column for each.
+    Arrays "position", "velocity" and "effort" next to a list of names have a column for each name.
     """
     content = Content({})
     names = next((list(map(str, given[key])) for key in NAMES if key in given), None)
@@ -177,7 +176,7 @@ def _of_columns(name: str, given: Mapping[Any, Any]) -> Content:
 
 
 def _numbers(name: str, title: str, values: Any, content: Content) -> np.ndarray:
-    """Return values as numbers, times in seconds; keep in `content` which text is none."""
+    """Return values as numbers, times in seconds; record the other texts in `content`."""
     array = values if isinstance(values, np.ndarray) else _array(name, title, values)
     if array.dtype.kind in "Mm":
         content.units[title] = "s"
@@ -200,7 +199,7 @@ def _array(name: str, title: str, values: Any) -> np.ndarray:
 
 
 def _cells(title: str, cells: Iterable[tuple[int, Any]], content: Content) -> Iterator[float]:
-    """Yield the numbers of cells, which have their places with them."""
+    """Yield the numbers of cells; cells: pairs of place and cell."""
     for place, cell in cells:
         try:
             yield number(cell)
@@ -233,7 +232,7 @@ def number(cell: Any) -> float:
 
 
 def _moment(cell: Any) -> float | None:
-    """Return the seconds since 1970 of a date and time, in UTC if it tells no zone; else None."""
+    """Return the seconds since 1970 of a date and time, in UTC if it has no zone; else None."""
     try:
         moment = cell if isinstance(cell, datetime) else datetime.fromisoformat(cell.strip())
     except (ValueError, AttributeError):
@@ -251,7 +250,7 @@ def _check_once(source: str, names: Iterable[Any]) -> None:
 
 
 def _decoded(data: bytes) -> str:
-    """Return the text of a file in UTF-8, with a mark of its encoding or none, or in Latin-1."""
+    """Return the text of a file in UTF-8, in UTF-16 with a byte order mark, or in Latin-1."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", "replace")
     try:
@@ -265,7 +264,7 @@ def _of_text(name: str, text: str) -> Content:
     lines = [*enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1)]
     lines = [(k, line.strip(" ")) for k, line in lines if line.strip()]
     body = [(k, line) for k, line in lines if not line.startswith(COMMENTS)]
-    # Decimal commas stand in fewer lines than what separates cells: not in the names.
+    # Decimal commas are in fewer lines than the separator of cells: not in the names.
     found = {mark: sum(mark in line for _, line in body) for mark in "\t;,"}
     separator = max(found, key=lambda mark: found[mark]) if any(found.values()) else " "
     rows = [(k, _split(line, separator)) for k, line in body]
@@ -291,7 +290,7 @@ def _of_text(name: str, text: str) -> Content:
 def _of_rows(
     name: str, names: list[str], units: list[str], data: list[tuple[int, list[str]]]
 ) -> Content:
-    """Return the columns of rows of cells, whose lines they have with them."""
+    """Return the columns of rows of cells; data: pairs of line number and cells."""
     content = Content({}, lines=[k for k, _ in data])
     titles = names or [str(k + 1) for k in range(len(data[0][1]) if data else 0)]
     _check_once(name, titles)
@@ -337,7 +336,7 @@ def _are_units(cells: Sequence[str]) -> bool:
 
 
 def plain(unit: str) -> str:
-    """Return a unit as `UNITS` has it."""
+    """Return a unit in the form of the keys of `UNITS`."""
     return unit.strip("[]() ").lower()
 
 
@@ -348,7 +347,7 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
     """Return the numbers of the messages of one topic, in JSON or sensor_msgs/JointState of ROS 2.
 
     A message has numbers by name; a list of names with lists of numbers, as JointState has; or
-    lists of numbers alone. taken: the list that is read, where one was chosen.
+    lists of numbers alone. taken: the list to read, if one was chosen.
     """
     reader = need("mcap.reader", f"reading {checks.cut(path, 80)}", "mcap")
     found: dict[str, list[tuple[int, dict[str, Any]]]] = {}
@@ -367,7 +366,7 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
                     found.setdefault(channel.topic, []).append((message.log_time, row))
     except OSError:
         raise
-    except Exception as error:  # mcap raises errors of its own, and those of struct and json
+    except Exception as error:  # mcap raises its errors, and errors of struct and json
         raise ValueError(f"{path}: {checks.one_line(error)}") from None
     chosen = OWN if OWN in found else min(found, default="")
     if len(found) > 1 and chosen != OWN:
@@ -402,8 +401,8 @@ def _decoder(encoding: str, schema: Any) -> Any:
 def _joint_state(data: bytes) -> dict[str, list[Any]]:
     """Decode a JointState in CDR: stamp, frame, names, and three sequences of float64.
 
-    Numbers are aligned to their size from byte 4 on, whose second byte before tells their order
-    (OMG, DDS-XTypes 1.3, section 7.4).
+    Numbers are aligned to their size from byte 4 on; byte 1 has their byte order (OMG, DDS-XTypes
+    1.3, section 7.4).
     """
     order, at = "<" if data[1] & 1 else ">", 4
 

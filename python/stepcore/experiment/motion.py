@@ -41,7 +41,7 @@ def picklable(control: Control) -> Control:
 
 # Rows of controls, or a source of rows; see `Motion`.
 Controls = ArrayLike | ControlTable | Mapping[str, Any] | str | os.PathLike[str] | Any
-# How rows with times are continued between these times.
+# The interpolation of rows between their times.
 INTERPOLATIONS = ("held", "linear")
 
 
@@ -71,21 +71,21 @@ class Motion:
     key: the keyframe to start from, by name or index; by default the first one, or the pose of the
         scene at rest.
     ctrl: the controls. Either an array of shape (n, nu) with one row for each control period; the
-        last row stays to the end. Or a `Log`, or what one is read from: the path of a .csv, .npz,
+        last row stays to the end. Or a `Log`, or a source of one: the path of a .csv, .npz,
         .parquet or .mcap file, a recorded run (`Trajectory`), a DataFrame, or a dict such as
         ``{"hip": 1.0, "knee": [0.0, 0.5]}``. An actuator without a column keeps the keyframe's
         control. Torques are played by motors, which are made where a model has no actuators. Each
         row takes effect at its time, at any rate: a step gets the mean of the controls over the
         step, whatever its length. Without a `key`, the motion starts at the positions and
         velocities of the log's first row, as far as it has them. The Motion keeps the log.
-    control: a function of (time, sim) that returns the controls, in place of `ctrl`. The function
+    control: a function of (time, sim) that returns the controls, instead of `ctrl`. The function
         is called once per control period, possibly from several threads, and must depend on
         nothing but its arguments. A callable object may keep state in its attributes; each run gets
         a copy of the object.
     control_dt: the control period [s], a multiple of every time step. With `control`, or rows
         without times, the default is the scene's time step, as in a loop that sets ctrl and steps.
         The period is part of the physics, so runs with different time steps have the same period.
-        Rows with times follow their own times by default; with control_dt, the row in effect at the
+        Rows with times take effect at these by default; with control_dt, the row in effect at the
         beginning of each period is held.
     interpolation: "held" (each row until the next) or "linear", for rows with times.
     kind: the controls without `ctrl` and `control`. None chooses them from the model; see
@@ -94,11 +94,11 @@ class Motion:
         actuators: for these two, joints whose effort it bounds get motors, or all with a range.)
         "sines": every control is a sum of random sines within its range; "random": new random
         controls in every control period; "fall": all controls are 0. A measurement also takes the
-        kind in place of a Motion: ``trade(model, "hold")``.
-    follow: recorded positions of joints, followed in place of `ctrl`: a `Log`, or what one is read
-        from. The motion starts at the first row. Each position servo gets as its control what makes
-        its force zero in the recorded position; motors get position servos in their place, and a
-        model without actuators gets motors. Between rows positions are interpolated.
+        kind instead of a Motion: ``trade(model, "hold")``.
+    follow: recorded positions of joints, followed instead of `ctrl`: a `Log`, or a source of one.
+        The motion starts at the first row. Each position servo gets the control at which its force
+        is zero in the recorded position; motors are replaced by position servos, and a model
+        without actuators gets motors. Between rows positions are interpolated.
 
     Raises ValueError for a value outside its limits.
 
@@ -146,17 +146,17 @@ class Motion:
 
     @property
     def is_users(self) -> bool:
-        """Whether the controls are the user's own, and not a motion that stepcore makes."""
+        """Whether the user gave the controls; otherwise stepcore makes them."""
         return self.ctrl is not None or self.control is not None
 
     @property
     def from_log(self) -> bool:
-        """Whether the motion starts where the user's log does, and not at a keyframe."""
+        """Whether the motion starts at the first row of the user's log, not at a keyframe."""
         return self.table is not None and (self.key is None or self.follow is not None)
 
     @property
     def duration(self) -> float:
-        """How long the user's rows last [s]; 0 without rows that have times."""
+        """The duration of the user's rows [s]; 0 without rows that have times."""
         return 0.0 if self.table is None else self.table.duration
 
     @property
@@ -167,7 +167,7 @@ class Motion:
     def driven(self, model: Model, kind: str | None = None) -> Model:
         """Return the model that the motion drives: with motors for its log, or to move its joints.
 
-        kind: of a motion that has no kind, and no controls.
+        kind: the default for a motion without a kind and without controls.
         """
         if self.table is not None:
             return self.table.driven(model)

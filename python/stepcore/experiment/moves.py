@@ -1,12 +1,12 @@
 """`Moves`: moves from pose to pose that a machine could make, found by trials.
 
-The path is q(t) = q₀ + s(t) d with s = 10x³ − 15x⁴ + 6x⁵, x = t/T: of all paths that begin and end
-at rest, the one with the least squared jerk (Flash and Hogan, 1985). Where the start has contacts,
-d keeps their places, to first order.
+The path is q(t) = q₀ + s(t) d with s = 10x³ − 15x⁴ + 6x⁵, x = t/T: the path with the least squared
+jerk that begins and ends at rest (Flash and Hogan, 1985). If the start has contacts, d keeps their
+places, to first order.
 
-Motors get servos in their place. The gains of joint j are kp = ω² I and kv = 2 ω I, where 1/I is
+Motors are replaced by servos. The gains of joint j are kp = ω² I and kv = 2 ω I, where 1/I is
 entry jj of the inverse mass matrix. ω is at most 30 rad/s, and small enough for the longest time
-step T that is tried by default, four shipped ones: with μ the largest eigenvalue of M⁻¹I, an
+step T that is tried by default, four shipped steps: with μ the largest eigenvalue of M⁻¹I, an
 explicit step changes a velocity by the factor 1 − 2 ω μ T, and ω ≤ 0.35/(μT) leaves a stability
 margin of 3. Their targets carry the load of the start: bias − passive − Jᵀf, where f are the
 contact forces of least norm that balance the dofs without a motor.
@@ -31,33 +31,33 @@ from stepcore.engine.start import Start
 from stepcore.experiment.change import Change, Servo
 from stepcore.experiment.control_table import LONGEST, ControlLog, Controls
 
-# The duration of a move, and of the rest after it [s].
+# The duration of a move, and the duration of the rest after it [s].
 MOVE, REST = 0.8, 0.2
 # The longest time for which a target is held [s]. In 8 ms, a pose that moves at 1 rad/s would jump
-# by 8 mrad, which a stiff servo answers with its whole force.
+# by 8 mrad, to which a stiff servo responds with its whole force.
 HELD = 1e-3
-# How far a joint goes: this share of its range, and at most this far [rad], [m]. A base that stands
-# on contacts goes as far as a fifth of that lets it (Go2's joints by 0.26 rad; without, by 0.34).
+# The largest move of a joint: this share of its range, and at most this [rad], [m]. A base on
+# contacts moves as far as a fifth of that permits (Go2's joints by 0.26 rad; without it by 0.34).
 SHARE, TURN, SLIDE, BASE = 0.1, 0.5, 0.05, 0.2
-# The largest bandwidth of our servos [rad/s], and the largest 2 ω μ T.
+# The largest bandwidth of the servos made here [rad/s], and the largest 2 ω μ T.
 OMEGA, SAMPLED = 30.0, 0.7
-# The largest force, as a share of what holding the start leaves of its bound; the largest share of
-# a run in which an actuator is at its bound (Panda's light wrist: 4 %, at the speed of a start).
+# The largest force, as a share of the range that holding the start leaves; the largest share of a
+# run in which an actuator is saturated (Panda's light wrist: 4 %, at the speed of a start).
 LEFT, FULL = 0.5, 0.05
-# The parts of a move that are tried, also the opposite way, before the start is held.
+# The parts of a move that are tried, also in the opposite direction, before the start is held.
 FACTORS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 0.125, -0.125)
-# Speeds and forces of this time [s] belong to the start: it may jump to its servos' targets, or
-# out of an overlap. Contacts are looked at as often.
+# Speeds and forces before this time [s] do not count: the start may jump to its servos' targets, or
+# out of an overlap. Contacts are examined at this interval.
 SHOCK = 0.1
 # The time between samples of a trial [s].
 SAMPLE = 0.008
 # A robot falls if it tilts by more than this [rad], or the height of its centre of mass above the
-# lowest of its geoms shrinks by this share. What sinks into the floor as a whole has not fallen.
+# lowest of its geoms shrinks by this share. A robot that sinks into the floor has not fallen.
 TILT, SINKS = 0.35, 0.25
 
 
 def profile(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the share of the way s and its rate ds/dt [1/s]: there, a rest, back, a rest, ….
+    """Return the share s of the path and its rate ds/dt [1/s]: forward, a rest, back, a rest, ….
 
     times: since the beginning [s].
     """
@@ -71,10 +71,10 @@ def profile(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass
 class Seen:
-    """What a trial shows.
+    """Measurements of a trial.
 
     force: the largest force of each actuator as a share of its bound, (nu,); 0 without a bound.
-    full: the share of the run in which it was at its bound, (nu,).
+    full: the share of the run in which it was saturated, (nu,).
     speed: the largest speed of each dof [rad/s or m/s], (nv,).
     met: the bodies in contact at some time, and the joints at a limit.
     ends_on: the bodies in contact at the end. points: both bodies and the place of each contact.
@@ -95,10 +95,10 @@ class Seen:
 class Moves:
     """Moves of a model from starts near one home.
 
-    drives: the actuators. joints: the hinges and slides that they drive. others: actuators of other
-    things. about: whether the machine moves about. of_root: the root of each geom, (ngeom,).
-    ctrl: the controls that hold home, (nu,). servos: in place of motors. lag: kv/kp of these, by
-    which their targets go ahead of the path [s], (nu,). held: the trial of these controls.
+    drives: the actuators. joints: the hinges and slides that they drive. others: actuators that
+    drive no joint. about: whether the machine moves about. of_root: roots of the geoms, (ngeom,).
+    ctrl: the controls that hold home, (nu,). servos: the replacements of motors. lag: kv/kp of the
+    servos, by which their targets lead the path [s], (nu,). held: the trial of `ctrl`.
     """
 
     def __init__(self, model: Model, home: Start, ctrl: np.ndarray, *, keep: bool) -> None:
@@ -128,9 +128,9 @@ class Moves:
         return [drive for drive in self.drives if drive.kind in kinds]
 
     def _holding(self, ctrl: np.ndarray) -> np.ndarray:
-        """Return the controls that hold the start, (nu,); ctrl: those of the keyframe.
+        """Return the controls that hold the start, (nu,); ctrl: the keyframe's controls.
 
-        Where they are 0, servos hold its pose.
+        If the keyframe's controls are 0, servos hold its pose.
         """
         positions = [servo.index for servo in self.of(SERVO)]
         if not self.keep:
@@ -141,7 +141,7 @@ class Moves:
         return np.clip(ctrl, *np.reshape([drive.ctrlrange for drive in self.drives], (-1, 2)).T)
 
     def _servos(self) -> Iterator[Servo]:
-        """Yield servos in place of motors, and set their controls and lags."""
+        """Yield servos that replace motors, and set their controls and lags."""
         model, motors = self.model, self.of(MOTOR)
         if not motors:
             return
@@ -173,7 +173,7 @@ class Moves:
         return np.array(_put(Sim(self.model), replace(self.home, qpos=qpos)).actuator_length)
 
     def _drawn(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw a change of the pose, (nv,), of the joints that actuators drive."""
+        """Draw a random change of the pose, (nv,), of the joints that actuators drive."""
         model, q = self.model, self.home.qpos[self.model.jnt_qposadr[self.joints]]
         low, high = model.jnt_range[self.joints].reshape(-1, 2).T
         far = [TURN if model.jnt_type[joint] == "hinge" else SLIDE for joint in self.joints]
@@ -186,7 +186,7 @@ class Moves:
         low, high = np.minimum(q, low), np.maximum(q, high)
         kept = self._keeping(change, weights, rng) if len(self.kept) else None
         if kept is None:
-            # A joint near a limit turns round.
+            # A joint near a limit moves the other way.
             d = change[self.dofs]
             change[self.dofs] = np.where((q + d < low) | (q + d > high), -d, d)
         else:
@@ -207,8 +207,8 @@ class Moves:
         moved = (np.abs(self.kept).max(axis=0) > 1e-9) & (weights > 0)
         most = float((np.abs(change[moved]) / weights[moved]).max(initial=0.0))
         if most > 1e-6:
-            # A random change has little in common with those that keep contacts, so joints that
-            # move contacts go as far as a share allows.
+            # The projection of a random change on those that keep contacts is small, so joints that
+            # move contacts are scaled to a share of their largest move.
             change[moved] *= rng.uniform(0.5, 1.0) / most
         elif moved.any():
             if self.about:
@@ -219,7 +219,7 @@ class Moves:
     def _toward(self, change: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the spans and the rates of the controls for a change of the pose.
 
-        share: of its range that each actuator goes that drives no joint.
+        share: the part of its move that each actuator makes that drives no joint.
         """
         after = self.lengths(self.coordinates.moved(self.home.qpos, change))
         ways = after - self.lengths(self.home.qpos)
@@ -255,7 +255,7 @@ class Moves:
         rates: np.ndarray,
         horizon: float = MOVE + REST,
     ) -> list[Seen]:
-        """Run moves of some starts under the model's settings, all at once; see `log`."""
+        """Run moves from some starts under the model's settings, all at once; see `log`."""
         model, dt = self.model, self.model.settings.dt
         every = max(1, round(SAMPLE / dt))
         steps = every * max(1, round(horizon / (every * dt)))
@@ -267,12 +267,12 @@ class Moves:
         except (SimulationError, ValueError) as error:
             nothing = Seen(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
             return [replace(nothing, failure=one_line(error)) for _ in starts]
-        # Only where bodies are is asked of it.
+        # Only the places of bodies are read from it.
         sim = Sim(model, solver="pgs", sweeps=1)
         return [self._seen(sim, ran, k, start) for k, start in enumerate(starts)]
 
     def _seen(self, sim: Sim, ran: Followed, k: int, start: Start) -> Seen:
-        """Return what a run shows: forces and speeds at its samples, contacts at some of them."""
+        """Measure a run: forces and speeds at its samples, contacts at some of them."""
         model, made = self.model, np.isfinite(ran["qvel"][k]).all(axis=-1)
         qpos, qvel, act, force = (ran[name][k][made] for name in ran.data)
         times, bounds = ran.times[made], np.array([drive.bound for drive in self.drives])
@@ -319,14 +319,14 @@ class Moves:
         return rotated(back, np.array([0.0, 0.0, 1.0])), height
 
     def _touch(self, first: int, second: int) -> frozenset[int]:
-        """Return two bodies in contact; of a thing that a machine handles, the roots of both."""
+        """Return two bodies in contact; or their roots, if these differ and none is the world."""
         pair = frozenset((self.model.root(first), self.model.root(second)))
         return pair if len(pair) == 2 and 0 not in pair else frozenset((first, second))
 
     def choose(self, starts: Sequence[Start], seed: int) -> Chosen:
         """Return a move for each start: the largest part of a random one that shows no trouble.
 
-        What a start does by itself, without a move, is no trouble.
+        Events that a start shows without a move are no trouble.
         """
         count, nu = len(starts), self.model.nu
         ways, speeds, part = np.zeros((count, nu)), np.zeros((count, nu)), np.zeros((count, 1))
@@ -368,7 +368,7 @@ class Moves:
         return Chosen(np.clip(part * ways, low, high), part * speeds, far, seen)
 
     def _trouble(self, seen: Seen, alone: Seen) -> bool:
-        """Return whether a move asks too much; alone: what happens without it."""
+        """Return whether a move demands too much; alone: the trial without it."""
         over = (seen.force > alone.force + LEFT * (1 - alone.force)) | (
             seen.full > alone.full + FULL
         )
@@ -382,7 +382,7 @@ class Moves:
 class Chosen:
     """The moves of some starts; see `Moves.log`.
 
-    far: the longest way of each joint, (joints,). seen: the trial of each start.
+    far: the largest move of each joint, (joints,). seen: the trial of each start.
     """
 
     spans: np.ndarray
@@ -404,7 +404,7 @@ def roots(model: Model, drives: Sequence[Actuator]) -> set[int]:
 
 
 def moves_about(model: Model, drives: Sequence[Actuator]) -> bool:
-    """Return whether the actuators are on a body that nothing fixes: free, or on its own slides."""
+    """Return whether the actuators are on a body that moves freely, or on undriven slides."""
     driven, trees = {drive.joint for drive in drives}, roots(model, drives)
     return any(
         body in trees and model.jnt_type[joint] in ("free", "slide") and joint not in driven

@@ -1,12 +1,12 @@
-"""`MuJoCo`: MuJoCo runs the changes of a Study, by `mujoco.rollout`. Its settings are the axes.
+"""`MuJoCo`: runs the changes of a Study by `mujoco.rollout`, with MuJoCo's settings.
 
-The package mujoco is imported here alone, where it is used. Settings have stepcore's words (dt,
-integrator, solver, sweeps, …), and `Change.mjcf` says them as `<option>`. Truth, norm and choice
-are those of every engine. Starts and controls come from stepcore's model of the scene.
+The package mujoco is imported here only, on use. Settings have stepcore's names (dt, integrator,
+solver, sweeps, …), and `Change.mjcf` writes them as `<option>`. All engines have the same truth,
+norm and choice. Starts and controls come from stepcore's model of the scene.
 
-Where stepcore refuses a file that MuJoCo loads, they come from MuJoCo's model: starts are near the
-keyframe, a flex moves as a whole, and controls are the user's rows, or by a rule: "hold" holds the
-keyframe's controls, "sines" (the default) sums random sines within the control ranges, "random"
+If stepcore refuses a file that MuJoCo loads, they come from MuJoCo's model: starts are near the
+keyframe, a flex moves as a whole, and controls are the user's rows, or follow a rule: "hold" holds
+the keyframe's controls, "sines" (the default) sums random sines within the control ranges, "random"
 draws new controls in every period, and "fall" sets all controls to 0.
 """
 
@@ -55,7 +55,7 @@ from stepcore.mjcf.through_mujoco import quiet
 from stepcore.scene.scene import Scene
 from stepcore.scene.softness import UNKNOWN
 
-# MuJoCo's enumerations and numbers of `MjOption`, in stepcore's words.
+# MuJoCo's enumerations and numbers of `MjOption`, with stepcore's names.
 INTEGRATORS = ("euler", "rk4", "implicit", "implicitfast", "discrete")
 SOLVERS, CONES = ("pgs", "cg", "newton"), ("pyramidal", "elliptic")
 KINDS = {"integrator": INTEGRATORS, "solver": SOLVERS, "cone": CONES}
@@ -72,9 +72,9 @@ SOLVED: tuple[dict[str, Any], ...] = (
     {"solver": "cg"},
     *({"solver": "pgs", "sweeps": sweeps} for sweeps in (4, 16, 64)),
 )
-# The most steps of one call, after which the deadline is asked; and worlds that wait for a run.
+# The most steps of one call, after which the deadline is checked; and the most idle worlds kept.
 CHUNK, KEPT = 2000, 16
-# Flags that leave features out, as in `Features`; which numbers of a model say that it has them.
+# Flags that leave features out, as in `Features`; and the numbers that show a model has them.
 FLAGS = {
     "equality": "neq",
     "frictionloss": "dof_frictionloss tendon_frictionloss",
@@ -85,7 +85,7 @@ FLAGS = {
     "gravity": "opt.gravity",
     "actuation": "nu",
     "constraint": "nv",
-    # How is computed, not what is modelled.
+    # These change the method, not the modelled physics.
     **dict.fromkeys(("clampctrl", "filterparent", "eulerdamp"), ""),
 }
 # Values that can be changed, by kind of element.
@@ -95,7 +95,7 @@ VALUES = {
     "geom": ("friction", "solref", "solimp", "margin"),
     "actuator": ("gear", "kp", "kv"),
 }
-# Why MuJoCo warns and a run ends.
+# MuJoCo's warnings that end a run, and their reasons.
 WARNINGS = {
     "BADQPOS": "its position is not finite",
     "BADQVEL": "its velocity is not finite",
@@ -109,7 +109,7 @@ WARNINGS = {
 
 @dataclass(frozen=True)
 class MujocoSettings:
-    """MuJoCo's settings in stepcore's words; of the others, the scene's own hold.
+    """MuJoCo's settings with stepcore's names; for all other settings the scene's values hold.
 
     dt: `timestep` [s]. sweeps: `iterations`. cost_tolerance: `tolerance`.
     """
@@ -127,7 +127,7 @@ class MujocoSettings:
     warm_start: bool
     sleep: bool
 
-    # What stepcore's settings have beside these, for the words of tables.
+    # Further fields of stepcore's settings, for the words of tables.
     accuracy = None
     precision, acceleration, tolerance = "f64", "none", 0.0
 
@@ -155,7 +155,7 @@ class MujocoSettings:
         return dataclasses.asdict(self)
 
     def replace(self, **fields: Any) -> MujocoSettings:
-        """Return other settings; ValueError for what MuJoCo does not have."""
+        """Return changed settings; ValueError for settings that MuJoCo lacks."""
         own = {field.name for field in dataclasses.fields(self)}
         for name, value in fields.items():
             if name not in own and value != getattr(type(self), name, None):
@@ -169,7 +169,7 @@ class MujocoSettings:
 
 
 def _switches() -> dict[str, tuple[str, int, bool]]:
-    """Return the flags and the bit of each setting that is one, and whether a bit means on."""
+    """Return the flags and the bit of each setting that is a flag, and whether a bit means on."""
     off, on = mujoco().mjtDisableBit, mujoco().mjtEnableBit
     return {
         "refsafe": ("disableflags", int(off.mjDSBL_REFSAFE), False),
@@ -186,18 +186,18 @@ class MuJoCo(Engine):
 
     scene: MuJoCo's model.
 
-    Raises ImportError without MuJoCo, ValueError and OSError for what MuJoCo cannot load.
+    Raises ImportError without MuJoCo, ValueError and OSError for a source that MuJoCo cannot load.
     """
 
     name = "mujoco"
-    # Its Newton stops at a cost: elliptic cones of metaworld's sawyer come to 1e-6 of the size.
+    # Newton stops at a cost: the elliptic cones of metaworld's sawyer reach 1e-6 of the size.
     nearby = 1e-6
 
     def __init__(self, source: Any) -> None:
         self.scene = scene = load(source)
         super().__init__(*_read_by_stepcore(source, scene))
-        # A state that is not finite is a failure, not a reason to begin again. Sensors and energies
-        # do not act on the motion.
+        # A state that is not finite is a failure, so MuJoCo must not reset it. Sensors and energies
+        # do not affect the motion.
         mj, opt = mujoco(), scene.opt
         off = mj.mjtDisableBit.mjDSBL_AUTORESET | mj.mjtDisableBit.mjDSBL_SENSOR
         opt.disableflags |= int(off)
@@ -209,7 +209,7 @@ class MuJoCo(Engine):
         mass = np.maximum(scene.body_mass[moving], 1e-300)
         gyration = np.sqrt(scene.body_inertia[moving].sum(axis=1) / 2 / mass)
         self.matter = Matter(moving, scene.body_ipos[moving].copy(), gyration)
-        # As `scene_size` has it for a scene.
+        # The same size as `scene_size` returns for a scene.
         extent = scene.geom_rbound.max(initial=0.0)
         extent += np.linalg.norm(scene.body_pos, axis=1).max(initial=0.0)
         self.size = scene_size(self.model.scene) if self.known else float(extent) or UNKNOWN
@@ -232,7 +232,7 @@ class MuJoCo(Engine):
 
     @contextmanager
     def _world(self, change: Change) -> Iterator[_World]:
-        """Lend a world under a change to this thread."""
+        """Yield a world under a change, which only this thread uses meanwhile."""
         physics = change.physics
         with self._lock:
             own = [k for k, world in enumerate(self._free) if world.physics == physics]
@@ -278,7 +278,7 @@ class MuJoCo(Engine):
     ) -> tuple[np.ndarray, np.ndarray, str]:
         """Run from one start; return its states and controls at the start and at the samples.
 
-        Both are NaN after a failure. Its reason is returned too; "" for none.
+        Both are NaN after a failure. The function also returns the failure's reason, or "".
         """
         dt, function = float(world.model.opt.timestep), schedule.function()
         steps, nu = schedule.steps(dt), self.scene.nu
@@ -322,7 +322,7 @@ class MuJoCo(Engine):
             world.begin(schedule.starts[0])
             total = 0.0
             for state, ctrl in self._looks:
-                # The second step has forces to begin from.
+                # The second step is warm-started from the first one's forces.
                 world.roll(state, np.stack([ctrl, ctrl]))
                 total += operations(world.model, world.data)
                 self._rows = self._rows or world.data.nefc > 0
@@ -356,7 +356,7 @@ class MuJoCo(Engine):
 
     @property
     def flags(self) -> list[str]:
-        """The flags of what the scene has, and can be left out."""
+        """The flags of the features that the scene has, and that can be left out."""
 
         def has(numbers: str) -> bool:
             return any(np.any(attrgetter(name)(self.scene)) for name in numbers.split())
@@ -364,7 +364,7 @@ class MuJoCo(Engine):
         return [flag for flag, numbers in FLAGS.items() if has(numbers)]
 
     def has_rows(self, schedule: Schedule) -> bool:
-        # Counting the work looks at states of the motion.
+        # Counting the work examines states of the motion, and sets `_rows`.
         return self._runs(Change(), schedule) and self._rows
 
     def seconds(self, change: Change, schedule: Schedule) -> float:
@@ -377,9 +377,9 @@ class MuJoCo(Engine):
 def engine_of(model: Any, engine: Engine | str, motion: Motion) -> Engine:
     """Return the engine of a name for a model, see `Study`; or the engine itself.
 
-    motion: for which motors are made where a model has none.
+    motion: a model without motors gets motors for it.
 
-    Raises ValueError for another name, and ImportError where MuJoCo is not installed.
+    Raises ValueError for another name, and ImportError if MuJoCo is not installed.
     """
     if not isinstance(engine, str):
         return engine
@@ -391,7 +391,7 @@ def engine_of(model: Any, engine: Engine | str, motion: Motion) -> Engine:
 
 
 class _World:
-    """MuJoCo's model and data of one physics; one thread at a time uses them."""
+    """MuJoCo's model and data for one changed model; one thread at a time uses them."""
 
     def __init__(self, physics: Change, model: Any) -> None:
         self.physics, self.model, self.data = physics, model, mujoco().MjData(model)
@@ -420,7 +420,7 @@ class _World:
     def roll(self, state: np.ndarray, ctrl: np.ndarray) -> tuple[np.ndarray, str]:
         """Make a step with each row of controls; return the states after them, and a failure.
 
-        A run that fails ends with the step before.
+        The states of a run that fails end before the failing step.
         """
         inputs = np.tile(self.read(self.inputs), (1, len(ctrl), 1))
         inputs[0, :, : self.model.nu] = ctrl
@@ -459,8 +459,8 @@ class _World:
 def operations(model: Any, data: Any) -> float:
     """Estimate the operations of the step that was just made, in the unit of `price.OPERATION`.
 
-    The terms are what MuJoCo counts; nnz are the non-zeros of Newton's factor or of the matrix of
-    PGS. `python benches/cost_of_work.py --mujoco` compares them with times.
+    The terms are MuJoCo's counts; nnz are the non-zeros of Newton's factor or of PGS's matrix.
+    `python benches/cost_of_work.py --mujoco` compares them with times.
     """
     solver, nefc = SOLVERS[model.opt.solver], data.nefc
     islands = max(1, data.nisland)
@@ -494,7 +494,7 @@ def mujoco() -> Any:
             raise
         raise ImportError("the engine mujoco needs MuJoCo: pip install mujoco") from None
     except ImportError as error:
-        # If Ctrl-C interrupts the import of a compiled module, only the error's text says so.
+        # If Ctrl-C interrupts the import of a compiled module, only the error's text shows it.
         if "KeyboardInterrupt" in str(error):
             raise KeyboardInterrupt from None
         raise
@@ -601,7 +601,7 @@ def _assign(model: Any, path: str, value: Any) -> None:
         place = 1 + (field == "kv")
         if not (bias[1] or bias[place]):
             raise ValueError(f"{path}: the actuator has no {field}")
-        # As `Actuator.set_servo_gain`: the main gain scales what the control asks for.
+        # As `Actuator.set_servo_gain`: the main gain scales the control's gain too.
         if field == "kp" or not bias[1]:
             old = -bias[place]
             gain[0] = value if gain[0] == old else gain[0] * value / old
@@ -616,7 +616,7 @@ def _assign(model: Any, path: str, value: Any) -> None:
 
 
 class _Flexible(Coordinates):
-    """Coordinates that a flex shares: the same random change moves all its vertices.
+    """Coordinates with shared changes of flexes: a random change moves all vertices equally.
 
     flexes: the dofs of the free vertices of every flex, (vertices, 3).
     """
@@ -656,7 +656,7 @@ def _coordinates(scene: Any) -> Coordinates:
 
 
 class _Actuators:
-    """The actuators of MuJoCo's model, as tables of controls need them."""
+    """The actuators of MuJoCo's model, in the form that tables of controls need."""
 
     def __init__(self, scene: Any) -> None:
         self.nu = int(scene.nu)

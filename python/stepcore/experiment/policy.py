@@ -71,16 +71,16 @@ def policy(
 ) -> Control:
     """Return a network from a file as the control function of a motion.
 
-    The network gets one row of numbers and returns one row, in single precision. It must have no
-    state of its own. The file is read in the first step of a run. ONNX files need the extra "onnx",
-    and TorchScript files need PyTorch.
+    The network gets one row of numbers and returns one row, in single precision. It must be
+    stateless. The file is read in the first step of a run. ONNX files need the extra "onnx", and
+    TorchScript files need PyTorch.
 
     path: the file, .onnx, or .pt, .pth or .ts for TorchScript.
     observe: a function of (time, sim) that returns the network's input; by default qpos and qvel.
     act: a function of (output, sim) that returns the controls; by default the output is the
         controls.
 
-    Most policies were trained at a period of their own, such as 20 ms: give it as `control_dt`.
+    Most policies were trained at a certain period, such as 20 ms: pass it as `control_dt`.
 
     Raises ValueError for a path with another ending. A run raises ImportError without the package,
     and ValueError for a network with other inputs.

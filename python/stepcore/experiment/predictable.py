@@ -1,14 +1,14 @@
-"""How long a motion can be predicted: until nudged runs are a thousand times as far apart.
+"""The time for which a motion can be predicted: until perturbations have grown a thousandfold.
 
 A start is run again from coordinates moved by 1e-10 of the scene's size. While the distance between
 the two runs has grown by less than a factor of 1e3, an error measures the settings. After that, it
 measures how the scene amplifies errors of any origin.
 
-A contact that one of two runs meets a step later than the other parts them by what its force does
-in a whole step. That is an artefact of the step, not growth in the scene. So both runs begin 1e-6
-of the size aside, because a scene with round numbers often has an impact exactly at the end of a
-step; and the nudge is small. (Of 64 starts of a falling capsule 35 had such a contact at 1e-9 and
-none at 1e-10. Much smaller nudges drown in rounding.)
+If one of two runs meets a contact a step later than the other, they separate by the effect of its
+force in a whole step. That is an artefact of the step, not growth in the scene. So both runs begin
+1e-6 of the size aside, because a scene with round numbers often has an impact exactly at the end of
+a step; and the perturbation is small. (35 of 64 starts of a falling capsule had such a contact at
+1e-9 and none at 1e-10. Much smaller perturbations drown in rounding.)
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ ASIDE = 1e-6
 APART = 0.02
 # The growth above which a motion counts as unpredictable.
 GROWTH = 1e3
-# Two motions agree on when a start ends to this share of the time; closely to a quarter of it.
+# Two motions agree on the end of a start to this share of the time; closely to a quarter of it.
 AGREE = 0.2
 
 
 @dataclass(frozen=True)
 class Growth:
-    """The growth of nudges from every start.
+    """The growth of perturbations from every start.
 
     times: the times of the samples [s], (n,).
-    factor: the distance to the nudged run, relative to that at the start, (starts, n).
+    factor: the distance to the perturbed run over the distance at the start, (starts, n).
     ends: when the factor of each start has exceeded 1e3 for good [s], (starts,); inf if never.
     failure: why a run failed; "" if none did.
     """
@@ -54,11 +54,11 @@ class Growth:
 
     @property
     def overall(self) -> float:
-        """When the least predictable start ends [s]; inf beyond the horizon."""
+        """The end of the least predictable start [s]; inf beyond the horizon."""
         return float(self.ends.min(initial=np.inf))
 
     def some(self, indices: Sequence[int]) -> Growth:
-        """Return the growth from some of the starts, by their places."""
+        """Return the growth from some of the starts, by their indices."""
         own = list(indices)
         return Growth(self.times, self.factor[own], self.ends[own], self.failure)
 
@@ -70,7 +70,7 @@ class Growth:
         return cls(parts[0].times, factor, ends, failure)
 
     def then(self, longer: Growth) -> Growth:
-        """Return this growth, followed by what a longer one has after it."""
+        """Return this growth, continued by the later samples of a longer one."""
         after = longer.factor[:, len(self.times) :]
         factor = np.concatenate([self.factor, after], axis=1)
         return dataclasses.replace(self, times=longer.times, factor=factor)
@@ -83,7 +83,7 @@ class Growth:
 
 
 T = TypeVar("T")
-# What asks for the growth under a change over a schedule, and ends with a T.
+# A generator that requests the growth under a change over a schedule, and returns a T.
 Asking = Generator[tuple[Change, Schedule], Growth, T]
 
 
@@ -95,9 +95,9 @@ def growth(
     size: float,
     directions: int = 1,
 ) -> Growth:
-    """Measure how fast nudged runs separate under a change; the nudges are always the same.
+    """Measure how fast perturbed runs separate; the perturbations are always the same.
 
-    size: of the scene [m]. directions: the number of nudged runs of every start.
+    size: of the scene [m]. directions: the number of perturbed runs of every start.
     """
     schedules = [schedule] * len(starts)
     return Growth.joined(growths(engine, change, schedules, starts, size, directions))
@@ -111,9 +111,9 @@ def growths(
     size: float,
     directions: int = 1,
 ) -> list[Growth]:
-    """Measure the growth from each start over its own schedule; all run together."""
+    """Measure the growth from each start over its schedule; all runs are made together."""
     schedule = max(schedules, key=lambda one: one.periods)
-    # Samples are at most 20 ms apart, among them those of the schedule.
+    # Samples are at most 20 ms apart, and include the schedule's.
     most = max(1, int(APART / schedule.period + 1e-9))
     every = max(n for n in range(1, schedule.every + 1) if schedule.every % n == 0 and n <= most)
     own = dataclasses.replace(schedule, every=every)
@@ -138,11 +138,11 @@ def growths(
 
 
 def _grown(runs: Tracks, times: np.ndarray, matter: Matter) -> Growth:
-    """Return the growth of nudged runs, the first of which is not."""
+    """Return the growth of perturbed runs; the first run is the unperturbed one."""
     base, factor = runs.some([0]), np.ones((1, len(times)))
     for k in range(1, len(runs)):
-        # A turn by the nudge moves a body by more or less than that, so growth is relative to how
-        # far the runs are apart at the start.
+        # A perturbed rotation moves bodies by other distances than the perturbation, so growth is
+        # relative to the distance of the runs at the start.
         away = apart(base, runs.some([k]), matter).max(axis=2)
         factor = np.maximum(factor, away[:, 1:] / np.maximum(away[:, :1], 1e-300))
     return Growth(times, factor, np.array([_end(times, factor[0])]), base.failure)
@@ -157,7 +157,7 @@ def settled(
     directions: int = 1,
     whole: Growth | None = None,
 ) -> tuple[Growth, Change]:
-    """Measure the growth at shorter and shorter steps, as `settling` asks for it."""
+    """Measure the growth at shorter and shorter steps, as `settling` requests it."""
     asking = settling(changes, schedule, len(starts), whole)
     asked = next(asking)
     while True:
@@ -171,22 +171,22 @@ def settled(
 def settling(
     changes: Iterable[Change], schedule: Schedule, starts: int, whole: Growth | None = None
 ) -> Asking[tuple[Growth, Change, bool]]:
-    """Ask for the growth at shorter and shorter steps, until two of them agree on when starts end.
+    """Request the growth at shorter and shorter steps, until two agree on the ends of starts.
 
-    A motion of long steps may be unstable itself. Where no start ends, the first step is enough;
-    where all do, shorter steps run for twice as long. Of two that agree the longer one is returned,
-    with its change: it has less rounding; and whether they agree closely.
+    A motion of long steps may be unstable itself. If no start ends, the first step is enough; if
+    all end, shorter steps run for twice the time until then. The longer of two steps that agree is
+    returned, with its change, as it has less rounding; and whether they agree closely.
 
-    changes: with steps ever shorter. starts: how many. whole: the growth in which all starts end
-    under another method, if one is known. A step that agrees with it is enough, and so are two that
-    fall short of it: the longer time is the right one.
+    changes: with ever shorter steps. starts: their number. whole: the growth in which all starts
+    end under another method, if available. A step that agrees with it is enough, and so are two
+    that end earlier: the longer time is the right one.
     """
     last, own = None, schedule if whole is None else shortened(schedule, whole)
     known = np.zeros(starts) if whole is None else whole.ends
     for change in changes:
         grown = yield change, own
         if own is not schedule and not np.isfinite(grown.ends).all():
-            # What does not end there again may end later.
+            # Starts that do not end there again may end later.
             own = schedule
             grown = yield change, own
         if not (grown.failure or np.isfinite(grown.ends).any()):
@@ -208,7 +208,7 @@ def settling(
 def until_in_words(
     ends: np.ndarray, horizon: float, at: str = "from", each: str = "start"
 ) -> list[str]:
-    """Say until when errors count, if that is not the whole horizon [s]."""
+    """Describe until when errors count, if that is not the whole horizon [s]."""
     lost = ends[np.isfinite(ends)]
     if not lost.size:
         return []
@@ -228,7 +228,7 @@ def _agree(ends: np.ndarray, others: np.ndarray, share: float = AGREE) -> np.nda
 
 
 def shortened(schedule: Schedule, grown: Growth) -> Schedule:
-    """Return the schedule for twice as long as all starts can be predicted, if they all end."""
+    """Return the schedule for twice the time in which all starts end, if they all end."""
     if not np.isfinite(grown.ends).all():
         return schedule
     samples = math.ceil(2 * grown.ends.max() / (schedule.period * schedule.every))

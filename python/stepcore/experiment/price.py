@@ -4,7 +4,7 @@ A step costs a fixed time and a time for each operation. Both were measured by
 `python benches/cost_of_work.py` on eleven models and the lesson's scenes under every method that a
 trade tries; a method's time differs from this by 40 % (standard deviation), at most 3.3 times. Only
 the ratio of the two numbers decides a choice.
-What a command prints beside it is measured where it runs.
+Commands also print computing times that they measure.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-# Of one step [µs], and of an operation [µs]; benches/cost_of_work.py.
+# The time of a step and of an operation [µs]; benches/cost_of_work.py.
 STEP, OPERATION = 0.46, 2.2e-4
-# The operations that take as long as a step does besides its own.
+# The operations that take as long as the fixed time of a step.
 OVERHEAD = STEP / OPERATION
 
 

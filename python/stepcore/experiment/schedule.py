@@ -1,7 +1,7 @@
 """The schedule of a motion for one model: starts, controls and a common time grid.
 
 A control period is a multiple of every time step. Coarse and fine runs therefore get the same
-controls at the same times. A log has times of its own: see `stepcore.experiment.control_table`.
+controls at the same times. A log has other times: see `stepcore.experiment.control_table`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SHIFT, TURN = 1e-3, 1e-2  # [m], [rad]
 SPEED, SPIN = 0.05, 0.1  # [m/s], [rad/s]
 # The most steps in a control period, relative to the shipped ones. A joint that damping stops
 # within the shortest of them is locked, and starts at rest: the base of gymnasium_robotics' fetch
-# takes 6e-7 of a step, and a speed would tear it apart, in MuJoCo too; what moves takes 7e-3.
+# takes 6e-7 of a step, and a speed would tear it apart, in MuJoCo too; moving joints take 7e-3.
 FINEST = 256
 
 
@@ -54,8 +54,8 @@ class Schedule:
     periods: the number of control periods.
     every: the number of periods between two samples.
     starts: the initial states.
-    controls: what drives the motion.
-    most: evaluations of the forces after which steps within an accuracy have failed.
+    controls: the input of the motion.
+    most: evaluations of the forces after which a run with adaptive steps has failed.
     _models: the models that the controls drive, made once and shared by parts of a schedule.
     """
 
@@ -96,21 +96,21 @@ class Schedule:
 
     @property
     def drive(self) -> str:
-        """Controls that nobody gave, in words; "" if the user gave controls."""
+        """The default controls in words; "" if the user gave controls."""
         return self.controls.words
 
     @property
     def notes(self) -> list[str]:
-        """Sentences on what controls that nobody gave could not do."""
+        """Sentences on limitations of the default controls."""
         return list(self.controls.remarks)
 
     @property
     def change(self) -> Change:
-        """What the controls need of the model: servos in place of its motors."""
+        """The change that the controls need in the model: servos that replace its motors."""
         return Change(servos=self.controls.servos)
 
     def on(self, model: Model) -> Model:
-        """Return the model that the controls drive: with servos of ours where they need these."""
+        """Return the model that the controls drive: with the servos that they need."""
         if not self.controls.servos:
             return model
         key = model.core, self.change
@@ -119,7 +119,7 @@ class Schedule:
         return self._models[key].with_settings(model.settings)
 
     def __getstate__(self) -> dict[str, Any]:
-        # An executor pickles in a thread of its own, while this one may compile.
+        # An executor pickles in another thread, while this thread may compile.
         return {**vars(self), "_models": {}}
 
     def function(self) -> Control | None:
@@ -131,7 +131,7 @@ class Schedule:
         return round(self.period / dt)
 
     def rows(self, starts: Sequence[int], dt: float) -> tuple[np.ndarray | None, int]:
-        """Return the controls over time from some starts, and for how many steps a row is held.
+        """Return the controls from some starts, and the number of steps for which a row is held.
 
         dt: time step [s]. See `Controls.rows`.
         """
@@ -147,7 +147,7 @@ class Schedule:
         return dataclasses.replace(self, starts=starts, controls=self.controls.picked(indices))
 
     def joined(self, other: Schedule) -> Schedule:
-        """Return the schedule with the starts of another one of the same motion after these."""
+        """Return these starts and another schedule's, of the same motion, as one schedule."""
         starts = (*self.starts, *other.starts)
         return dataclasses.replace(
             self, starts=starts, controls=self.controls.joined(other.controls)
@@ -161,7 +161,7 @@ class Schedule:
 
     @cached_property
     def ctrl(self) -> np.ndarray | None:
-        """The means of the controls over the periods, (starts, periods, nu); None of a function."""
+        """The means of the controls by period, (starts, periods, nu); None for a function."""
         if self.controls.log is None:
             return None
         rows = self.controls.log.steps(0.0, self.period, self.periods)
@@ -174,7 +174,7 @@ def scheduled(
     """Return the schedule of a motion: the keyframe and random starts near it, and the controls.
 
     period: the control period [s].
-    starts: the number of starts; by default that of the motion.
+    starts: the number of starts; by default the motion's.
     horizon: the horizon if the motion has none [s]; rounded to a whole number of samples.
 
     Raises ValueError if the horizon is shorter than a period, or the run has too many steps.
@@ -204,7 +204,7 @@ def laid_out(
     starts: int | None,
     horizon: float,
 ) -> Schedule:
-    """Return the schedule from a first start and random ones near it; see `near`.
+    """Return the schedule from a first start and random starts near it; see `near`.
 
     dt: the shipped time step [s]. drive: returns the controls from the starts and the number of
     periods. The rest is as in `scheduled`.
@@ -223,7 +223,7 @@ def laid_out(
 
 
 def driving(motion: Motion, model: Model, asked: Asked) -> Controls:
-    """Return what drives a motion: the controls that a user gave, or those of its kind."""
+    """Return the controls of a motion: those that a user gave, or the controls of its kind."""
     if isinstance(motion.ctrl, PositionTable):
         return followed(motion.ctrl, model, asked)
     if motion.is_users:
@@ -235,7 +235,7 @@ def given_controls(motion: Motion, model: Any, held: np.ndarray, period: float) 
     """Return the function or the rows that a user gave; see `driving` and `ControlTable.log`."""
     if motion.table is None:
         return Controls(function=motion.control)
-    # Without linear rows, a control period takes the row in effect at the beginning of each.
+    # With a control period, held rows take effect at the beginning of each period.
     linear, sampled = motion.interpolation == "linear", motion.control_dt is not None
     return Controls(motion.table.log(model, held, period, linear, sampled))
 
@@ -245,7 +245,7 @@ def time_steps(
 ) -> tuple[list[float], float]:
     """Return the time steps to try, coarsest first, and a control period they all divide [s].
 
-    shipped: the scene's own time step, which is always included [s].
+    shipped: the scene's time step, which is always included [s].
     dts: the time steps to try [s]; by default multiples of the shipped step.
     control_dt: the control period [s]; by default a common multiple of the time steps.
     horizon: the simulated time [s].
@@ -302,7 +302,7 @@ def divides(dt: float, period: float) -> bool:
 
 
 def often(period: float, dt: float, horizon: float) -> float:
-    """Halve a period [s] until the horizon has four or more of it, or it is a time step."""
+    """Halve a period [s] until the horizon has at least four periods, or it is a time step."""
     while period > horizon / 4 * (1 + 1e-9) and period > dt:
         period /= 2
     return period
@@ -352,8 +352,8 @@ def near(
     """Return a random start near `home`, within the joint ranges.
 
     moving: which dofs get a speed, (nv,).
-    overlap: the deepest overlap of a start's contacts [m]. It exceeds that of `home` by at most
-    `slack`: 0.1 mm under laws whose contacts are springs. Other laws correct a share of an overlap
+    overlap: the deepest overlap of a start's contacts [m]. It exceeds the overlap of `home` by at
+    most `slack`: 0.1 mm under laws whose contacts are springs. Other laws correct a share of it
     in each step, which ejects a body at a speed that grows as 1/dt. Under these laws the overlap
     does not increase.
     """
@@ -371,7 +371,7 @@ def near(
 
 
 def locked(model: Model, home: Start) -> np.ndarray:
-    """Return which dofs are so damped that they cannot have a speed, (nv,)."""
+    """Return which dofs have too much damping to have a speed, (nv,)."""
     sim, forces = Sim(model), list[np.ndarray]()
     for speed in (0.0, 1.0):
         home.put(sim)

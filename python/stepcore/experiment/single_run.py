@@ -41,7 +41,7 @@ class Push:
     body: the name or index of the body.
     force: the force in world axes [N], shape (3,).
     start: the time since the beginning of the run [s].
-    duration: how long the force acts [s]; at least one time step.
+    duration: the time for which the force acts [s]; at least one time step.
 
     >>> Push.of("torso:50,0,0@1+0.2")
     Push(body='torso', force=(50.0, 0.0, 0.0), start=1.0, duration=0.2)
@@ -118,7 +118,7 @@ def _finite(push: str, part: str, read: Callable[[str], float | None] = float) -
 
 
 class Drive(NamedTuple):
-    """What drives a run: a control function or rows, their period [s], words, and servos of ours.
+    """The input of a run: a control function or rows, their period [s], words, and servos added.
 
     Without control, the controls are constant.
     """
@@ -134,7 +134,7 @@ class Drive(NamedTuple):
 
 
 def drive_of(sim: Sim, motion: Motion, horizon: float) -> Drive:
-    """Return what drives a run. Constant controls are written to the Sim."""
+    """Return the input of a run. Constant controls are written to the Sim."""
     model, dt, held = sim.model, sim.settings.dt, np.array(sim.ctrl)
     period, every = motion.control_dt or dt, motion.control_dt
     if not motion.is_users and (motion.kind is None or not model.nu):
@@ -152,14 +152,14 @@ def drive_of(sim: Sim, motion: Motion, horizon: float) -> Drive:
     if len(log.times) == 1:
         sim.ctrl = log.rows.reshape(-1)
         return Drive(None, every, said, controls.servos)
-    # Without a period of its own, each row of controls is that of a step.
+    # Without a control period, each row of controls is for one step.
     rows = log.steps(0.0, period, periods).reshape(periods, -1)
     return Drive(rows, period, said, controls.servos)
 
 
 @dataclass
 class Bar:
-    """The largest estimated error of a run [m], of which body, and when [s]."""
+    """The largest estimated error of a run [m], the body that has it, and its time [s]."""
 
     error: float = 0.0
     body: int = 0
@@ -172,7 +172,7 @@ class Bar:
             self.error, self.body, self.time = float(each[body]), body, sim.time
 
     def words(self, sim: Sim, asked: float | None) -> str:
-        """Return what the finer run says, after the last step; asked: the accuracy [m]."""
+        """Describe the finer run's error estimate after the last step; asked: the accuracy [m]."""
         until = sim.predictable_until
         if math.isfinite(until):
             return (
@@ -188,13 +188,13 @@ class Bar:
 
 
 class SingleRun:
-    """One run of a Sim from its present state, with what is recorded of it.
+    """One run of a Sim from its present state, with its recorded arrays.
 
     drive, pushes: see `Drive` and `Push`. names: the arrays to read about `READINGS` times.
     record: the arrays to record at every step.
     readings: the arrays that were read, by name, and "time"; the first is the start.
-    trajectory: what was recorded; None without `record`. seconds: computing time of the steps.
-    error: why the run failed. bar: of a run with a finer one beside it.
+    trajectory: the recorded arrays; None without `record`. seconds: computing time of the steps.
+    error: why the run failed. bar: the error estimate of a run with a finer run; else None.
     """
 
     def __init__(
@@ -214,7 +214,7 @@ class SingleRun:
         self.readings: dict[str, list[np.ndarray]] = {name: [] for name in ("time", *names)}
 
     def run(self, steps: int, progress: Choice = False) -> None:
-        """Make steps. A run that fails ends, and what was recorded up to there is kept."""
+        """Make steps. A run that fails ends, and the steps recorded until then are kept."""
         sim, dt = self.sim, self.sim.settings.dt
         hold = round(self.drive.period / dt) if self.drive.period else 1
         applied = np.array(sim.xfrc_applied)
@@ -247,7 +247,7 @@ class SingleRun:
                 self.trajectory = Trajectory(kept.pop("time"), kept, snapshots=taking.kept())
 
     def _arrays(self, steps: int) -> dict[str, np.ndarray]:
-        """Return arrays for what is recorded at every step, which begin with the present state."""
+        """Return the arrays to record at every step; their first entry is the present state."""
         arrays = {}
         for name in self.record:
             value = np.asarray(getattr(self.sim, name))

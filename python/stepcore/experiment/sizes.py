@@ -14,7 +14,7 @@ from stepcore.scene.softness import UNKNOWN, extent
 def scene_size(scene: Scene) -> float:
     """Return the size of a scene [m]; 1 if nothing in it has a length.
 
-    That is the largest distance of a body from its parent and the largest half size of a geom.
+    The size is the largest distance of a body from its parent plus the largest half size of a geom.
     """
     return extent(scene) or UNKNOWN
 
@@ -24,7 +24,7 @@ class Sizes:
 
     thick: the smallest half size of each geom (such as a radius).
     reach: the distance from the centre of each geom to its furthest point.
-    halves: the half sizes along the axes of each geom. Those of planes and height fields are inf.
+    halves: the half sizes along the axes of each geom; inf for planes and height fields.
     bodies: the reach of each body's largest geom, or its radius of gyration without geoms.
     """
 

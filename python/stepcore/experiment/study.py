@@ -1,7 +1,7 @@
 """`Study`: runs changes of one scene in one motion, and scores them against the converged motion.
 
-Every measurement is a question to a Study: vary (a list of `Change`s), run, score (`Trial`s),
-choose (`stepcore.experiment.choose`), confirm on other starts, say.
+Every measurement uses a Study: vary (a list of `Change`s), run, score (`Trial`s), choose
+(`stepcore.experiment.choose`), validate on held-out starts, report.
 """
 
 from __future__ import annotations
@@ -34,33 +34,33 @@ from stepcore.report.units import counted, metres, rounded, seconds
 
 # Starts that run together: the worlds of a vector register.
 TOGETHER = STARTS
-# The most operations of a whole study: about half a minute of a core.
+# The default effort, the most operations of a whole study: about half a minute of a core.
 EFFORT = 1e11
-# An operation of steps within an accuracy, which go one world at a time, takes as long as this many
-# in lanes: 0.5 ns and 0.33 ns on dm_control's walker.
+# An operation of adaptive steps, which run one world at a time, takes as long as this many
+# operations in lanes: 0.5 ns and 0.33 ns on dm_control's walker.
 LANES = 1.5
 SHIPPED = Change()
 
 
 class Study:
-    """Runs changes of one scene in one motion, scores them, and remembers what was run.
+    """Runs changes of one scene in one motion, scores them, and keeps the runs.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, its kind ("hold"), or its fields as arguments (``horizon=0.5``); by default
         one that the machine could make, of about one second.
     engine: runs the changes: "stepcore", or "mujoco", which also runs files that stepcore cannot
-        load; or an `Engine`, whose scene is then the study's, and `model` need not be given.
+        load; or an `Engine`, which has a scene already, so that `model` is not needed.
     period: the control period: seconds, or a text such as "8ms". Every time step divides it. By
-        default that of the motion, or four shipped time steps.
+        default the motion's, or four shipped time steps.
     effort: the most operations of the study. When they are spent, truths stay as they are.
-    by: what trials cost: "time" by their counted work, or "flops".
+    by: the cost of trials: "time" by their counted work, or "flops".
     workers: threads or an executor for the runs; see `stepcore.experiment.arguments.Workers`.
 
-    schedule: the starts, the controls and the time grid of the motion. starts: those of the search,
-    by index. spent: the counted operations so far. allowed: those that may be spent so far, at most
-    `effort`.
+    schedule: the starts, the controls and the time grid of the motion. starts: the starts of the
+    search, by index. spent: the operations counted until now. allowed: the operations that may be
+    spent at present, at most `effort`.
 
-    How the error depends on the stiffness of a spring, say:
+    For example, the error of two stiffnesses of a spring:
 
     >>> from stepcore import lesson
     >>> from stepcore.experiment import Change, Study
@@ -99,7 +99,7 @@ class Study:
         self.spent, self.runs, self.allowed = 0.0, 0, effort
         self._running = 0.0  # the time of the runs [s]
         self._tracks: dict[tuple[Change, int], Tracks] = {}
-        # Of steps within an accuracy that evaluated forces too often.
+        # Adaptive runs aborted after too many force evaluations.
         self._given_up: set[Change] = set()
         self._truths: dict[Change, Converging] = {}
         self._blocks, self._dearer = 0, 1.0
@@ -125,11 +125,11 @@ class Study:
         return own if own.ndim else float(own)
 
     def fresh(self, count: int) -> tuple[int, ...]:
-        """Return the indices of further starts, from which nothing has been run."""
+        """Return the indices of new held-out starts, from which nothing has been run."""
         self._blocks += 1
         own, seed = self.schedule, self.motion.seed + 1_000_003 * self._blocks
         unseen = dataclasses.replace(self.motion, seed=seed)
-        # The first start of every block is the keyframe itself, which the search has.
+        # The first start of every block is the keyframe itself, which the search uses.
         new = self.engine.scheduled(unseen, own.period, count + 1, own.horizon)
         first, self.schedule = len(own.starts), own.joined(new.part(1))
         return tuple(range(first, first + count))
@@ -146,7 +146,7 @@ class Study:
     def price(self, change: Change, starts: int) -> float:
         """Return the operations of runs from some starts; inf if the settings are refused.
 
-        Those of steps within an accuracy weigh more.
+        Operations of adaptive steps weigh more.
         """
         try:
             settings = self.engine.settings(change)
@@ -154,24 +154,24 @@ class Study:
             return math.inf
         alone = 1.0 if settings.accuracy is None else LANES
         work, steps = self.work(change), OVERHEAD / float(settings.dt)
-        # Where a change fails at once no work can be counted: steps of nothing.
+        # If a change fails at once, no work can be counted: its steps count as empty.
         paid = steps + (work if math.isfinite(work) else 0.0)
         return alone * paid * self.schedule.horizon * starts
 
     def affords(self, change: Change, starts: int) -> bool:
-        """Return whether runs from some starts are within the operations allowed so far."""
+        """Return whether runs from some starts are within the operations allowed at present."""
         return self.spent + self.price(change, starts) <= self.allowed
 
     def lasts(self, operations: float) -> float:
-        """Return how long runs of so many operations take, as those until now did [s]."""
+        """Estimate the run time of this many operations from the previous runs [s]."""
         return operations * (self._running / self.spent if self.spent else 1e-6 * OPERATION)
 
     def work(self, change: Change) -> float:
         """Return the operations of a simulated second.
 
-        Of steps within an accuracy, which are short at impacts, these are the evaluations of the
-        runs that were made. Before the first run they are those of some states, times what runs
-        within other accuracies took more.
+        Adaptive steps are short at impacts, so their evaluations are counted in the runs made.
+        Before the first run they are counted at some states, and multiplied by the largest factor
+        by which runs at other accuracies took more.
         """
         counted = self.engine.work(change, self.schedule)
         if self.engine.settings(change).accuracy is None:
@@ -185,9 +185,9 @@ class Study:
         return work
 
     def _evaluations(self, change: Change) -> list[float]:
-        """Return the evaluations of the forces of runs within an accuracy, by start."""
+        """Return the evaluations of the forces of runs with adaptive steps, by start."""
         runs = (self._tracks.get((change, start)) for start in self.schedule.indices)
-        # Of one that was given up, as many more as there was left of it.
+        # The evaluations of an aborted run are extrapolated to the whole run.
         return [
             float(run.evaluations[0]) / max(_share(run), 1e-2)
             for run in runs
@@ -196,17 +196,17 @@ class Study:
         ]
 
     def cost(self, change: Change) -> float:
-        """Return the cost of a change: µs by counted work, or operations, per simulated second."""
+        """Return the cost of a change per simulated second: µs by counted work, or operations."""
         work = self.work(change)
         return work if self.by == "flops" else computing_time(work, self.engine.settings(change))
 
     def tracks(
         self, changes: Sequence[Change], starts: Sequence[int], bar: str | None = None
     ) -> list[Tracks]:
-        """Run changes from some starts, or remember the runs; one result for each change.
+        """Run changes from some starts, unless they were run before; one result for each change.
 
-        Starts run in eights, or up to three alone, beside each other on the workers. A change that
-        is known to fail from one of the starts is not run from the others, which then count as
+        Starts run in parallel on the workers, in groups of eight, or up to three alone. A change
+        that has failed from one of the starts is not run from the others, which then count as
         failed.
         """
         jobs = list[_Job]()
@@ -222,7 +222,7 @@ class Study:
         follow = partial(_followed, self.engine, self.schedule)
 
         def took(indices: range, made: list[Tracks]) -> None:
-            """Remember runs as they come: a deadline may end the others."""
+            """Store runs as they come: a deadline may end the others."""
             done = jobs[indices.start : indices.stop]
             for (change, some, most), own in zip(done, made, strict=True):
                 if own.failures and own.evaluations is not None and own.evaluations[0] >= most:
@@ -239,10 +239,10 @@ class Study:
         return [self._together(change, starts) for change in changes]
 
     def _most(self, change: Change, starts: Sequence[int]) -> float:
-        """Return after how many evaluations of the forces a run within an accuracy is given up.
+        """Return the number of force evaluations after which an adaptive run is aborted.
 
-        At impacts the first one may cost a hundred times what was expected: it gets what is allowed
-        now. Others cost about as much as the first.
+        With impacts the first run may cost a hundred times its estimate, so its limit is the effort
+        that is allowed now. The others cost about as much as the first.
         """
         known = any(self.ran(change, start) for start in self.schedule.indices)
         if self.engine.settings(change).accuracy is None or known or len(starts) > 1:
@@ -252,7 +252,7 @@ class Study:
         return room / LANES / one if math.isfinite(one) else math.inf
 
     def changes(self, starts: Sequence[int]) -> list[Change]:
-        """Return the changes of which runs from some starts are known, as `tracks` gives them."""
+        """Return the changes for which `tracks` has the runs from some starts already."""
         every = dict.fromkeys(change for change, _ in self._tracks)
         return [change for change in every if self._known(change, starts)]
 
@@ -267,7 +267,7 @@ class Study:
         return (change, start) in self._tracks
 
     def _together(self, change: Change, starts: Sequence[int]) -> Tracks:
-        """Return the runs from some starts; those that were not made are NaN and have failed."""
+        """Return the runs from some starts; runs that were not made are NaN and have failed."""
         known = [self._tracks.get((change, start)) for start in starts]
         made = [own for own in known if own is not None]
         if len(made) == len(known):
@@ -282,13 +282,13 @@ class Study:
         starts: Sequence[int] | None = None,
         physics: Change = SHIPPED,
     ) -> Truth:
-        """Return the converged motion, sure to a tenth of an error, or as the effort allows.
+        """Return the converged motion, with an uncertainty of a tenth of an error if affordable.
 
         error: the error in question: metres, "1mm", or "0.1%" of the scene's size; by default a
-            tenth of the shipped settings' own.
-        starts: by index; by default those of the search. physics: what is modelled differently.
+            tenth of the shipped settings' error.
+        starts: by index; by default the search's. physics: the change of the modelled physics.
 
-        Where a deadline leaves no time for all of the search's starts, they are fewer from then on.
+        If a deadline leaves no time for all starts of the search, the search has fewer afterwards.
 
         Raises ValueError if no converged motion can be run.
         """
@@ -330,16 +330,16 @@ class Study:
         error: float | str | None = None,
         bar: str | None = None,
     ) -> Trial | list[Trial]:
-        """Run changes from some starts, and score each against its own converged motion.
+        """Run changes from some starts, and score each against its converged motion.
 
-        Settings are scored against the scene's converged motion. A change of what is modelled is
-        scored against the converged motion of the changed model (its numerical error), and
-        `Trial.modelled` has how far that is from the scene's own (its modelling error).
+        Settings are scored against the scene's converged motion. A change of the physics is scored
+        against the converged motion of the changed model (its numerical error), and
+        `Trial.modelled` is this motion's distance from the scene's (its modelling error).
 
         changes: one `Change`, for one `Trial`; or several, for a list.
-        starts: by index; by default those of the search.
-        error: the error in question, of which the converged motion is known to a tenth: metres,
-            "1mm", or "0.1%" of the scene's size.
+        starts: by index; by default the search's.
+        error: the error in question: metres, "1mm", or "0.1%" of the scene's size. A tenth of it is
+            the target uncertainty of the converged motion.
 
         Raises ValueError before anything runs for a change that the scene or the engine does not
         have, with the nearest names, and for a step that does not divide the control period, with
@@ -375,7 +375,7 @@ class Study:
             change=change,
             settings=settings,
             starts=truth.starts,
-            # A run like the truth's own looks exact: no error is below what the truth is sure of.
+            # A run like the truth's would look exact, so no error is below the uncertainty.
             errors=np.maximum(rms(far, truth.scored), truth.unsure),
             unsure=truth.unsure,
             largest=np.maximum(largest(far, truth.scored), truth.unsure),
@@ -387,7 +387,7 @@ class Study:
         )
 
     def score_everywhere(self, change: Change) -> Trial:
-        """Score settings from all starts from which they and the converged motion ran."""
+        """Score settings from all starts that they and the converged motion have run from."""
         known = self._truths[SHIPPED].known
         starts = [s for s in self.schedule.indices if s in known and self.ran(change, s)]
         (tracks,) = self.tracks([change], starts)
@@ -396,9 +396,9 @@ class Study:
     def times(self, changes: Sequence[Change]) -> dict[Change, float]:
         """Measure the computing time of changes from the first start [µs per simulated second].
 
-        The runs of all changes take turns, so that other load on the machine affects all alike; the
-        least of several times is kept. A change that fails has none. Steps within an accuracy take
-        as much longer from all starts as they evaluate the forces more often there.
+        The runs of all changes take turns, so that other load affects all equally; the least of
+        several times is kept. A change that fails has none. The time of adaptive steps is scaled
+        from the first start to all starts by their numbers of force evaluations.
         """
         times = dict[Change, float]()
         for _ in range(5):
@@ -445,7 +445,7 @@ class Study:
         return f"<Study of {self.engine.title}: {horizon} from {starts}, {ran}>"
 
     def __str__(self) -> str:
-        """Describe the scene, the motion, the steps that can be run, and the runs so far."""
+        """Describe the scene, the motion, the steps that can be run, and the number of runs."""
         period, dt = self.schedule.period, self.engine.dt
         ran = f"{counted(self.runs, 'run')} so far."
         if SHIPPED in self._truths:
@@ -462,10 +462,10 @@ class Study:
         )
 
     def tell(self, wrong: float, moved: float, goal: float, needs: float) -> None:
-        """Say how far a search for the converged motion has come.
+        """Report the progress of a search for the converged motion.
 
-        wrong: the error of the shipped settings [m]. moved: what the last refinement moved [m].
-        goal: what it should move [m]. needs: the operations until then, about.
+        wrong: the error of the shipped settings [m]. moved: the distance that the last refinement
+        moved the motion [m]. goal: its target [m]. needs: the estimated operations until then.
         """
         if math.isfinite(wrong):
             said = f"error as shipped {metres(wrong)}, ± {metres(moved)}"
@@ -476,7 +476,7 @@ class Study:
             )
 
 
-# Settings, the starts from which they are run, and after how many evaluations they are given up.
+# Settings, the starts from which they run, and the evaluations after which they are aborted.
 _Job = tuple[Change, list[int], float]
 
 

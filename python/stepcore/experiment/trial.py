@@ -1,4 +1,4 @@
-"""`Trial`: what one change did. Text, tables, plots and choices read nothing else."""
+"""`Trial`: the results of one change. Text, tables, plots and choices read nothing else."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from stepcore.experiment.change import Change
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What one change did, from several starts.
+    """The results of one change, from several starts.
 
-    change: what was run. settings: all settings under which it was run.
-    starts: the starts of the motion it was run from, by index.
+    change: the change that was run. settings: all settings under which it was run.
+    starts: the starts from which it was run, by index.
     errors: the RMS position error of every start [m], (starts,): the distance from the truth by the
         norm of `stepcore.engine.norm`, over the samples that can be predicted, and never below
-        what the truth is sure of; inf where the run failed, NaN without a truth.
-    unsure: how far the truth of every start may be off [m], (starts,).
+        the truth's uncertainty; inf where the run failed, NaN without a truth.
+    unsure: the uncertainty of the truth of every start [m], (starts,).
     largest: the largest error of a body at any time, of every start [m], (starts,).
     work: counted floating-point operations per simulated second; the same on every machine.
-    cost: by which trials are ranked: computing time by the counted work [µs per simulated second],
-        see `stepcore.experiment.price`; or the work itself, see `Study`.
-    failure: why the first run that failed did; "" if none did.
+    cost: ranks trials: the computing time by the counted work [µs per simulated second], see
+        `stepcore.experiment.price`; or the work itself, see `Study`.
+    failure: the reason of the first failure; "" if no run failed.
     tracks: the poses of the bodies.
-    modelled: (of a change of what is modelled) how far the converged motion of the changed model is
-        from the scene's own, of every start [m], (starts,); None for settings alone.
+    modelled: the modelling error of every start, the distance of the changed model's converged
+        motion from the scene's [m], (starts,); None for a change of settings alone.
     """
 
     change: Change
@@ -58,9 +58,9 @@ class Trial:
 
     @property
     def bound(self) -> float:
-        """The most that the worst start may be off [m]; inf if a run failed.
+        """The upper bound of the error of the worst start [m]; inf if a run failed.
 
-        That is its error, with what the truth may be off and with the modelling error.
+        The bound is the error plus the truth's uncertainty and the modelling error.
         """
         modelled = 0.0 if self.modelled is None else self.modelled
         every = self.errors + self.unsure + modelled
@@ -78,22 +78,22 @@ class Trial:
         return float(settings.dt)
 
     def within(self, error: float) -> bool:
-        """Return whether every start stays within an error [m], the truth's own included."""
+        """Return whether every start stays within an error [m], by its `bound`."""
         return self.bound <= error
 
     def refuted(self, error: float) -> bool:
-        """Return whether a start surely exceeds an error [m], or a run failed."""
+        """Return whether a start exceeds an error [m] beyond its uncertainty, or a run failed."""
         return bool(self.failure) or bool((self.errors - self.unsure > error).any())
 
     def misses(self, error: float) -> list[int]:
-        """Return the starts whose error is above one [m], worst first; all if a run failed."""
+        """Return the starts that exceed an error [m], worst first; all if a run failed."""
         if self.failure:
             return list(self.starts)
         over = np.flatnonzero(~(self.errors <= error))
         return [self.starts[k] for k in sorted(over, key=lambda k: -self.errors[k])]
 
     def part(self, starts: Sequence[int]) -> Trial:
-        """Return the trial from some of its starts, without poses."""
+        """Return the trial with some of its starts, without poses."""
         places = [self.starts.index(start) for start in starts]
         errors, unsure, largest = self.errors[places], self.unsure[places], self.largest[places]
         return replace(

@@ -2,11 +2,11 @@
 
 Several methods climb their ladders on one start, the one with the cheapest next rung first, until a
 rung moves the motion by less than a tenth of the error in question. That method runs from all
-starts; only starts that still move climb on. How far a start may be off is the distance to its run
-at the rung before, which is larger than its error from order 1 on. Where order is lost that is no
-bound; so the hardest start also runs one rung finer, which tells how much all finer rungs would
-move it, and the method that came second is compared: if either says that it may be further away
-than the rung before, all starts are taken to be as much less sure.
+starts; only starts that still move climb on. The uncertainty of a start is the distance to its run
+at the rung before, which is larger than its error from order 1 on. Without an order this distance
+is no bound. So the hardest start also runs one rung finer, from which the effect of all finer rungs
+is estimated, and the second method is compared. If either shows a larger distance than the rung
+before, the uncertainty of every start is scaled up by the same factor.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from stepcore.experiment.schedule import Schedule
 from stepcore.report.settings import label
 from stepcore.report.units import counted, metres, seconds
 
-# The converged motion is known to this share of the error in question.
+# The target uncertainty of the converged motion, as a share of the error in question.
 SHARE = 0.1
 # Errors below this share of a scene's size are rounding.
 ROUNDING = 1e-11
-# A rung that leaves more than this share of the last one's change does not converge; after three of
-# them a start is left as it is (two coarse rungs may agree by luck: those that damp a fast swing).
+# A rung that moves more than this share of the last one's change does not converge; after three of
+# them a start is left as it is (two coarse rungs may agree by luck, if they damp a fast swing).
 STALLED, PATIENCE = 0.9, 3
-# The share of a measurement's time that the converged motion may take, beyond what an answer needs.
+# The share of a measurement's time that the converged motion may take, beyond an answer's needs.
 KNOWN = 0.5
-# Rungs of a ladder, at most, and rungs after which a method that still fails is given up.
+# The most rungs of a ladder, and the rungs after which a method that still fails is abandoned.
 RUNGS, HOPELESS = 20, 5
 # The share of a study's effort that finding the method may take.
 FINDING = 0.25
-# Where growth ends within the horizon it is measured at so many finer rungs too, until two agree.
+# If a start ends within the horizon, growth is measured at this many finer rungs, until two agree.
 FINER = PATIENCE
 SHIPPED = Change()
 
 
 class Runs(Protocol):
-    """What a converged motion needs of a `Study`; its members are described there."""
+    """The members of a `Study` that a converged motion needs; they are described there."""
 
     engine: Engine
     schedule: Schedule
@@ -68,11 +68,11 @@ class Runs(Protocol):
 class Truth:
     """The converged motion from some starts.
 
-    starts: by index. tracks: the motion. change: that of the finest run, under these `settings`.
-    unsure: how far it may be off, of every start [m], (starts,).
-    scored: the samples that can be predicted, (starts, n). growth: of nudges from these starts.
-    goal: how sure it was to be [m]. needs: the operations that would make it so, about; 0 if it is,
-        inf if finer runs do not make it surer.
+    starts: by index. tracks: the motion. change, settings: of the finest run.
+    unsure: the uncertainty of every start [m], (starts,).
+    scored: the samples that can be predicted, (starts, n). growth: of perturbations from them.
+    goal: the target uncertainty [m]. needs: the estimated operations to reach it; 0 if it is
+        reached, inf if finer runs do not reduce the uncertainty.
     """
 
     starts: tuple[int, ...]
@@ -86,7 +86,7 @@ class Truth:
     needs: float = 0.0
 
     def part(self, starts: Sequence[int]) -> Truth:
-        """Return the truth of some of its starts, by index."""
+        """Return the truth for some of its starts, by index."""
         places = [self.starts.index(start) for start in starts]
         return replace(
             self,
@@ -99,7 +99,7 @@ class Truth:
 
     @property
     def error(self) -> float:
-        """How far the motion may be off in the worst start [m]."""
+        """The uncertainty of the worst start [m]."""
         return float(self.unsure.max(initial=0.0))
 
     @property
@@ -113,11 +113,11 @@ class Truth:
 
 @dataclass
 class _Start:
-    """What is known from one start: its finest rung, and how far that moved the motion [m].
+    """The runs from one start: the finest rung, and the distance that it moved the motion [m].
 
-    before: the motion of the rung before. both: how far the last two rungs moved it together [m].
-    gain: how many times less the last one moved it than the one before.
-    doubt: how many times more all finer rungs may move it.
+    before: the motion of the rung before. both: the distance moved by the last two rungs [m].
+    gain: the distance moved by the rung before over the last one's.
+    doubt: the factor from `moved` to the distance that all finer rungs may move.
     """
 
     rung: int
@@ -131,25 +131,25 @@ class _Start:
 
     @property
     def unsure(self) -> float:
-        # At order 1 two rungs move three times what the second does; one that moves less is luck.
+        # At order 1 two rungs move three times as far as the second does; less is luck.
         return max(self.moved, self.both / 2.5) * self.doubt
 
     def finer(self, tracks: Tracks, moved: float, both: float) -> _Start:
-        """Return what is known after the next rung, which moved the motion so far [m]."""
+        """Return the start after the next rung, which moved the motion by `moved` [m]."""
         worse = self.worse + 1 if moved > STALLED * self.moved else 0
         gain = self.moved / moved if moved > 0 else math.inf
-        # One good rung may be luck (hopper in MuJoCo): what was doubted before fades.
+        # One good rung may be luck (hopper in MuJoCo), so an earlier doubt fades slowly.
         doubt = max(left(gain), math.sqrt(self.doubt))
         return _Start(self.rung + 1, tracks, self.tracks, moved, both, worse, gain, doubt)
 
 
 def left(gain: float) -> float:
-    """Return what all finer rungs may move, over what the last one moved: a geometric series.
+    """Return the distance that all finer rungs may move over the last one's: a geometric series.
 
-    It is at most 2: where rungs no longer settle, they move to and fro, which does not add up
+    The ratio is at most 2: rungs that no longer converge move to and fro, which does not add up
     (`benches/converging.py`).
 
-    gain: how many times less a rung moves than the one before.
+    gain: the distance moved by one rung over the next one's.
 
     >>> left(4.0), left(1.75), left(0.9)
     (1.0, 1.3333333333333333, 2.0)
@@ -158,14 +158,14 @@ def left(gain: float) -> float:
 
 
 def _half() -> AbstractContextManager[None]:
-    """Return a stage that ends at half of the time, for an answer to what is known then."""
+    """Return a stage that ends at half of the time, which leaves time for an answer."""
     return (deadline.current() or Deadline()).stage("a surer converged motion", KNOWN)
 
 
 class Converging:
-    """The converged motion of one physics of a study, start by start.
+    """The converged motion of one model of a study, start by start.
 
-    way: the method. rung: the rung that settled the first start. doubt: by which factor the
+    way: the method. rung: the rung that settled the first start. doubt: the factor by which the
     distance to the rung before is too small a bound.
     """
 
@@ -181,10 +181,10 @@ class Converging:
         return self.physics.also(self.way.at(rung))
 
     def upto(self, starts: Sequence[int], goal: float | None, *, fewer: bool = False) -> Truth:
-        """Return the converged motion from some starts, sure to a goal [m] if the effort allows.
+        """Return the converged motion from some starts, with uncertainty `goal` if affordable.
 
-        goal: by default a hundredth of the shipped settings' own error in the worst of the starts.
-        fewer: whether it may be from fewer starts, where a deadline leaves no time for all.
+        goal: [m]; by default a hundredth of the shipped settings' error in the worst of the starts.
+        fewer: whether it may be from fewer starts, if a deadline leaves no time for all.
         """
         own, goal = goal is None, self.goal if goal is None else goal
         assert goal is not None
@@ -192,7 +192,7 @@ class Converging:
         new = [s for s in starts if s not in self.known]
         several = own and len(starts) > 1
         if several and self.study.tracks([self.physics], starts)[0].failures:
-            # Where the shipped settings explode, nobody asks for nanometres.
+            # If the shipped settings explode, nanometres are not needed.
             goal = max(goal, self._coarse)
         if not fewer or self.known or self._in_time(len(new), goal):
             self._begin(new, goal)
@@ -220,12 +220,12 @@ class Converging:
         )
 
     def error(self, starts: Sequence[int]) -> float:
-        """Return how far the motion may be off in the worst of some starts [m]."""
+        """Return the uncertainty of the motion in the worst of some starts [m]."""
         return max((self.known[s].unsure for s in starts if s in self.known), default=math.inf)
 
     @property
     def _coarse(self) -> float:
-        """What is asked where the shipped settings have no error [m], as they explode."""
+        """The goal if the shipped settings have no error [m], because they explode."""
         return 1e-3 * self.study.size
 
     def _shipped(self, starts: Sequence[int]) -> float:
@@ -236,7 +236,7 @@ class Converging:
         return SHARE**2 * float(wrong[np.isfinite(wrong)].max(initial=0.0))
 
     def _needs(self, starts: Sequence[int], goal: float) -> float:
-        """Return the operations that would bring starts to a goal, by their last gain."""
+        """Estimate the operations to bring starts to a goal from their last gain."""
         needs = 0.0
         for own in (self.known[s] for s in starts):
             if goal > 0 and own.unsure > goal:
@@ -250,7 +250,7 @@ class Converging:
         return needs
 
     def _between(self, a: Tracks, b: Tracks, starts: Sequence[int]) -> np.ndarray:
-        """Return the distance of two motions over what can be predicted [m], (starts,)."""
+        """Return the distance of two motions over the predictable samples [m], (starts,)."""
         scored = None
         if all(s in self.grown for s in starts):
             scored = self._growth(starts).scored(self.study.schedule.times)
@@ -262,7 +262,7 @@ class Converging:
     def _found(self, start: int) -> tuple[Way, int]:
         """Find the method that settles first from one start, and its rung.
 
-        Without a goal that is a hundredth of the shipped settings' own error.
+        The default goal is a hundredth of the shipped settings' error.
         """
         study = self.study
         ways = study.engine.ways(study.schedule, self.goal or self._coarse)
@@ -279,7 +279,7 @@ class Converging:
 
         while True:
             change = [self.physics.also(way.at(n)) for way, n in zip(ways, rungs, strict=True)]
-            # What still fails at steps so short diverges itself.
+            # A method that still fails at such short steps diverges itself.
             lost = [
                 n > HOPELESS and bool(own and own.failure)
                 for n, own in zip(rungs, last, strict=True)
@@ -304,7 +304,7 @@ class Converging:
             if math.isinf(moved[k]):
                 continue
             if moved[k] > STALLED * was and start not in self.grown:
-                # Where nearby motions part, no rung settles what follows.
+                # After nearby motions have separated, no rung settles the motion.
                 self.way = ways[k]
                 with _half():
                     self._measure_growth([start], rungs[k] - 1)
@@ -315,7 +315,7 @@ class Converging:
             if moved[k] <= goal:
                 self.goal = goal
                 break
-            # Of order 1, work times what a rung moves stays as it is.
+            # At order 1, the work times the distance that a rung moves is constant.
             needs = study.price(change[k], len(study.starts)) * moved[k] / goal
             study.tell(wrong, moved[k], goal, needs)
         k = int(np.argmin(moved))
@@ -324,7 +324,7 @@ class Converging:
         self.goal = moved[k] if self.goal is None else self.goal
         own = last[k]
         assert own is not None
-        # A rival counts against the motion by what its own change does not explain.
+        # The distance of a rival counts as far as the rival's last rung does not explain it.
         rivals = [
             max(0.0, off(own, other) - far)
             for j, (other, far) in enumerate(zip(last, moved, strict=True))
@@ -340,23 +340,23 @@ class Converging:
         return ValueError(f"{text} {dt} too, so there is nothing to compare with: {why}")
 
     def _first(self, starts: int, goal: float) -> int:
-        """Return the rung at which new starts begin: the one that settled the first of all.
+        """Return the rung at which new starts begin: the one that settled the first start.
 
-        For a coarser goal it is coarser, by one for each factor of two.
+        A coarser goal makes it coarser, by one rung for each factor of two.
         """
         assert self.goal is not None
         ratio = goal / self.goal if self.goal > 0 else 1.0
         coarser = math.log2(min(max(1.0, ratio), 2.0**self.rung))
         first = max(1, self.rung - int(coarser))
-        # Two rungs, of which the finer one costs about twice the other.
+        # Two rungs are run; the finer one costs about twice as much as the other.
         while first > 1 and not self.study.affords(self.at(first), 3 * starts // 2):
             first -= 1
         return first
 
     def _in_time(self, starts: int, goal: float) -> bool:
-        """Return whether so many new starts can begin in the time that is left.
+        """Return whether this many new starts can begin in the time that is left.
 
-        Steps within an accuracy may be far shorter from them than from the first.
+        Adaptive steps may be far shorter from new starts than from the first.
         """
         limit, rung = deadline.current(), self._first(starts, goal)
         if limit is None or math.isinf(limit.left):
@@ -377,7 +377,7 @@ class Converging:
 
         with limit.stage(missing, KNOWN):
             while len(self.known) < len(starts):
-                # Beside each other starts take less time each: twice as many as before.
+                # Starts that run together take less time each: run twice as many as before.
                 done = len(self.known)
                 self._begin(starts[done : 2 * done], goal)
 
@@ -395,7 +395,7 @@ class Converging:
             raise self._fails(why)
         every = all(s in self.grown for s in study.starts)
         if every and max(g.factor.max() for g in self.grown.values()) < math.sqrt(GROWTH):
-            # Where nothing grows half the way from the starts of a search, nothing ends nearby.
+            # If growth stays below the root of its limit, no start near the search's ends.
             like = next(iter(self.grown.values()))
             self.grown |= dict.fromkeys(starts, like)
         else:
@@ -407,7 +407,7 @@ class Converging:
             self.known[start] = own
 
     def _refine(self, starts: Sequence[int], goal: float) -> None:
-        """Run the starts that still move at finer rungs, as long as that makes them surer."""
+        """Run the starts that still move at finer rungs, while that reduces their uncertainty."""
         study = self.study
         while True:
             todo = [
@@ -415,7 +415,7 @@ class Converging:
             ]
             if not todo:
                 return
-            # Those at one rung go together.
+            # Starts at one rung run together.
             rung = min(self.known[s].rung for s in todo) + 1
             some = [s for s in todo if self.known[s].rung == rung - 1]
             if rung >= RUNGS or not study.affords(self.at(rung), len(some)):
@@ -432,7 +432,7 @@ class Converging:
                 self.known[start] = own.finer(finer.some([k]), moved[k], both[k])
 
     def _witness(self, starts: Sequence[int]) -> None:
-        """Run the hardest start one rung finer, and doubt all if that moves it no less."""
+        """Run the hardest start one rung finer, and doubt all starts if that moves it no less."""
         study = self.study
         hardest = max(starts, key=lambda s: self.known[s].unsure)
         own = self.known[hardest]
@@ -450,9 +450,9 @@ class Converging:
                 other.doubt = max(other.doubt, self.doubt)
 
     def _growing(self, rung: int) -> Iterator[Change]:
-        """Yield the settings under which growth is measured, with steps ever shorter.
+        """Yield the settings under which growth is measured, with ever shorter steps.
 
-        Steps within an accuracy differ from run to run, so these are fixed ones.
+        Adaptive steps differ from run to run, so these are fixed ones.
         """
         way, first = self.way, max(1, rung - 1)
         if not way.fixed:
@@ -463,7 +463,7 @@ class Converging:
     def _measure_growth(self, starts: Sequence[int], rung: int) -> None:
         """Measure until when the motion from some starts can be predicted.
 
-        Where it ends, finer rungs must show the same end: a coarse motion may be unstable itself.
+        If it ends, finer rungs must show the same end: a coarse motion may be unstable itself.
         """
         study = self.study
 

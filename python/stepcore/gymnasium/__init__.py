@@ -1,6 +1,6 @@
 """Gymnasium environments: gymnasium's MuJoCo tasks run by stepcore, and your own models.
 
-Importing this registers them:
+Importing this module registers the tasks:
 
 >>> import gymnasium, stepcore.gymnasium
 >>> env = gymnasium.make("stepcore/HalfCheetah-v0")
@@ -10,7 +10,7 @@ Importing this registers them:
 >>> envs.reset(seed=0)[0].shape
 (16, 17)
 
-The extra "gymnasium" installs what this needs; see docs/gymnasium.md.
+The extra "gymnasium" installs the dependencies; see docs/gymnasium.md.
 """
 
 from stepcore.needs import need as _need

@@ -28,32 +28,32 @@ Step = tuple[Floats, Floats, Mask, Mask, dict[str, Any]]
 class Env(gymnasium.Env[Floats, NDArray[Any]]):
     """One world of a model as an environment of gymnasium.
 
-    model: a `Model`, a `Scene`, the path of an MJCF file, or a `Task`, which has functions of its
-        own.
+    model: a `Model`, a `Scene`, the path of an MJCF file, or a `Task`, which already has these
+        functions.
     observe: a function of a `Moment` that returns the observation, shape (k,); by default qpos and
         qvel.
-    reward: of a `Moment`, a number; by default 0.
-    terminated: of a `Moment`, whether the episode is over; by default never.
-    info: of a `Moment`, a dict of further information after an action.
+    reward: a function of a `Moment` that returns a number; by default 0.
+    terminated: a function of a `Moment` that returns whether the episode is over; by default never.
+    info: a function of a `Moment` that returns a dict of further information after an action.
     reset: a function of the model and a `numpy.random.Generator` that returns the first qpos and
-        qvel; by default the model's initial pose at rest. Or of three arguments: see `Task.start`.
+        qvel; by default the model's initial pose at rest. For three arguments see `Task.start`.
     frame_skip: steps of the engine for each action.
     action_space, observation_space: a `gymnasium.spaces.Box`; by default the actuators' control
         ranges, in float32, and any numbers in float64. Actions beyond the space are not clipped:
         the actuators clamp their controls.
-    settings: a `Settings`, or a dict of some of its fields, instead of the model's own.
-    dtype: number type of the observations, such as ``numpy.float32``; by default that of the
+    settings: a `Settings`, or a dict of some of its fields, which replaces the model's settings.
+    dtype: number type of the observations, such as ``numpy.float32``; by default the type of the
         observation space.
-    render_mode: "rgb_array" to let `render` draw the world; needs what `stepcore.picture` needs.
-    width, height: of what is drawn, in points.
+    render_mode: "rgb_array" to let `render` draw the world, with the needs of `stepcore.picture`.
+    width, height: size of a picture, in pixels.
 
-    The same functions make a `VectorEnv`, if they are written so that the worlds may come first:
+    The same functions make a `VectorEnv`, if they allow a leading axis of worlds:
     ``now.qpos[..., 0]``, not ``now.qpos[0]``.
 
-    An action after which the motion is not finite ends the episode: the world stands in its last
-    finite state, `terminated` is True, and ``info["failure"]`` is the post-mortem.
+    An action after which the motion is not finite ends the episode: the world is in its last finite
+    state, `terminated` is True, and ``info["failure"]`` is the post-mortem.
 
-    Raises ValueError for what cannot be compiled and for functions that return another shape.
+    Raises ValueError for a model that cannot be compiled and functions that return another shape.
 
     >>> import numpy as np
     >>> import stepcore as sc
@@ -138,20 +138,20 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
     """Many worlds of a model as one vector environment, which steps them in one `Batch`.
 
     model, observe, reward, terminated, info, reset, frame_skip, action_space, observation_space,
-    settings, dtype: as for `Env`; the spaces are those of one world.
+    settings, dtype: as for `Env`; the spaces are for one world.
     num_envs: the number of worlds.
-    max_episode_steps: after how many actions an episode is truncated; None for never.
-    autoreset_mode: what happens to a world whose episode is over, as gymnasium's `AutoresetMode` or
-        its value. "NextStep": the next call of `step` resets it, whatever its action. "SameStep":
-        it is reset at once, and ``infos["final_obs"]`` and ``infos["final_info"]`` tell how it
-        ended. "Disabled": `reset` with ``options={"reset_mask": …}`` is to be called for it.
+    max_episode_steps: the number of actions after which an episode is truncated; None for never.
+    autoreset_mode: the treatment of a world whose episode is over, as gymnasium's `AutoresetMode`
+        or its value. "NextStep": the next call of `step` resets it, whatever its action.
+        "SameStep": it is reset at once, and ``infos["final_obs"]`` and ``infos["final_info"]``
+        describe its end. "Disabled": call `reset` with ``options={"reset_mask": …}`` for it.
     copy: False returns the same array of observations from each call, which every call overwrites,
         so that a view of it (``torch.from_numpy``, DLPack) is made once.
     threads, lanes: as for a `Batch`.
     render_mode, width, height: as for `Env`; `render` draws every world.
 
-    A world is, bit for bit, an `Env` that was seeded alike; `reset(seed=s)` seeds world i with
-    s + i. A world whose motion is not finite ends its own episode and no other: see `Env`;
+    A world is bit-identical to an `Env` with the same seed; `reset(seed=s)` seeds world i with
+    s + i. A world whose motion is not finite ends only its episode, as in `Env`;
     ``infos["failure"]`` has its post-mortem.
     """
 
@@ -204,7 +204,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
 
     @property
     def batch(self) -> Batch:
-        """The worlds, for whatever an environment does not tell of them."""
+        """The `Batch` of this environment."""
         world = self._env_core.world
         assert isinstance(world, Batch)
         return world
@@ -234,11 +234,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Floats, dict[str, Any]]:
-        """Begins an episode in every world, or in those of options["reset_mask"].
+        """Begin an episode in every world, or in the worlds of options["reset_mask"].
 
-        seed: world i is seeded with seed + i, or with seed[i]; None goes on with its generator.
-        options: "reset_mask" alone, which worlds to reset, shape (n,). The observations of the
-            others are those that they had.
+        seed: world i is seeded with seed + i, or with seed[i]; None continues with its generator.
+        options: only "reset_mask": which worlds to reset, shape (n,). The observations of the
+            others do not change.
 
         Raises ValueError for a mask or seeds of another length.
         """
@@ -266,7 +266,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         return self._shown(), infos
 
     def _seed(self, seeds: Sequence[int | None]) -> None:
-        """Gives a generator to worlds with a seed, and to those that have none yet."""
+        """Create generators for worlds with a seed, and for worlds without a generator."""
         if not self._rngs:
             made = [seeding.np_random(seed) for seed in seeds]
             self._rngs, self._seeds = [rng for rng, _ in made], [own for _, own in made]
@@ -276,7 +276,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
                 self._rngs[world], self._seeds[world] = seeding.np_random(seed)
 
     def _begin(self, mask: Mask, infos: dict[str, Any]) -> dict[str, Any]:
-        """Begins episodes in worlds and observes them; returns the information with theirs."""
+        """Begin and observe episodes in worlds; return `infos` with their information added."""
         worlds = np.flatnonzero(mask)
         first = self._env_core.begin(worlds, [self._rngs[world] for world in worlds])
         self._observations[worlds] = self._task.observe(first)
@@ -289,7 +289,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
     # Actions.
 
     def step(self, actions: NDArray[Any]) -> Step:
-        """Takes an action in every world, shape (n, nu); see `gymnasium.vector.VectorEnv.step`."""
+        """Take an action in every world, shape (n, nu); see `gymnasium.vector.VectorEnv.step`."""
         if not len(self._observations):
             raise gymnasium.error.ResetNeeded("VectorEnv.step: call reset first")
         over = self._over.copy()
@@ -312,7 +312,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         self._elapsed += 1
         truncated = self._elapsed >= self._most
         if over.any():
-            # Their episodes had ended: what they just did is no part of one, nor what they drew.
+            # Their episodes had ended: discard this step and the numbers drawn in it.
             self._env_core.streams.rewind(over, drawn)
             rewards[over], terminated[over], truncated[over] = 0.0, False, False
             infos = self._begin(over, _masked({}, info, ~over))
@@ -332,13 +332,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
             self._over = terminated | truncated
         return self._shown(), rewards, terminated, truncated, infos
 
-    # Attributes of the worlds, as of gymnasium's `SyncVectorEnv`.
+    # Attributes of the worlds, as in gymnasium's `SyncVectorEnv`.
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Reads an attribute of each world, or calls the task's method of this name.
+        """Read an attribute of each world, or call the task's method of this name.
 
-        name: of what the task remembers (`Moment.state`); of the task; or of an `Env`, such as
-            "dt" or "np_random". One task serves all worlds, so its method is called once.
+        name: an array of `Moment.state`, an attribute of the task, or an attribute of an `Env`,
+            such as "dt" or "np_random". One task serves all worlds: its method is called once.
 
         Returns an entry for each world. Raises AttributeError for an unknown name.
         """
@@ -358,11 +358,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Reads an attribute of each world; see `call`."""
+        """Read an attribute of each world; see `call`."""
         return self.call(name)
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Sets what the task remembers of each world, or an attribute of the task, which all share.
+        """Set an array of `Moment.state`, or an attribute of the task, which all worlds share.
 
         values: a list or tuple with an entry for each world, or one value for all.
 
@@ -384,13 +384,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         setattr(self._task, name, each[0])
 
     def render(self) -> tuple[Picture, ...] | None:
-        """Draws every world, (height, width, 3) each; None without a `render_mode`."""
+        """Draw every world, (height, width, 3) each; None without a `render_mode`."""
         if self.render_mode is None:
             return None
         return tuple(self._env_core.draw(world) for world in range(self.num_envs))  # type: ignore[misc]
 
     def close_extras(self, **options: Any) -> None:
-        """Frees what draws."""
+        """Free the renderer."""
         self._env_core.close()
 
 
@@ -400,7 +400,7 @@ def _no_options(options: Mapping[str, Any] | None) -> None:
 
 
 # Information of many worlds, in the form of gymnasium's vector environments: each name has an array
-# with the worlds first, and "_name" says which worlds have an entry; the others have 0 or None.
+# with the worlds first, and a mask "_name" of the worlds with an entry; the others have 0 or None.
 
 
 def _masked(infos: dict[str, Any], info: dict[str, Any], mask: Mask) -> dict[str, Any]:
@@ -420,7 +420,7 @@ def _masked(infos: dict[str, Any], info: dict[str, Any], mask: Mask) -> dict[str
 
 
 def _objects(n: int, entries: Mapping[int, Any]) -> NDArray[Any]:
-    """Return an array of n objects: of some worlds, None of the others."""
+    """Return an array of n objects: the entries of some worlds, None for the others."""
     objects = np.full(n, None, dtype=object)
     for world, entry in entries.items():
         objects[world] = entry

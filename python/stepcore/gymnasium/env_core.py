@@ -1,4 +1,4 @@
-"""`EnvCore`: what one world and many have in common as environments: steps, readings, pictures."""
+"""`EnvCore`: the common base of `Env` and `VectorEnv`: steps, readings and pictures."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.gymnasium.moment import Moment, Readings, Streams, TaskState
 from stepcore.gymnasium.task import Task
 
-# What tells of the last solve; the other arrays are of the present state.
+# Arrays of the last solve; the other arrays describe the present state.
 OF_THE_SOLVE = frozenset(
     {
         *("qacc", "constraint_force", "qfrc_constraint", "cacc", "cfrc_ext", "cfrc_int"),
         *("actuator_force", "sensordata"),
     }
 )
-# What mj_forward does not compute: zero in MuJoCo from a reset to the first step.
+# Arrays that mj_forward does not compute: zero in MuJoCo from a reset to the first step.
 NOT_OF_FORWARD = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
 
 
-# What `render_mode` may be, besides None.
+# The values of `render_mode`, besides None.
 MODES = ["rgb_array"]
 Picture = NDArray[np.uint8]
 
 
 class EnvCore:
-    """A `Sim`, or a `Batch` of n worlds, with what its task reads, its spaces and its camera.
+    """A `Sim`, or a `Batch` of n worlds, with the readings of its task, its spaces and its camera.
 
-    owner: the class of the environment, for errors. settings: a `Settings` or some fields of one,
-    instead of the model's own. dtype: of the observations; None for that of the task's space.
+    owner: the class of the environment, for errors. settings: a `Settings` or some of its fields,
+    which replace the model's settings. dtype: number type of observations; None for the space's.
     n: the number of worlds, None for a Sim. how: further arguments of the Batch.
     """
 
@@ -76,21 +76,21 @@ class EnvCore:
             return Batch(self.model, n, on_failure="go on", **(how or {}))
 
         self.world = made()
-        # A copy, for late arrays that this world does not have where they are asked for.
+        # A copy that evaluates late arrays at states where this world does not have them.
         solved = not OF_THE_SOLVE.isdisjoint(task.late)
         self._stage = made() if task.late and (rk4 or solved) else None
-        # Resets are read in a world of their own, one after another.
+        # The arrays after a reset are read in this separate world, one reset after another.
         self._first = unwatched(Sim(self.model))
         # All worlds: their indices, and as an index of arrays; a Sim's have no axis of worlds.
         self._all: Any = 0 if n is None else np.arange(n)
         self._rows: Any = 0 if n is None else slice(None)
         self._n = 1 if n is None else n
-        # What the task remembers, by name, with an axis of worlds.
+        # The arrays of `Moment.state` by name, with an axis of worlds.
         self.state: dict[str, NDArray[Any]] = {}
         self.streams = Streams(self._n)
         self._differs = False
         self._on_all = len(inspect.signature(task.start).parameters) > 2
-        # The arrays that the functions read: of now, and of before the action.
+        # The arrays that the functions read after and before the action.
         self._asked: set[str] = set()
         self._asked_before: set[str] = set(task.late)
         self._before: dict[str, Any] = {}
@@ -128,7 +128,7 @@ class EnvCore:
         if space.shape != observation.shape[-1:]:
             limit = str(observation.shape[-1:])
             raise ValueError(f"observation_space has shape {space.shape}: must be {limit}")
-        # What the trial drew and remembered is no part of an episode.
+        # Discard the random numbers and the state of this trial.
         self.state.clear()
         self.streams = Streams(self._n)
         return space
@@ -136,7 +136,7 @@ class EnvCore:
     # Moments.
 
     def _ahead(self, action: NDArray[Any]) -> Moment:
-        """Return the worlds before an action or a step, of which nothing is kept."""
+        """Return a moment before an action or a step, whose arrays are not kept."""
         before = Readings(_not_before, set())
         return self._moment(lambda name: getattr(self.world, name), {}, action, before, set())
 
@@ -170,7 +170,7 @@ class EnvCore:
     def keep(self, now: Moment, worlds: NDArray[np.intp] | None = None) -> None:
         """Keep the arrays that the functions will read as `now.before` after the next action.
 
-        worlds: those of a first moment; by default it is a moment of all.
+        worlds: the worlds of a first moment; by default the moment has all worlds.
         """
         for name in self._asked_before:
             value = np.array(getattr(now, name))
@@ -187,8 +187,8 @@ class EnvCore:
     def act(self, action: Any) -> tuple[Moment, dict[int, SimulationError]]:
         """Take an action; return the moment after it, and the errors of worlds that failed.
 
-        A world that fails stands in its last finite state. Raises ValueError for an action of
-        another shape than the space's.
+        A failed world keeps its last finite state. Raises ValueError if the shape of the action is
+        not the shape of the space.
         """
         action, shape = np.asarray(action), (*self.world.qpos.shape[:-1], *self.action_space.shape)
         if action.shape != shape:
@@ -227,7 +227,7 @@ class EnvCore:
         return errors
 
     def _late(self) -> dict[str, Any]:
-        """Before the last step, read the arrays at the place where it last evaluates forces."""
+        """Before the last step, read the arrays at the state of its last force evaluation."""
         world, source = self.world, self._stage
         if source is None:
             return {name: np.array(getattr(world, name)) for name in self.task.late}
@@ -241,7 +241,7 @@ class EnvCore:
             source.forward()
         except SimulationError:
             failed = True
-        # A world that failed can be read then, and does not fail again.
+        # After a reset, a failed world can be read and does not fail again.
         if isinstance(source, Batch) and source.failures:
             failed = True
             source.reset(worlds=list(source.failures))
@@ -254,9 +254,9 @@ class EnvCore:
     # Resets.
 
     def begin(self, worlds: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> Moment:
-        """Begin episodes in k worlds, whose generators these are; return their first moment.
+        """Begin episodes in k worlds with these generators; return their first moment.
 
-        Its arrays have an axis of k worlds, for a Sim too.
+        The arrays of the moment have an axis of k worlds, also for a Sim.
         """
         self.streams.seed(worlds.tolist(), rngs)
         self._randomize(worlds)
@@ -319,7 +319,7 @@ class EnvCore:
         zero = NOT_OF_FORWARD if self.task.late else frozenset()
         solved = OF_THE_SOLVE.intersection(names)
         if self._differs and not solved:
-            # All at once: a model of its own for each world takes its time.
+            # Read all worlds at once: a separate model for each world is slow.
             rows = worlds if isinstance(self.world, Batch) else None
             return {name: np.array(getattr(self.world, name))[rows] for name in names}
         found: dict[str, list[Any]] = {name: [] for name in names}
@@ -349,13 +349,13 @@ class EnvCore:
 
 
 class WorldCamera:
-    """Draws worlds of a model with a camera that follows the moving bodies.
+    """A camera that draws worlds of a model and follows the moving bodies.
 
-    width, height: of a picture, in points.
+    width, height: size of a picture, in pixels.
     """
 
     def __init__(self, owner: str, width: int, height: int) -> None:
-        # Drawing takes as long to import as to draw, and few environments are drawn.
+        # Imported here because the import takes as long as drawing, and few environments draw.
         from stepcore.viewing.camera import LARGEST
 
         for name, size in (("width", width), ("height", height)):
@@ -404,7 +404,7 @@ def _of_type(space: Box, dtype: Any) -> Box:
 
 
 def _checked(name: str, value: Any, shape: tuple[int | str, ...]) -> Any:
-    """Return what a function returned as an array; a letter of the shape is any size."""
+    """Convert a function's result to an array of a shape, in which a letter means any size."""
     array = np.asarray(value)
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name} returned {checks.shown(value)}: must be numbers")
@@ -420,7 +420,7 @@ def _shaped(name: str, value: Any, limit: str) -> ValueError:
 
 
 def _unknown(name: str) -> NoReturn:
-    """Explain that no function read this array when the environment was made."""
+    """Raise the error for an array that no function read when the environment was created."""
     raise AttributeError(
         f"{name} was not read when the environment was created: observe, reward and the others "
         "must read the same arrays in every call, because the moment before a step is kept for them"
@@ -428,7 +428,7 @@ def _unknown(name: str) -> NoReturn:
 
 
 def _not_before(name: str) -> NoReturn:
-    """Explain that what was before an action is not known ahead of it."""
+    """Raise the error for `before`, which is unavailable ahead of an action."""
     raise AttributeError(
         f"before.{name} is not known in control and before_step: keep it in now.state, in begin "
         "and after_action"

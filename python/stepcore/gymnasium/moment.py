@@ -1,4 +1,4 @@
-"""`Moment`: what a task's functions are given of one world or many; its memory, its draws."""
+"""`Moment`, the argument of a task's functions for one or many worlds; its state and its draws."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from stepcore.engine.sim import Sim
 
 
 class Draws:
-    """Random numbers of some worlds: each world draws from a stream of its own.
+    """Random numbers of some worlds, with a separate stream for each world.
 
-    A world's numbers depend on its seed and on how many it has drawn, and neither on the other
-    worlds nor on when they begin anew.
+    A world's numbers depend on its seed and on the count of numbers it has drawn, and neither on
+    the other worlds nor on their resets.
     """
 
     def __init__(self, noise: Noise, worlds: Any) -> None:
@@ -44,7 +44,7 @@ class Draws:
         return np.floor(self.uniform(low, high, size)).astype(np.int64)
 
     def _drawn(self, draw: Callable[..., Floats], size: int | None, *bounds: ArrayLike) -> Floats:
-        """Return numbers with the axes of the worlds at hand."""
+        """Return numbers with the axes of these worlds."""
         drawn = draw(1 if size is None else size, *bounds, worlds=np.atleast_1d(self._worlds))
         last = () if size is None else (size,)
         shaped: Floats = drawn.reshape(self._worlds.shape + last)[()]
@@ -52,7 +52,7 @@ class Draws:
 
 
 class Streams:
-    """The streams of n worlds. Those of a world follow from the seed of its generator."""
+    """The streams of n worlds. A world's stream follows from the seed of its generator."""
 
     def __init__(self, n: int) -> None:
         self._seeds = np.zeros(n, dtype=np.int64)
@@ -60,12 +60,12 @@ class Streams:
         self._known: list[Any] = [None] * n
 
     def seed(self, worlds: Iterable[int], rngs: Iterable[np.random.Generator]) -> None:
-        """Begin the streams of worlds whose generators are others than before."""
+        """Restart the streams of worlds whose generators have changed."""
         new = []
         for world, rng in zip(worlds, rngs, strict=True):
             if self._known[world] is not rng:
                 self._known[world] = rng
-                # The generator itself, which `start` may draw from, stays as it is.
+                # The generator, from which `start` may draw, does not change.
                 words = rng.bit_generator.seed_seq.generate_state(1, np.uint64)
                 self._seeds[world] = int(words[0] >> np.uint64(1))
                 new.append(world)
@@ -76,27 +76,27 @@ class Streams:
             self._noise.restore(drawn)
 
     def counts(self) -> NDArray[np.uint64]:
-        """Return how many numbers each world has drawn."""
+        """Return the count of numbers that each world has drawn."""
         return self._noise.state()
 
     def rewind(self, worlds: NDArray[np.bool_], counts: NDArray[np.uint64]) -> None:
-        """Let some worlds draw again what they drew since."""
+        """Reset some worlds to earlier counts, so that they draw the same numbers again."""
         self._noise.restore(np.where(worlds, counts, self._noise.state()))
 
     def of(self, worlds: Any) -> Draws:
-        """Return the numbers of some worlds; one index for a world without an axis."""
+        """Return the `Draws` of some worlds; a single index gives no axis of worlds."""
         return Draws(self._noise, worlds)
 
 
 class TaskState:
-    """Arrays of a task's own by name, each with an entry for every world.
+    """A task's arrays by name, each with an entry for every world.
 
-    An assignment makes an array that is not there yet: zero in the worlds that it does not reach.
-    Whoever reads many worlds gets the array itself, and may write into it.
+    Assignment creates a missing array, with zeros in the worlds that are not assigned. Reading an
+    array of all worlds returns the array itself, which may be written.
     """
 
     def __init__(self, arrays: dict[str, NDArray[Any]], n: int, rows: Any) -> None:
-        # rows: those at hand, as an index of the first axis; a number for a world without an axis.
+        # rows: an index of the first axis; an integer for one world without an axis.
         self.__dict__.update(_arrays=arrays, _n=n, _rows=rows)
 
     def __getattr__(self, name: str) -> Any:
@@ -138,7 +138,7 @@ class Readings:
         self._kept = {} if kept is None else kept
 
     def __getattr__(self, name: str) -> Any:
-        # An attribute of its own is missing only while it is being unpickled.
+        # Private attributes are missing only during unpickling.
         if name.startswith("_"):
             raise AttributeError(name)
         self._asked.add(name)
@@ -154,13 +154,13 @@ class Moment(Readings):
     vector environment each has the worlds as its first axis, and in a single one no such axis, so
     that ``now.qpos[..., 0]`` and ``np.sum(…, axis=-1)`` mean the same in both.
 
-    action: what was asked for, as it was given, shape (nu,); zeros after a reset.
-    before: the same arrays, and `action`, after the action before, or after the reset.
+    action: the action as it was given, shape (nu,); zeros after a reset.
+    before: the same arrays, and `action`, after the previous action, or after the reset.
     dt: time between two actions [s]. model: the `Model`. shape: () or (n,).
-    worlds: index of each world at hand, shape (); all worlds but where episodes begin.
-    state: what the task remembers of each world, as attributes, such as ``now.state.command``,
-        each of shape (…); set in `Task.begin`.
-    rng: a `Draws`: random numbers of each world's own stream.
+    worlds: index of each of these worlds, shape (); all worlds, except where episodes begin.
+    state: the task's arrays of each world, as attributes, such as ``now.state.command``, each of
+        shape (…); set in `Task.begin`.
+    rng: a `Draws`: random numbers from the stream of each world.
     world: the `Sim` or the `Batch`, all worlds of it; for `Task.before_step` to write.
     """
 
@@ -194,5 +194,5 @@ def owned(value: Any, dtype: Any = None) -> Any:
 
 
 def state_vector(now: Moment) -> Floats:
-    """qpos followed by qvel, shape (nq + nv,)."""
+    """Return qpos followed by qvel, shape (nq + nv,)."""
     return np.concatenate([now.qpos, now.qvel], axis=-1)

@@ -1,4 +1,4 @@
-"""`Task`: observation, reward, and how an episode begins and ends."""
+"""`Task`: the observation, reward, beginning and end of an episode."""
 
 from __future__ import annotations
 
@@ -27,19 +27,18 @@ Outcome = tuple[Floats, NDArray[np.bool_], dict[str, Any]]
 
 
 class Task(ABC):
-    """The functions of an environment. Subclass it for a task of your own.
+    """The functions of an environment. Subclass it to define a task.
 
-    Each function takes a `Moment` and serves one world and many: its arrays have the worlds, if
-    there are many, as their first axis, and what it returns has them too. Shapes below are those of
-    one world.
+    Each function takes a `Moment` and serves one world and many: with many worlds, the arrays and
+    the results have the worlds as their first axis. Shapes below are for one world.
 
     An episode begins with `randomize` (values of the model), `start` (positions and velocities) and
-    `begin` (what the task remembers). For an action, `control` makes controls of it,
-    `before_step` acts before each step of the engine, `after_action` follows them, and then come
-    `reward`, `terminated`, `info` and `observe`. What a task remembers of each world is in
-    ``now.state``, and random numbers are in ``now.rng``.
+    `begin` (the task's arrays). At an action, `control` converts it to controls, `before_step` acts
+    before each step of the engine, `after_action` follows the steps, and then come `reward`,
+    `terminated`, `info` and `observe`. The task's arrays of each world are in ``now.state``, and
+    random numbers are in ``now.rng``.
 
-    A slider moves to a place of its own in each world, by a motor that is one action late:
+    A slider moves to a different position in each world, by a motor that is one action late:
 
     >>> import numpy as np
     >>> import stepcore as sc
@@ -77,8 +76,8 @@ class Task(ABC):
 
     # Steps of the engine for each action.
     frame_skip: int = 1
-    # Arrays that are read as MuJoCo has them after mj_step: of where the step last evaluated forces
-    # and not of where it arrived.
+    # Arrays that are read as MuJoCo has them after mj_step: at the state of the step's last force
+    # evaluation, not at its end.
     late: tuple[str, ...] = ()
 
     @abstractmethod
@@ -110,44 +109,45 @@ class Task(ABC):
         return self.reward(now), self.terminated(now), self.info(now)
 
     def start(self, model: Model, rng: np.random.Generator) -> tuple[ArrayLike, ArrayLike]:
-        """Draw qpos and qvel of one world's first state with its own generator.
+        """Draw qpos and qvel of one world's first state with the generator of the world.
 
         With a third argument, ``start(self, model, rng, worlds)``, it serves all k worlds that
-        begin at once, and is much faster: rng is a `Draws`, worlds has their indices, shape (k,),
-        and it returns shapes (k, nq) and (k, nv), or what broadcasts to them. With the indices a
-        world can begin at an origin of its own on a terrain that all share.
+        begin together, and is much faster: rng is a `Draws`, worlds has their indices, shape (k,),
+        and the result has shapes (k, nq) and (k, nv), or shapes that broadcast to these. With the
+        indices each world can begin at a different origin on a shared terrain.
         """
         return model.qpos0, np.zeros(model.nv)
 
     def randomize(self, model: Model, rng: Draws, worlds: NDArray[np.intp]) -> Values:
         """Draw model values of k worlds that begin: arrays of shape (k,) or (k, m) by path.
 
-        The paths are those of `Batch.param`, such as "geom/floor/friction". By default no value
-        differs. A world keeps its values until it begins anew.
+        The paths are as in `Batch.param`, such as "geom/floor/friction". By default no value
+        differs. A world keeps its values until its next episode begins.
         """
         return {}
 
     def begin(self, now: Moment) -> None:  # noqa: B027
-        """Set what the task remembers of worlds that begin: ``now.state.command = …``."""
+        """Set the task's arrays of worlds that begin: ``now.state.command = …``."""
 
     def control(self, now: Moment) -> ArrayLike:
         """Return the controls for ``now.action``, shape (nu,); by default the action itself.
 
-        Called once an action: for scales, filters and delays. `now` is the state before the action
-        and has no `before`. The action may have another size than the controls: see `action_space`.
+        It is called once for each action, and can scale, filter or delay it. `now` is the state
+        before the action and has no `before`. The action may have a different size than the
+        controls: see `action_space`.
         """
         return now.action
 
     def before_step(self, now: Moment, step: int) -> None:  # noqa: B027
-        """Act before each step of the engine, by default not at all: pushes, delays within actions.
+        """Apply pushes or delays before each step of the engine; by default do nothing.
 
         step: from 0 to frame_skip - 1. ``now.world`` is the `Sim` or `Batch`, whose `ctrl`,
-        `xfrc_applied`, `qvel` and others can be written. They stay as written; an episode begins
+        `xfrc_applied`, `qvel` and others can be written. They keep their values; an episode begins
         without forces.
         """
 
     def after_action(self, now: Moment) -> None:  # noqa: B027
-        """Change what the task remembers after an action, before its reward: new commands."""
+        """Change the task's arrays after an action, before its reward, such as new commands."""
 
     def action_space(self, model: Model) -> Box:
         """The action space: controls within the ranges of the actuators."""
@@ -159,7 +159,7 @@ class Task(ABC):
         return Box(-np.inf, np.inf, (size,), dtype=np.float64)
 
     def has(self, hook: str) -> bool:
-        """Return whether the task has its own `control`, `before_step` or `randomize`."""
+        """Return whether the task overrides `control`, `before_step` or `randomize`."""
         return getattr(type(self), hook) is not getattr(Task, hook)
 
 
@@ -186,17 +186,17 @@ def takes_task(function: F) -> F:
     return spell_out(function, [keyword(k, defaults.get(k), annotation(v)) for k, v in hints])
 
 
-# The arguments of `Env` that are spaces, and no functions.
+# The arguments of `Env` that are spaces, not functions.
 SPACES = ("action_space", "observation_space")
 
 
 class FunctionTask(Task):
-    """A task of a model, and functions and spaces, which replace those of `Task`."""
+    """A task of a model, with functions and spaces that replace the defaults of `Task`."""
 
     def __init__(self, source: Source, frame_skip: int, given: Mapping[str, Any]) -> None:
         self.source, self.frame_skip = source, frame_skip
         for name, value in given.items():
-            # As a method of this task; it is no function of a class, so it gets no self.
+            # An attribute of the instance, so that the function gets no self.
             own = partial(_space, value) if name in SPACES else value
             setattr(self, "start" if name == "reset" else name, own)
 
@@ -214,8 +214,8 @@ def task_of(owner: Callable[..., Any], model: Source | Task, fields: Mapping[str
 
     owner: the class that is called, for errors. fields: its `TaskFields`.
 
-    Raises ValueError for functions beside a `Task`, which has its own, and for a function that
-    cannot be called.
+    Raises ValueError for functions in addition to a `Task`, and for a function that cannot be
+    called.
     """
     refuse_unknown(owner, fields)
     given = {name: value for name, value in fields.items() if value is not None}

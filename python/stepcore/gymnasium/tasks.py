@@ -31,7 +31,7 @@ class Entry(NamedTuple):
     reward_threshold: float | None
 
 
-# By the name of the task's class.
+# The entries by name of the task's class.
 TASKS = {
     "Ant": Entry(1000, 6000.0),
     "HalfCheetah": Entry(1000, 4800.0),
@@ -48,21 +48,21 @@ TASKS = {
 
 
 def make(task: str, **options: Any) -> Env:
-    """Make one world of a task; `gymnasium.make` calls this.
+    """Make one world of a task, for `gymnasium.make`.
 
-    options: of the task, and those of `Env`.
+    options: the options of the task and of `Env`.
     """
     return _made(Env, task, options)
 
 
-# Here gymnasium looks for the modes, to which it adds lists of pictures.
+# gymnasium reads the render modes here, and adds modes that return lists of pictures.
 make.metadata = Env.metadata  # type: ignore[attr-defined]
 
 
 def make_vec(task: str, num_envs: int, **options: Any) -> VectorEnv:
-    """Make many worlds of a task; `gymnasium.make_vec` calls this.
+    """Make many worlds of a task, for `gymnasium.make_vec`.
 
-    options: of the task, and those of `VectorEnv`.
+    options: the options of the task and of `VectorEnv`.
     """
     return _made(VectorEnv, task, options, num_envs)
 
@@ -73,15 +73,15 @@ def _made(kind: Callable[..., E], task: str, options: dict[str, Any], *n: int) -
     return kind(globals()[task](**options), *n, **given)
 
 
-# Each file of gymnasium stands in the folder of this one.
+# All files of gymnasium are in the folder of this one.
 KNOWN_FILE = "mujoco/assets/half_cheetah"
 
 
 @dataclass(frozen=True, kw_only=True)
 class MujocoTask(Task):
-    """One of gymnasium's MuJoCo tasks. `gymnasium.make` takes its fields.
+    """One of gymnasium's MuJoCo tasks; the fields are arguments of `gymnasium.make`.
 
-    xml_file: a file among gymnasium's own models, or a path that begins with ".", "~" or "/".
+    xml_file: a file among gymnasium's models, or a path that begins with ".", "~" or "/".
     """
 
     xml_file: str = ""
@@ -107,7 +107,7 @@ class MujocoTask(Task):
 class NoisyTask(MujocoTask):
     """A task that begins near the initial state of its model.
 
-    The draws are gymnasium's, in their order.
+    The random numbers are the same as in gymnasium, in the same order.
     """
 
     # Whether the noise of the first velocities is normal; else it is uniform.
@@ -127,7 +127,7 @@ class NoisyTask(MujocoTask):
 class ForwardTask(NoisyTask):
     """Move forward along x."""
 
-    # The coordinates of the place, with which qpos begins.
+    # The coordinates of the position, with which qpos begins.
     axes: ClassVar[str] = "x"
 
     forward_reward_weight: float = 1.0
@@ -168,7 +168,7 @@ class StandingTask(ForwardTask):
 
     @abstractmethod
     def healthy(self, now: Moment) -> NDArray[np.bool_]:
-        """Return whether the robot stands, shape ()."""
+        """Return whether the robot is upright, shape ()."""
 
     def parts(self, now: Moment) -> dict[str, Floats]:
         survive: Any = self.healthy(now) * self.healthy_reward
@@ -219,7 +219,7 @@ LEANING = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class InvertedPendulum(NoisyTask):
-    """The options are those of gymnasium's InvertedPendulum-v5."""
+    """gymnasium's InvertedPendulum-v5, with the same options."""
 
     xml_file: str = "inverted_pendulum.xml"
     frame_skip: int = 2
@@ -239,7 +239,7 @@ LARGEST = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class InvertedDoublePendulum(NoisyTask):
-    """The options are those of gymnasium's InvertedDoublePendulum-v5."""
+    """gymnasium's InvertedDoublePendulum-v5, with the same options."""
 
     normal: ClassVar[bool] = True
     late: ClassVar[tuple[str, ...]] = ("site_xpos", "constraint_force")  # type: ignore[misc]
@@ -267,7 +267,7 @@ class InvertedDoublePendulum(NoisyTask):
         return now.site_xpos[..., 0, 2] <= 1
 
 
-# The cylinder begins at least so far from its goal [m].
+# The least initial distance of the cylinder from its goal [m].
 NEAREST = 0.17
 # Joints of the arm.
 ARM = 7
@@ -275,7 +275,7 @@ ARM = 7
 
 @dataclass(frozen=True, kw_only=True)
 class Pusher(MujocoTask):
-    """The options are those of gymnasium's Pusher-v5."""
+    """gymnasium's Pusher-v5, with the same options."""
 
     late: ClassVar[tuple[str, ...]] = ("xpos",)  # type: ignore[misc]
 
@@ -312,13 +312,13 @@ def _body(now: Moment, name: str) -> Floats:
     return now.xpos[..., now.model.index("body", name), :]
 
 
-# The place is within a disc of this radius [m].
+# The radius of the disc that contains the target [m].
 FARTHEST = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reacher(MujocoTask):
-    """The options are those of gymnasium's Reacher-v5."""
+    """gymnasium's Reacher-v5, with the same options."""
 
     late: ClassVar[tuple[str, ...]] = ("xpos",)  # type: ignore[misc]
 
@@ -357,7 +357,7 @@ def _way(now: Moment) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class HalfCheetah(ForwardTask):
-    """The options are those of gymnasium's HalfCheetah-v5."""
+    """gymnasium's HalfCheetah-v5, with the same options."""
 
     normal: ClassVar[bool] = True
 
@@ -366,7 +366,7 @@ class HalfCheetah(ForwardTask):
 
 @dataclass(frozen=True, kw_only=True)
 class Swimmer(ForwardTask):
-    """The options are those of gymnasium's Swimmer-v5."""
+    """gymnasium's Swimmer-v5, with the same options."""
 
     axes: ClassVar[str] = "xy"
 
@@ -406,7 +406,7 @@ def within(value: Floats, interval: tuple[float, float]) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, kw_only=True)
 class Hopper(Upright):
-    """The options are those of gymnasium's Hopper-v5."""
+    """gymnasium's Hopper-v5, with the same options."""
 
     xml_file: str = "hopper.xml"
     healthy_state_range: tuple[float, float] = (-100.0, 100.0)
@@ -420,7 +420,7 @@ class Hopper(Upright):
 
 @dataclass(frozen=True, kw_only=True)
 class Walker2d(Upright):
-    """The options are those of gymnasium's Walker2d-v5."""
+    """gymnasium's Walker2d-v5, with the same options."""
 
     xml_file: str = "walker2d_v5.xml"
     healthy_z_range: tuple[float, float] = (0.8, 2.0)
@@ -429,7 +429,7 @@ class Walker2d(Upright):
 
 @dataclass(frozen=True, kw_only=True)
 class Ant(StandingTask):
-    """The options are those of gymnasium's Ant-v5."""
+    """gymnasium's Ant-v5, with the same options."""
 
     axes: ClassVar[str] = "xy"
     normal: ClassVar[bool] = True
@@ -464,7 +464,7 @@ class Ant(StandingTask):
 
     def parts(self, now: Moment) -> dict[str, Floats]:
         parts = super().parts(now)
-        # gymnasium adds them in this order.
+        # gymnasium adds the terms in this order.
         survive = parts.pop("reward_survive")
         contact = -self.contact_cost_weight * squares(self.contact_forces(now))
         return {**parts, "reward_contact": contact, "reward_survive": survive}
@@ -472,7 +472,7 @@ class Ant(StandingTask):
 
 @dataclass(frozen=True, kw_only=True)
 class Human(NoisyTask):
-    """Observes inertias, velocities and forces of all bodies beside qpos and qvel."""
+    """A task that observes qpos, qvel, and inertias, velocities and forces of all bodies."""
 
     late: ClassVar[tuple[str, ...]] = (  # type: ignore[misc]
         *("subtree_com", "cinert", "cvel", "actuator_force", "cfrc_ext"),
@@ -532,7 +532,7 @@ def _actuator_forces(now: Moment) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class Humanoid(Human, StandingTask):
-    """The options are those of gymnasium's Humanoid-v5."""
+    """gymnasium's Humanoid-v5, with the same options."""
 
     axes: ClassVar[str] = "xy"
 
@@ -547,7 +547,7 @@ class Humanoid(Human, StandingTask):
         return within(now.qpos[..., 2], self.healthy_z_range)
 
     def main_velocity(self, now: Moment, axis: int) -> Floats:
-        # The tree of the world is all there is: its centre of mass is that of the robot.
+        # The robot is all that hangs on the world, so they have the same centre of mass.
         return velocity(now, "subtree_com", (..., 0, axis))
 
     def parts(self, now: Moment) -> dict[str, Floats]:
@@ -568,7 +568,7 @@ class Humanoid(Human, StandingTask):
 
 @dataclass(frozen=True, kw_only=True)
 class HumanoidStandup(Human):
-    """The options are those of gymnasium's HumanoidStandup-v5."""
+    """gymnasium's HumanoidStandup-v5, with the same options."""
 
     xml_file: str = "humanoidstandup.xml"
     uph_cost_weight: float = 1.0
@@ -578,7 +578,7 @@ class HumanoidStandup(Human):
     def parts(self, now: Moment) -> dict[str, Floats]:
         impact = self.impact_cost_weight * squares(self.contact_forces(now))
         return {
-            # Over the engine's step, and without uph_cost_weight, as gymnasium has it.
+            # Divided by the engine's step and without uph_cost_weight, as in gymnasium.
             "reward_linup": now.qpos[..., 2] / now.model.settings.dt,
             "reward_quadctrl": -self.ctrl_cost_weight * squares(self.controls(now)),
             "reward_impact": -np.clip(impact, *self.impact_cost_range),

@@ -37,10 +37,10 @@ from stepcore.scene.scene import Scene
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
 
-# Every feature first runs from so many starts; only features within the tolerance run from the
-# others.
+# Every feature is first removed from this many starts. Only features within the tolerance are
+# tested from the others.
 SCREENED = 2
-# Kinds of features that a motion may merely not use.
+# Kinds of features that are unused in some motions.
 UNUSED = ("colliders", "collider", "collider group", "self-collision", "limits", "limit")
 # Errors below this share of the tolerance are rounding, amplified by the motion.
 MEASURABLE = 1e-6
@@ -50,9 +50,9 @@ LEGEND = (
     "position error added to the motion in the worst start [m]; max: the largest error added to "
     "any body [m]; error: RMS position error against the converged motion in the worst start [m]."
 )
-# A measured saving below this share of the time is noise of the clock: least of five runs that take
-# turns, of one model under two names, differed by up to 4 % on half_cheetah and Go2. What they
-# differ by here is added.
+# A measured saving below this share of the time is noise: with one model under two names, the
+# fastest of five alternating runs differed by up to 4 % on half_cheetah and Go2. The difference
+# measured here is added.
 NOISE = 0.05
 
 
@@ -62,9 +62,9 @@ class FeatureEffect:
 
     trial: the motion without the feature; its errors are distances from the whole model's motion
         under the same settings.
-    error: RMS distance from the whole model's converged motion in the worst start [m]; None if that
-        is not known, or the run failed.
-    cost: measured computing time without it [µs per simulated second]; NaN if it was not timed.
+    error: RMS distance from the whole model's converged motion in the worst start [m]; None if this
+        is unknown, or the run failed.
+    cost: measured computing time without the feature [µs per simulated second]; NaN if not timed.
     """
 
     removal: Removal
@@ -82,12 +82,12 @@ class Ablation(Result):
     rows: one for each feature, removed alone.
     removed: the features that the smallest model leaves out.
     best: the smallest model on the starts on which it was chosen.
-    proof: the smallest model on starts that no choice has seen; None if it did not run there.
+    proof: the validation of the smallest model on held-out starts; None if it did not run there.
     smallest: the smallest model as a Scene; None for MuJoCo, whose flags are in `in_file`.
-    reference: the error of the converged motion in the worst start [m]; None without one.
-    complete: whether the search for the smallest model came to its end.
-    noise: the share of the time by which two measurements of the whole model differ.
-    resting: which bodies only rest, and what fixing them saves, as a sentence; "" without any.
+    reference: the uncertainty of the converged motion in the worst start [m]; None without one.
+    complete: whether the search for the smallest model was completed.
+    noise: the relative difference of two timings of the whole model.
+    resting: a sentence on bodies that only rest, and the saving if they are fixed; "" without any.
 
     >>> from stepcore import ablate, lesson
     >>> result = ablate(lesson.drop(), horizon=0.2, starts=1, progress=False)
@@ -118,7 +118,7 @@ class Ablation(Result):
 
     @property
     def title(self) -> str:
-        """The quantity measured, in a few words."""
+        """The measured quantity in a few words."""
         return f"{self.name}: cost and effect of each modelled feature"
 
     @property
@@ -135,7 +135,7 @@ class Ablation(Result):
         return math.nan if row.trial.failure else (whole - row.trial.work) / whole
 
     def partial(self, row: FeatureEffect) -> bool:
-        """Return whether a row ran from some of the starts only: its error is at least that."""
+        """Return whether a row ran from some starts only, so that its error is a lower bound."""
         return len(row.trial.starts) < self.starts
 
     def least(self, row: FeatureEffect, error: str) -> str:
@@ -148,7 +148,7 @@ class Ablation(Result):
 
     @property
     def in_file(self) -> str:
-        """The flags of MJCF that make the smallest model."""
+        """The MJCF flags of the smallest model."""
         flags = " ".join(f'{removal.kind}="disable"' for removal in self.removed)
         return f"<option><flag {flags}/></option>" if flags else ""
 
@@ -201,8 +201,7 @@ class Ablation(Result):
 
         Features are sorted by saving, largest first.
 
-        full: whether to include every feature; otherwise only the removed features and the largest
-            savings.
+        full: whether to include every feature, or only the removed ones and the largest savings.
         """
         features, legend = self.sorted(), LEGEND
         if not full and len(features) > SHORT + 1:
@@ -315,11 +314,11 @@ def ablate(
     """Remove one modelled feature at a time, and measure the work saved and the error added.
 
     Then `ablate` removes as many features together as possible within `added`. Starts of a second
-    set on which this smallest model adds more join the choice; what is told of it comes from a
-    third set, which no choice has seen.
+    set on which this smallest model adds more join the choice. The reported performance comes from
+    a third set of held-out starts.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Every run uses the
-        model's own settings.
+        settings in the model.
     motion: a `Motion`, or its fields as arguments. By default 1 s, and 8 starts for the choice.
     added: the largest RMS position error, over samples and bodies, that the smallest model may add
         to the whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's
@@ -402,7 +401,7 @@ def ablate(
 
 
 def _truth(study: Study, tolerance: float) -> tuple[Truth | None, list[str]]:
-    """Return the converged motion of the whole model, or None, and what is to be said of it."""
+    """Return the converged motion of the whole model, or None, and notes on it."""
     try:
         truth = study.truth(tolerance)
     except ValueError as error:
@@ -416,10 +415,10 @@ def _truth(study: Study, tolerance: float) -> tuple[Truth | None, list[str]]:
 
 
 class Choice:
-    """The features that can be removed one at a time, and together.
+    """The choice of features that can be removed one at a time, and together.
 
-    starts: from which the choice is made. whole: the whole model there.
-    alone: every feature removed alone. removed, best: the smallest model, and its trial.
+    starts: the starts on which the choice is made. whole: the trial of the whole model there.
+    alone: trials of features removed alone. removed, best: the smallest model, and its trial.
     """
 
     def __init__(self, study: Study, tolerance: float, truth: Truth | None) -> None:
@@ -450,14 +449,14 @@ class Choice:
         )
 
     def scored(self, starts: Sequence[int]) -> np.ndarray:
-        """Return the samples that count: those that can be predicted."""
+        """Return which samples count, because they can be predicted; (starts, samples)."""
         truth = self.truth
         if truth is None or math.isinf(truth.growth.overall):
             return np.ones((len(starts), len(self.study.schedule.times)), bool)
         return self.study.truth(self.tolerance, starts).scored
 
     def off(self, change: Change, truth: Truth) -> float | None:
-        """Return how far a change is from the whole model's converged motion [m], if known."""
+        """Return the distance of a change from the whole model's converged motion [m], or None."""
         known = [start for start in truth.starts if self.study.ran(change, start)]
         if not known:
             return None
@@ -466,7 +465,7 @@ class Choice:
         return None if own.failure else float(far.max())
 
     def begin(self) -> None:
-        """Run every feature removed alone; those within the tolerance in two starts from all."""
+        """Remove each feature alone from two starts; from all starts if within the tolerance."""
         removals = self.removals()
         few = self.starts[:SCREENED]
         self.study.tracks([Change(without=[one]) for one in removals], few, "features")
@@ -488,8 +487,8 @@ class Choice:
         """Remove as many features together as the tolerance allows; the largest saving first.
 
         Features stay removed if that saves work, or if the motion is bit-identical without them and
-        no work is added. Those of one kind, such as the limits of joints, do not exclude each other
-        and are tried at once, then in halves.
+        no work is added. Features of one kind, such as the limits of joints, do not exclude each
+        other and are tried at once, then in halves.
         """
         self.removed, self.best = [], self.whole
         kinds: dict[str, list[Removal]] = {}
@@ -500,7 +499,7 @@ class Choice:
             greedy(group, self.holds)
 
     def holds(self, some: Sequence[Removal]) -> bool:
-        """Return whether features can go besides those removed; if so, remove them."""
+        """Return whether more features can be removed; if so, remove them."""
         more = [one for one in some if one not in self.removed]
         tried = self.trial([*self.removed, *more], self.starts)
         if not self.saves(more, tried, self.best):
@@ -514,9 +513,9 @@ class Choice:
         return tried.error <= self.tolerance and less
 
     def settle(self, further: int) -> None:
-        """Test the choice on a second set of starts; those that it fails join, and it is repeated.
+        """Test the choice on a second set; failed starts join, and the choice is repeated.
 
-        Pairs that touch and limits that are reached there are then features of their own.
+        Then pairs that touch and limits that are reached from these starts are separate features.
         """
         second = self.study.fresh(further) if further and self.removed else ()
         for _ in range(ROUNDS if second else 0):
@@ -530,7 +529,7 @@ class Choice:
             self.choose()
 
     def so_far(self) -> str:
-        """Return what features save that are removed alone, in words."""
+        """Describe the savings of features removed alone."""
         within = {one: t for one, t in self.alone.items() if t.error <= self.tolerance}
         said = f"{len(within)} of {units.counted(len(self.alone), 'feature')} add at most "
         said += f"{metres(self.tolerance)} when removed alone"
@@ -542,7 +541,7 @@ class Choice:
 
 
 def usage_of(study: Study, starts: Sequence[int]) -> MotionUsage:
-    """Return which pairs of bodies touch and what reaches a limit in the whole model."""
+    """Return the pairs of bodies that touch, and the joints and tendons that reach a limit."""
     model = study.engine.model
     owner, touched = model.geom_body.tolist(), set[tuple[int, int]]()
     limited = set[tuple[str, int]]()

@@ -14,12 +14,12 @@ from stepcore.scene.scene import Scene
 def plan(
     model: Model | Scene | str | os.PathLike[str], *, sim: Sim | None = None, time: bool = False
 ) -> Plan:
-    """List the terms, pairs, kinds of rows and files of a step; say why others are left out.
+    """List the terms, pairs, kinds of rows and files of a step, and why others are left out.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     sim: a Sim of this model. The work of a step is counted at the state and settings of this Sim.
         By default the state is the first keyframe, or the initial pose.
-    time: whether to measure computing times [µs] as well.
+    time: whether to measure computing times [µs] too.
 
     Raises ValueError for a Sim of another model.
 

@@ -1,4 +1,4 @@
-"""`predict`: the time over which the motion of a scene can be predicted."""
+"""`predict`: the time for which the motion of a scene can be predicted."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from stepcore.report.units import compact, counted, seconds, times
 
 # The default horizon [s].
 HORIZON = 10.0
-# A growth up to which coarse steps are trusted. Of 40 scenes over 3 s, 70 starts stayed below it in
-# steps of a quarter: no shorter steps of the method lost one. Of 23 starts above it, they lost 5.
+# Growth up to which coarse steps are trusted. In 40 scenes over 3 s, 70 starts stayed below it at a
+# quarter of the shipped step: all were predictable with shorter steps. Of 23 above it, 5 were not.
 TRUSTED = 10.0
-# The nudged runs of each start: a nudge in any direction soon contains the one that grows fastest.
+# The perturbed runs of each start. Any perturbation soon contains the direction of fastest growth.
 DIRECTIONS = 3
 
 
 @dataclass(eq=False, repr=False)
 class Predictability(Result):
-    """The result of `stepcore.predict`: how long a scene can be predicted.
+    """The result of `stepcore.predict`: the time for which a scene can be predicted.
 
     motion: the motion that was run, over `horizon` [s] in steps of `dt` [s] under `integrator`.
     growth: the growth of the perturbations; see `stepcore.experiment.predictable.Growth`.
-    nearby: how far these move a start, relative to the scene's size.
+    nearby: the size of the perturbations, relative to the scene's size.
     """
 
     kind = "predictability"
@@ -55,22 +55,22 @@ class Predictability(Result):
 
     @property
     def time(self) -> float:
-        """Time over which the motion from every start is predictable [s]; inf beyond horizon."""
+        """The time for which motions from all starts are predictable [s]; inf beyond horizon."""
         return self.growth.overall
 
     @property
     def limit(self) -> float:
-        """Growth of a perturbation above which a motion counts as unpredictable."""
+        """The growth of a perturbation above which a motion counts as unpredictable."""
         return GROWTH
 
     @property
     def title(self) -> str:
-        """Title of the report."""
+        """The title of the report."""
         return f"{self.name}: how long it can be predicted"
 
     @property
     def table(self) -> Table:
-        """One row for each start: how long it can be predicted, its growth at the end and at most.
+        """One row per start: its predictable time, and its growth at the end and at most.
 
         predictable: [s]; inf beyond the horizon.
         """
@@ -92,7 +92,7 @@ class Predictability(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """The predictable time, in words."""
+        """The predictable time in words."""
         over, ends = seconds(self.horizon), np.isfinite(self.growth.ends)
         if math.isinf(self.time):
             most = times(float(self.growth.factor.max()))
@@ -137,14 +137,14 @@ def predict(
 ) -> Predictability:
     """Measure how long the motion of a scene can be predicted.
 
-    Each start runs again from three perturbed states, 1e-10 of the scene's size away (1e-6 in
-    MuJoCo, whose solver leaves more than 1e-10 open). The motion counts as predictable until the
+    Each start is run again from three perturbed states, 1e-10 of the scene's size away (1e-6 in
+    MuJoCo, whose solver has a larger error than 1e-10). The motion counts as predictable until the
     distance between these runs has grown by a factor of 1e3. After that, only statistics of the
     motion are meaningful. The runs use implicitfast at a quarter of the shipped time step, with
-    rows solved to rounding. Where a start is lost, shorter steps must show the same time; if
-    they do not agree closely, rk4 is asked too: growth is the motion's own only if both show it.
-    Where no perturbation grows by more than 1e3 but one grows tenfold, rk4 must show the same; if
-    it does not, the shortest steps of implicitfast decide.
+    rows solved to rounding error. If a start becomes unpredictable, shorter steps must give the
+    same time; if they do not agree closely, rk4 is run too, and only growth in both counts. If no
+    perturbation grows by more than 1e3 but one grows tenfold, rk4 must agree; if it does not, the
+    shortest steps of implicitfast decide.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, or its fields as arguments. By default 10 s, and 8 starts.
@@ -162,13 +162,13 @@ def predict(
     motion = dataclasses.replace(setup.motion, horizon=setup.motion.horizon or HORIZON)
     study = Study(motion=motion, engine=setup.engine, workers=setup.workers)
     whole, rest = study.schedule, study.starts[1:]
-    # Two starts fill a register with their nudged runs; a thread each is quicker by the clock.
+    # The perturbed runs of two starts fill a register; one thread per start has less wall time.
     pair = 1 if len(rest) <= setup.workers.threads else 2
     others = [rest[k : k + pair] for k in range(0, len(rest), pair)]
     job = partial(grown, study.engine, whole, study.size)
     known: list[list[tuple[Growth, Change]] | None] = [None] * len(others)
     deadline, count = setup.workers.deadline, counted(len(study.starts), "start")
-    # A tenth of the first start is an answer already, and then the first start alone.
+    # A tenth of the first start is the first partial answer; the whole first start is the second.
     ran = dataclasses.replace(whole, periods=whole.every * max(1, len(whole.times) // 10))
 
     def left_out() -> str:
@@ -213,7 +213,7 @@ def _said(growth: Growth, horizon: float) -> str:
 def grown(
     engine: Engine, schedule: Schedule, size: float, starts: Sequence[int]
 ) -> list[tuple[Growth, Change]]:
-    """Measure the growth from some starts; what they ask for alike runs together."""
+    """Measure the growth from some starts; starts that need the same change run together."""
     asking = {start: growing(engine, schedule) for start in starts}
     asked, known = {start: next(one) for start, one in asking.items()}, dict[int, Any]()
     while asked:
@@ -231,20 +231,20 @@ def grown(
 
 
 def growing(engine: Engine, schedule: Schedule) -> Asking[tuple[Growth, Change]]:
-    """Ask for the growth from one start, under the quicker method first.
+    """Request the growth from one start, with the quicker method first.
 
-    What grows may be the method's own instability (under rk4 a servo whose damping is too quick for
-    its steps): where a start is lost, the other one is asked, unless two steps of the first agree
-    closely on when. The one that predicts for longer is right, and of two that do so alike the one
-    in which less grows.
+    Growth may be an instability of the method (under rk4 a servo whose damping is too quick for the
+    step). If a start becomes unpredictable, the other method is run too, unless two steps of the
+    first agree closely on the time. The method that predicts for longer is right; if both predict
+    for equally long, the one with less growth.
 
-    A coarse motion may also miss what separates nearby motions, such as a fall: where a start is
-    not lost but a perturbation grows, the other method is asked too. If it loses the start, so must
-    the first one in its shortest steps.
+    A coarse motion may also miss an event that separates nearby motions, such as a fall. If a start
+    stays predictable but a perturbation grows, the other method is run too. If the start is
+    unpredictable with that, it must also be with the shortest steps of the first method.
     """
     found, whole = list[tuple[Growth, Change]](), None
     ways = [way for way in engine.ways(schedule, 1.0) if way.fixed]
-    # From a quarter of the shipped step.
+    # Start from a quarter of the shipped step.
     ladders = [[way.at(2 + finer) for finer in range(FINER + 1)] for way in ways]
     for rungs in ladders:
         growth, change, closely = yield from settling(rungs, schedule, 1, whole)
@@ -255,12 +255,12 @@ def growing(engine: Engine, schedule: Schedule) -> Asking[tuple[Growth, Change]]
                 break
             if closely and 10 * growth.times[0] < growth.overall < math.inf:
                 break
-            # A user's control may make the whole motion fail, which is said.
+            # A user's control may make the whole motion fail, which is reported.
             whole = growth if schedule.control is None and not kept else None
         elif found and math.isinf(found[0][0].overall):
             break
         elif change != rungs[-1] and growth.overall > growth.times[0]:
-            # Runs of other steps are lost at the same time, and fail: the motion itself does.
+            # If other steps also become unpredictable and fail, the motion itself fails.
             found.clear()
     if not found:
         text = f"the motion fails{schedule.driven}, at shorter steps too"

@@ -50,11 +50,11 @@ class SimulationRun(Result):
     sim: the `Sim` in its final state; if the run failed, in the last finite state.
     findings: the problems in the run, the most severe first: contacts that creep, joints beyond
         their limits, servos that do not reach their targets.
-    us_per_step: computing time of a step [µs]; None if no step was timed.
+    us_per_step: computing time per step [µs]; None if no step was timed.
     trajectory: the recorded arrays; None without `record`.
     error: the `SimulationError` of a run that failed; `error.replay` repeats the run. Else None.
     interrupted: whether Ctrl-C ended the run (command line only); the result covers the steps made.
-    judged: the error of the run in words, where a finer run went beside; see `Sim.error` of `sim`.
+    judged: the error of the run in words, if it was compared with a finer run; see `Sim.error`.
 
     >>> from stepcore import lesson, run
     >>> fallen = run(lesson.drop(), horizon=0.5)
@@ -175,16 +175,16 @@ def run(
 
     model: a Model, a Scene, or any argument of `stepcore.load`.
     motion: a `Motion`, or its fields as arguments: horizon, key, control, ctrl, control_dt, kind,
-        seed; or a kind of motion. By default 1 s (or all of a log) from the first keyframe,
-        with the controls of that keyframe.
+        seed; or a kind of motion. By default 1 s (or the whole log) from the first keyframe, with
+        its controls.
     pushes: forces on bodies, such as "torso:50,0,0@1" (50 N along x from 1 s on, for 0.1 s),
         "torso:50,0,0@1+0.3", or (body, force, start, duration).
     record: the arrays to record at every step, such as ("qpos", "energy"); see `Sim.run`.
-    ledger: whether to balance the energy of each step. The balance explains a failure in full and
-        costs a few percent of the time. Steps with an `accuracy` have none.
-    error_bar: whether a finer run goes beside, from which the error of this one is known; see
-        `Sim`. By default where the model's settings have an `accuracy`, which here is the error
-        asked for at the end of the horizon.
+    ledger: whether to balance the energy of each step. The balance explains failures in full and
+        costs a few percent of the time. Adaptive steps (`accuracy`) have no balance.
+    error_bar: whether to make a finer run too, from which the error is estimated; see `Sim`. By
+        default only if the model's settings have an `accuracy`, which here is the requested error
+        at the end of the horizon.
     threads: the number of threads; see `Sim`.
     progress: see `stepcore.trade`.
 
@@ -235,7 +235,7 @@ def simulated(
 
     settings: the settings for the result (the Sim's settings may differ in `ledger`).
     horizon: simulated time [s]; may be 0.
-    interruptible: whether Ctrl-C ends the run with a result, and not with KeyboardInterrupt.
+    interruptible: whether Ctrl-C ends the run with a result instead of KeyboardInterrupt.
     """
     model, dt = sim.model, sim.settings.dt
     key = 0 if motion.key is None and model.keys else motion.key
@@ -254,7 +254,7 @@ def simulated(
         whole_steps("control_dt", motion.control_dt, dt, least=1)
     drive, shoved = drive_of(sim, motion, horizon), [Push.of(push) for push in pushes]
     if drive.servos:
-        # The servos obey the controls in place of the motors.
+        # The servos follow the controls instead of the motors.
         state, finer = sim.state(), sim._finer is not None
         driven = Change(servos=drive.servos).of(model)
         sim = Sim(driven, sim.settings, threads=sim._threads, error_bar=finer)
@@ -264,7 +264,7 @@ def simulated(
     single = SingleRun(sim, drive, shoved, RECORDED, recordable(record))
 
     def again(cured: Model, share: float) -> Recording:
-        """Return the recording of a share of the same run with another model."""
+        """Repeat a share of the run with another model, and return the recording."""
         other = unwatched(Sim(Change(servos=drive.servos).of(cured)))
         other.reset(key=key)
         other.qpos, other.ctrl = qpos, held
@@ -305,7 +305,7 @@ def simulated(
 
 
 def _recording(single: SingleRun, model: Model, key: str | int | None) -> Recording:
-    """Return a run as findings see it; model: with its settings, without servos of ours."""
+    """Return the recording of a run for findings. model: with its settings, without our servos."""
     data = {name: np.array(values) for name, values in single.readings.items()}
     failure = None if single.error is None else checks.one_line(single.error)
     times = data.pop("time")

@@ -37,7 +37,7 @@ __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
 
 # Least horizon in steps of the largest dt, so that instabilities have time to grow.
 STEPS = 25
-# The default steps divide this many shipped steps: runs are compared at this interval.
+# The default steps divide this many shipped steps, the interval at which runs are compared.
 WHOLE = 20
 # Motion fields that a map does not accept: every cell starts at the keyframe with its controls.
 WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt", "interpolation", "kind", "follow")
@@ -46,7 +46,7 @@ LINEAR = ("spring", "damper", "actuator")
 # Spectral radius above which motion grows: rounding moves a double eigenvalue by the square root of
 # rounding.
 GROWING = 1.0 + 1e-6
-# The theory of a map: the dt beyond which that system grows.
+# The theoretical limit of a map: the dt beyond which the linear system grows.
 SPRINGS = "limit of springs"
 LEFT_OUT = (
     "of the joint springs, dampers and servos at the start, without contacts, limits, friction and "
@@ -76,10 +76,10 @@ class MapCell:
 
 @dataclass(frozen=True)
 class MapPanel:
-    """The cells of one integrator, values outermost, and the theory.
+    """The cells of one integrator, values outermost, and the theoretical limit.
 
     boundary: the limit of springs for each value [s]: 0 if no step is stable, inf if all are; None
-        if there is no theory.
+        if there is no such limit.
     """
 
     label: str
@@ -93,9 +93,7 @@ class MapPanel:
 
 @dataclass(eq=False, repr=False)
 class StabilityMap(Result):
-    """A map of stability and accuracy over dt and one parameter.
-
-    `stepcore.stability_map` returns this map.
+    """A map of stability and accuracy over dt and one parameter; `stability_map` returns it.
 
     path: the parameter that is varied.
     values, dts [s]: the grid.
@@ -130,7 +128,7 @@ class StabilityMap(Result):
 
     @property
     def title(self) -> str:
-        """The quantity measured, in a few words."""
+        """The measured quantity in a few words."""
         return f"{self.name}: stability and accuracy over dt × {self.path}"
 
     @property
@@ -273,8 +271,8 @@ def stability_map(
     is at most a tenth of `deviation`.
 
     A cell is *exploded* if the run failed, or if a body is further than 100 sizes of the scene from
-    where it began or belongs. It is *inaccurate* if the error is larger than `deviation`, and
-    *accurate* otherwise; *finite* if the uncertainty of the converged motion is too large to
+    its start or its converged position. It is *inaccurate* if the error is larger than `deviation`,
+    and *accurate* otherwise; *finite* if the uncertainty of the converged motion is too large to
     decide.
 
     The theoretical boundary is the stability limit of the linear system of joint springs, dampers
@@ -344,7 +342,7 @@ class _Runs:
     """The runs of a map: a Study for each period of comparison.
 
     deviation: the error above which a cell is inaccurate [m].
-    truths: the converged motions, by study and value; None where none converges.
+    truths: the converged motions, by study and value; None if none converges.
     """
 
     def __init__(self, setup: Setup, motion: Motion, deviation: float | str) -> None:
@@ -438,7 +436,7 @@ class _Runs:
         return dataclasses.replace(result, state=state, error=max(error, truth.error))
 
     def predictable(self) -> np.ndarray:
-        """Return until when the motion of each value can be predicted [s], the shortest first."""
+        """Return the shortest predictable time of each value's motions [s]."""
         ends = dict[float, float]()
         for (_, value), truth in self.truths.items():
             if truth is not None:
@@ -466,7 +464,7 @@ def _parameter(
         joint = next(filter(None, joints), "knee")
         raise ValueError(f'path = None: must name the value to vary, as "joint/{joint}/damping"')
     if engine.known:
-        # The first number of a vector, as the map replaces only that.
+        # Use the first number of a vector, because the map replaces only that.
         present = next(iter(np.ravel(own_value(setup.model, path)).tolist()), None)
         if key is not None:
             setup.model.index("key", key)

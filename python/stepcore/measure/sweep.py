@@ -54,22 +54,22 @@ def sweep(
     make_or_model: a Model, a Scene, or the path of an MJCF file (or "package:name"). The keys of
         the grid are then `Settings` fields or, if they contain a "/", paths as in
         `Model.with_values`. Or a function that takes the values of a point as keyword arguments
-        and returns the argument of `measure`; a returned Scene or Model is made into a Sim.
+        and returns the argument of `measure`; a returned Scene or Model is converted to a Sim.
     grid: the values of each key. Every combination is a point; the last key varies fastest.
     measure: a function of the Sim that returns a number (column "value") or a mapping of columns.
-    batch: True measures all points with equal settings in one `Batch`, one point in each world.
+    batch: True measures all points with equal settings in one `Batch`, one point per world.
         `measure` is then a function of the Batch, whose `param` has the values of the points. It
-        returns an array with an entry for each world, or a mapping of such arrays. The numbers are
+        returns an array with one entry per world, or a mapping of such arrays. The numbers are
         bit-identical to those of single Sims, and a world that fails does not stop the others. A
         batch has all points, or up to 256 with an executor. batch=True needs a model, not a
         function that makes one.
-    folder: a folder that keeps each result as it comes. A sweep with the same folder, model and
-        function measures only the points that are missing, also of a larger grid. Results must be
-        numbers, texts, arrays or lists of these. A function is known by its name: take another
+    folder: a folder to which each result is written when it is done. A sweep with the same folder,
+        model and function measures only the missing points, also of a larger grid. Results must be
+        numbers, texts, arrays or lists of these. A function is identified by its name: use another
         folder once you have changed it.
     threads: the number of measurements at the same time (default: one per core). A Sim releases
         Python's global interpreter lock while it steps.
-    executor: any `concurrent.futures` executor, used in place of threads. If the executor uses
+    executor: any `concurrent.futures` executor, used instead of threads. If the executor uses
         processes, all arguments and results must be picklable.
     progress: False for no progress bar, or a function of (label, done, total).
 
@@ -202,7 +202,7 @@ def _one_by_one(source: Any, measure: Measure, points: Sequence[Point]) -> list[
 
 
 def _alike(points: Sequence[Point], indices: Sequence[int], most: int) -> list[list[int]]:
-    """Return groups of points with equal settings, by index; most: in a group."""
+    """Return groups of points with equal settings, by index. most: the largest size of a group."""
     alike: dict[str, list[int]] = {}
     for index in indices:
         alike.setdefault(repr(_settings_and_values(points[index])[0]), []).append(index)
@@ -261,12 +261,12 @@ def _column(path: str, values: list[Any]) -> Floats:
 
 
 class _Folder:
-    """Results that are kept in a folder as they come.
+    """Results that are written to a folder when they are done.
 
-    ``sweep.json`` says what is measured, and ``points.jsonl`` has a line for each point that is
-    done. Numbers are written so that they are read with the same bits.
+    ``sweep.json`` identifies the measurement, and ``points.jsonl`` has a line for each measured
+    point. Numbers are read back with the same bits.
 
-    Raises ValueError for a folder of another sweep: of another model, measurement or version.
+    Raises ValueError for a folder of another sweep (another model, measurement or version).
     """
 
     def __init__(self, path: Any, source: Model | Callable[..., Any], measure: Any) -> None:
@@ -297,7 +297,7 @@ class _Folder:
                 shown = checks.shown(line[:80])
                 raise ValueError(f"{self.points}: is damaged: {shown}") from None
         if lines[-1]:
-            # The last line was cut off.
+            # The last line is incomplete: remove it.
             with self.points.open("rb+") as cut:
                 cut.truncate(sum(len(line) + 1 for line in lines[:-1]))
 
@@ -321,7 +321,7 @@ def _key(point: Point) -> str:
 
 
 def _written(name: str, value: Any) -> Any:
-    """Return a value as JSON has it; numpy's types are marked."""
+    """Return a value as JSON data; numpy's types are marked."""
     if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "fiub":
         array = np.asarray(value)
         return {"dtype": array.dtype.name, "shape": array.shape, "values": array.ravel().tolist()}
@@ -341,7 +341,7 @@ def _read(value: Any) -> Any:
 
 
 def _named(thing: Any) -> str:
-    """Return what tells a model or a function from others."""
+    """Return a text that identifies a model or a function."""
     if isinstance(thing, Model):
         data = [thing.scene.to_dict(), thing.settings.as_dict()]
         return hashlib.sha256(json.dumps(jsonable(data), sort_keys=True).encode()).hexdigest()[:16]

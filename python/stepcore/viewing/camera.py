@@ -22,10 +22,10 @@ LARGEST = 8192
 
 @dataclass(frozen=True)
 class Camera:
-    """Looks at a point from a distance; z is up.
+    """A camera that looks at a point from a distance; z is up.
 
-    target: [m], shape (3,). turn: the direction from the target to the camera about z, and lift:
-    above the horizon [rad]. far: the distance [m].
+    target: the point [m], shape (3,). turn, lift: the azimuth and the elevation of the camera from
+    the target [rad]. far: the distance [m].
     """
 
     target: NDArray[np.float64]
@@ -45,7 +45,7 @@ class Camera:
 def camera_of(
     drawing: Drawing, instant: Instant, turn: float = -52.0, lift: float = 20.0, far: float = 1.7
 ) -> Camera:
-    """Return a camera that sees what moves; turn, lift: [degrees], far: in extents."""
+    """Return a camera that sees the moving bodies; turn, lift: [degrees]. far: in extents."""
     points = [
         instant.placed(shape.body, corners(shape))
         for shape in drawing.shapes
@@ -57,7 +57,7 @@ def camera_of(
 
 
 def following(drawing: Drawing, first: Instant) -> Callable[[Instant], Camera]:
-    """Return the camera of each instant: it follows what moves, as far away as at the first."""
+    """Return the camera of each instant; it follows the moving bodies at a constant distance."""
     camera, begin = camera_of(drawing, first), drawing.middle(first.xpos)
     return lambda instant: replace(
         camera, target=camera.target + drawing.middle(instant.xpos) - begin

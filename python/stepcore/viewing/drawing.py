@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.world import World
 
-# MuJoCo's viewers show geoms of these groups; others are most often what collides.
+# MuJoCo's viewers show geoms of these groups; other geoms are most often for collisions.
 SHOWN_GROUPS = (0, 1, 2)
 # The length of the arrow of a force equal to the weight, as a share of the extent of the scene.
 ARROW = 0.35
@@ -32,8 +32,8 @@ class Shape:
 
     body: the index of the body that carries it. kind: "plane", "sphere", "capsule", "ellipsoid",
     "cylinder", "box" or "triangles". size: as `Geom.size`. pos, quat: in the body's frame.
-    rgba: its colour. shown: whether it is drawn unless someone asks for all. surface: of
-    "triangles". name: of the geom. squares: the colours of the squares of a checked surface.
+    rgba: its colour. shown: whether it is drawn by default. surface: of "triangles". name: of the
+    geom. squares: the colours of the squares of a checked surface.
     """
 
     body: int
@@ -70,9 +70,8 @@ class Drawing:
     """The appearance of a model.
 
     name: of the scene. shapes: of all its geoms. bodies: names of the bodies, the world first.
-    moving: whether each body can move. extent: a length by which the bodies together are as large
-    [m].
-    weight: of all that moves [N]; 0 without gravity. notes: what is not drawn as the file says.
+    moving: whether each body can move. extent: the size of the bodies together [m].
+    weight: of all moving bodies [N]; 0 without gravity. notes: differences from the file.
     """
 
     name: str
@@ -95,7 +94,7 @@ class Drawing:
 
     @property
     def followed(self) -> NDArray[np.bool_]:
-        """The bodies that a camera looks at: those that move, or all of them if none does."""
+        """The bodies that a camera looks at: the moving ones, or all bodies if none moves."""
         return self.moving if self.moving.any() else ~self.moving
 
     def middle(self, xpos: NDArray[Any]) -> NDArray[Any]:
@@ -119,7 +118,7 @@ def drawing_of(model: Model, world: World) -> Drawing:
     moving = np.array([body.mocap or layout.moving(body) for body in layout.bodies])
     shapes = _shapes(model, world, looks, moving)
     shapes = [shape for shape in shapes if shape.rgba[3] > 0]
-    # A body of which nothing would be seen (it has a skin, or only what collides) is shown whole.
+    # A body without visible geoms (it has a skin, or only collision geoms) is shown whole.
     seen = {shape.body for shape in shapes if shape.shown}
     shapes = [shape if shape.body in seen else replace(shape, shown=True) for shape in shapes]
     heavy = float(np.sum(model.body_mass[moving]))
@@ -136,7 +135,7 @@ def drawing_of(model: Model, world: World) -> Drawing:
 
 
 def _shapes(model: Model, world: World, looks: Looks, moving: NDArray[np.bool_]) -> list[Shape]:
-    """Return the geoms of the engine, then those that only draw and are not in it."""
+    """Return the geoms of the engine, then the geoms for drawing only, which it does not have."""
     coloured = [*zip(model.geom_body.tolist(), looks.colours, strict=True)]
     coloured += [(body, look) for body, _, look in looks.geoms]
     # Nothing but the ground has a colour.
@@ -203,7 +202,7 @@ def corners(shape: Shape) -> NDArray[Any]:
 
 
 def _extent(shapes: list[Shape], world: World, moving: NDArray[np.bool_]) -> float:
-    """Return the diagonal of the box around what moves, or around everything if nothing moves."""
+    """Return the diagonal of the box around all moving bodies, or all bodies if none moves."""
     chosen = [shape for shape in shapes if moving[shape.body]] or shapes
     points = [corners(s) @ world.xmat[s.body].T + world.xpos[s.body] for s in chosen]
     if not any(map(len, points)):

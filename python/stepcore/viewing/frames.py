@@ -116,7 +116,7 @@ def distance(one: Replayed, other: Replayed) -> NDArray[np.float64]:
     moving, time = one.drawing.moving, other.time
     if not moving.any():
         return np.zeros(len(one.instants))
-    # Between two instants a body goes straight on.
+    # Bodies move along straight lines between two instants.
     there = other.xpos[:, moving].reshape(len(time), -1)
     between = np.stack([np.interp(one.time, time, entry) for entry in there.T], axis=1)
     gap = one.xpos[:, moving] - between.reshape(len(one.time), -1, 3)

@@ -1,10 +1,10 @@
-"""`Guard`: who may open a live view. A page of another site must neither read it nor drive it.
+"""`Guard`: access control of a live view. A page of another site must neither read nor drive it.
 
-A browser lets every page connect to every port of this machine, so viser's websocket, which takes
-whoever comes, is asked first. Let in is a request that has the token in its address, which only the
-printed address has; on an address that no other machine reaches also only by a name of this machine
-(a site cannot make its own name mean this machine and so become the page's origin); and a websocket
-only from a page of the same origin, which a browser states and no page can change.
+A browser lets every page connect to every port of this machine, and viser's websocket accepts every
+request, so requests are checked first. A request must have the token in its address, which only the
+printed address has. On an address that no other machine reaches, it must also name this machine as
+its host (so that no site can make its name mean this machine and become the page's origin). A
+websocket must come from a page of the same origin, which a browser states and no page can change.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ class Guard:
 
     @contextmanager
     def before(self, infra: Any) -> Iterator[None]:
-        """Stands before every server that viser's module `infra` starts meanwhile.
+        """Check the requests to every server that viser's module `infra` starts meanwhile.
 
-        viser has no option for it: it calls `websockets.asyncio.server.serve`, by these names. A
-        viser that came to do otherwise would leave `stands` False, and no view is opened.
+        viser has no option for it: it calls `websockets.asyncio.server.serve`, by these names. If a
+        later viser did otherwise, `stands` would stay False, and no view would be opened.
         """
         real = infra.websockets
         serving = real.asyncio.server

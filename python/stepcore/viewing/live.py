@@ -27,7 +27,7 @@ EVERYWHERE = ("0.0.0.0", "::")
 class View:
     """An open view.
 
-    url: its address, whose last part is a secret: whoever knows it sees the view and can drive it.
+    url: its address. The last part is a secret that lets a browser see the view and drive it.
     It stays open until `close`, or the end of the program.
     """
 
@@ -53,7 +53,7 @@ class View:
                 contextlib.suppress(OSError),
                 socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked,
             ):
-                # Nothing is sent: the system only reports the address from which it would send.
+                # Nothing is sent: the system only returns the address from which it would send.
                 asked.connect(("192.0.2.1", 9))
                 own = str(asked.getsockname()[0])
         return "" if is_loopback(own) else self._url(own)
@@ -82,7 +82,7 @@ class View:
         last = monotonic()
         while not self._stop.is_set():
             now = monotonic()
-            # A motion without viewers waits.
+            # A motion without viewers pauses.
             if self._server.get_clients():
                 self._panel.pass_time(min(now - last, 0.2))
             last = now
@@ -125,8 +125,8 @@ def view(
     """Open a view of a Sim, a scene or a recorded run, or of several runs laid over each other.
 
     runs: a `Sim`, a `Scene` or a `Trajectory`; or a list of trajectories with the same bodies.
-        The first keeps its colours; lines join the bodies of the others with its own, and their
-        RMS distance stands beside.
+        The first keeps its colours; lines join its bodies with the same bodies of the others, and
+        the view shows their RMS distance.
     labels: names of the runs.
     host, port: where the page is served; "0.0.0.0" lets other machines see it. The next free port
         is taken.

@@ -239,7 +239,7 @@ def arrow(mark: Mark) -> Json:
     along = np.subtract(mark.end, mark.start)
     length = float(np.linalg.norm(along))
     head = min(6 * mark.width, length / 2)
-    # Any direction across makes the frame whole.
+    # Any perpendicular direction completes the frame.
     quat = frames.from_xy_axes(along.tolist(), np.eye(3)[np.argmin(np.abs(along))].tolist())
     return {
         "pose": {"position": _named("xyz", mark.start), "orientation": _named("wxyz", quat)},

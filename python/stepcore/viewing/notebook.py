@@ -10,15 +10,15 @@ from typing import Any
 
 from stepcore.needs import need
 
-# Geoms up to which drawing takes no time that anybody waits for.
+# The largest number of geoms that is drawn without a noticeable delay.
 MOST = 1000
 
 
 def shown(value: Any, geoms: int, world: Callable[[], Any]) -> str | None:
     """Return `repr(value)` over a picture of the Sim that `world` makes, as HTML.
 
-    None, so that the words alone are shown, of more than `MOST` geoms and where nothing draws: no
-    renderer works here, or it is a scene that does not compile.
+    Returns None, so that only the words are shown, for more than `MOST` geoms, for a scene that
+    does not compile, and if no renderer works here.
     """
     if geoms > MOST:
         return None

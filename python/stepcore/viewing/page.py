@@ -1,9 +1,9 @@
 """Pages that replay runs: one file each, which needs neither Python nor a network.
 
 The renderer is three.js, which is read from the installed package trimesh when a page is written:
-its wheel carries it whole (release 140, MIT licence, 0.6 MB), as one script without modules, which
-is what a page that is opened from a disk can run. plotly's script is seven times as large and has
-no shapes but meshes; k3d's four times.
+its wheel contains all of it (release 140, MIT licence, 0.6 MB) as one script without modules, as a
+page opened from a disk needs. plotly's script is seven times as large and has no shapes but meshes;
+k3d's is four times as large.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
         "FIGURES": _own("page_figures.js"),
         "SCRIPT": _own("page.js"),
     }
-    # In one go, so that what is filled in is not searched.
+    # In one pass, so that the inserted texts are not searched.
     return re.sub(r"\$([A-Z]+)\$", lambda found: parts[found[1]], _own("page.html"))
 
 

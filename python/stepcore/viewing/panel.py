@@ -26,7 +26,7 @@ SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×"
 ENERGIES = {"kinetic": "", "potential": "Δ ", "total": "Δ "}
 # The states that a live view can go back to, sixty a second of motion.
 KEPT = 3000
-# How long the page waits for steps or for new curves at most [s].
+# The longest time for which the page waits for steps or for new curves [s].
 PAUSE = 0.2
 
 
@@ -261,7 +261,7 @@ class SimPanel(Panel):
         begin = monotonic()
         for _ in range(count):
             self.step()
-            # A scene that is slower than its time still answers.
+            # The view still responds if the scene runs slower than real time.
             if self.failed or monotonic() - begin > PAUSE:
                 self.owed = 0.0
                 return
@@ -269,7 +269,7 @@ class SimPanel(Panel):
     def step(self) -> None:
         if self.failed:
             return
-        # The motion goes on from here: what came after an earlier time is forgotten.
+        # The motion continues from here: the states after an earlier time are deleted.
         while len(self.times) > 1 and self.times[-1] > self.sim.time:
             self.times.pop()
             self.states.pop()
@@ -350,7 +350,7 @@ class RunPanel(Panel):
 
     def advance(self, seconds: float) -> None:
         self.now += seconds
-        # It waits a second at the end, and begins again.
+        # The replay waits a second at the end, and begins again.
         if self.now > self.end + 1.0:
             self.now = self.begin
 
@@ -371,7 +371,7 @@ class RunPanel(Panel):
             rows.append((f"distance of {name}", apart))
         self.say(rows)
         self.slider.value = min(max(0.0, now - self.begin), self.end - self.begin)
-        # Curves end where the motion is.
+        # Curves end at the present time of the motion.
         end = at[0] + 1
         gaps = [(self.apart, [gap[:end] for gap in self.gaps])] if self.gaps else []
         self._draw_curves(self.runs[0].instants[:end], *gaps)

@@ -36,7 +36,7 @@ def picture(
     path: file of the picture; its extension is the format.
     width, height: in pixels.
     turn, lift: azimuth and elevation of the camera [degrees].
-    far: distance of the camera, in sizes of what moves.
+    far: distance of the camera, in sizes of the moving bodies.
     forces: whether contacts and their forces are drawn.
 
     Returns the picture, shape (height, width, 3). The state of the Sim is not changed. Needs the

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 from typing import Any
@@ -37,10 +38,11 @@ class Renderer:
     def __init__(self, drawing: Drawing, width: int, height: int) -> None:
         for field, value in (("width", width), ("height", height)):
             checks.whole(2, LARGEST)("picture", field, value)
-        if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-            # MuJoCo reads it when its renderer is first imported.
-            os.environ.setdefault("MUJOCO_GL", "egl")
         mujoco = need("mujoco", "MuJoCo's renderer", "video")
+        if sys.platform == "linux" and not {"DISPLAY", "MUJOCO_GL"} & os.environ.keys():
+            # MuJoCo reads MUJOCO_GL when it is imported, which may be long ago.
+            context: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
+            context.GLContext = need("mujoco.egl", "OpenGL", "video").GLContext
         self.mujoco, self.drawing = mujoco, drawing
         self.model = self._model(width, height)
         self.data = mujoco.MjData(self.model)

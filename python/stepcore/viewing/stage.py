@@ -28,7 +28,7 @@ class Stage:
         self.extent, self.middle = drawings[0].extent, drawings[0].middle
         self.contacts = self.forces = True
         self.hidden: list[Any] = []
-        # Meshes of what moves, with their opacities.
+        # Meshes of the moving bodies, with their opacities.
         self.solid: list[tuple[Any, float | None]] = []
         # Everything is placed in a root frame, which follows a motion: the camera is the reader's.
         self.root = server.scene.add_frame(ROOT, show_axes=False)
@@ -98,7 +98,7 @@ class Stage:
             mesh.opacity = min(THIN, 1.0 if opacity is None else opacity) if on else opacity
 
     def follow(self, on: bool, instant: Instant) -> None:
-        """Keep the middle of what moves at its place in the picture, or stop."""
+        """Keep the middle of the moving bodies at its place in the picture, or stop."""
         self.anchor = np.array(self.root.position) + self.middle(instant.xpos) if on else None
 
     def begin_again(self, instant: Instant) -> None:
@@ -108,7 +108,7 @@ class Stage:
             self.anchor = self.middle(instant.xpos)
 
     def look(self, instants: Sequence[Instant]) -> None:
-        """Place the camera of a new client in front of and above what moves.
+        """Place the camera of a new client in front of and above the moving bodies.
 
         instants: of the first run; a motion of up to three extents is seen whole.
         """

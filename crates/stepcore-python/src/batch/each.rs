@@ -1,4 +1,4 @@
-//! What a batch does with each of its worlds: its arrays in and out, and readings of one at a time.
+//! Operations of a batch on each of its worlds: its arrays in and out, and readings one at a time.
 
 use std::panic::resume_unwind;
 use std::sync::atomic::Ordering;
@@ -17,7 +17,7 @@ use crate::model::result;
 use crate::world::{world, Placed, World};
 use crate::worlds::Worlds;
 
-/// Worlds that are worth a thread to read them.
+/// The number of worlds that justifies a thread to read them.
 const WORTH_A_THREAD: usize = 16;
 
 impl Batch {
@@ -25,20 +25,20 @@ impl Batch {
         gil::lock(&self.worlds, "Batch")
     }
 
-    /// The worlds that failed while the others went on.
+    /// The worlds that failed while the others continued.
     pub(super) fn failed(&self) -> PyResult<Vec<usize>> {
         let guard = self.lock()?;
         Ok((0..self.arrays.worlds).filter(|world| guard.failed(*world).is_some()).collect())
     }
 
-    /// Says, once, what there is to say of the energies.
+    /// Issues the pending warning about energies, once.
     pub(super) fn warn(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
         let Some(text) = worlds.take_warning() else { return Ok(()) };
         self.how.unwatched.store(true, Ordering::Relaxed);
         warn::<EnergyWarning>(py, &text)
     }
 
-    /// Refuses arrays with which a world cannot be stepped; of all worlds the first.
+    /// Refuses arrays with which a world cannot be stepped; reports the first world.
     pub(super) fn check(&self, py: Python<'_>, worlds: &dyn Worlds) -> PyResult<()> {
         let n = self.arrays.worlds;
         self.arrays
@@ -69,14 +69,14 @@ impl Batch {
         })
     }
 
-    /// The same of what is read of positions, velocities and inputs alone.
+    /// The same for quantities of positions, velocities and inputs alone.
     pub(super) fn placed<'py>(&self, py: Python<'py>, what: Placed) -> PyResult<Array<'py>> {
         let all = self.present(py, |reader, _, given| reader.placed(given, what))?;
         result(py, all.concat(), &self.shape(&what.shape(&self.model)))
     }
 
-    /// Does each world's last solve again, to read what a batch does not keep of it; and sees its
-    /// arrays, for where nothing was solved yet.
+    /// Repeats each world's last solve, to read quantities that a batch does not keep; and sees its
+    /// arrays, for worlds without a solve yet.
     pub(super) fn again<T: Send>(
         &self,
         py: Python<'_>,
@@ -90,7 +90,7 @@ impl Batch {
         })
     }
 
-    /// The same of what a world reads by solving there itself.
+    /// The same for quantities that a world reads by solving there itself.
     pub(super) fn before<T: Send>(
         &self,
         py: Python<'_>,
@@ -104,7 +104,7 @@ impl Batch {
         })
     }
 
-    /// Numbers of each world's last solve; `shape`: that of one world's.
+    /// Numbers of each world's last solve; `shape`: the shape for one world.
     pub(super) fn solved<'py>(
         &self,
         py: Python<'py>,
@@ -137,13 +137,13 @@ impl Batch {
         Ok(found.into_iter().map(|(_, value)| value).collect())
     }
 
-    /// Of all worlds, given that of one.
+    /// The shape for all worlds, given the shape for one.
     pub(super) fn shape(&self, one: &[usize]) -> Vec<usize> {
         [&[self.arrays.worlds], one].concat()
     }
 }
 
-/// Where worlds are read, as long as they have one model.
+/// A world for reading, as long as the worlds have one model.
 struct Reader<'a> {
     settings: &'a Settings,
     held: Option<(Arc<Model>, Box<dyn World>)>,

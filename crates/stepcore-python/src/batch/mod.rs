@@ -1,4 +1,4 @@
-//! `Batch` as Python sees it: many worlds, their arrays, and what can be read of them.
+//! `Batch` in Python: many worlds, their arrays, and their readable quantities.
 
 mod each;
 
@@ -69,12 +69,12 @@ impl Batch {
         Ok(Self { model, settings, arrays, how, worlds, slow, pace })
     }
 
-    /// The arrays that are the user's to write, each with its name.
+    /// Return the arrays that the user may write, each with its name.
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<Named<'py>>> {
         self.arrays.views(py, &[self.arrays.worlds])
     }
 
-    /// What has this name; see `Readout::named`.
+    /// Return the quantity of this name; see `Readout::named`.
     fn readout<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Array<'py>> {
         let what = Readout::named(name)?;
         let shape = what.shape(&self.model);
@@ -100,7 +100,7 @@ impl Batch {
         }
     }
 
-    /// Advances every world by n steps; see `gil::steps_told`.
+    /// Advance every world by n steps; see `gil::steps_told`.
     #[pyo3(signature = (n, told = None))]
     fn step(
         &self,
@@ -127,7 +127,7 @@ impl Batch {
         self.warn(py, worlds)
     }
 
-    /// Energies are not looked at, but by the ledger of the settings, and slow steps not explained.
+    /// Stop checking energies, except in the ledger of the settings, and explaining slow steps.
     fn unwatch(&self) -> PyResult<()> {
         self.slow.keep_quiet();
         self.how.unwatched.store(true, Ordering::Relaxed);
@@ -143,7 +143,7 @@ impl Batch {
         gil::release(py, || worlds.forward())
     }
 
-    /// Puts qpos and qvel where a step from here evaluates its forces last.
+    /// Put qpos and qvel where a step from here evaluates its forces last.
     fn go_to_last_stage(&self, py: Python<'_>) -> PyResult<()> {
         let mut guard = self.lock()?;
         let worlds = &mut **guard;
@@ -153,7 +153,7 @@ impl Batch {
         outcome
     }
 
-    /// Steps with controls (n, steps, nu); returns qpos, qvel and act after every step.
+    /// Step with controls (n, steps, nu); return qpos, qvel and act after every step.
     #[pyo3(signature = (ctrl, told = None))]
     fn rollout<'py>(
         &self,
@@ -173,7 +173,7 @@ impl Batch {
         Ok(self.follow(py, asked, Some(ctrl), told)?.0)
     }
 
-    /// Steps under controls, (n or 1, rows, nu); returns what is asked for.
+    /// Step under controls, (n or 1, rows, nu); return the requested samples.
     #[pyo3(signature = (asked, ctrl = None, told = None))]
     fn follow<'py>(
         &self,
@@ -213,7 +213,7 @@ impl Batch {
         Ok(samples)
     }
 
-    /// The errors of the worlds that failed while the others went on; `known` are left out.
+    /// Return the errors of worlds that failed while the others continued; `known` are left out.
     fn failures<'py>(
         &self,
         py: Python<'py>,
@@ -228,7 +228,7 @@ impl Batch {
         Ok((failed, errors))
     }
 
-    /// Memory of all worlds here, with the arrays that are the user's.
+    /// Return the memory of all worlds here, with the user's arrays.
     #[getter]
     fn nbytes(&self) -> PyResult<usize> {
         Ok(self.lock()?.bytes() + self.arrays.bytes())
@@ -239,7 +239,7 @@ impl Batch {
         Ok(self.lock()?.time())
     }
 
-    /// Sets the time [s] from which the steps of all worlds are counted.
+    /// Set the time [s] from which the steps of all worlds are counted.
     #[setter]
     fn set_time(&self, time: &Bound<'_, PyAny>) -> PyResult<()> {
         let start = f64::read(time, &At::Root.field("time"))?;
@@ -251,7 +251,7 @@ impl Batch {
         Ok(())
     }
 
-    /// Gives the worlds models that differ from this one's in numbers only: `model_of` has the index
+    /// Give the worlds models that differ from this one's in numbers only: `model_of` has the index
     /// of each world's. States, time and impulses stay; nothing was solved yet.
     fn set_models(
         &self,
@@ -286,7 +286,7 @@ impl Batch {
         })
     }
 
-    /// The worlds are stepped in lanes now.
+    /// Return whether the worlds are stepped in lanes now.
     #[getter]
     fn in_lanes(&self) -> PyResult<bool> {
         Ok(self.lock()?.in_lanes())
@@ -298,7 +298,7 @@ impl Batch {
         Ok(())
     }
 
-    /// Forgets the impulses, the failures and the last solves of some worlds.
+    /// Forget the impulses, the failures and the last solves of some worlds.
     fn forget(&self, worlds: Vec<usize>) -> PyResult<()> {
         if let Some(world) = worlds.iter().find(|world| **world >= self.arrays.worlds) {
             let text = format!("worlds: {world} must be below {}", self.arrays.worlds);
@@ -308,7 +308,7 @@ impl Batch {
         Ok(())
     }
 
-    /// Sets the time [s] of all worlds and forgets the impulses of the last step.
+    /// Set the time [s] of all worlds and forget the impulses of the last step.
     fn restart(&self, time: f64) -> PyResult<()> {
         let mut worlds = self.lock()?;
         worlds.restart(time);
@@ -316,7 +316,7 @@ impl Batch {
         Ok(())
     }
 
-    /// One snapshot a world; own: those that count their own time, which is start + steps · dt.
+    /// Return a snapshot for each world; own: those with a time of start + steps · dt.
     fn state<'py>(
         &self,
         py: Python<'py>,
@@ -335,15 +335,15 @@ impl Batch {
         Ok(memos.into_iter().enumerate().map(snapshot).collect())
     }
 
-    /// What the last solve of each world began with and gave.
+    /// Return the start of each world's last solve and its result.
     fn last<'py>(&self, py: Python<'py>) -> PyResult<Vec<Option<Bound<'py, PyBytes>>>> {
         let worlds = self.lock()?;
         let last = |last: Solve| PyBytes::new(py, &encode_last(self.settings.dt, &last));
         Ok((0..self.arrays.worlds).map(|world| worlds.last_of(world).map(last)).collect())
     }
 
-    /// lasts: what `last` returned at these states. Returns the worlds that count their own time, as
-    /// `state` takes them.
+    /// Restore states; lasts: the results of `last` at them. Return the worlds that count their own
+    /// time, as `state` takes them.
     fn restore(
         &self,
         py: Python<'_>,
@@ -403,7 +403,7 @@ impl Batch {
         self.placed(py, Placed::PointJacobian(body, point))
     }
 
-    /// A sensor's values, or all sensors'.
+    /// Return a sensor's values, or all sensors'.
     #[pyo3(signature = (sensor = None))]
     fn sensordata<'py>(&self, py: Python<'py>, sensor: Option<usize>) -> PyResult<Array<'py>> {
         check_sensor(&self.model, sensor)?;
@@ -411,7 +411,7 @@ impl Batch {
         let shape = [self.arrays.worlds, all.first().map_or(0, Vec::len)];
         result(py, all.concat(), &shape)
     }
-    /// The forces that give accelerations (n, nv), by default those of the last solves.
+    /// Return the forces that give accelerations (n, nv), by default the last solves'.
     #[pyo3(signature = (qacc = None))]
     fn inverse<'py>(&self, py: Python<'py>, qacc: Option<Vec<f64>>) -> PyResult<Array<'py>> {
         let nv = self.model.nv;
@@ -424,7 +424,7 @@ impl Batch {
         })?;
         result(py, all.concat(), &[self.arrays.worlds, nv])
     }
-    /// Distances, geoms and normals of as many rays (n, rays, 6) in each world.
+    /// Return distances, geoms and normals of equally many rays (n, rays, 6) in each world.
     #[pyo3(signature = (rays, excluded = None, groups = None, moving = false))]
     fn rays<'py>(
         &self,
@@ -448,17 +448,17 @@ impl Batch {
         let count = dist.len();
         Ok((result(py, dist, &[count])?, geom, result(py, normal, &[count, 3])?))
     }
-    /// One of `Sim.contacts` a world.
+    /// Return one table of `Sim.contacts` for each world.
     fn contacts<'py>(&self, py: Python<'py>) -> PyResult<Vec<ContactTable<'py>>> {
         let tables = self.again(py, |world, _| Ok(world.contacts()))?;
         tables.into_iter().map(|table| contacts(py, table)).collect()
     }
-    /// One of `Sim.rows` a world.
+    /// Return one table of `Sim.rows` for each world.
     fn rows<'py>(&self, py: Python<'py>) -> PyResult<Vec<RowTable<'py>>> {
         let tables = self.again(py, |world, _| Ok(world.rows()))?;
         tables.into_iter().map(|table| rows(py, table)).collect()
     }
-    /// `Sim.asleep` of each world.
+    /// Return `Sim.asleep` of each world.
     #[getter]
     fn asleep(&self) -> PyResult<Vec<Vec<bool>>> {
         let memos = self.lock()?.memos();

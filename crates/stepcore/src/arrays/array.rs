@@ -4,15 +4,15 @@ use crate::elements::{Element, Kind};
 use crate::model::Model;
 use crate::real::Constant;
 
-/// An array that is the user's to write.
+/// An array that the user may write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Array {
-    // What a step changes.
+    // Changed by a step.
     Qpos,
     Qvel,
     Act,
     CtrlHistory,
-    // What it reads.
+    // Read by a step.
     Ctrl,
     QfrcApplied,
     /// Force, then moment, by body: 6 numbers each.
@@ -37,7 +37,7 @@ impl Array {
         Self::MocapPos,
         Self::MocapQuat,
     ];
-    /// How many of them a step changes: the first ones.
+    /// The number of arrays that a step changes: the first ones.
     pub const CHANGED: usize = 4;
 
     pub fn name(self) -> &'static str {
@@ -55,7 +55,7 @@ impl Array {
         }
     }
 
-    /// Of one world.
+    /// The shape for one world.
     pub fn shape<N: Constant>(self, model: &Model<N>) -> Vec<usize> {
         match self {
             Self::Qpos => vec![model.nq],
@@ -70,7 +70,7 @@ impl Array {
         }
     }
 
-    /// What its length is called.
+    /// The name of its length.
     pub fn length(self) -> &'static str {
         match self {
             Self::Qpos => "nq",
@@ -116,7 +116,7 @@ impl Array {
         Self::ALL.map(|array| array.count(model))
     }
 
-    /// Whose an entry is.
+    /// The element to which an entry belongs.
     pub(crate) fn owner<N: Constant>(self, model: &Model<N>, k: usize) -> Element {
         let joint = |index| Element::whole(Kind::Joint, index);
         match self {
@@ -144,7 +144,7 @@ pub struct ArraySet(u16);
 impl ArraySet {
     pub const NONE: Self = Self(0);
     pub const ALL: Self = Self((1 << Array::COUNT) - 1);
-    /// Those that a step changes.
+    /// The arrays that a step changes.
     pub const STATE: Self = Self((1 << Array::CHANGED) - 1);
 
     pub fn insert(&mut self, array: Array) {
@@ -155,7 +155,7 @@ impl ArraySet {
         self.0 >> array as u16 & 1 == 1
     }
 
-    /// Any that is in the other as well.
+    /// Whether any array is in the other set as well.
     pub fn meets(self, other: Self) -> bool {
         self.0 & other.0 != 0
     }

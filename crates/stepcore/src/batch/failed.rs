@@ -1,8 +1,8 @@
-//! Worlds of a batch that failed while the others go on.
+//! Worlds of a batch that failed while the others continue.
 //!
-//! A failed world keeps its last finite state here. Its lane repeats a healthy world of the
-//! group from then on, as the lanes without a world of their own do, so that nothing that is
-//! not finite is ever computed again and the other lanes keep their bits.
+//! A failed world keeps its last finite state here. Its lane repeats a healthy world of the group
+//! from then on, as the lanes without a world do, so that nothing that is not finite is ever
+//! computed again and the other lanes keep their bits.
 
 use crate::arrays::{Array, Given};
 use crate::error::Error;
@@ -10,7 +10,7 @@ use crate::real::Real;
 use crate::state::{Inputs, State};
 use crate::watch::Watched;
 
-/// A world that stands still.
+/// A failed world.
 #[derive(Clone, Debug)]
 pub struct Failed {
     /// In the order of `arrays::Array`.
@@ -21,7 +21,7 @@ pub struct Failed {
 }
 
 impl Failed {
-    /// The state that its user holds is still the one in which it failed.
+    /// Whether the user's state is still the one in which it failed.
     pub fn stands(&self, given: &Given) -> bool {
         self.state.iter().zip(given.lists()).all(|(own, given)| own == given)
     }
@@ -29,7 +29,7 @@ impl Failed {
 
 room!(Failed: state, done; error);
 
-/// By lane of a group: those that failed.
+/// By lane of a group: the failed ones.
 pub(super) struct Standing {
     pub lanes: Vec<Option<Box<Failed>>>,
 }
@@ -41,7 +41,7 @@ impl Standing {
         Self { lanes: vec![None; worlds] }
     }
 
-    /// A lane whose world is well.
+    /// A lane with a healthy world.
     pub fn healthy(&self) -> Option<usize> {
         self.lanes.iter().position(Option::is_none)
     }
@@ -50,20 +50,20 @@ impl Standing {
         self.lanes.iter().any(Option::is_some)
     }
 
-    /// Takes a lane's state aside; a lane that stands already, or that has no world, is only
-    /// a copy that went astray.
+    /// Stores a lane's state; one that failed already, or without a world, is only a diverging
+    /// copy.
     pub fn take<R: Real>(&mut self, state: &State<R>, lane: usize, done: u64, error: Error) {
         let Some(place) = self.lanes.get_mut(lane).filter(|place| place.is_none()) else { return };
         let plain = |list: &Vec<R>| list.iter().map(|x| x.lane(lane)).collect();
         *place = Some(Box::new(Failed { state: state.lists().map(plain), done, error }));
     }
 
-    /// Lanes that repeat the healthy one: of failed worlds, and of none.
+    /// Lanes that repeat the healthy one: lanes of failed worlds, and lanes without one.
     fn copies<R: Real>(&self) -> impl Iterator<Item = usize> + '_ {
         (0..R::LANES).filter(|lane| self.lanes.get(*lane).is_none_or(Option::is_some))
     }
 
-    /// The copies as bits: those of nobody until a world has failed.
+    /// The copies as bits: lanes without a world until a world has failed.
     pub fn mask<R: Real>(&self) -> u64 {
         if !self.any() {
             return 0;
@@ -71,7 +71,7 @@ impl Standing {
         self.copies::<R>().fold(0, |mask, lane| mask | 1 << lane)
     }
 
-    /// Lets every copy repeat a healthy lane. False if there is none.
+    /// Makes every copy repeat a healthy lane. False if there is none.
     pub fn mirror<R: Real>(&self, state: &mut State<R>, inputs: &mut Inputs<R>) -> bool {
         let Some(from) = self.healthy() else { return false };
         let copy = |list: &mut [R]| {
@@ -105,8 +105,8 @@ mod tests {
     use crate::scene::{Body, Geom, Joint, JointType, Scene};
     use crate::warm::{Warm, WARM_ROWS};
 
-    /// A copy that kept what touched in its own world would start from other impulses, go astray and
-    /// fail by itself.
+    /// A copy that kept the contacts of its former world would start from other impulses, diverge
+    /// and fail by itself.
     #[test]
     fn a_copy_has_all_that_its_world_has() {
         let mut scene = Scene::default();

@@ -1,4 +1,4 @@
-//! The worlds of one register of lanes, and their stay in the working space of a thread.
+//! The worlds of one register of lanes, and their time in the working space of a thread.
 
 use super::failed::Standing;
 use crate::arrays::{ArraySet, Given, Givens};
@@ -11,7 +11,7 @@ use crate::warm::Sleep;
 use crate::watch::{Care, Ledger, Past, Watched};
 use std::sync::Arc;
 
-/// What the last solve of the worlds belonged to.
+/// The call to which the last solve of the worlds belonged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Last {
     Nothing,
@@ -21,32 +21,32 @@ pub enum Last {
 
 /// As many worlds as a number has lanes.
 pub(super) struct Group<R: Real> {
-    /// The models of its worlds; and with those of the worlds that copies repeat.
+    /// The models of its worlds; and with the models of the worlds that copies repeat.
     pub models: SideBySide<R>,
     mirrored: Mirrored<R>,
     pub state: State<R>,
     pub inputs: Inputs<R>,
-    /// Who sleeps in a world that begins anew.
+    /// The sleeping trees of a new world.
     initial: Arc<Sleep<R>>,
     /// Acceleration of the last solve.
     pub qacc: Vec<R>,
-    /// Forces of actuators in the last solve, where they were kept.
+    /// Forces of actuators in the last solve, if they were kept.
     actuator: Vec<R>,
     keeps_actuator: bool,
-    /// The state when the call began.
+    /// The state at the start of the call.
     pub start: State<R>,
-    /// The state when the last solve began, from which it can be done again: its rows
-    /// are in the working space of a thread, and gone with the next group.
+    /// The state at the start of the last solve, from which it can be repeated: its rows are in the
+    /// working space of a thread, and gone with the next group.
     pub before: State<R>,
-    /// By lane.
+    /// One entry for each lane.
     pub last: Vec<Last>,
-    /// Steps done in this call before one failed, and why it did.
+    /// Steps done in this call before one failed, and the error.
     pub failed: Option<(u64, Error)>,
-    /// Worlds that failed while the others went on.
+    /// Worlds that failed while the others continued.
     pub standing: Standing,
-    /// By lane: all worlds stopped because of it. Its impulses are no start for another state.
+    /// For each lane: whether it stopped all worlds. Its impulses must start no other state.
     pub ended: Vec<bool>,
-    /// Of its last step within an accuracy.
+    /// The parts of its last adaptive step.
     pub stretches: Stretches,
     pub past: Past<R>,
     pub ledger: Option<Box<Ledger<R>>>,
@@ -56,14 +56,14 @@ room!(Group<R>: models, mirrored, state, inputs, initial, qacc, actuator, keeps_
     standing, ended, past, ledger; stretches, failed);
 
 impl<R: Real> Group<R> {
-    /// A lane's next step starts without impulses, and nothing is known of its last solve; a world
-    /// that failed tries again.
+    /// Makes a lane's next step start without impulses, and removes its last solve; a failed world
+    /// tries again.
     pub fn forget(&mut self, lane: usize) {
         self.state.forget_impulses(lane);
         self.before.forget_impulses(lane);
-        // Where somebody sleeps there is one lane.
+        // With sleep there is one lane.
         self.put_to_sleep();
-        // A lane to spare repeats a world, and has no place of its own here.
+        // A spare lane repeats a world, and has no place here.
         self.standing.lanes.get_mut(lane).iter_mut().for_each(|place| **place = None);
         self.ended[lane] = false;
         self.last[lane] = Last::Nothing;
@@ -72,7 +72,7 @@ impl<R: Real> Group<R> {
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
 
-    /// The last solve of the world in lane `own` began with these arrays.
+    /// Sets the start of the last solve of the world in lane `own`: these arrays.
     pub fn begin(&mut self, own: usize, worlds: usize, given: &Given, of: Last, qacc: &[f64]) {
         let last = if own + 1 == worlds { R::LANES } else { own + 1 };
         for lane in own..last {
@@ -84,7 +84,7 @@ impl<R: Real> Group<R> {
         }
     }
 
-    /// Its worlds are of these models from now on.
+    /// Replaces the models of its worlds.
     pub fn take_models(&mut self, models: SideBySide<R>) {
         let care = self.ledger.as_ref().map(|ledger| ledger.care());
         self.ledger = care.map(|care| Box::new(Ledger::new(&models.model, care)));
@@ -123,30 +123,30 @@ impl<R: Real> Group<R> {
         }
     }
 
-    /// Those sleep who do so from the start.
+    /// Puts the trees to sleep that sleep from the start.
     pub fn put_to_sleep(&mut self) {
         self.initial.copy_to(&mut self.state.sleep);
         self.initial.copy_to(&mut self.before.sleep);
     }
 
-    /// What there is to say of a world whose energies cannot be, which is that of a lane.
+    /// The warning about a world with impossible energies, which is the world of a lane.
     pub fn take_said(&mut self) -> Option<Box<Divergence>> {
         self.ledger.as_mut()?.take_said()
     }
 
-    /// Unless the settings ask for it, there is no account of energies any more.
+    /// Ends the account of energies, unless the settings request it.
     pub fn unwatch(&mut self) {
         self.ledger = self.ledger.take().filter(|ledger| ledger.is_full());
     }
 
-    /// Takes the arrays of the world in lane `own`; `worlds`: how many worlds the group has.
+    /// Copies the arrays of the world in lane `own`; `worlds`: how many worlds the group has.
     pub fn put(&mut self, own: usize, worlds: usize, given: &Given) {
         if let Some(failed) = &self.standing.lanes[own] {
             if failed.stands(given) {
                 return;
             }
             self.standing.lanes[own] = None;
-            // Its lane repeated another, whose impulses are none of its own.
+            // Its lane repeated another, whose impulses do not belong to it.
             self.state.forget_impulses(own);
         }
         let last = if own + 1 == worlds { R::LANES } else { own + 1 };
@@ -158,7 +158,7 @@ impl<R: Real> Group<R> {
         }
     }
 
-    /// Takes the arrays of all its worlds, `own`; idle: no force is applied in them.
+    /// Copies the arrays of all its worlds, `own`; idle: no force is applied in them.
     #[inline(never)] // Once a call: copies of it in each caller would only be large.
     pub fn put_all(&mut self, own: &[usize], given: &Givens, idle: bool) {
         if !idle || self.inputs.applied() || self.standing.any() {
@@ -168,7 +168,7 @@ impl<R: Real> Group<R> {
             return;
         }
         for lane in 0..R::LANES {
-            // Lanes to spare repeat the last world.
+            // Spare lanes repeat the last world.
             let world = own[lane.min(own.len() - 1)];
             if self.state.put_of(lane, given, world) {
                 self.moved(lane);
@@ -177,7 +177,7 @@ impl<R: Real> Group<R> {
         }
     }
 
-    /// A lane's state did not come from a step.
+    /// Records that a lane's state did not come from a step.
     fn moved(&mut self, lane: usize) {
         if std::mem::take(&mut self.ended[lane]) {
             self.state.forget_impulses(lane);
@@ -186,20 +186,20 @@ impl<R: Real> Group<R> {
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
 
-    /// All worlds go back to where the call began, of whose steps `done` are done again.
+    /// Puts all worlds back to the start of the call; `done` of its steps are repeated.
     pub fn go_back(&mut self, done: u64) {
         if self.state.steps - self.start.steps == done {
             self.past.rewind(done);
         } else {
-            // What was kept further on stands in the place of older states.
+            // Later states have overwritten older ones.
             (0..R::LANES).for_each(|lane| self.past.forget(lane));
         }
         self.start.copy_to(&mut self.state);
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
 
-    /// All worlds stop here because one failed, that in lane `failed` if it is here: what is read is
-    /// that of the states at hand, and nothing tells into which calls the steps were divided.
+    /// Stops all worlds because one failed, the one in lane `failed` if it is here. Readings are
+    /// then for the present states, and do not depend on how calls divided the steps.
     pub fn stop(&mut self, watched: &mut Watched<R>, failed: Option<usize>) {
         for lane in (0..R::LANES).filter(|lane| Some(*lane) != failed) {
             self.past.forget(lane);
@@ -211,7 +211,7 @@ impl<R: Real> Group<R> {
         self.last.fill(Last::Forward);
         self.keeps_actuator = false;
         watched.sim.qacc.fill(R::zero());
-        // Where that fails there is no acceleration.
+        // If that fails there is no acceleration.
         let _ = self.look(watched, |watched| watched.sim.forward());
         for lane in 0..R::LANES {
             let qacc = watched.sim.qacc.iter().map(|a| a.lane(lane));
@@ -235,8 +235,8 @@ impl<R: Real> Group<R> {
         look(guest.come(standing.mask::<R>()).watched)
     }
 
-    /// Runs `one` up to `n` times on this group's state in a thread's working space; `worlds`: whose
-    /// the lanes are. After each, worlds may fail in `check` as they do in `one`.
+    /// Runs `one` up to `n` times on this group's state in a thread's working space; `worlds`: the
+    /// worlds in the lanes. After each, worlds may fail in `check` as they do in `one`.
     #[allow(clippy::too_many_arguments)]
     #[inline(never)] // As `put_all`.
     pub fn run(
@@ -254,14 +254,14 @@ impl<R: Real> Group<R> {
         let steps = last == Last::Step;
         standing.lanes.iter_mut().flatten().for_each(|failed| failed.done = 0);
         if standing.any() && !standing.mirror(state, inputs) {
-            // Nobody is left; time goes on.
+            // No world is left; time continues.
             state.steps += if steps { n } else { 0 };
             return;
         }
         let copies = standing.mask::<R>();
         watched.sim.take_models(mirrored.of(models, standing));
-        // Within an accuracy the last solve of a step belongs to a part of it: worlds, which are one by one
-        // then, end with one of their state.
+        // In adaptive steps the last solve belongs to a part of a step, so worlds, which then are
+        // one by one, end with a solve at their state.
         let solves = steps && watched.sim.settings.accuracy.0.is_some();
         let last = if solves { Last::Forward } else { last };
         let guest = Guest { watched, state, inputs, past, ledger }.come(copies);
@@ -314,7 +314,7 @@ impl<R: Real> Group<R> {
     }
 }
 
-/// The models of a group some of whose lanes repeat a world that is well.
+/// The models of a group in which some lanes repeat a healthy world.
 struct Mirrored<R: Real> {
     copies: u64,
     models: Option<SideBySide<R>>,
@@ -323,7 +323,7 @@ struct Mirrored<R: Real> {
 room!(Mirrored<R>: copies, models);
 
 impl<R: Real> Mirrored<R> {
-    /// Those of the lanes: copies have the model of the world that they repeat.
+    /// The models of the lanes: copies have the model of the world that they repeat.
     fn of<'a>(&'a mut self, own: &'a SideBySide<R>, standing: &Standing) -> &'a SideBySide<R> {
         let copies = standing.mask::<R>();
         let Some(from) = standing.healthy().filter(|_| copies != 0) else { return own };
@@ -336,7 +336,7 @@ impl<R: Real> Mirrored<R> {
     }
 }
 
-/// A group's worlds in the working space of a thread. They go back when this is dropped, after
+/// A group's worlds in the working space of a thread. They are returned when this is dropped, after
 /// a panic too.
 struct Guest<'a, R: Real> {
     watched: &'a mut Watched<R>,
@@ -365,7 +365,7 @@ impl<R: Real> Drop for Guest<'_, R> {
     }
 }
 
-/// Takes the world that failed out of the run, if one did; false for other errors.
+/// Takes the failed world, if there is one, out of the run; false for other errors.
 fn set_aside<R: Real>(
     standing: &mut Standing,
     watched: &mut Watched<R>,
@@ -381,7 +381,7 @@ fn set_aside<R: Real>(
     true
 }
 
-/// A lane's failure becomes that of a world of the batch.
+/// Turns a lane's failure into the failure of a world of the batch.
 pub(super) fn in_batch(error: &mut Error, worlds: &[usize]) {
     if let Error::Diverged(divergence) = error {
         divergence.world = worlds[divergence.world.min(worlds.len() - 1)];

@@ -1,4 +1,4 @@
-//! Which world sits in which lane of which group.
+//! The group and the lane of each world.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -9,21 +9,21 @@ use crate::room::listed;
 use crate::settings::{Settings, Solver};
 use crate::solve::dofs::any_heap;
 
-/// Worlds of one model sit beside each other, then those whose models differ in numbers alone, in
-/// their own order; the last group of such models may have lanes to spare.
+/// Worlds of one model are next to each other, then those whose models differ in numbers alone, in
+/// their order; the last group of such models may have spare lanes.
 pub(super) struct LaneLayout {
     /// The lanes of a group are two to this power.
     power: u32,
-    /// By world: group · lanes + lane.
+    /// For each world: group · lanes + lane.
     seat: Vec<usize>,
     /// All worlds in the order of their places.
     worlds: Vec<usize>,
-    /// By group: the kind of its models, and its worlds' range in `worlds`.
+    /// For each group: the kind of its models, and its worlds' range in `worlds`.
     groups: Vec<(usize, Range<usize>)>,
 }
 
 impl LaneLayout {
-    /// `lanes`: a power of two; `kinds`: the kind of each model, `model_of`: the model of each world.
+    /// `lanes`: a power of two; `kinds`: each model's kind, `model_of`: each world's model.
     pub fn new(lanes: usize, kinds: &[usize], model_of: &[usize]) -> Self {
         let kind = |world: usize| kinds[model_of[world]];
         let mut worlds: Vec<usize> = (0..model_of.len()).collect();
@@ -82,31 +82,31 @@ fn end(range: &Range<usize>) -> usize {
     range.end
 }
 
-/// How many registers of so many lanes the worlds fill, if those of a kind share them.
+/// The number of registers of this many lanes that the worlds fill, if those of a kind share them.
 fn registers(lanes: usize, kinds: &[usize], model_of: &[usize]) -> usize {
     let mut counts = vec![0_usize; kinds.iter().max().map_or(0, |most| most + 1)];
     model_of.iter().for_each(|model| counts[kinds[*model]] += 1);
     counts.into_iter().map(|count| count.div_ceil(lanes)).sum()
 }
 
-/// Whether worlds of a model can be stepped side by side, and gain by it. The pairs of a heap are
-/// found one world at a time, so are those who sleep; Newton's method solves a heap so too; and within
-/// an accuracy each world has steps of its own.
+/// Whether worlds of a model can be stepped in lanes, and gain by it. The pairs of a pile are found
+/// one world at a time, and so are sleeping trees; Newton's method solves a pile so too; and with
+/// adaptive steps each world has different steps.
 pub fn gains_by_lanes<N: Constant>(model: &Model<N>, settings: &Settings) -> bool {
     let by_lane = settings.solver == Solver::Newton && any_heap(&model.islands());
     let own_steps = settings.accuracy.0.is_some();
     model.dynamic_pairs.is_none() && !settings.sleep && !by_lane && !own_steps
 }
 
-/// Whether worlds of several models fill lanes well enough: those of a kind share a register, and
+/// Whether worlds of several models fill lanes well enough: worlds of a kind share a register, and
 /// a register costs about as much as three worlds alone.
 pub fn fills_lanes(kinds: &[usize], model_of: &[usize], lanes: usize) -> bool {
     let one = kinds.iter().all(|kind| *kind == 0);
     one || 3 * registers(lanes, kinds, model_of) <= model_of.len()
 }
 
-/// By model its kind: models of one kind differ in numbers alone, and their worlds can stand side by
-/// side.
+/// The kind of each model: models of one kind differ in numbers alone; their worlds can share
+/// lanes.
 pub fn kinds(models: &[Arc<Model>]) -> Vec<usize> {
     let mut first: Vec<&Arc<Model>> = vec![];
     let mut kind = |model| {

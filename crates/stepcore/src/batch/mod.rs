@@ -1,9 +1,9 @@
 //! Many worlds of one model, in groups of as many as a number has lanes, over threads.
 //!
-//! A group is a state and its inputs; the working space belongs to the threads, one
-//! `Watched` each, which take the next group when they are done with one. What a group
-//! computes depends on nothing else, so results are the same bits at any number of
-//! threads, and, because a lane is a world, in lanes or one by one.
+//! A group is a state and its inputs; the working space belongs to the threads, one `Watched` each,
+//! which take the next group when they are done with one. A group's computation depends on nothing
+//! else, so results are the same bits at any number of threads, and, because a lane is a world, in
+//! lanes or one by one.
 
 mod failed;
 mod group;
@@ -34,27 +34,26 @@ use crate::settings::Settings;
 use crate::state::{Inputs, State};
 use crate::watch::{Care, Watched, WorldPast};
 
-/// Without `Settings::ledger`, of about so many worlds the energies are looked at, evenly spread: each keeps
-/// some of its states and of its inputs.
+/// Without `Settings::ledger`, the number of evenly spread worlds whose energies are checked: each
+/// keeps some of its states and of its inputs.
 const WATCHED: usize = 32;
 
 pub struct Batch<R: Real> {
     pub worlds: usize,
     /// Each different one of the worlds' models.
     models: Vec<Arc<Model>>,
-    /// By world.
+    /// One entry for each world.
     model_of: Vec<usize>,
     dt: f64,
     accuracy: Option<f64>,
     layout: LaneLayout,
     groups: Vec<Group<R>>,
     workers: Workers<R>,
-    /// A world that fails stands still, and the others go on; else all stop with it.
+    /// Whether a failed world stops alone, and the others continue; else all stop with it.
     pub goes_on: bool,
 }
 
-/// The index of the model of each world, if there is but one; refuses more worlds than the memory
-/// can hold.
+/// The index of the model of each world, if there is one; refuses more worlds than fit in memory.
 pub fn of_one_model<N: Constant>(model: &Model<N>, worlds: usize) -> Result<Vec<usize>> {
     let bytes = worlds.checked_mul(bytes_a_world(model));
     if !bytes.is_some_and(can_be_had) {
@@ -63,7 +62,7 @@ pub fn of_one_model<N: Constant>(model: &Model<N>, worlds: usize) -> Result<Vec<
     Ok(vec![0; worlds])
 }
 
-/// A little more than a world's numbers take here and in its user's arrays.
+/// A little more than the memory of a world's numbers here and in the user's arrays.
 fn bytes_a_world<N: Constant>(model: &Model<N>) -> usize {
     let counts = Array::counts(model);
     let all = counts.iter().sum::<usize>() + 2 * counts[..Array::CHANGED].iter().sum::<usize>();
@@ -94,7 +93,7 @@ impl<R: Real> Batch<R> {
         Self::of_kinds(models, model_of, settings, threads, kinds)
     }
 
-    /// The same of models whose kinds are known.
+    /// The same for models whose kinds are known.
     pub fn of_kinds(
         models: Vec<Arc<Model>>,
         model_of: &[usize],
@@ -126,7 +125,7 @@ impl<R: Real> Batch<R> {
             all.push(own);
         }
         let workers = Workers::new(&all, settings, &layout, worlds, threads)?;
-        // As in `Watched`: steps within an accuracy watch themselves.
+        // As in `Watched`: adaptive steps do their own checks.
         let fixed = settings.accuracy.0.is_none();
         let group = |index: usize| {
             let (own, worlds) = (layout.kind(index), layout.worlds(index).len());
@@ -151,8 +150,8 @@ impl<R: Real> Batch<R> {
         })
     }
 
-    /// Memory of all worlds and of the threads' working spaces [bytes]; models are not in it, but for
-    /// what lanes have of them.
+    /// Memory of all worlds and of the threads' working spaces [bytes]; without the models, except
+    /// the parts that lanes have of them.
     pub fn bytes(&self) -> usize {
         let models = self.groups.chunk_by(|a, b| Arc::ptr_eq(&a.models.model, &b.models.model));
         let models = match R::LANES {
@@ -181,9 +180,9 @@ impl<R: Real> Batch<R> {
         &self.models[self.model_of[world]]
     }
 
-    /// Gives the worlds models that differ in numbers from those that they have, `model_of` as in
-    /// `of_models`: registers of worlds whose models stay the same are left alone. False: it cannot be
-    /// done so, and nothing has changed.
+    /// Gives the worlds models that differ in numbers from their present ones, `model_of` as in
+    /// `of_models`: registers of worlds whose models stay the same are left unchanged. False: this
+    /// is impossible, and nothing has changed.
     pub fn set_models(&mut self, models: &[Arc<Model>], model_of: &[usize]) -> bool {
         let Self { groups, layout, workers, .. } = self;
         if groups.iter().any(|group| group.standing.any()) {
@@ -215,19 +214,19 @@ impl<R: Real> Batch<R> {
         true
     }
 
-    /// All worlds, those of one model beside each other.
+    /// All worlds, grouped by model.
     pub fn by_model(&self) -> &[usize] {
         self.layout.all()
     }
 
-    /// Takes a world's arrays, which were checked. Worlds come in order; lanes without a
-    /// world of their own repeat the last one.
+    /// Copies a world's checked arrays in. Worlds come in order; lanes without a world repeat the
+    /// last one.
     pub fn put(&mut self, world: usize, given: &Arrays) {
         let (index, own) = self.layout.of(world);
         self.groups[index].put(own, self.layout.worlds(index).len(), given);
     }
 
-    /// Gives a world's part of an array that a step changes.
+    /// Copies a world's part of an array that a step changes into `out`.
     pub fn take(&self, world: usize, array: Array, out: &mut [f64]) {
         let (index, lane) = self.layout.of(world);
         let group = &self.groups[index];
@@ -237,13 +236,13 @@ impl<R: Real> Batch<R> {
         }
     }
 
-    /// A world that failed while the others went on.
+    /// A world that failed while the others continued.
     pub fn failed(&self, world: usize) -> Option<&Failed> {
         let (group, lane) = self.layout.of(world);
         self.groups[group].standing.lanes[lane].as_deref()
     }
 
-    /// These worlds failed, as they had in a batch from which this one takes over.
+    /// Marks these worlds as failed, as they were in a batch that this one replaces.
     pub fn set_failed(&mut self, failed: Vec<Option<Failed>>) {
         for (world, failed) in failed.into_iter().enumerate() {
             let (group, lane) = self.layout.of(world);
@@ -251,19 +250,19 @@ impl<R: Real> Batch<R> {
         }
     }
 
-    /// The last states of a world, with which another batch goes on.
+    /// The last states of a world, with which another batch continues.
     pub fn past(&self, world: usize) -> WorldPast {
         let (group, lane) = self.layout.of(world);
         self.groups[group].past.of(lane)
     }
 
-    /// A world goes on here; see `past`.
+    /// Continues a world of another batch; see `past`.
     pub fn take_past(&mut self, world: usize, past: &WorldPast) {
         let (group, lane) = self.layout.of(world);
         self.groups[group].past.take(lane, past);
     }
 
-    /// Some worlds begin anew, wherever their arrays put them: they have no impulses to start from,
+    /// Restarts some worlds, wherever their arrays put them: they have no impulses to start from,
     /// have not failed, and nothing was solved there yet. The others are as they were.
     pub fn forget(&mut self, worlds: &[usize]) {
         for world in worlds {
@@ -273,7 +272,7 @@ impl<R: Real> Batch<R> {
         }
     }
 
-    /// All worlds begin anew at a time, wherever their arrays put them: without impulses.
+    /// Restarts all worlds at a time, wherever their arrays put them: without impulses.
     pub fn restart(&mut self, start: f64) {
         for (state, _) in self.states_mut() {
             (state.start, state.steps) = (start, 0);
@@ -282,7 +281,7 @@ impl<R: Real> Batch<R> {
         self.groups.iter_mut().for_each(Group::put_to_sleep);
     }
 
-    /// The states at hand did not come from a solve.
+    /// Records that the present states did not come from a solve.
     pub fn unsolved(&mut self) {
         for group in &mut self.groups {
             group.state.copy_to(&mut group.before);
@@ -291,13 +290,13 @@ impl<R: Real> Batch<R> {
         }
     }
 
-    /// A world's last solve began with these arrays, and gave this acceleration.
+    /// Records that a world's last solve started with these arrays, and gave this acceleration.
     pub fn begin(&mut self, world: usize, given: &Arrays, of: Last, qacc: &[f64]) {
         let (index, own) = self.layout.of(world);
         self.groups[index].begin(own, self.layout.worlds(index).len(), given, of, qacc);
     }
 
-    /// The states in which the last solves of all groups began, with the worlds in their lanes.
+    /// The states at the start of the last solves of all groups, with the worlds in their lanes.
     pub fn begun_mut(&mut self) -> impl Iterator<Item = (&mut State<R>, &[usize])> {
         let Self { groups, layout, .. } = self;
         let groups = groups.iter_mut().enumerate();
@@ -310,7 +309,7 @@ impl<R: Real> Batch<R> {
         self.groups[group].qacc.iter().map(move |a| a.lane(lane))
     }
 
-    /// The actuators' forces in the last solves, one world after the other, where they were kept.
+    /// The actuators' forces in the last solves, one world after the other, if they were kept.
     pub fn actuator_forces(&self) -> Option<Vec<f64>> {
         let mut forces = Vec::new();
         for world in 0..self.worlds {
@@ -320,15 +319,15 @@ impl<R: Real> Batch<R> {
         Some(forces)
     }
 
-    /// Of a world: the state in which its last solve began, its inputs, the lane where it is in
-    /// these, and what the solve belonged to.
+    /// For a world: the state at the start of its last solve, its inputs, its lane in these, and
+    /// the call to which the solve belonged.
     pub fn last(&self, world: usize) -> (&State<R>, &Inputs<R>, usize, Last) {
         let (index, lane) = self.layout.of(world);
         let group = &self.groups[index];
         (&group.before, &group.inputs, lane, group.last[lane])
     }
 
-    /// The state that holds a world, and the lane where it is.
+    /// The state that holds a world, and its lane there.
     pub fn state(&self, world: usize) -> (&State<R>, usize) {
         let (group, lane) = self.layout.of(world);
         (&self.groups[group].state, lane)
@@ -338,7 +337,7 @@ impl<R: Real> Batch<R> {
     pub fn states_mut(&mut self) -> impl Iterator<Item = (&mut State<R>, &[usize])> {
         let Self { groups, layout, .. } = self;
         groups.iter_mut().enumerate().map(|(index, group)| {
-            // Whoever writes a state starts anew.
+            // A caller that writes a state starts anew.
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
             group.standing.lanes.fill(None);
             group.ended.fill(false);
@@ -346,14 +345,14 @@ impl<R: Real> Batch<R> {
         })
     }
 
-    /// Advances every world by `n` steps. If one leaves the finite numbers, all stand
-    /// before the first step in which one did.
+    /// Advances every world by `n` steps. If one leaves the finite numbers, all stop before the
+    /// first step in which one did.
     pub fn step(&mut self, n: u64) -> Result<()> {
         self.advance(n, None)
     }
 
-    /// Without `Settings::ledger`: that a world gained more energy than can be, and where from. It is
-    /// said once, and nothing is looked for after that.
+    /// Without `Settings::ledger`: the warning that a world gained more energy than possible, and
+    /// its source. It is given once, and nothing is checked after that.
     pub fn take_warning(&mut self) -> Option<String> {
         let Self { groups, layout, .. } = self;
         let said = groups.iter_mut().enumerate().find_map(|(index, group)| {
@@ -365,7 +364,7 @@ impl<R: Real> Batch<R> {
         Some(said)
     }
 
-    /// Which world makes steps within an accuracy slow, and what in it: that of the shortest part.
+    /// The world that makes adaptive steps slow, and the reason: the one with the shortest part.
     pub fn slow(&self) -> Option<String> {
         let slow =
             self.groups.iter().enumerate().filter(|(_, own)| own.stretches.refused.is_some());
@@ -376,17 +375,17 @@ impl<R: Real> Batch<R> {
         Some(format!("world {world}: {why}"))
     }
 
-    /// Accounts of energy end here, and are balanced: the worlds go on elsewhere.
+    /// Ends and balances the accounts of energy: the worlds continue elsewhere.
     pub fn balance(&mut self) -> Result<()> {
         self.advance(0, None)
     }
 
-    /// Without `Settings::ledger`, energies are not looked at any more.
+    /// Without `Settings::ledger`, stops checking energies.
     pub fn unwatch(&mut self) {
         self.groups.iter_mut().for_each(Group::unwatch);
     }
 
-    /// Place, detect and solve in every world. Nothing is committed.
+    /// Runs place, detect and solve in every world. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
         self.evaluate(Last::Forward, Watched::forward)
     }
@@ -446,7 +445,7 @@ impl<R: Real> Batch<R> {
         refused.map_or(Ok(()), Err)
     }
 
-    /// Does `n` steps in every world; of a motion from this one on.
+    /// Does `n` steps in every world; steps of a motion from this one on.
     fn advance(&mut self, n: u64, motion: Option<(&[Mutex<Part>], usize)>) -> Result<()> {
         let Self { workers, groups, layout, goes_on, .. } = self;
         let run = |workspace: &mut Workspace<R>, index: usize, group: &mut Group<R>, n| {
@@ -478,7 +477,7 @@ impl<R: Real> Batch<R> {
             Error::Diverged(divergence) => Some(layout.of(divergence.world)),
             _ => None,
         };
-        // All worlds go back, and then on to where this one was still well.
+        // All worlds go back, and then forward to where this one was still healthy.
         workers.share(groups, done, |workspace, index, group| {
             group.go_back(done);
             run(workspace, index, group, done);

@@ -1,4 +1,4 @@
-//! A motion, whole: steps under controls over time, and samples of what comes of them.
+//! A whole motion: steps under controls over time, and samples of the results.
 
 use super::lane_layout::LaneLayout;
 use crate::arrays::Array;
@@ -9,14 +9,14 @@ use crate::real::{Constant, Real};
 use crate::spatial::V3;
 use crate::watch::Watched;
 
-/// What a sample has of a world.
+/// The quantity of a world that is sampled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sampled {
     Array(Array),
     /// Acceleration, and forces of actuators, in the last solve; zero before there was one.
     Acceleration,
     ActuatorForce,
-    /// Where each body's frame is, and how it is turned.
+    /// The position of each body's frame, and its orientation.
     Position,
     Orientation,
     /// Kinetic and potential.
@@ -51,7 +51,7 @@ impl Sampled {
         }
     }
 
-    /// Of one world.
+    /// The shape for one world.
     pub fn shape<N: Constant>(self, model: &Model<N>) -> Vec<usize> {
         match self {
             Self::Array(array) => array.shape(model),
@@ -77,19 +77,19 @@ pub struct Motion<'a> {
     pub samples: usize,
     /// The first sample is of the start.
     pub first: bool,
-    /// Controls: of each world, or of all alike, `rows` rows, each held for `hold` steps and the last one
-    /// to the end. Without rows the controls at hand stay.
+    /// Controls: for each world, or the same for all, `rows` rows, each held for `hold` steps and
+    /// the last one to the end. Without rows the present controls stay.
     pub ctrl: &'a [f64],
     pub rows: usize,
     pub hold: usize,
-    /// A world stops where a body is further from where it began than this [m].
+    /// A world stops when a body is farther from its start than this [m].
     pub bound: f64,
-    /// How often steps within an accuracy may evaluate forces; a world stops there.
+    /// The largest number of force evaluations of adaptive steps; a world stops there.
     pub most: u64,
-    /// Where bodies began, by world; as much as `Sampled::Position` if there is a bound.
+    /// Initial positions of bodies, by world; as long as `Sampled::Position` if there is a bound.
     pub home: Vec<f64>,
     pub records: Vec<Record<'a>>,
-    /// How often forces were evaluated, by world.
+    /// The number of force evaluations, by world.
     pub evaluations: Vec<u64>,
 }
 
@@ -171,13 +171,13 @@ impl Motion<'_> {
         (from..from + n).try_for_each(|step| parts[0].step(step, step == from, watched))
     }
 
-    /// Where a sample is that is made after so many steps, if one is.
+    /// The place of a sample that is taken after this many steps, if there is one.
     fn sample_after(&self, steps: usize) -> usize {
         steps / self.every + usize::from(self.first) - 1
     }
 
-    /// From the step on, a world that failed stands where it did: its arrays do, of what else was
-    /// sampled nothing is known.
+    /// From this step on, repeats a failed world's arrays in its samples; the other sampled
+    /// quantities are unknown.
     pub(super) fn stand(&mut self, world: usize, failed: &[Vec<f64>], done: usize, end: usize) {
         let steps = (done / self.every + 1) * self.every;
         let samples = self.samples;
@@ -201,8 +201,7 @@ impl Motion<'_> {
 }
 
 impl Part<'_> {
-    /// One step, under its controls, and a sample if there is one after it; `begins`: a call begins with
-    /// it.
+    /// One step, under its controls, and a sample if one follows; `begins`: a call starts with it.
     pub fn step<R: Real>(
         &mut self,
         step: usize,
@@ -232,7 +231,7 @@ impl Part<'_> {
         (step / self.hold).min(self.rows - 1)
     }
 
-    /// Puts a row of controls in; lanes without a world repeat another.
+    /// Sets a row of controls; lanes without a world repeat another.
     fn control<R: Real>(&self, row: usize, watched: &mut Watched<R>) {
         let own = (0..R::LANES).find(|lane| watched.is_world(*lane)).unwrap_or(0);
         for lane in 0..R::LANES {
@@ -244,7 +243,7 @@ impl Part<'_> {
         }
     }
 
-    /// The first sample: of the start, before anything was solved.
+    /// The first sample: at the start, before anything was solved.
     pub fn begin<R: Real>(&mut self, watched: &mut Watched<R>) -> Result<()> {
         self.sample(0, false, None, watched)?;
         if self.bounded() {
@@ -257,7 +256,7 @@ impl Part<'_> {
         Ok(())
     }
 
-    /// `solved`: there was a step; row: of the controls of that.
+    /// `solved`: there was a step; row: the controls of that step.
     fn sample<R: Real>(
         &mut self,
         at: usize,
@@ -312,7 +311,7 @@ impl Part<'_> {
         self.bound.is_finite()
     }
 
-    /// Refuses a world of which a body is too far from where it began, at a sample that was just made.
+    /// Refuses a world with a body too far from its start, at a sample that was just taken.
     pub fn check<R: Real>(&self, step: usize, watched: &Watched<R>) -> Result<()> {
         if !(self.bounded() && (step + 1).is_multiple_of(self.every)) {
             return Ok(());

@@ -10,8 +10,8 @@ use crate::pool::lock;
 use crate::real::Real;
 
 impl<R: Real> Batch<R> {
-    /// Takes the arrays of all worlds; of those that cannot be stepped the first is refused, and
-    /// nothing is taken.
+    /// Copies the arrays of all worlds in; refuses the first world that cannot be stepped, and then
+    /// copies nothing.
     pub fn load(&mut self, given: &Givens) -> Result<()> {
         let Self { worlds, workers, groups, layout, models, model_of, .. } = self;
         let refused = Mutex::new(None::<(usize, Error)>);
@@ -49,7 +49,7 @@ impl<R: Real> Batch<R> {
         Ok(())
     }
 
-    /// Gives an array that a step changes, of all worlds one after the other.
+    /// Copies out an array that a step changes, for all worlds one after the other.
     pub fn store(&self, array: Array, numbers: &mut [f64]) {
         let length = numbers.len() / self.worlds;
         self.workers.transfer(self.worlds, numbers, length, |first, portion| {

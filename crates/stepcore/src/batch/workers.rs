@@ -18,17 +18,17 @@ use crate::watch::Watched;
 
 /// Work of a call below which waking threads costs more than they save [ns].
 const WORTH_WAKING: u64 = 60_000;
-/// Groups are handed out in portions, so many a thread, so that all end together.
+/// The number of portions of groups for each thread, so that all end together.
 const PORTIONS: usize = 16;
 
 pub(super) struct Workers<R: Real> {
     pool: Option<Arc<Pool>>,
-    /// No more than can have work.
+    /// At most as many as can have work.
     pub threads: usize,
     solver: Solver,
     /// By kind of models: the spaces that no thread is using.
     spaces: Vec<Mutex<Vec<Watched<R>>>>,
-    /// What a step of all groups took when it was last measured [ns].
+    /// The duration of a step of all groups when it was last measured [ns].
     cost: AtomicU64,
 }
 
@@ -66,12 +66,12 @@ impl<R: Real> Workers<R> {
         Ok(Self { pool: Pool::new(threads)?, threads, solver: settings.solver, spaces, cost })
     }
 
-    /// Worlds of this model can be stepped.
+    /// Whether worlds of this model can be stepped.
     pub fn takes(&self, model: &Model) -> bool {
         check_masses::<R>(model, self.solver).is_ok()
     }
 
-    /// Who sleeps in a world of a kind of models that begins.
+    /// The sleeping trees in a new world of a kind of models.
     pub fn initial_sleep(&self, kind: usize) -> Arc<Sleep<R>> {
         let space =
             |own: &Vec<Watched<R>>| own.first().map(|space| space.sim.initial_sleep().clone());
@@ -87,8 +87,8 @@ impl<R: Real> Workers<R> {
         spaces.sum()
     }
 
-    /// Does the work on every group; `steps` says how much it is.
-    /// What a group computes depends on nothing else, so it shows in no bit who does it.
+    /// Does the work on every group; `steps` is its amount. A group's computation depends on
+    /// nothing else, so no bit depends on the thread that does it.
     pub fn share(
         &self,
         groups: &mut [Group<R>],
@@ -101,7 +101,7 @@ impl<R: Real> Workers<R> {
         let take_all = |_: usize| {
             let mut workspace = Workspace { workers: self, held: None };
             loop {
-                // The lock is open again before the work begins.
+                // The lock is open again before the work starts.
                 let next = lock(&left).next();
                 let Some((index, portion_of_groups)) = next else { return };
                 for (k, group) in portion_of_groups.iter_mut().enumerate() {
@@ -121,12 +121,12 @@ impl<R: Real> Workers<R> {
     }
 }
 
-/// Worlds below which it costs more to wake threads than to carry all arrays in one.
+/// The number of worlds below which waking threads costs more than copying all arrays in one.
 const WORTH_CARRYING: usize = 1024;
 
 impl<R: Real> Workers<R> {
-    /// Lets `work` go through items, so many of them a unit, in portions: what takes little time a
-    /// world, and no working space. It is told the unit that each portion begins with.
+    /// Lets `work` go through items, this many for each unit, in portions: for work of little time
+    /// per world, without a working space. It receives the unit at which each portion starts.
     pub fn transfer<T: Send>(
         &self,
         worlds: usize,
@@ -140,7 +140,7 @@ impl<R: Real> Workers<R> {
         let units = (items.len() / unit).div_ceil(self.threads * PORTIONS).max(1);
         let left = Mutex::new(items.chunks_mut(units * unit).enumerate());
         let take_all = |_: usize| loop {
-            // The lock is open again before the work begins.
+            // The lock is open again before the work starts.
             let next = lock(&left).next();
             let Some((portion, own)) = next else { return };
             work(portion * units, own);
@@ -152,8 +152,8 @@ impl<R: Real> Workers<R> {
     }
 }
 
-/// Where a thread works: the space of one kind of models at a time, which goes back to the others when it is
-/// done with it.
+/// The working space of a thread: the space of one kind of models at a time, which is returned to
+/// the others when the thread is done with it.
 pub(super) struct Workspace<'a, R: Real> {
     workers: &'a Workers<R>,
     held: Option<(usize, Watched<R>)>,

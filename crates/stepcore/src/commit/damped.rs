@@ -1,12 +1,12 @@
-//! `euler` and `implicitfast`: forces first, solved in M; then damping implicitly,
-//! v⁺ = v + dt (M + dt·D)⁻¹ (f + Jᵀλ/dt). MuJoCo documentation, "Numerical integration".
+//! `euler` and `implicitfast`: forces first, solved in M; then implicit damping, v⁺ = v + dt
+//! (M + dt·D)⁻¹ (f + Jᵀλ/dt). MuJoCo documentation, "Numerical integration".
 //!
-//! D is joint damping, and under `implicitfast` that of every element: the velocity feedback of
-//! servos too, but for those whose force is at its bound. Of what an element couples, D has the
-//! entries that M has, a dof and its ancestors, and is made symmetric, (D + Dᵀ)/2: MuJoCo's. What a
-//! length couples across branches or trees stays explicit. `implicitfast` re-solves the 6×6 block of
-//! a free body on its own with its D as it is, and with the derivative B of its bias force: with body
-//! axes, R the rotation, m the mass, c the centre, I the inertia about the joint and w the angular
+//! D is joint damping; under `implicitfast` it covers every element, including the velocity
+//! feedback of servos unless their force is at its bound. As in MuJoCo, D has the entries that M
+//! has, a dof and its ancestors, and is made symmetric, (D + Dᵀ)/2; couplings of a length across
+//! branches or trees stay explicit. `implicitfast` re-solves the 6×6 block of a free body
+//! separately with its unsymmetric D, and with the derivative B of its bias force: with body axes,
+//! R the rotation, m the mass, c the centre, I the inertia about the joint and w the angular
 //! velocity,
 //!
 //! ```text
@@ -27,7 +27,7 @@ pub struct Damped<R: Real> {
     metric: Metric<R>,
     impulse: Vec<R>,
     change: Vec<R>,
-    /// By tree: its damping is taken, and in which of `blocks`.
+    /// Per tree: whether damping applies, and its index in `blocks`.
     damped: Vec<bool>,
     block: Vec<Option<usize>>,
     /// M + dt·D of each single free body whose bias has a derivative.
@@ -51,7 +51,7 @@ impl<R: Real> Damped<R> {
     }
 }
 
-/// What damping reads of a step.
+/// The input of damping.
 pub(super) struct Solved<'a, R: Real> {
     pub now: Moment<'a, R>,
     pub placed: &'a Placed<R>,
@@ -61,7 +61,7 @@ pub(super) struct Solved<'a, R: Real> {
 }
 
 impl<R: Real> Solved<'_, R> {
-    /// out ← the impulse H (v⁺ − v) = LᵀD (u⁺ − u), H being what rows were solved in.
+    /// out ← the impulse H (v⁺ − v) = LᵀD (u⁺ − u), with H the matrix in which rows were solved.
     pub fn impulse(&self, out: &mut [R]) {
         let metric = &self.placed.metric;
         for k in 0..out.len() {
@@ -72,7 +72,7 @@ impl<R: Real> Solved<'_, R> {
 }
 
 impl<R: Real> Damped<R> {
-    /// Rewrites the solved velocities in `out` with damping (and under `implicitfast` servos and the
+    /// Rewrite the solved velocities in `out` with damping (and under `implicitfast` servos and the
     /// gyroscopic forces of free bodies) treated implicitly.
     pub fn damp(&mut self, solved: &Solved<R>, late: &LateTrees, out: &mut [R]) {
         let &Solved { ref now, placed, dt, .. } = solved;
@@ -109,8 +109,8 @@ impl<R: Real> Damped<R> {
         }
     }
 
-    /// The same for the gyroscopic forces alone, after rows were solved in M̂: of free bodies at which
-    /// no tendon and no actuator has slopes now, as in MuJoCo.
+    /// The same for the gyroscopic forces alone, after rows were solved in M̂: for free bodies on
+    /// which no tendon and no actuator has slopes, as in MuJoCo.
     pub fn spin_all(&mut self, solved: &Solved<R>, late: &LateTrees, out: &mut [R]) {
         let Some(effective) = &solved.placed.effective else { return };
         solved.impulse(&mut self.impulse);
@@ -122,7 +122,7 @@ impl<R: Real> Damped<R> {
         }
     }
 
-    /// v⁺ = v + (A + dt·B)⁻¹ P of one free body, in some lanes.
+    /// v⁺ = v + (A + dt·B)⁻¹ P for one free body, in some lanes.
     fn spin(
         &self,
         solved: &Solved<R>,
@@ -145,7 +145,7 @@ impl<R: Real> Damped<R> {
 }
 
 impl<R: Real> Placed<R> {
-    /// Adds dt·B of a single free body.
+    /// Add dt·B of a single free body.
     fn add_gyroscopic(
         &self,
         model: &Model<R::Value>,
@@ -175,7 +175,7 @@ impl<R: Real> Placed<R> {
     }
 }
 
-/// The block of a free body in a symmetric matrix, given by its entries (i, j ≤ i).
+/// Return the block of a free body in a symmetric matrix, given by its entries (i, j ≤ i).
 fn free_block<R: Real>(first: usize, entry: impl Fn(usize, usize) -> R) -> [[R; 6]; 6] {
     let mut block = [[R::zero(); 6]; 6];
     for i in 0..6 {
@@ -188,13 +188,13 @@ fn free_block<R: Real>(first: usize, entry: impl Fn(usize, usize) -> R) -> [[R; 
     block
 }
 
-/// The matrix of v × ·.
+/// Return the matrix of v × ·.
 fn cross_matrix<R: Real>(v: &V3<R>) -> M3<R> {
     let zero = R::zero();
     M3::new(zero, -v.z, v.y, v.z, zero, -v.x, -v.y, v.x, zero)
 }
 
-/// Gaussian elimination without pivoting: M dominates, dt·B is small beside it.
+/// Gaussian elimination without pivoting: M dominates, dt·B is relatively small.
 fn solve_six<R: Real>(a: &mut [[R; 6]; 6], x: &mut [R; 6]) {
     for k in 0..6 {
         let inv = R::one() / a[k][k];

@@ -1,17 +1,17 @@
-//! Rows after a smooth motion from (q, v) to (q ⊕ dt·v̄, v₁), v̄ being `next.mean`.
+//! Rows after a smooth motion from (q, v) to (q ⊕ dt·v̄, v₁), with v̄ = `next.mean`.
 //!
-//! Laws on velocities judge v̄, because v̄ is what moves positions: q⁺ = q ⊕ dt (v̄ + Δ₁). What
-//! lasts through the step, as the force of a contact at rest, has changed the last velocity by
-//! twice as much as the mean; what strikes at its start, by as much. So both get Δ₁, and a second
-//! solve of the same rows gives the last velocity alone what it still lacks:
-//! v⁺ = v₁ + Δ₁ + Δ₂. A body at rest is at rest, v⁺ = 0; a sliding one loses μ g dt, and μ g dt²/2
-//! of its way. Rows that gave nothing to the mean give nothing to the last velocity.
+//! Laws on velocities apply to v̄, because v̄ moves positions: q⁺ = q ⊕ dt (v̄ + Δ₁). A force that
+//! lasts through the step, such as a resting contact, changes the last velocity by twice as much as
+//! the mean; an impact at its start, by as much. So both get Δ₁, and a second solve of the same
+//! rows adds the rest to the last velocity alone: v⁺ = v₁ + Δ₁ + Δ₂. A body at rest stays at rest,
+//! v⁺ = 0; a sliding one loses μ g dt, and μ g dt²/2 of its path. Rows that do not act on the mean
+//! do not act on the last velocity.
 //!
-//! An impact is at the start of the step, and the smooth motion follows it. A row that bounces
-//! asks v̄ for −e·v_n + J (v̄ − v), and v⁺ for −e·v_n + J (v₁ − v): with e = 1 the energy of a
-//! bounce is that before it, to rounding.
+//! An impact is at the start of the step, before the smooth motion. A row that bounces requires v̄
+//! to be −e·v_n + J (v̄ − v), and v⁺ to be −e·v_n + J (v₁ − v): with e = 1 a bounce conserves
+//! energy, to rounding.
 //!
-//! `solref` is a law on accelerations: it judges v₁, and its force acts through the step, v̄ + Δ/2.
+//! `solref` is a law on accelerations: it applies to v₁, and its force acts through the step, v̄ + Δ/2.
 
 use super::advance;
 use crate::clock::Clock;
@@ -45,7 +45,7 @@ impl<R: Real> Sim<R> {
             self.take_pushes();
         }
         R::enter(Stage::Impulses);
-        // Equalities that the stages held have nothing to answer to but other rows.
+        // Equalities that the stages held respond only to other rows.
         let answers = self.plan.inside == Inside::Equalities;
         let alone = self.rows.blocks.iter().all(|block| answers && block.role == Role::Equality);
         if alone || !self.rows.any() {
@@ -77,7 +77,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// What adhesion gives through the step: the last velocity changes by twice as much as the mean.
+    /// Add adhesion through the step: the last velocity changes by twice as much as the mean.
     fn adhere(&mut self, dt: R) {
         let model = self.model.clone();
         self.next.change.copy_from_slice(&self.placed.force);
@@ -96,7 +96,7 @@ impl<R: Real> Sim<R> {
         self.placed.metric.to_factored(judged, &mut self.placed.guess);
     }
 
-    /// What the rows changed since the guess, into `velocity`: exactly zero in a tree without rows.
+    /// Set `velocity` to the rows' change since the guess: exactly zero in a tree without rows.
     fn changed(&mut self) {
         let change = &mut self.next.change;
         for k in 0..self.model.nv {
@@ -105,9 +105,9 @@ impl<R: Real> Sim<R> {
         self.placed.metric.from_factored(change, &mut self.velocity);
     }
 
-    /// Adds `velocity`, so many times, to the last velocity and to the mean.
+    /// Add multiples of `velocity` to the last velocity and to the mean.
     fn add_change(&mut self, last: f64, mean: f64) {
-        // What the rows do not change keeps its bits, the sign of a zero too.
+        // Velocities that the rows do not change keep their bits, even the sign of a zero.
         let add = |x: &mut R, change: R| {
             let none = change.abs().le(R::zero());
             *x = R::select(none, *x, *x + change).with_slopes_of(none, || *x + change);
@@ -120,10 +120,10 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// The second solve: what the last velocity still lacks.
+    /// The second solve: add the rest to the last velocity.
     fn second(&mut self, answers: bool, observer: &mut dyn Observer<R>) -> Result<()> {
         let nv = self.model.nv;
-        // v₁ − v̄, which the first solve did not change.
+        // v₁ − v̄, unaffected by the first solve.
         for k in 0..nv {
             self.next.change[k] = self.next.qvel[k] - self.next.mean[k];
         }

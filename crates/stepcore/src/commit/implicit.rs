@@ -1,9 +1,9 @@
-//! `implicit`: forces first, solved in M; then all that velocities change of the smooth forces,
-//! implicitly, v⁺ = v + dt (M + dt·D)⁻¹ (f + Jᵀλ/dt) with D = −∂f/∂v of dampers, servos and the bias
-//! forces. MuJoCo documentation, "Numerical integration".
+//! `implicit`: forces first, solved in M; then all velocity dependence of the smooth forces,
+//! implicitly, v⁺ = v + dt (M + dt·D)⁻¹ (f + Jᵀλ/dt) with D = −∂f/∂v of dampers, servos and the
+//! bias forces. MuJoCo documentation, "Numerical integration".
 //!
-//! D has the entries of M, a dof and its ancestors, and is not symmetric. Eliminating dofs from the
-//! last to the first, A = U L without fill-in, as LᵀDL of a symmetric matrix.
+//! D has the entries of M, a dof and its ancestors, and is not symmetric. Elimination from the last
+//! dof to the first gives A = U L without fill-in, like LᵀDL of a symmetric matrix.
 
 use super::damped::Solved;
 use crate::elements::force::Moment;
@@ -20,7 +20,7 @@ pub(super) struct Implicit<R: Real> {
     matrix: Unsymmetric<R>,
     change: Vec<R>,
     bias: BiasSlopes<R>,
-    /// By tree: it is damped or has bias forces that change with velocities; and the latter.
+    /// Per tree: whether it has damping or velocity-dependent bias forces; whether it has the latter.
     late: Vec<bool>,
     turns: Vec<bool>,
 }
@@ -40,7 +40,7 @@ impl<R: Real> Implicit<R> {
         }
     }
 
-    /// Rewrites the solved velocities in `out`.
+    /// Rewrite the solved velocities in `out`.
     pub fn damp(&mut self, solved: &Solved<R>, trees: &[usize], out: &mut [R]) {
         let Self { matrix, change, bias, late, turns } = self;
         let &Solved { ref now, placed, dt, .. } = solved;
@@ -73,8 +73,8 @@ impl<R: Real> Implicit<R> {
 
 /// A matrix whose rows and columns have the pattern of M, both in the layout of `Model::row_dofs`.
 struct Unsymmetric<R: Real> {
-    /// Row k, left of its diagonal and with it; and column k, above its diagonal: once factored, over
-    /// the diagonal. The diagonal itself is that of `lower`.
+    /// Row k, left of its diagonal and with it; and column k, above its diagonal: once factored,
+    /// over the diagonal. The diagonal itself is in `lower`.
     lower: Vec<R>,
     upper: Vec<R>,
     /// 1 / diagonal, once factored.
@@ -90,7 +90,7 @@ impl<R: Real> Unsymmetric<R> {
         Self { lower: zeros(n), upper: zeros(n), inv_d: zeros(model.nv) }
     }
 
-    /// Copies a symmetric matrix.
+    /// Copy a symmetric matrix.
     fn fill(&mut self, model: &Model<R::Value>, dofs: Range<usize>, symmetric: &[R]) {
         for k in dofs {
             let row = model.dofs[k].row.range();
@@ -99,7 +99,7 @@ impl<R: Real> Unsymmetric<R> {
         }
     }
 
-    /// Adds to the entry in row i and column j, if the pattern has it.
+    /// Add to the entry in row i and column j, if the pattern has it.
     #[inline(always)]
     fn add(&mut self, model: &Model<R::Value>, i: usize, j: usize, x: R) {
         if let Some(at) = model.entry(i, j) {

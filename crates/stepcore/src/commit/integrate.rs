@@ -16,7 +16,7 @@ use crate::sim::{At, Sim};
 use crate::state::{Inputs, State};
 
 impl<R: Real> Sim<R> {
-    /// One step of the integrator, into `next`.
+    /// Make one step of the integrator, into `next`.
     #[inline(always)]
     pub(crate) fn integrate(&mut self, observer: &mut dyn Observer<R>) -> Result<()> {
         match self.plan.scheme.stages {
@@ -62,7 +62,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// What is implicit beside the rows: see `damped.rs`, `implicit.rs`.
+    /// The implicit part apart from the rows: see `damped.rs`, `implicit.rs`.
     fn damp(&mut self) {
         let Self { model, state, inputs, placed, rows, plan, clock, next, .. } = self;
         let solved = solved(model, state, inputs, placed, &rows.u, *clock);
@@ -74,8 +74,8 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// The gyroscopic forces of free bodies under `discrete`, whose acceleration is that of the whole
-    /// step, as in MuJoCo.
+    /// Add the gyroscopic forces of free bodies under `discrete`, whose acceleration covers the
+    /// whole step, as in MuJoCo.
     pub(crate) fn spin(&mut self) {
         let Self { model, state, inputs, placed, rows, plan, clock, next, velocity, qacc, .. } =
             self;

@@ -1,7 +1,7 @@
-//! Implicit midpoint: v⁺ = v + dt·a(q_m, v_m), q⁺ = q ⊕ dt·v_m with v_m = (v + v⁺)/2
-//! and q_m = q ⊕ (dt/2)·v_m. Solved to rounding by a Newton-like iteration whose
-//! matrix M + dt/2·D + dt²/4·K holds the joint springs, dampers and servos, so that a
-//! linear spring converges at once however stiff it is.
+//! Implicit midpoint: v⁺ = v + dt·a(q_m, v_m), q⁺ = q ⊕ dt·v_m with v_m = (v + v⁺)/2 and
+//! q_m = q ⊕ (dt/2)·v_m. Solved to rounding by a Newton-like iteration whose matrix
+//! M + dt/2·D + dt²/4·K holds the joint springs, dampers and servos, so that a linear spring of any
+//! stiffness converges at once.
 
 use super::next::Iteration;
 use super::{advance, Next};
@@ -18,17 +18,17 @@ use crate::sim::{At, Sim};
 use crate::solve::Choice;
 
 const MOST_ITERATIONS: usize = 200;
-/// Iterations after which a correction that has stopped to shrink is the rounding of the
-/// accelerations: in a long chain they lose digits to the condition of its mass matrix.
+/// Iterations after which a correction that no longer shrinks is the rounding of the accelerations:
+/// in a long chain they lose digits to the condition of its mass matrix.
 const LONG: usize = 20;
 
-/// Iterations after which hard equalities keep the impulses that they began with: near a position
-/// in which they say the same, these are quotients of small numbers and do not come to rest. What they
-/// lack, the start of the next step gives.
+/// Iterations after which hard equalities keep their initial impulses: near a position in which
+/// they are redundant, these are quotients of small numbers and do not converge. The start of the
+/// next step makes up for the rest.
 const PATIENCE: usize = 16;
 
 impl<R: Real> Sim<R> {
-    /// One step from `next.start` into `next`.
+    /// Make one step from `next.start` into `next`.
     pub(super) fn midpoint(
         &mut self,
         inside: Inside,
@@ -54,7 +54,7 @@ impl<R: Real> Sim<R> {
             let Next { start, qvel, trial, .. } = &mut self.next;
             for k in 0..model.nv {
                 let middle = half * (start[k] + qvel[k]);
-                // A lane that is done stays where it was done: its rows come out the same again.
+                // A finished lane keeps its state: its rows give the same result again.
                 let new = R::select(open, middle, trial.qvel[k]);
                 trial.qvel[k] = new.with_slopes_of(open.not(), || middle);
             }
@@ -69,14 +69,14 @@ impl<R: Real> Sim<R> {
             };
             self.accelerate(At::Stage, inside, 1.0, choice)?;
             let (miss, moves) = self.correct_midpoint(&model, dt, open, inside == Inside::All);
-            // Rounding: the correction is below it, or has stopped to shrink.
+            // Rounding: the correction is below it, or no longer shrinks.
             let small = miss.le(R::of(4.0 * R::epsilon()));
             let least = R::epsilon();
             let (fine, unmoved) =
                 if iteration < LONG { (1e4 * least, 4.0 * least) } else { (coarse, 1e4 * least) };
             let stalled = miss.le(R::of(fine)).and(last.le(miss));
-            // What a servo holds rounds with its forces, however slow it is: a correction that moves
-            // nothing, and hardly shrinks, is as small as it gets.
+            // A servo's joint has the rounding of its forces, however slow it is: a correction that
+            // moves nothing, and hardly shrinks, is minimal.
             let still = moves.le(R::of(unmoved)).and((half * last).le(miss));
             let unmeasured = miss.is_finite().not();
             last = R::select(open, miss, last);
@@ -109,7 +109,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// By how much the last correction changed derivatives, beside the largest.
+    /// Return the last correction's change of derivatives, relative to the largest.
     fn last_slope(&self) -> f64 {
         let most = |list: &[R]| list.iter().map(|x| x.steepness()).fold(0.0, f64::max);
         let change = self.next.iteration.as_ref().map_or(0.0, |space| most(&space.correction));
@@ -120,8 +120,8 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// What the forces other than contacts would change in the velocities: where contacts hold them,
-    /// the difference is rounding beside this.
+    /// Return the change of velocities by forces other than contacts: if contacts cancel it, the
+    /// difference is rounding relative to this.
     fn smooth_gain(&self) -> R {
         let smooth =
             if self.rows.pushes.is_empty() { &self.placed.guess } else { &self.next.smooth };
@@ -129,8 +129,8 @@ impl<R: Real> Sim<R> {
         free.fold(R::zero(), |most, (guess, u)| most.max((*guess - *u).abs()))
     }
 
-    /// v⁺ += (M + dt/2·D + dt²/4·K)⁻¹ M (v + dt·a − v⁺); returns the correction's size beside the
-    /// velocities of the step, and how far it moves the largest coordinate, beside that.
+    /// v⁺ += (M + dt/2·D + dt²/4·K)⁻¹ M (v + dt·a − v⁺); return the size of the correction relative
+    /// to the velocities of the step, and its displacement relative to the largest coordinate.
     fn correct_midpoint(
         &mut self,
         model: &Model<R::Value>,
@@ -173,7 +173,7 @@ impl<R: Real> Sim<R> {
                 return metric.add(i, j, implicit(slopes));
             }
             for (sum, slope) in own[i].iter_mut().zip(slopes) {
-                // A sum of one term is that term: nothing is added to it.
+                // A sum of one term equals that term: nothing is added to it.
                 *sum = match (sum.is_zero(), slope.is_zero()) {
                     (true, _) => slope,
                     (_, true) => *sum,
@@ -192,11 +192,11 @@ impl<R: Real> Sim<R> {
             let change = correction[k];
             let new = qvel[k] + change;
             let kept = R::select(open, new, qvel[k]);
-            // Derivatives go on until they stand still as well.
+            // Derivatives continue until they converge as well.
             qvel[k] = kept.with_slopes_of(open.not(), || new);
             miss = R::select(change.is_finite(), miss.max(change.abs()), change);
         }
-        // Below this, rounding is no longer in proportion.
+        // Below this, rounding is no longer proportional.
         let least = R::of(if R::epsilon() > f64::EPSILON { 1e-30 } else { 1e-290 });
         let far = trial.qpos.iter().fold(R::zero(), |far, q| far.max(q.abs()));
         let moves = dt * miss / far.max(least);

@@ -1,8 +1,8 @@
 //! Stage 4, commit: velocities and positions after the step.
 //!
 //! Integrators that run the first three stages once read the solved u⁺ and commit in
-//! `integrate.rs`; `rk4` and `midpoint` run them several times and have files of their own.
-//! Everything is written to `Next` first: a state that is not finite is never committed.
+//! `integrate.rs`; `rk4` and `midpoint` run them several times and have separate files. Everything
+//! is written to `Next` first: a state that is not finite is never committed.
 
 mod damped;
 mod end_of_step_rows;

@@ -1,4 +1,4 @@
-//! What a step proposes, and the working space of the integrators.
+//! The proposed next state, and the working space of the integrators.
 
 use super::damped::Damped;
 use super::implicit::Implicit;
@@ -10,37 +10,37 @@ use crate::real::Real;
 use crate::state::State;
 use crate::warm::{Sleep, Warm};
 
-/// The state that a step proposes, and the working space of the integrators.
+/// The proposed next state, and the working space of the integrators.
 pub struct Next<R: Real> {
     pub qpos: Vec<R>,
     pub qvel: Vec<R>,
     pub act: Vec<R>,
-    /// By activation, the length about which a servo on a circle keeps it.
+    /// Per activation: the length near which a servo on a circle keeps it.
     pub(super) centres: Vec<R>,
     pub ctrl_history: Vec<R>,
-    /// The velocities of the state, made to keep the equalities where these act within the step.
+    /// The velocities of the state, projected to satisfy the equalities if these act within the step.
     pub start: Vec<R>,
-    /// What the equalities gave in the stages, by row.
+    /// The impulses of the equalities in the stages, by row.
     pub held: Vec<R>,
     /// Working space, by dof.
     pub change: Vec<R>,
-    /// The guess of the smooth forces alone, where contacts push beside their rows.
+    /// The guess of the smooth forces alone, if contacts push outside the rows.
     pub smooth: Vec<R>,
     pub(super) gained: Vec<R>,
-    /// The constant velocity that would have moved the positions as far, under `rk4` and `midpoint`.
+    /// The constant velocity with the same displacement, under `rk4` and `midpoint`.
     pub(super) mean: Vec<R>,
     /// Impulses for the next step's start.
     pub warm: Vec<Warm<R>>,
-    /// Who sleeps in this step, and after it; and the impulses that those who wake in it start from,
-    /// among the others. Empty: nobody wakes.
+    /// The trees that sleep in this step, and after it; and the initial impulses, including those
+    /// of trees that wake in it. Empty: none wakes.
     pub sleep: Sleep<R>,
     pub woken: Vec<Warm<R>>,
-    /// Which stage of `rk4` runs: after the first, rows start from the stage before.
+    /// The current stage of `rk4`: after the first, rows start from the stage before.
     pub stage: usize,
-    /// Where `rk4` and `midpoint` run the stages within the step, and how far in it that is.
+    /// The state of the current stage of `rk4` or `midpoint`, and its time within the step.
     pub(crate) trial: Trial<R>,
     pub(crate) ahead: f64,
-    /// That is the middle of a step: `Activations::middle`.
+    /// Whether that is the middle of a step: `Activations::middle`.
     pub(crate) middle: bool,
     pub(super) damped: Option<Damped<R>>,
     pub(super) implicit: Option<Implicit<R>>,
@@ -63,11 +63,11 @@ room!(Trial<R>: qpos, qvel, act);
 /// The weighted sums of the stages of `rk4`.
 pub(super) struct Sums<R: Real> {
     pub rate: Vec<R>,
-    /// The rotation vector by which this stage is away from the start.
+    /// The rotation vector of this stage relative to the start.
     pub turned: Vec<R>,
     pub moved: Vec<R>,
     pub gained: Vec<R>,
-    /// Rates of the activations; and of the first stage, how fast they fade too.
+    /// Rates of the activations; and for the first stage, their decay rates too.
     pub act_rate: Vec<R>,
     pub act_first: Vec<R>,
     pub act_fading: Vec<R>,
@@ -75,11 +75,11 @@ pub(super) struct Sums<R: Real> {
 
 room!(Sums<R>: rate, turned, moved, gained, act_rate, act_first, act_fading);
 
-/// Working space of `midpoint`: M + dt/2·D + dt²/4·K, by dof the slopes of what acts by itself, and
-/// the change that a correction makes.
+/// Working space of `midpoint`: M + dt/2·D + dt²/4·K, by dof the slopes of uncoupled forces, and
+/// the change by a correction.
 pub(super) struct Iteration<R: Real> {
     pub metric: Metric<R>,
-    /// Where each entry of M stands in it.
+    /// The place of each entry of M in it.
     pub places: Vec<usize>,
     pub slopes: Vec<[R; 2]>,
     pub change: Vec<R>,
@@ -102,7 +102,7 @@ impl<R: Real> Iteration<R> {
 }
 
 impl<R: Real> Next<R> {
-    /// The impulses from which rows start.
+    /// Return the initial impulses of rows.
     pub(crate) fn last_impulses<'a>(&'a self, state: &'a State<R>) -> &'a [Warm<R>] {
         if self.stage > 0 {
             &self.warm

@@ -27,7 +27,7 @@ fn rotate<R: Real>(quat: &[R], rate: &[R], dt: R, out: &mut [R]) {
     let still = vector.dot(&vector).le(R::zero());
     let turned = Quat::of(quat).mul(&Quat::exp(&vector));
     turned.normalized().store(out);
-    // What does not turn keeps its bits: scaling to unit length may change the last one.
+    // A joint that does not turn keeps its bits: scaling to unit length may change the last one.
     let mut product = [R::zero(); 4];
     turned.store(&mut product);
     for ((new, old), product) in out.iter_mut().zip(quat).zip(product) {

@@ -19,15 +19,15 @@ const A: [f64; 4] = [0.0, 0.5, 0.5, 1.0];
 const B: [f64; 4] = [1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0];
 
 impl<R: Real> Sim<R> {
-    /// Four stages from `next.start` into `next`.
+    /// Run four stages from `next.start` into `next`.
     pub(super) fn rk4(&mut self, inside: Inside, observer: &mut dyn Observer<R>) -> Result<()> {
         let outcome = self.stages(inside, observer);
         self.next.stage = 0;
         outcome
     }
 
-    /// Puts the state where a step from here evaluates its forces last: under `rk4` at its fourth stage,
-    /// in lanes in which that is finite.
+    /// Set the state to the point where a step from here evaluates its forces last: under `rk4` its
+    /// fourth stage, in lanes in which that is finite.
     #[inline(never)]
     pub(crate) fn go_to_last_stage(&mut self) -> Result<()> {
         if self.plan.scheme.stages != Stages::Four {
@@ -108,7 +108,7 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// Angular rates of balls and free joints become rates of the rotation vector `turned`.
+/// Convert angular rates of balls and free joints to rates of the rotation vector `turned`.
 fn rates_on_the_group<R: Real>(model: &Model<R::Value>, turned: &[R], rate: &mut [R]) {
     for joint in &model.joints {
         let first = match joint.kind {

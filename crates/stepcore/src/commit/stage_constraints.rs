@@ -1,4 +1,4 @@
-//! What acts at the stages of `midpoint` and `rk4`, and what after them.
+//! The rows that act at the stages of `midpoint` and `rk4`, and the rows that act after them.
 
 use crate::error::Result;
 use crate::integrator::Inside;
@@ -8,7 +8,7 @@ use crate::sim::{At, Sim};
 use crate::solve::{Choice, Part};
 
 impl<R: Real> Sim<R> {
-    /// One step: `stages`, and the rows that do not act within them.
+    /// Make one step: `stages`, then the rows that do not act within them.
     pub(super) fn after_stages(
         &mut self,
         stages: impl FnOnce(&mut Self, Inside, &mut dyn Observer<R>) -> Result<()>,
@@ -27,8 +27,8 @@ impl<R: Real> Sim<R> {
         self.rows_at_the_end(observer)
     }
 
-    /// Makes the velocities at the start keep the equalities, and take back a share β of what
-    /// these gape. The stages leave both as they are.
+    /// Project the velocities at the start onto the equalities, and remove a share β of their
+    /// violation. The stages change neither.
     fn start(&mut self, observer: &mut dyn Observer<R>) -> Result<()> {
         let model = self.model.clone();
         let (qpos, qvel) = At::State.of(&self.state, &self.next);
@@ -42,7 +42,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The acceleration of a stage, which acts for a share of the step.
+    /// Compute the acceleration of a stage, which acts for a share of the step.
     pub(super) fn accelerate(
         &mut self,
         at: At,

@@ -1,15 +1,15 @@
-//! A step of `dt` within an accuracy: in as many stretches as it takes, each extrapolated from steps of the
+//! An adaptive step of `dt`: as many stretches as needed, each extrapolated from steps of the
 //! integrator (`extrapolation.rs`).
 //!
-//! A stretch begins at a binary fraction of the step and is one long, so that the step ends where it should
-//! to the bit, and every step begins with the whole: no state is handed on beside the world's own. What
-//! counts is the error that a stretch adds to the position of each body, its centre of mass and its turning,
-//! and the way that errors of velocity make.
+//! The start and the length of a stretch are binary fractions of the step, so that the step ends at
+//! the exact time. Every step first tries its whole length: no other state is passed on. The
+//! controlled error is the one that a stretch adds to the position of each body (centre of mass and
+//! rotation) and the displacement from velocity errors.
 //!
-//! Extrapolation wants a smooth motion, and a contact that begins, a servo that reaches the bound of its force
-//! or a joint that sticks is none: between the places at which steps look, nothing tells of it, and the
-//! results may agree by chance. So the changes of velocity that equal steps make are looked at, one beyond
-//! the stretch among them: their highest difference counts as an error too.
+//! Extrapolation requires a smooth motion. A contact that starts, a servo that reaches the bound of
+//! its force or a joint that sticks is not smooth: between evaluations it is invisible, and the
+//! results may agree by chance. So the changes of velocity of equal steps are examined, with one
+//! step beyond the stretch: their highest difference counts as an error too.
 
 use super::extrapolation::{worse, Extrapolation, Largest, Now, CUTS};
 use crate::clock::Clock;
@@ -20,36 +20,37 @@ use crate::interrupt::{caught, Meter, STRETCH};
 use crate::real::{Mask, Real};
 use crate::sim::{At, Sim, Stretches};
 
-/// A shorter stretch may add as much as one of this length [s]: of what happens at once, as an impact, a hundred
-/// a second add what was asked for. With 0.03 s, SO-101, whose joints stick, is off by six times what was asked;
-/// with 0.02 s the scenes of `benches/accuracy.py` take an eighth fewer evaluations, and one comes to 0.97 of it.
-/// Counting the highest difference (`Extrapolation::count`) at a half to a sixth saves a fifth of them, and costs
-/// SO-101 a factor of three. Of the runs of `benches/accuracy.py --random 300`, 0.7 % exceed what was asked, the
-/// worst 3 times; a third of it takes 1.3 times the evaluations where contacts come and go.
+/// A shorter stretch may add as much error as one of this length [s]: a hundred sudden events (impacts)
+/// per second use up the tolerance. With 0.03 s, SO-101, whose joints stick, has six times the allowed
+/// error; with 0.02 s the scenes of `benches/accuracy.py` take an eighth fewer evaluations, and one
+/// reaches 0.97 of the tolerance. Counting the highest difference (`Extrapolation::count`) at a half to
+/// a sixth saves a fifth of them, and costs SO-101 a factor of three. Of the runs of
+/// `benches/accuracy.py --random 300`, 0.7 % exceed the tolerance, at most 3-fold; a third of this
+/// length takes 1.3 times the evaluations if contacts come and go.
 const SUDDEN: f64 = 0.01;
-/// The step over the shortest stretch.
+/// The step divided by the shortest stretch, as a power of two.
 const FINEST: u32 = 36;
 /// The most that a stretch is shortened at once, by powers of two.
 const SHORTER: u32 = 4;
-/// Error over what is allowed at which a finer cut is not tried any more.
+/// If the error exceeds the allowed one by this factor, no finer cut is tried.
 const HOPELESS: f64 = 1e4;
-/// Of what is allowed, for the next stretch.
+/// The target of the next stretch, as a share of the allowed error.
 const SAFETY: f64 = 0.5;
 
-/// What came of a stretch.
+/// The result of a stretch.
 struct Tried {
-    /// The error that it adds [m], and where it is largest.
+    /// The error that it adds [m], and the body with the largest.
     error: Largest,
-    /// The power of its length with which that goes.
+    /// The power of its length to which that is proportional.
     power: u32,
 }
 
 impl<R: Real> Sim<R> {
-    /// One step, into `next`, that adds at most `asked` metres a second.
+    /// Make one step, into `next`, that adds at most `asked` metres of error per second.
     pub(crate) fn integrate_within(&mut self, asked: f64) -> Result<()> {
         let Some(mut space) = self.extrapolation.take() else { return Ok(()) };
         self.state.copy_to(&mut space.period);
-        // Controls are sampled once a step, and its parts read the same samples.
+        // Controls are sampled once per step, and its parts read the same samples.
         self.next.ctrl_history.copy_from_slice(&self.state.ctrl_history);
         self.effort.stretches = Stretches { shortest: self.period, refused: None };
         let outcome = caught(|| self.stretches(&mut space, asked));
@@ -63,7 +64,7 @@ impl<R: Real> Sim<R> {
         outcome
     }
 
-    /// Takes the state to the end of the step.
+    /// Advance the state to the end of the step.
     fn stretches(&mut self, space: &mut Extrapolation<R>, asked: f64) -> Result<()> {
         let (whole, mut at, mut level) = (1_u64 << FINEST, 0, 0);
         let mut meter = Meter::default();
@@ -99,7 +100,7 @@ impl<R: Real> Sim<R> {
                 Err(error) => return Err(error),
                 Ok(Tried { error, power }) => {
                     let halvings = (error.0 / allowed).log2() / f64::from(power);
-                    // Of what is not a number it is 0.
+                    // For a number that is not finite this is 0.
                     (halvings.ceil() as u32).clamp(1, SHORTER)
                 }
             };
@@ -108,7 +109,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Takes the state over one stretch from `space.from`, where it is.
+    /// Advance the state over one stretch from `space.from`, the current state.
     fn stretch(
         &mut self,
         space: &mut Extrapolation<R>,
@@ -147,7 +148,7 @@ impl<R: Real> Sim<R> {
         Ok(tried)
     }
 
-    /// A step of the integrator, into `next`: the nth of so many.
+    /// Make a step of the integrator, into `next`: the nth of `of`.
     fn part(&mut self, space: &mut Extrapolation<R>, nth: u32, of: u32) -> Result<()> {
         self.integrate(&mut ())?;
         self.check_next()?;
@@ -165,7 +166,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// Steps are so long from now on [s].
+    /// Set the length of steps from now on [s].
     pub(crate) fn set_dt(&mut self, dt: f64) {
         if self.settings.dt != dt {
             self.settings.dt = dt;
@@ -175,13 +176,13 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// The run may evaluate forces no more.
+    /// The error when the run may not evaluate forces any more.
     #[cold]
     fn too_dear(&self) -> Error {
         self.diverged(R::Mask::of(true), |_| Fault::Evaluations)
     }
 
-    /// No stretch is short enough.
+    /// The error when no stretch is short enough.
     fn too_rough(&self, (error, body): Largest, length: f64) -> Error {
         let body = self.model.named(Element::whole(Kind::Body, body));
         let asked = self.settings.accuracy.0.unwrap_or_default();

@@ -1,8 +1,8 @@
-//! Which pairs need no exact test: their bounding spheres are apart, or their bounding boxes.
+//! Bounding spheres and bounding boxes show which pairs need no exact test.
 //!
-//! A box is as its geom is turned. Of two boxes the normals of the faces are tried as axes of
-//! separation (Gottschalk, Lin and Manocha 1996 try the products of edges too, for the few pairs
-//! that these show to be apart).
+//! A box is turned as its geom is. For two boxes the normals of the faces are tried as axes of
+//! separation (Gottschalk, Lin and Manocha 1996 try the products of edges too, for the few pairs that
+//! these show to be apart).
 
 use crate::model::{Geom, Model, Pair, Spheres};
 use crate::place::Placed;
@@ -11,13 +11,13 @@ use crate::scene::GeomType;
 use crate::shapes::ShapeTest;
 use crate::spatial::{Pose, V3};
 
-/// Over the reach of a pair: by how much more boxes are apart, in units of 1 and of rounding, so
+/// Margin by which boxes must be apart beyond the reach of a pair, in units of 1 and of rounding, so
 /// that no rounding of the exact test finds a contact.
 const SURE: f64 = 1e-6;
 const UNITS: f64 = 64.0;
 
 impl Spheres {
-    /// In every lane the two are apart. inside: no joint is where `apart` does not hold.
+    /// The two are apart in every lane. inside: no joint is where `apart` does not hold.
     #[inline(always)]
     pub fn far<R: Real>(&self, placed: &Placed<R>, inside: bool) -> bool {
         if self.apart && inside {
@@ -32,9 +32,9 @@ impl Spheres {
     }
 }
 
-/// Lanes that may have a contact, none if the boxes are apart: in the others the pair is apart by `more` [m] where the
-/// law looks at the guess, and else by more than the distance at which contacts are listed. `poses`: by
-/// geom.
+/// Returns the lanes that may have a contact, none if the boxes are apart. In the other lanes the pair
+/// is apart by `more` [m] where the law reads the guess, and else by more than the distance at which
+/// contacts are listed. `poses`: by geom.
 #[inline(always)]
 pub(super) fn near<R: Real, P>(
     model: &Model<R::Value>,
@@ -49,7 +49,7 @@ pub(super) fn near<R: Real, P>(
     near
 }
 
-/// The boxes of a pair are apart in every lane.
+/// Checks that the boxes of a pair are apart in every lane.
 #[inline(always)]
 fn boxes_far<R: Real, P>(
     model: &Model<R::Value>,
@@ -67,13 +67,13 @@ fn boxes_far<R: Real, P>(
     boxes_apart([g1, g2], [p1, p2], &between, more)
 }
 
-/// How high a point is over a plane.
+/// Returns the height of a point over a plane.
 #[inline(always)]
 fn above<R: Real>(between: &V3<R>, plane: &Pose<R>) -> R {
     between.x * plane.rot.m13 + between.y * plane.rot.m23 + between.z * plane.rot.m33
 }
 
-/// Lanes in which the pair's spheres are apart by as much.
+/// Returns the lanes in which the pair's spheres are apart by this much.
 #[inline(always)]
 fn outside<R: Real, P>(
     model: &Model<R::Value>,
@@ -106,20 +106,20 @@ fn outside<R: Real, P>(
     between.dot(&between).gt(square)
 }
 
-/// The exact test costs so much more than one of boxes that these are tried first. (That of two
-/// boxes begins with their axes itself.)
+/// The exact test costs much more than a test of boxes, so the boxes are tried first. (The test of two
+/// boxes starts with their axes itself.)
 #[inline(always)]
 fn boxed(test: ShapeTest) -> bool {
     use ShapeTest::{CapsuleBox, Convex, OnField, PlaneMesh};
     matches!(test, Convex(..) | CapsuleBox | PlaneMesh | OnField(_))
 }
 
-/// What is added to a distance for rounding [m].
+/// Margin that is added to a distance for rounding [m].
 fn slack<R: Real, const N: usize>(reaches: [&R::Value; N]) -> R {
     Value::calc(reaches, |reaches| (SURE + UNITS * R::epsilon()) * reaches.iter().sum::<f64>())
 }
 
-/// A geom's box is above a plane by `more` [m] in every lane: `height` is its centre's.
+/// Checks that a geom's box is above a plane by `more` [m] in every lane. `height`: of its centre.
 fn over_plane<R: Real>(
     up: &V3<R>,
     height: R,
@@ -134,7 +134,7 @@ fn over_plane<R: Real>(
     height.gt(reach).all()
 }
 
-/// The boxes of two geoms are apart by `more` [m] in every lane, along the normal of some face.
+/// Checks that two geoms' boxes are apart by `more` [m] in every lane, along the normal of some face.
 fn boxes_apart<R: Real>(
     geoms: [&Geom<R::Value>; 2],
     poses: [&Pose<R>; 2],
@@ -144,7 +144,7 @@ fn boxes_apart<R: Real>(
     let [one, two] = geoms.map(|geom| value::get(&geom.half));
     let more = more + slack([&geoms[0].reach, &geoms[1].reach]);
     let mut apart = R::Mask::of(false);
-    // How far the first box reaches along the axes of the second.
+    // The reach of the first box along the axes of the second.
     let mut along = [more; 3];
     for i in 0..3 {
         let axis = poses[0].axis(i);

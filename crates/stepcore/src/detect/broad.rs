@@ -1,21 +1,21 @@
-//! Which boxes overlap: the broad phase of a heap.
+//! The broad phase of a pile: which boxes overlap.
 //!
-//! Boxes of about one size stand in one grid, whose cells are larger than any of them by at most a
-//! factor of two: a box's lowest corner lies in one cell, and whatever it overlaps has its own in one
-//! of the cells from one below it to its highest corner. Grids are by powers of two of the boxes'
-//! sizes, and a box asks its own grid and the coarser ones (a hierarchical grid: Ericson 2005,
-//! ch. 7.2). Cells are numbered by a hash, as nothing bounds the world; a grid of few boxes, and
-//! boxes without end, are a list that every box is compared with. Boxes that never move stand in a
-//! tree that is made once.
+//! Boxes of about one size are in one grid, whose cells are larger than any of them by at most a factor
+//! of two. A box's lowest corner lies in one cell, and the lowest corner of every box that it overlaps
+//! lies in one of the cells from one below that cell to the cell of its highest corner. Grids are by
+//! powers of two of the boxes' sizes, and a box searches the grid of its size and the coarser ones (a
+//! hierarchical grid: Ericson 2005, ch. 7.2). Cells are numbered by a hash, as nothing bounds the
+//! world. A grid of few boxes, and boxes without end, are a list that every box is compared with. Boxes
+//! that never move are in a tree that is made once.
 //!
-//! What is found is every pair of boxes that overlap, whatever the grids: they change the work and
-//! not the answer. The work grows with the number of boxes and of what is found.
+//! The result is every pair of boxes that overlap, whatever the grids: they change the work and not the
+//! answer. The work grows with the number of boxes and of pairs found.
 
 use crate::interrupt::{Meter, TEST};
 
 /// Boxes of one size up to which a list is quicker than a grid.
 const LISTED: usize = 32;
-/// The bits of a double's exponent: one size for each.
+/// The values of a double's exponent: one size for each.
 const SIZES: usize = 2048;
 
 /// A box with its axes along the world's.
@@ -23,22 +23,22 @@ const SIZES: usize = 2048;
 pub struct Bounds {
     pub low: [f64; 3],
     pub high: [f64; 3],
-    /// Whose it is.
+    /// The geom that it bounds.
     pub geom: u32,
     /// Nothing moves it: two such boxes never meet.
     pub fixed: bool,
 }
 
 impl Bounds {
-    /// Not proven apart: what is no number overlaps.
+    /// The two are not proven apart: a NaN overlaps everything.
     pub(super) fn overlaps(&self, other: &Self) -> bool {
         let apart = |k: usize| self.high[k] < other.low[k] || other.high[k] < self.low[k];
         let still = self.fixed && other.fixed;
         !(still || apart(0) || apart(1) || apart(2))
     }
 
-    /// It lies in another, and nothing moves it if nothing moves the other: what this one overlaps
-    /// that one does.
+    /// This box lies in another and both or neither are fixed, so the other overlaps all that it
+    /// overlaps.
     pub(super) fn within(&self, other: &Self) -> bool {
         let inside = |k: usize| other.low[k] <= self.low[k] && self.high[k] <= other.high[k];
         self.fixed == other.fixed && inside(0) && inside(1) && inside(2)
@@ -48,7 +48,7 @@ impl Bounds {
         self.low.iter().chain(&self.high).all(|x| x.is_finite())
     }
 
-    /// The exponent of its longest edge; None where that is no number, or none that a cell can have.
+    /// The exponent of the longest edge; None if it is NaN, or too small or large for a cell.
     fn size(&self) -> Option<usize> {
         let edge = |k: usize| self.high[k] - self.low[k];
         let longest = edge(0).max(edge(1)).max(edge(2));
@@ -57,17 +57,17 @@ impl Bounds {
     }
 }
 
-/// Boxes, the grids in which they stand, and what overlaps.
+/// Boxes, their grids, and the pairs that overlap.
 #[derive(Default)]
 pub struct Broad {
     boxes: Vec<Bounds>,
-    /// By size: how many boxes; then one more than the place of its grid among the grids.
+    /// By size: the number of boxes; then one more than the place of its grid among the grids.
     sizes: Vec<u32>,
     /// Sizes that have a grid, ascending.
     grids: Vec<usize>,
     /// By box: its size; `SIZES` in the list.
     size: Vec<u32>,
-    /// By hash of a cell: where its boxes begin in `inside`.
+    /// By hash of a cell: where its boxes start in `inside`.
     cells: Vec<u32>,
     inside: Vec<u32>,
     listed: Vec<u32>,
@@ -76,11 +76,11 @@ pub struct Broad {
 
 room!(Broad: boxes, sizes, grids, size, cells, inside, listed, found);
 
-/// Pairs of geoms, the smaller one first; in no order, and one may be there twice.
+/// Pairs of geoms, the smaller one first; in no order, and possibly repeated.
 #[derive(Default)]
 pub struct Overlaps {
     pub pairs: Vec<(u32, u32)>,
-    /// There are more than the memory holds.
+    /// There are more pairs than the memory holds.
     pub full: bool,
 }
 
@@ -122,7 +122,7 @@ impl Broad {
         }
     }
 
-    /// Which boxes have a grid, and which are listed.
+    /// Decides which boxes have a grid, and which are listed.
     fn sort_by_size(&mut self) {
         self.sizes.clear();
         self.sizes.resize(SIZES, 0);
@@ -160,7 +160,7 @@ impl Broad {
         }
         self.inside.clear();
         self.inside.resize(start as usize, 0);
-        // From the last box to the first: each cell's place moves down to where it begins.
+        // From the last box to the first: each cell's place moves down to where the cell starts.
         for at in (0..self.boxes.len()).rev() {
             if let Some(cell) = self.cell_of(at) {
                 self.cells[cell] -= 1;
@@ -187,7 +187,7 @@ impl Broad {
     /// Compares the boxes of the list with one another, along x, and with all that have a grid.
     fn compare_with_listed(&mut self) {
         let Self { boxes, size, listed, found, .. } = self;
-        // What is no number lies nowhere, and first.
+        // NaN has no place, and is sorted first.
         let begin = |at: &u32| {
             let bounds = &boxes[*at as usize];
             if bounds.finite() {
@@ -215,9 +215,9 @@ impl Broad {
         }
     }
 
-    /// Compares a box with those of its own grid in its cell and after it, and with those of coarser
-    /// grids. Of two boxes of one grid the other's lowest corner lies in a cell from one below this
-    /// one's on, so that the one whose cell comes first, by z, y and x, finds both.
+    /// Compares a box with the others of its grid in its cell and after it, and with all of coarser
+    /// grids. For two boxes of one grid, the other's lowest corner lies in a cell from one below this
+    /// one's on, so the box whose cell comes first, by z, y and x, finds both.
     fn compare_with_grids(&mut self, at: usize) {
         let (bounds, own) = (self.boxes[at], self.size[at] as usize);
         for grid in (0..self.grids.len()).rev() {
@@ -236,7 +236,7 @@ impl Broad {
                     for x in (if line { cell[0] } else { low[0] })..=high[0] {
                         let home = line && x == cell[0];
                         self.compare_with_cell(&bounds, self.hash(size, [x, y, z]), |other| {
-                            // Another cell of the same number holds this one too.
+                            // Another cell with the same number holds this one too.
                             if home {
                                 other > at
                             } else {
@@ -259,14 +259,14 @@ impl Broad {
     }
 }
 
-/// Boxes that never move, as a tree: of each range of them the one half and the other lie on two
-/// sides along the longest edge of the box about all.
+/// Boxes that never move, as a tree: the two halves of each range of them lie on two sides along the
+/// longest edge of the box around all.
 #[derive(Default)]
 pub struct Fixed {
-    /// Without end, or no numbers: in no tree.
+    /// Unbounded boxes and NaN: in no tree.
     endless: Vec<Bounds>,
     boxes: Vec<Bounds>,
-    /// At the middle of each range: the box about it.
+    /// At the middle of each range: the box around it.
     around: Vec<Bounds>,
 }
 
@@ -305,7 +305,7 @@ impl Fixed {
         Self::split(after, around_after);
     }
 
-    /// Gives those that a box overlaps, and some others, to `take`.
+    /// Passes the fixed boxes that a box overlaps, and some others, to `take`.
     pub fn overlapped(&self, one: &Bounds, mut take: impl FnMut(&Bounds)) {
         if !one.fixed {
             self.endless.iter().for_each(&mut take);
@@ -327,7 +327,7 @@ impl Fixed {
     }
 }
 
-/// Which cell of its axis a coordinate lies in; a cell is larger than boxes of this size.
+/// Returns the cell of a coordinate on its axis; a cell is larger than boxes of this size.
 fn place(x: f64, size: usize) -> i64 {
     // The reciprocal of 2 to the power of the size's exponent plus one. `floor` is a call.
     let reciprocal = f64::from_bits(((SIZES - 3 - size) as u64) << 52);

@@ -1,9 +1,9 @@
-//! The near pairs of a heap, kept for as long as they hold.
+//! The near pairs of a pile, kept for as long as they are valid.
 //!
-//! The broad phase looks at boxes that are a little larger than they need be. While every box stays
-//! within the larger one, no two overlap but those found then (Verlet 1967 kept such lists of
-//! molecules), and a detection asks of these alone which overlap now. So the pairs that are tested
-//! exactly are those that a search in every detection would find, in the same order.
+//! The broad phase searches boxes that are a little larger than necessary. While every box stays within
+//! its larger one, no pairs overlap but those found then (Verlet 1967 kept such lists of molecules),
+//! and a detection checks only these for overlap now. So the pairs that are tested exactly are those
+//! that a search in every detection would find, in the same order.
 
 use super::broad::{Bounds, Broad, Fixed};
 use crate::error::{Error, Result};
@@ -13,26 +13,26 @@ use crate::real::array::from_fn;
 use crate::real::Constant;
 use crate::room::can_be_had;
 
-/// Of a geom's reach: by how much its box is larger on each side.
+/// Margin of a box on each side, as a part of its geom's reach.
 const SPARE: f64 = 1.0 / 32.0;
-/// And it reaches as far ahead as it moves in so many detections, up to its geom's reach. With an arm in
-/// a kitchen of 240 geoms all pairs are searched for in one detection of 30, not in every one.
+/// A box also extends ahead by the motion of this many detections, up to its geom's reach. With an arm
+/// in a kitchen of 240 geoms all pairs are searched for in one detection of 30, not in every one.
 const AHEAD: f64 = 8.0;
-/// Where things move so fast that a list served once, so many searches keep to the boxes at hand.
+/// If things move so fast that a list served once, this many searches use the present boxes.
 const PLAIN: u32 = 8;
-/// Of the boxes that may move: where fewer than one in so many have left theirs, the others keep
-/// their pairs.
+/// If fewer than one in this many of the boxes that may move have left theirs, the others keep their
+/// pairs.
 const MANY_LEFT: usize = 4;
-/// Bytes of a near pair in these lists and of its contacts, and so many pairs that need no asking.
+/// Bytes of a near pair in these lists and of its contacts, and the number of pairs that needs no check.
 const NEAR: usize = 1000;
 const FEW: usize = 50_000;
 
-/// What the spans of rows point into: the model's lists, in a heap followed by the dofs of each
-/// two bodies that are near.
+/// The lists that the spans of rows point into: the model's, in a pile followed by the dofs of each two
+/// bodies that are near.
 pub(crate) struct Lists {
-    /// Empty where no pair is found live.
+    /// Empty if no pair is found live.
     own: Vec<usize>,
-    /// How much of it is the model's.
+    /// The length of the model's part.
     fixed: usize,
 }
 
@@ -78,40 +78,40 @@ impl Lists {
     }
 }
 
-/// Pairs that are near, and the boxes that say for how long.
+/// Pairs that are near, and the boxes that limit how long they are valid.
 #[derive(Default)]
 pub(super) struct Kept {
-    /// By place in `DynamicPairs::solid`: the boxes at hand; of those that may move also the boxes within
-    /// which the pairs hold.
+    /// By place in `DynamicPairs::solid`: the present boxes; for those that may move also the boxes
+    /// within which the pairs are valid.
     boxes: Vec<Bounds>,
     spare: Vec<Bounds>,
-    /// How far each that may move went before the last detection, and before the one before it.
+    /// Movement of each movable box before the last detection, and before the one before it.
     moved: Vec<[[f64; 3]; 2]>,
-    /// The law under which the boxes of what never moves were made looks at the guess.
+    /// The law under which the boxes of fixed geoms were made reads the guess.
     guessed: bool,
     fixed: Fixed,
     /// Places of boxes that have left theirs, ascending.
     left: Vec<u32>,
-    /// By geom: its place there.
+    /// By geom: its place in `DynamicPairs::solid`.
     places: Vec<u32>,
     broad: Broad,
-    /// Numbers and geoms of the pairs, and those of the pairs before.
+    /// Numbers and geoms of the pairs, and of the pairs before.
     numbers: Vec<(u64, u32, u32)>,
     before: Vec<(u64, u32, u32)>,
     pub pairs: Vec<Pair>,
     /// The last search has served another detection since.
     pub served: bool,
-    /// So many searches to come keep to the boxes at hand.
+    /// This many further searches use the present boxes.
     plain: u32,
-    /// So many pairs were found to fit into the memory.
+    /// This many pairs were found to fit into the memory.
     fitting: usize,
 }
 
 room!(Kept: boxes, spare, moved, guessed, fixed, left, places, broad, numbers, before, pairs, served,
     plain, fitting);
 
-/// A box in which its geom is to stay for a while. It leads ahead as far as both last moves agree: one
-/// of them alone may be a jump.
+/// Returns a box in which its geom is to stay for a while. It extends ahead as far as both last moves
+/// agree: one of them alone may be a jump.
 fn widened<N: Constant>(model: &Model<N>, bounds: &Bounds, moved: &[[f64; 3]; 2]) -> Bounds {
     let reach = model.geoms[bounds.geom as usize].reach.lane(0);
     let [last, before] = moved;
@@ -133,8 +133,8 @@ fn widened<N: Constant>(model: &Model<N>, bounds: &Bounds, moved: &[[f64; 3]; 2]
 }
 
 impl Kept {
-    /// Takes the boxes of all solid geoms, made by `bounds`, and brings the pairs up to date; refuses
-    /// more pairs than the memory holds.
+    /// Takes the boxes of all solid geoms, made by `bounds`, and brings the pairs up to date; more pairs
+    /// than the memory holds are an error.
     pub fn refresh<N: Constant>(
         &mut self,
         model: &Model<N>,
@@ -189,7 +189,7 @@ impl Kept {
         Ok(())
     }
 
-    /// The boxes at hand; of what never moves they are made once.
+    /// Takes the present boxes; fixed geoms' boxes are made once.
     fn take_boxes<N: Constant>(
         &mut self,
         model: &Model<N>,
@@ -219,7 +219,7 @@ impl Kept {
         }
     }
 
-    /// Keeps the pairs of boxes that stay within theirs, and finds those of the others.
+    /// Keeps the pairs of boxes that stay within theirs, and finds the pairs of the others.
     fn search_again<N: Constant>(&mut self, model: &Model<N>) {
         let Self { boxes, spare, moved, left, places, broad, numbers, before, served, .. } = self;
         *served = true;
@@ -239,7 +239,7 @@ impl Kept {
         }
     }
 
-    /// Numbers what was found; more than the memory holds is refused, and searched for anew.
+    /// Numbers the pairs found; more than the memory holds is an error, and a new search follows.
     fn number<N: Constant>(&mut self, model: &Model<N>, heap: &DynamicPairs) -> Result<()> {
         let near = self.broad.found.pairs.len() + self.numbers.len();
         let fits = near <= self.fitting.max(FEW) || can_be_had(near.saturating_mul(NEAR));
@@ -264,7 +264,7 @@ impl Kept {
         Ok(())
     }
 
-    /// Makes the boxes within which a search is to hold.
+    /// Makes the boxes within which a search is valid.
     fn widen<N: Constant>(&mut self, model: &Model<N>, heap: &DynamicPairs) {
         let fast = !self.served && !self.spare.is_empty() && self.plain == 0;
         self.plain = if fast { PLAIN } else { self.plain.saturating_sub(1) };
@@ -276,7 +276,7 @@ impl Kept {
         }
     }
 
-    /// The boxes of a pair overlap now.
+    /// Checks whether the boxes of a pair overlap now.
     #[inline(always)]
     pub fn overlap(&self, pair: &Pair) -> bool {
         let [one, two] = [pair.geom1, pair.geom2].map(|geom| self.places[geom] as usize);

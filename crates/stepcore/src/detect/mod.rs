@@ -1,10 +1,10 @@
 //! Stage 2, detect: every place where shapes touch or are about to.
 //!
-//! Candidate pairs were chosen when the model was compiled, or in a heap are found by a broad phase
-//! (`near.rs`, `kept.rs`, `broad.rs`); here each is tested
-//! by its bounding spheres and boxes (`apart.rs`), which are fattened by the way of the guess where
-//! contacts ahead are asked for (`swept.rs`), and then exactly. Contacts come out in pair order,
-//! whatever the lanes hold, so that row order never depends on anything else.
+//! Candidate pairs were chosen when the model was compiled, or in a pile are found by a broad phase
+//! (`near.rs`, `kept.rs`, `broad.rs`). Each is tested here by its bounding spheres and boxes
+//! (`apart.rs`), which are enlarged by the motion of the guess where contacts ahead are requested
+//! (`swept.rs`), and then exactly. Contacts come out in pair order, whatever the lanes hold, so that
+//! row order never depends on anything else.
 
 mod apart;
 mod broad;
@@ -42,9 +42,9 @@ use swept::Swept;
 #[derive(Clone, Debug)]
 pub struct Contact<R: Real> {
     pub pair: Pair<R>,
-    /// Which of the pair's contacts; keeps its meaning from step to step.
+    /// The index of this contact in its pair; keeps its meaning from step to step.
     pub part: usize,
-    /// What touches: see `Touch::feature`.
+    /// The features that touch: see `Touch::feature`.
     pub feature: R,
     /// Lanes in which the contact is listed.
     pub mask: R::Mask,
@@ -54,33 +54,33 @@ pub struct Contact<R: Real> {
     pub pos: V3<R>,
     /// Unit, from geom 1 to geom 2.
     pub normal: V3<R>,
-    /// How far ahead of `pos` geom 2's own point still is, where the two only meet on their way.
+    /// Vector from geom 2's contact point to `pos`, nonzero where the two only meet on their way.
     pub ahead: V3<R>,
 }
 
-/// Bytes of a contact, of its rows, and of what solves them; and so many that need no asking.
+/// Bytes of a contact, of its rows, and of their solution; and the number that needs no check.
 const CONTACT: usize = 3500;
 const FEW: usize = 20_000;
 
-/// What this stage writes.
+/// The output of this stage.
 pub struct Detected<R: Real> {
     pub contacts: Vec<Contact<R>>,
-    /// How often the list had to grow: 0 in a run with enough `max_contacts`.
+    /// Number of times that the list grew: 0 in a run with enough `max_contacts`.
     pub grown: u64,
     swept: Swept<R>,
     pub(crate) lists: Lists,
-    /// By tree: it sleeps, and is not tested against what does not move; empty where nobody does.
+    /// By tree: it sleeps, and is not tested against fixed geoms; empty if no tree sleeps.
     pub(crate) asleep: Vec<bool>,
-    /// So many contacts were found to fit into the memory, with their rows.
+    /// This many contacts were found to fit into the memory, with their rows.
     fitting: usize,
     /// By fixed pair and lane; no part of a state.
     pub(crate) hints: Vec<Hint>,
-    /// Of a heap.
+    /// The near pairs of a pile.
     kept: Kept,
     /// By part of the near pairs, where threads share the work.
     found: Vec<Mutex<Found<R>>>,
     pub(crate) pool: Option<Arc<Pool>>,
-    /// Every pair is tested exactly, however far apart.
+    /// Every pair is tested exactly, whatever its distance.
     #[cfg(test)]
     pub(crate) exhaustive: bool,
 }
@@ -108,8 +108,8 @@ impl<R: Real> Detected<R> {
         }
     }
 
-    /// Lists the contacts of the present positions, and with `ahead` [s] those that the guess may bring
-    /// within that time (the row maker drops what stays apart); refuses more than the memory holds.
+    /// Lists the contacts of the present positions, and with `ahead` [s] also of the guess within that
+    /// time (the row maker drops any that stay apart); more than the memory holds are an error.
     pub fn detect(
         &mut self,
         model: &Model<R::Value>,
@@ -131,7 +131,7 @@ impl<R: Real> Detected<R> {
         self.check_room()
     }
 
-    /// The rows of the contacts, and what solves them, fit into the memory.
+    /// Checks that the rows of the contacts, and their solution, fit into the memory.
     fn check_room(&mut self) -> Result<()> {
         let count = self.contacts.len();
         if count > self.fitting {
@@ -144,7 +144,7 @@ impl<R: Real> Detected<R> {
         Ok(())
     }
 
-    /// Those of pairs that were listed when the model was compiled.
+    /// Lists the contacts of pairs that were chosen when the model was compiled.
     fn detect_fixed(
         &mut self,
         model: &Model<R::Value>,
@@ -178,7 +178,7 @@ impl<R: Real> Detected<R> {
         }
     }
 
-    /// The contacts of a pair that its spheres do not keep apart.
+    /// Lists the contacts of a pair that its spheres do not keep apart.
     pub(crate) fn meet_fixed<P: Value<R>>(
         &mut self,
         model: &Model<R::Value>,
@@ -207,13 +207,13 @@ impl<R: Real> Detected<R> {
         });
     }
 
-    /// What the spans of rows point into: see `Situation::dof_lists`.
+    /// Returns the lists that the spans of rows point into: see `Situation::dof_lists`.
     pub fn dof_lists<'a>(&'a self, model: &'a Model<R::Value>) -> &'a [usize] {
         self.lists.of(model)
     }
 }
 
-/// A geom that nothing moves, or whose tree sleeps. To those who sleep a mocap body is awake.
+/// Checks for a geom that is fixed, or whose tree sleeps. For sleeping trees a mocap body is awake.
 fn rests<N: Constant>(model: &Model<N>, asleep: &[bool], geom: usize) -> bool {
     let body = model.geoms[geom].body;
     let tree = model.bodies[body].tree;
@@ -223,9 +223,9 @@ fn rests<N: Constant>(model: &Model<N>, asleep: &[bool], geom: usize) -> bool {
     asleep.get(tree).is_some_and(|asleep| *asleep)
 }
 
-/// Below which distance the contacts of a pair are listed [m]. `more`: how far the guess goes. Beyond
-/// it the row maker drops whatever stands in a lane because a neighbour is faster; but adhesion would
-/// pull there.
+/// Returns the distance below which the contacts of a pair are listed [m]. `more`: the motion of the
+/// guess. Beyond it the row maker drops the contacts that are in a lane only because a neighbour is
+/// faster; but adhesion would pull there.
 fn listed<R: Real, P>(model: &Model<R::Value>, pair: &Pair<P>, more: Option<R>) -> R {
     match more {
         Some(more) if model.adheres => more,
@@ -266,17 +266,17 @@ impl<R: Real> Contact<R> {
         }
     }
 
-    /// Where the two geoms touch, each on its own body: see `ahead`.
+    /// Returns the contact points of the two geoms, each on its body: see `ahead`.
     pub fn points(&self) -> [V3<R>; 2] {
         [self.pos, self.pos - self.ahead]
     }
 
-    /// Which contact it is.
+    /// Returns the element of this contact.
     pub fn element(&self) -> Element {
         Element::part(Kind::Contact, self.pair.index, self.part)
     }
 
-    /// The two directions of friction; with the normal they are the contact's frame.
+    /// Returns the two directions of friction; with the normal they are the contact's frame.
     pub fn tangents(&self, placed: &Placed<R>) -> [V3<R>; 2] {
         let pair = &self.pair;
         let hint = hint(pair.test, &placed.geom[pair.geom2]);
@@ -285,7 +285,7 @@ impl<R: Real> Contact<R> {
     }
 }
 
-/// In some lane a joint is where pairs that its range keeps apart may meet after all.
+/// Checks whether a joint is, in some lane, where pairs that its range keeps apart may meet after all.
 fn beyond<R: Real>(model: &Model<R::Value>, qpos: &[R]) -> bool {
     let beyond = model.guards.iter().fold(R::Mask::of(false), |beyond, guard| {
         let q = qpos[guard.at];
@@ -314,7 +314,7 @@ pub(crate) fn almost<R: Real>(
     }
 }
 
-/// The smallest distance of a pair's geoms [m].
+/// Returns the smallest distance of a pair's geoms [m].
 pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 {
     let mut least = f64::INFINITY;
     meet(model, &placed.geom, pair, (|_| f64::INFINITY, &[]), |_, touch| {
@@ -325,14 +325,14 @@ pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 
     least
 }
 
-/// Boxes or spheres about a pair's geoms are apart by more than `more` [m]: much cheaper to tell
-/// than `distance`.
+/// Checks that boxes or spheres about a pair's geoms are apart by more than `more` [m], which is much
+/// cheaper than `distance`.
 pub(crate) fn boxes_apart(model: &Model, placed: &Placed<f64>, pair: &Pair, more: f64) -> bool {
     !near(model, &placed.geom, pair, Some(more))
 }
 
-/// The exact test of one pair: `take(part, touch)` gets what is in each of its slots, if nearer than
-/// `within` [m].
+/// Tests one pair exactly: `take(part, touch)` gets the touch of each slot, if nearer than `within`
+/// [m].
 #[inline(always)]
 fn meet<R: Real, P>(
     model: &Model<R::Value>,
@@ -344,7 +344,7 @@ fn meet<R: Real, P>(
     meet_at(model, pair, [&poses[pair.geom1], &poses[pair.geom2]], look, take);
 }
 
-/// The same with the two geoms at these poses.
+/// Does the same with the two geoms at these poses.
 #[inline(always)]
 fn meet_at<R: Real, P>(
     model: &Model<R::Value>,

@@ -1,4 +1,4 @@
-//! The contacts of a heap: of the pairs whose boxes overlap.
+//! The contacts of a pile, from the pairs whose boxes overlap.
 
 use super::apart::near;
 use super::broad::Bounds;
@@ -13,12 +13,12 @@ use crate::pool::{inside, lock, Pool, WORTH_SHARING};
 use crate::real::{Constant, Mask, Real};
 use std::sync::Mutex;
 
-/// Of a geom's reach, and of roundings of its place: what boxes are larger by.
+/// Margin of boxes, as a part of the geom's reach and in roundings of its place.
 const ROUNDING: f64 = 1e-6;
 const UNITS: f64 = 16.0;
 
 impl<R: Real> Detected<R> {
-    /// Lists the contacts of a heap, in the order in which fixed pairs would stand.
+    /// Lists the contacts of a pile, in the order that fixed pairs would have.
     pub(super) fn detect_near(
         &mut self,
         model: &Model<R::Value>,
@@ -49,17 +49,17 @@ impl<R: Real> Detected<R> {
 /// Parts of the work for each thread: some are done sooner than others.
 const PARTS: usize = 4;
 
-/// What the exact tests of near pairs read.
+/// The input of the exact tests of near pairs.
 struct Near<'a, R: Real> {
     model: &'a Model<R::Value>,
     placed: &'a Placed<R>,
     kept: &'a Kept,
-    /// Of laws that look at the guess.
+    /// Present for laws that read the guess.
     swept: Option<&'a Swept<R>>,
 }
 
 impl<R: Real> Near<'_, R> {
-    /// Gives the contacts of some pairs to `take`.
+    /// Passes the contacts of some pairs to `take`.
     fn meet(&self, pairs: &[Pair], mut take: impl FnMut(Contact<R>)) {
         let Self { model, placed, kept, swept } = *self;
         let mut meter = Meter::default();
@@ -80,7 +80,7 @@ impl<R: Real> Near<'_, R> {
         }
     }
 
-    /// The same by the threads of a pool. What the parts find is put together in their order.
+    /// Does the same with the threads of a pool. The parts' contacts are joined in their order.
     fn meet_shared(
         &self,
         pool: &Pool,
@@ -102,14 +102,14 @@ impl<R: Real> Near<'_, R> {
     }
 }
 
-/// What one part of the near pairs has.
+/// The contacts of one part of the near pairs.
 pub(super) struct Found<R: Real> {
     contacts: Vec<Contact<R>>,
 }
 
 room!(Found<R>: contacts);
 
-/// The box that a geom stays in: its own, and `more` on each side.
+/// Returns the box that a geom stays in: its bounding box, and `more` on each side.
 fn bounds<R: Real>(model: &Model<R::Value>, placed: &Placed<R>, index: usize, more: f64) -> Bounds {
     let (geom, pose) = (&model.geoms[index], &placed.geom[index]);
     let reach = geom.reach.lane(0);

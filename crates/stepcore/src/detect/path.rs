@@ -1,9 +1,9 @@
-//! Where two shapes meet on their way through a step, if they do.
+//! The place where two shapes meet on their way through a step, if they do.
 //!
-//! Between convex shapes at distance φ along the normal n lies a plane that neither crosses before
-//! φ of their approach along n is used up. So, moved by φ/(−n·way) of the whole way, they still do
-//! not overlap, and the next plane is nearer the truth: Newton's method on a convex distance, which
-//! comes from one side and never passes the first touch (conservative advancement: Mirtich 1996).
+//! If convex shapes are at distance φ along the normal n, a plane separates them until they have
+//! approached by φ along n. So, moved by φ/(−n·way) of the whole way, they still do not overlap, and
+//! the next plane is nearer to the touch: Newton's method on a convex distance, which comes from one
+//! side and never passes the first touch (conservative advancement: Mirtich 1996).
 
 use super::{meet_at, Contact};
 use crate::model::{Model, Pair};
@@ -14,24 +14,24 @@ use crate::spatial::{Pose, V3};
 
 /// Planes after which shapes that are still neither met nor past count as met.
 const PLANES: usize = 32;
-/// Cosine of the angle by which a normal may turn on the way and still stand for the contact.
+/// Cosine of the largest angle by which a normal may turn on the way and still represent the contact.
 const TURNED: f64 = 0.999;
 
-/// What a way ends at.
+/// The end of a way.
 pub(crate) struct TimeOfImpact<R: Real> {
     /// Lanes in which the shapes meet.
     pub met: R::Mask,
-    /// Of these, where the normal there is another than the present one.
+    /// The lanes of `met` where the normal differs from the present one.
     pub turned: R::Mask,
-    /// Of the whole way, until then.
+    /// The part of the whole way until then.
     pub share: R,
-    /// The contact then, geom 1 standing still.
+    /// The contact then, with geom 1 at rest.
     pub pos: V3<R>,
     pub normal: V3<R>,
 }
 
-/// What has become of a contact where the geoms are at these poses: what is in its slot, or of a
-/// manifold what is nearest.
+/// Returns the contact with the geoms at these poses: the touch in its slot, or for a manifold the
+/// nearest one.
 #[inline(always)]
 fn same<R: Real, P>(
     model: &Model<R::Value>,
@@ -59,8 +59,8 @@ fn same<R: Real, P>(
     })
 }
 
-/// Moves geom 2 of a contact's pair along `way` [m], as geom 1 sees it, in the lanes of `open`,
-/// until they are `near` [m].
+/// Moves geom 2 of a contact's pair along `way` [m], relative to geom 1, in the lanes of `open`, until
+/// the two are `near` [m].
 pub(crate) fn time_of_impact<R: Real>(
     model: &Model<R::Value>,
     placed: &Placed<R>,

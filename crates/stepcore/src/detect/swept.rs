@@ -1,24 +1,24 @@
-//! How far each geom may come in a step, for laws that look at the guess.
+//! Bounds on the motion of each geom in a step, for laws that read the guess.
 //!
 //! Under these laws a contact at distance φ has a row only if the guess overlaps, φ + dt·J v̂ < 0,
 //! or if φ is a thousandth of the smaller geom (see `elements/contact.rs`). J v̂ is the approach of
 //! the two bodies' points halfway between the surfaces. Such a point is within ρ + φ/2 of its
-//! geom's centre, which moves by v, so it moves by at most v + ω (ρ + φ/2): with E = dt (v + ω ρ)
-//! and c = dt ω/2, a row asks for φ (1 − c₁ − c₂) < E₁ + E₂. With C no less than any c, that is
-//! φ < (E₁ + E₂)/(1 − 2C), a part for each geom, by which its sphere is fattened. A geom that
-//! turns by more than half a radian in a step is near everything.
+//! geom's centre, which moves by v, so it moves by at most v + ω (ρ + φ/2). With E = dt (v + ω ρ) and
+//! c = dt ω/2, a row needs φ (1 − c₁ − c₂) < E₁ + E₂. With C no less than any c, this is
+//! φ < (E₁ + E₂)/(1 − 2C), a part for each geom, by which its sphere is enlarged. A geom that turns by
+//! more than half a radian in a step is near everything.
 //!
-//! Nothing is assumed of what rows do to the guess: a row that would exist only because of what
-//! another row does is none that the row maker makes either.
+//! Nothing is assumed of the effect of rows on the guess: a row that would exist only because of
+//! another row's effect is one that the row maker does not make either.
 
 use crate::model::{Geom, Model, Pair, NEAR, NONE};
 use crate::place::Placed;
 use crate::real::{Real, Value};
 use crate::spatial::Motion;
 
-/// Of a geom's size, and of its way: what rounding, in single precision too, cannot bridge.
+/// Parts of a geom's size and of its way that rounding cannot exceed, in single precision too.
 const ROUNDING: f64 = 1e-4;
-/// The most of c for which E counts.
+/// The largest c for which E counts.
 const MOST_TURN: f64 = 0.25;
 
 /// Spheres that hold a geom throughout the step.
@@ -29,7 +29,7 @@ pub(super) struct Swept<R: Real> {
     motion: Vec<Motion<R>>,
     /// c by geom.
     turn: Vec<R>,
-    /// By geom: E at first, then by how much its sphere is fattened [m].
+    /// By geom: E at first, then the enlargement of its sphere [m].
     more: Vec<R>,
 }
 
@@ -40,7 +40,7 @@ impl<R: Real> Swept<R> {
         Self { velocity: vec![], motion: vec![], turn: vec![], more: vec![] }
     }
 
-    /// Of all geoms that collide, by the guess at hand.
+    /// Bounds the motion of all geoms that collide, by the present guess.
     pub fn sweep(&mut self, model: &Model<R::Value>, placed: &Placed<R>, dt: f64) {
         let (zero, one) = (R::zero(), R::one());
         self.velocity.resize(model.nv, zero);
@@ -60,7 +60,7 @@ impl<R: Real> Swept<R> {
             let arm = placed.geom[index].pos - placed.origin[body.tree];
             let centre = motion.at(&arm);
             let (speed, spin) = (centre.dot(&centre).sqrt(), motion.ang.dot(&motion.ang).sqrt());
-            // What cancels in the centre's velocity leaves rounding.
+            // Cancellation in the centre's velocity leaves rounding.
             let terms = motion.lin.dot(&motion.lin).sqrt() + spin * arm.dot(&arm).sqrt();
             let rounding = R::of(64.0 * R::epsilon()) * terms;
             self.more[index] = dt * (speed + spin * geom.reach.get() + rounding);
@@ -78,7 +78,7 @@ impl<R: Real> Swept<R> {
         }
     }
 
-    /// By how much the spheres of a pair are fattened, together: adhesion pulls through the whole gap.
+    /// Returns the total enlargement of a pair's spheres: adhesion pulls through the whole gap.
     #[inline(always)]
     pub fn of<P>(&self, model: &Model<R::Value>, pair: &Pair<P>) -> R {
         let more = self.more[pair.geom1] + self.more[pair.geom2];
@@ -89,12 +89,12 @@ impl<R: Real> Swept<R> {
         }
     }
 
-    /// By how much a geom's sphere is fattened.
+    /// Returns the enlargement of a geom's sphere.
     pub fn geom(&self, geom: usize) -> R {
         self.more[geom]
     }
 
-    /// The motion of every body about its tree's origin.
+    /// Computes the motion of every body about its tree's origin.
     fn motions(&mut self, model: &Model<R::Value>, placed: &Placed<R>) {
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.tree != NONE) {
             let first = model.trees[body.tree].bodies.start == index;

@@ -1,4 +1,4 @@
-//! What is left out must change nothing: steps with and without it are the same bits.
+//! Skipped work must change nothing: steps with and without it are the same bits.
 
 use super::broad::{Bounds, Broad, Fixed};
 use super::Contact;
@@ -107,7 +107,7 @@ fn pairs_that_the_guess_keeps_apart_have_no_rows() {
     }
 }
 
-/// What is tried first for the step before only saves time.
+/// The separating direction of the step before, which is tried first, only saves time.
 fn hints_change_nothing<R: Real>() {
     let mut random = Random(23);
     let mut scene = scattered(&mut random, 8, 0.6);
@@ -160,7 +160,7 @@ fn the_broad_phase_finds_what_comparing_all_boxes_finds() {
             .map(|geom| {
                 let half = 0.1 * 2.0_f64.powf(random.between(-spread, spread));
                 let mut centre = [0.0; 3].map(|_: f64| random.between(-room, room));
-                // Some corners are shared, and some boxes reach far or are no numbers.
+                // Some corners are shared, and some boxes are huge or NaN.
                 if random.next() < 0.3 {
                     centre = centre.map(f64::round);
                 }
@@ -204,7 +204,7 @@ fn the_broad_phase_finds_what_comparing_all_boxes_finds() {
     }
 }
 
-/// The same scene with all its pairs in a list, and as a heap; both with live islands.
+/// The same scene with all its pairs in a list, and as a pile; both with live islands.
 fn two_ways<R: Real>(scene: &Scene, settings: &Settings) -> [Sim<R>; 2] {
     [usize::MAX, 0].map(|most| {
         let model = Arc::new(Model::compile_with(scene, most).unwrap());
@@ -215,7 +215,7 @@ fn two_ways<R: Real>(scene: &Scene, settings: &Settings) -> [Sim<R>; 2] {
     })
 }
 
-/// Slow bodies are searched for now and then, quick ones in every step; what is found is the same.
+/// Slow bodies are searched for now and then, fast ones in every step; the pairs found are the same.
 #[test]
 fn kept_pairs_are_those_of_a_new_search() {
     for (speed, room, most) in [(0.05, 5.0, 20), (50.0, 0.9, 30)] {

@@ -1,4 +1,4 @@
-//! Where two geoms touch at many poses: what a step's test of the pair finds there.
+//! Contacts of two geoms at many poses, as a step's test of the pair finds them.
 
 use crate::error::{Error, Result};
 use crate::model::Model;
@@ -11,7 +11,7 @@ use crate::shapes::{self, ShapeTest};
 pub struct PosedTouches {
     /// Slots of a pose.
     pub slots: usize,
-    /// The slot has a contact, however far apart the two are there.
+    /// The slot has a contact, whatever the distance of the two.
     pub exists: Vec<bool>,
     /// Signed distance [m], negative = overlap.
     pub dist: Vec<f64>,
@@ -24,7 +24,7 @@ pub struct PosedTouches {
 }
 
 impl Model {
-    /// The contacts of two geoms at positions `qpos`, `poses` times nq numbers, in any order of
+    /// Finds the contacts of two geoms at positions `qpos`, `poses` times nq numbers, in any order of
     /// the two and whether or not a step lets them meet.
     pub fn touches<R: Real>(
         &self,

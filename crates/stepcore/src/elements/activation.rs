@@ -1,12 +1,11 @@
 //! Activations: the state that an actuator has between its control and its force.
 //!
-//! MuJoCo documentation, "Actuation model": ẇ = u of an integrator, ẇ = (u − w)/τ of a filter; that of
-//! a muscle is in `muscle.rs`.
-//! A step takes w + dt·ẇ, and of `filterexact` what the filter does in dt under a control that is
-//! held, w + (1 − exp(−dt/τ)) τ ẇ; then bounds.
-//! Of a servo on a circle (`Model::circles`) a filter goes the shorter way round: u is the one of those
-//! that are the same which is nearest to w. At the end of a step w itself is the one which is nearest
-//! to the length at its start (`midpoint`: in its middle), be it out of bounds.
+//! MuJoCo documentation, "Actuation model": ẇ = u for an integrator, ẇ = (u − w)/τ for a filter;
+//! `muscle.rs` has the equation of a muscle. A step takes w + dt·ẇ, and for `filterexact` the exact
+//! change in dt under a constant control, w + (1 − exp(−dt/τ)) τ ẇ; then bounds. For a servo on a
+//! circle (`Model::circles`) a filter goes the shorter way round: u is the equivalent control nearest
+//! to w. At the end of a step w is replaced by the equivalent one nearest to the length at the start of
+//! the step (`midpoint`: in its middle), even if that is out of bounds.
 
 use super::controller::{self, BRISTLE};
 use super::delay::nearest;
@@ -23,7 +22,7 @@ use crate::state::{Inputs, State};
 const SHORTEST: f64 = 1e-15;
 
 impl<R: Real> State<R> {
-    /// Its activations, in steps of `clock`.
+    /// Returns the activations of the state, in steps of `clock`.
     pub(crate) fn activations(&self, clock: Clock<R>) -> Activations<'_, R> {
         let Self { act, ctrl_history: history, .. } = self;
         let Clock { seconds, period, .. } = clock;
@@ -31,7 +30,7 @@ impl<R: Real> State<R> {
     }
 }
 
-/// The past controls after a step with the present ones.
+/// Shifts the present controls into the past ones, after a step.
 #[inline]
 pub(crate) fn remember<R: Real>(model: &Model<R::Value>, history: &[R], ctrl: &[R], out: &mut [R]) {
     if out.is_empty() {
@@ -45,7 +44,7 @@ pub(crate) fn remember<R: Real>(model: &Model<R::Value>, history: &[R], ctrl: &[
 }
 
 impl<N: Constant> scene::Actuator<N> {
-    /// What follows of the time constant of a filter [s].
+    /// Evaluates a function of the time constant of a filter [s].
     fn of_time_constant<R: Real>(&self, f: impl Fn(f64) -> f64) -> R
     where
         N: Value<R>,
@@ -53,7 +52,7 @@ impl<N: Constant> scene::Actuator<N> {
         N::calc([&self.dynprm[0]], |[tau]| f(tau.max(SHORTEST)))
     }
 
-    /// ẇ under a control; with the length after which that is the same again (0: never).
+    /// Returns ẇ under a control. circle: the length after which controls are equivalent (0: none).
     fn rate<R: Real>(&self, act: R, ctrl: R, circle: f64) -> R
     where
         N: Value<R>,
@@ -68,7 +67,7 @@ impl<N: Constant> scene::Actuator<N> {
         }
     }
 
-    /// For how long ẇ acts in so many seconds [s].
+    /// Returns the time for which ẇ acts in this many seconds [s].
     fn span<R: Real>(&self, seconds: f64) -> R
     where
         N: Value<R>,
@@ -81,7 +80,7 @@ impl<N: Constant> scene::Actuator<N> {
         }
     }
 
-    /// An activation after a step in which it changes at a rate.
+    /// Returns an activation after a step in which it changes at a rate.
     fn next<R: Real>(&self, act: R, rate: R, seconds: f64) -> R
     where
         N: Value<R>,
@@ -89,8 +88,8 @@ impl<N: Constant> scene::Actuator<N> {
         self.within(act + rate * self.span::<R>(seconds))
     }
 
-    /// How an activation changes has a corner: at that of a muscle's rate, and where a step ends
-    /// exactly at a bound.
+    /// Checks for a corner in the change of an activation: a corner of a muscle's rate, or a step that
+    /// ends exactly at a bound.
     pub(crate) fn turns<R: Real>(&self, act: R, ctrl: R, circle: f64, seconds: f64) -> bool
     where
         N: Value<R>,
@@ -109,8 +108,8 @@ impl<N: Constant> scene::Actuator<N> {
     }
 }
 
-/// What stands for the control of an actuator with an activation: that, or what it will be at the
-/// end of the step.
+/// Returns the effective control of an actuator: with an activation, that activation, or its value at
+/// the end of the step.
 #[inline(always)]
 pub(crate) fn signal<R: Real>(
     model: &Model<R::Value>,
@@ -129,7 +128,7 @@ pub(crate) fn signal<R: Real>(
     actuator.next(act, actuator.rate(act, ctrl(), model.circles[index]), now.seconds)
 }
 
-/// The rates of all activations, and how fast those of controllers fade.
+/// Computes the rates of all activations, and how fast the rates of controllers fade.
 pub(crate) fn rates<R: Real>(
     model: &Model<R::Value>,
     at: (&[R], &[R]),
@@ -154,7 +153,7 @@ pub(crate) fn rates<R: Real>(
     }
 }
 
-/// All activations after a step with these rates, which fade as they move.
+/// Advances all activations by a step with these rates, which fade as they move.
 #[inline]
 pub(crate) fn advance<R: Real>(
     model: &Model<R::Value>,
@@ -180,13 +179,13 @@ pub(crate) fn advance<R: Real>(
     for (index, k) in model.active() {
         out[k] = model.actuators[index].next(act[k], rates[k], seconds);
     }
-    // What is left out rests, within its bounds.
+    // The activations of disabled actuators rest, within their bounds.
     for (index, k) in (0..model.actuators.len()).filter_map(|index| model.place(index, false)) {
         out[k] = model.actuators[index].within(act[k]);
     }
 }
 
-/// Bristles move through a step of `rk4` as they begin it, as in MuJoCo.
+/// Replaces the rates of bristles by the ones at the start of a step of `rk4`, as in MuJoCo.
 pub(crate) fn hold_bristles<R: Real>(model: &Model<R::Value>, first: &[R], rates: &mut [R]) {
     for (_, k) in
         model.controlled().flat_map(|(_, places)| places).filter(|(kind, _)| *kind == BRISTLE)
@@ -195,8 +194,8 @@ pub(crate) fn hold_bristles<R: Real>(model: &Model<R::Value>, first: &[R], rates
     }
 }
 
-/// All activations in the middle of a step: of an exact filter what it does in half of it, of others
-/// the implicit midpoint rule, w_m = w + dt/2·ẇ(w_m).
+/// Computes all activations in the middle of a step: an exact filter moves exactly by half a step,
+/// others by the implicit midpoint rule, w_m = w + dt/2·ẇ(w_m).
 pub(crate) fn middle<R: Real>(
     model: &Model<R::Value>,
     now: Activations<R>,
@@ -220,7 +219,7 @@ pub(crate) fn middle<R: Real>(
     }
 }
 
-/// All activations after a step in the middle of which these were their rates.
+/// Advances all activations by a step, with their rates in its middle.
 pub(crate) fn through_middle<R: Real>(
     model: &Model<R::Value>,
     now: Activations<R>,
@@ -242,7 +241,7 @@ pub(crate) fn through_middle<R: Real>(
     }
 }
 
-/// By activation, the length that a servo on a circle has; others are left alone.
+/// Writes the lengths of servos on circles, by activation; other entries are left alone.
 #[inline]
 pub(crate) fn centres<R: Real>(
     model: &Model<R::Value>,
@@ -270,27 +269,27 @@ pub(crate) fn unwind<R: Real>(model: &Model<R::Value>, centres: &[R], act: &mut 
 }
 
 impl<N: Constant> Model<N> {
-    /// Those of servos on circles.
+    /// Activations of servos on circles.
     fn on_circles(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let circles = self.circles.iter().enumerate().filter(|(_, circle)| **circle != 0.0);
         let acting = circles.filter(|_| self.features.actuation);
         acting.filter_map(|(index, _)| self.place(index, true))
     }
 
-    /// Actuators with one activation, and its place; not those of controllers.
+    /// Actuators with one activation, and its place; controllers are left out.
     fn active(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         (0..self.actuators.len()).filter_map(|index| self.place(index, true))
     }
 
-    /// The one activation of an actuator that is `enabled` or is not; not that of a controller.
+    /// Returns the one activation of an actuator that is `enabled` or is not; None for a controller.
     fn place(&self, index: usize, enabled: bool) -> Option<(usize, usize)> {
         let (span, actuator) = (self.activations[index], &self.actuators[index]);
         let plain = actuator.enabled == enabled && actuator.controller.is_none();
         (span.len > 0 && plain).then_some((index, span.start))
     }
 
-    /// Actuators with a controller that remembers something: the kinds and places of the activations
-    /// that change. In MuJoCo the bristles of a disabled actuator keep moving, and nothing else of it.
+    /// Actuators with a controller that has activations: the kinds and places of the activations that
+    /// change. In MuJoCo only the bristles of a disabled actuator keep moving.
     fn controlled(
         &self,
     ) -> impl Iterator<Item = (usize, impl Iterator<Item = (usize, usize)> + '_)> {

@@ -2,13 +2,12 @@
 //! activation, everything within its bounds. Gain and bias are g₀ + g₁·length + g₂·velocity each, or a
 //! muscle's.
 //!
-//! What of it drives from outside, and what is a spring that stores: a position servo
-//! (bias₁ < 0) with its control held is a passive spring about l* = (gain·u + bias₀)/k,
-//! k = −bias₁, and a damper: an energy that it gains on its own is none. With the bounds
-//! [lo, hi] of its force the spring yields: V = ½ k e² within them, F |e| − F²/2k beyond. What
-//! the control puts in is the change of V when it moves, and what an activation puts in that when it
-//! moves. A velocity servo is a motor of force gain·u + bias₀ and a damper. Everything else is a
-//! motor, and all of its work counts as put in. So does that of a controller (`controller.rs`).
+//! Drives, and springs that store energy: a position servo (bias₁ < 0) with constant control is a
+//! passive spring about l* = (gain·u + bias₀)/k, k = −bias₁, and a damper, so it puts no energy in.
+//! With the bounds [lo, hi] of its force the spring yields: V = ½ k e² within them, F |e| − F²/2k
+//! beyond. The control puts in the change of V when it moves, and so does an activation. A velocity
+//! servo is a motor of force gain·u + bias₀ and a damper. Everything else is a motor, and all of its
+//! work counts as put in, as does all the work of a controller (`controller.rs`).
 
 use super::activation::signal;
 use super::controller::work;
@@ -27,11 +26,11 @@ use crate::state::Inputs;
 
 pub(super) struct Actuator;
 
-/// A part of a bound, MuJoCo's: tensions that a tendon's bound has scaled add up to it but for rounding.
+/// Part of a bound, MuJoCo's: tensions that a tendon's bound has scaled equal it except for rounding.
 const AT_BOUND: f64 = 1e-10;
 
 impl<N: Constant> scene::Actuator<N> {
-    /// A control within its bounds, where these are obeyed.
+    /// Returns a control within its bounds, if these are obeyed.
     #[inline(always)]
     pub(crate) fn held<R: Real<Value = N>>(&self, model: &Model<N>, ctrl: R) -> R
     where
@@ -44,7 +43,7 @@ impl<N: Constant> scene::Actuator<N> {
     }
 }
 
-/// What steps ask of an actuator.
+/// Returns the data of an actuator that steps need.
 pub(crate) fn drive(model: &Model, own: &scene::Actuator) -> ActuatorAt {
     let gain_varies = own.gain[1] != 0.0 || own.gain[2] != 0.0 || own.muscle_gain.is_some();
     let elsewhere = own.controller.is_some() || own.orientation.is_some();
@@ -62,8 +61,8 @@ pub(crate) fn drive(model: &Model, own: &scene::Actuator) -> ActuatorAt {
         biased: own.bias != [0.0; 3] || own.muscle_bias.is_some(),
         elsewhere,
         ctrlrange: own.ctrlrange.filter(|_| model.features.clampctrl),
-        // A motor's bounds are those of its current, which its controller keeps; those of a servo of
-        // orientations bound the length of its torque.
+        // A motor's bounds limit its current, and its controller keeps them. The bounds of a servo of
+        // orientations limit the length of its torque.
         bounds: own.forcerange.filter(|_| !own.drives_motor() && own.orientation.is_none()),
     }
 }
@@ -72,7 +71,7 @@ fn within<R: Real>(x: R, bounds: &Option<[R::Value; 2]>) -> R {
     bounds.as_ref().map_or(x, |[lo, hi]| x.clamp(lo.get(), hi.get()))
 }
 
-/// What an actuator reads: its length and the rate of that; zeros where nothing depends on them.
+/// The length that an actuator reads and its rate; zeros where nothing depends on them.
 #[derive(Clone, Copy)]
 struct Along<R: Real> {
     length: R,
@@ -93,8 +92,8 @@ impl<R: Real> Along<R> {
     }
 }
 
-/// What stands for the control: within its bounds, or the activation; of a servo on a circle the one
-/// of those that are the same which is nearest.
+/// Returns the effective control: within its bounds, or the activation; for a servo on a circle the
+/// nearest equivalent one.
 #[inline(always)]
 fn input<R: Real>(
     model: &Model<R::Value>,
@@ -121,7 +120,7 @@ fn asked<R: Real>(model: &Model<R::Value>, index: usize, at: Along<R>, u: R) -> 
     (constant + length * at.length + velocity * at.velocity) * u
 }
 
-/// What the force has beside that.
+/// Returns the rest of the force, without gain·u.
 #[inline(always)]
 fn bias<R: Real>(actuator: &scene::Actuator<R::Value>, at: Along<R>) -> R {
     if let Some(muscle) = &actuator.muscle_bias {
@@ -134,7 +133,7 @@ fn bias<R: Real>(actuator: &scene::Actuator<R::Value>, at: Along<R>) -> R {
     constant + length * at.length + velocity * at.velocity
 }
 
-/// The force of every actuator before its gear and its bounds, by actuator.
+/// Computes the force of every actuator before its gear and its bounds, by actuator.
 pub(crate) fn tensions<R: Real>(
     model: &Model<R::Value>,
     qpos: &[R],
@@ -167,20 +166,20 @@ pub(crate) fn tensions<R: Real>(
     }
 }
 
-/// Every force within the bounds of its own actuator; those of a tendon come first.
+/// Bounds every force by its actuator's range; the bounds of tendons come first.
 pub(crate) fn bound<R: Real>(model: &Model<R::Value>, tensions: &mut [R]) {
     for &Acts { index, .. } in &model.acting.actuator {
         tensions[index] = within(tensions[index], &model.drives[index].bounds);
     }
 }
 
-/// It pulls at a tendon that bounds the sum of its actuators.
+/// Checks that an actuator pulls at a tendon that bounds the sum of its actuators.
 fn on_bounded_tendon<N: Constant>(model: &Model<N>, index: usize) -> bool {
     let bounds = |tendon: usize| model.tendons[tendon].actuatorfrcrange.is_some();
     matches!(model.actuators[index].target, Target::Tendon(tendon) if bounds(tendon))
 }
 
-/// Motors at tendons that bound what their currents do.
+/// Motors at tendons that bound the force of their currents.
 fn bounded_motors<N: Constant>(model: &Model<N>) -> impl Iterator<Item = usize> + '_ {
     let runs = |actuator: &scene::Actuator<N>| {
         model.features.actuation && actuator.enabled && actuator.drives_motor()
@@ -189,7 +188,7 @@ fn bounded_motors<N: Constant>(model: &Model<N>) -> impl Iterator<Item = usize> 
     motors.map(|(index, _)| index).filter(|index| on_bounded_tendon(model, *index))
 }
 
-/// What their currents do, within each motor's own bounds, which come after those of the tendon.
+/// Bounds the motors' current forces by each motor's range, which comes after the tendon's.
 pub(crate) fn bound_motors<R: Real>(model: &Model<R::Value>, tensions: &mut [R]) {
     for index in bounded_motors(model) {
         if let Some([lo, hi]) = &model.actuators[index].forcerange {
@@ -198,7 +197,7 @@ pub(crate) fn bound_motors<R: Real>(model: &Model<R::Value>, tensions: &mut [R])
     }
 }
 
-/// Their cogging and friction, which no bound holds.
+/// Adds the motors' cogging and friction, which no bound limits.
 pub(crate) fn finish_motors<R: Real>(
     model: &Model<R::Value>,
     at: (&[R], &[R]),
@@ -224,7 +223,7 @@ pub(crate) fn tension_of<R: Real>(model: &Model<R::Value>, tendon: usize, tensio
     on_tendon(model, tendon).fold(R::zero(), |sum, index| sum + tensions[index])
 }
 
-/// The actuators of a tendon together stay within its `actuatorfrcrange`.
+/// Scales the actuators of a tendon so that their sum stays within its `actuatorfrcrange`.
 pub(crate) fn clamp_tendons<R: Real>(model: &Model<R::Value>, tensions: &mut [R]) {
     for (tendon, limits) in model.tendons.iter().enumerate() {
         let Some(range) = &limits.actuatorfrcrange else { continue };
@@ -235,9 +234,8 @@ pub(crate) fn clamp_tendons<R: Real>(model: &Model<R::Value>, tensions: &mut [R]
     }
 }
 
-/// By tendon, 1 where its actuators together are within its `actuatorfrcrange` once each of them is
-/// within its own bounds, 0 where they are at a bound: MuJoCo's rule, with its tolerance, of where they
-/// have slopes.
+/// Writes, by tendon, 1 if the sum of its actuators is within its `actuatorfrcrange` once each is
+/// within its range, else 0: MuJoCo's rule for where actuators have slopes, with its tolerance.
 pub(crate) fn free_tendons<R: Real>(model: &Model<R::Value>, tensions: &[R], free: &mut [R]) {
     free.fill(R::one());
     let near = R::of(AT_BOUND.max(ROUNDED * R::epsilon()));
@@ -251,7 +249,7 @@ pub(crate) fn free_tendons<R: Real>(model: &Model<R::Value>, tensions: &[R], fre
     }
 }
 
-/// The part of a sum that its bounds let through.
+/// Returns the part of a sum that its bounds let through.
 fn share<R: Real>(total: R, [lo, hi]: [R; 2]) -> R {
     let one = R::one();
     let beyond = total.lt(lo).or(total.gt(hi));
@@ -259,7 +257,7 @@ fn share<R: Real>(total: R, [lo, hi]: [R; 2]) -> R {
     R::select(beyond, total.clamp(lo, hi) / whole, one)
 }
 
-/// The force of all actuators together, by dof, before joints bound it.
+/// Sums the forces of all actuators, by dof, before joints bound the sum.
 pub(crate) fn ask_of_joints<R: Real>(now: &Moment<R>, sums: &mut [R]) {
     sums.fill(R::zero());
     for (along, tension) in now.model.along.iter().zip(now.frames.tension) {
@@ -269,8 +267,8 @@ pub(crate) fn ask_of_joints<R: Real>(now: &Moment<R>, sums: &mut [R]) {
     asked_of_drives(now, |dof, force| sums[dof] += force);
 }
 
-/// What joints let through of the forces of their actuators, by dof, and by dof whether they let through
-/// all of it and more: then 1, else 0. What holds up weight through them is one of these.
+/// Computes the part of their actuators' forces that joints let through, by dof, and 1 if the sum is
+/// strictly within the bounds, else 0. Gravity compensation through joints is one of these forces.
 pub(crate) fn clamp_joints<R: Real>(now: &Moment<R>, shares: &mut [R], free: &mut [R]) {
     ask_of_joints(now, shares);
     let mut clamps = now.model.clamps.iter().peekable();
@@ -283,18 +281,18 @@ pub(crate) fn clamp_joints<R: Real>(now: &Moment<R>, shares: &mut [R], free: &mu
     }
 }
 
-/// The part of a sum that the bounds of a joint let through, and 1 where it is within them, else 0.
+/// Returns the part of a sum that the bounds of a joint let through, and 1 if it is within them, else 0.
 pub(crate) fn let_through<R: Real>(total: R, range: [R; 2]) -> [R; 2] {
     let within = total.gt(range[0]).and(total.lt(range[1]));
     [share(total, range), R::select(within, R::one(), R::zero())]
 }
 
-/// It is a position servo, which stores energy.
+/// Checks for a position servo, which stores energy.
 pub(crate) fn stores<N: Constant>(model: &Model<N>, index: usize) -> bool {
     model.acts(index) && model.drives[index].drive == Drive::Spring
 }
 
-/// What a position servo stores under a control [J]; 0 of other actuators.
+/// Returns the energy that a position servo stores under a control [J]; 0 for other actuators.
 pub(crate) fn stored_under<R: Real>(
     model: &Model<R::Value>,
     index: usize,
@@ -321,8 +319,8 @@ pub(crate) fn stored_under<R: Real>(
 }
 
 impl<N: Constant> Model<N> {
-    /// Servos whose force is bounded. Where it reaches its bound they do not damp, and swing about
-    /// their target with all the energy that the bound gives.
+    /// Servos whose force is bounded. At the bound they do not damp, and swing about their target with
+    /// all the energy that the bound gives.
     pub(crate) fn bounded_servos(&self) -> impl Iterator<Item = usize> + '_ {
         let bounded = |own: &ActuatorAt<N>| own.feeds_back && own.bounds.is_some();
         let all = self.drives.iter().enumerate();
@@ -330,7 +328,7 @@ impl<N: Constant> Model<N> {
     }
 }
 
-/// Where no bound holds the force of an actuator; None: it has no bound.
+/// Returns the lanes where the force of an actuator is within its bound; None: it has no bound.
 fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
     let (model, actuator) = (now.model, &now.model.actuators[index]);
     let own = model.drives[index].bounds.as_ref().map(|[lo, hi]| {
@@ -354,15 +352,15 @@ fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
     Some(own.map_or(within, |own| own.and(within)))
 }
 
-/// The force of a servo is at its bound.
+/// Returns the lanes in which the force of a servo is at its bound.
 pub(crate) fn saturated<R: Real>(now: &Moment<R>, index: usize) -> R::Mask {
     let tension = now.frames.tension[index];
     let range = now.model.drives[index].bounds.as_ref();
     range.map_or(R::Mask::of(false), |[lo, hi]| tension.le(lo.get()).or(hi.get().le(tension)))
 }
 
-/// What a servo may put in beyond its `power`, for all of its force to count as driving [W]. What stores
-/// has no power of its own.
+/// Returns the power that a servo may put in beyond its `power`, if all of its force counts as driving
+/// [W]. For those that store energy, `power` counts as 0.
 pub(crate) fn power_beyond<R: Real>(
     now: &Moment<R>,
     index: usize,
@@ -383,7 +381,7 @@ impl Forces for Actuator {
     const KIND: Kind = Kind::Actuator;
     const GROUP: Group = Group::Driven;
 
-    /// Its place among the model's.
+    /// The index of the actuator in the model.
     type At<N: Constant> = usize;
 
     fn at(model: &Model, index: usize) -> Result<usize, Why> {
@@ -403,8 +401,8 @@ impl Forces for Actuator {
         });
     }
 
-    /// Zero at the bounds of `forcerange`, and where the own joint or tendon bounds the sum, as in
-    /// MuJoCo.
+    /// Zero at the bounds of `forcerange`, and where the actuator's joint or tendon bounds the sum, as
+    /// in MuJoCo.
     #[inline(never)]
     fn slopes<R: Real>(now: &Moment<R>, &index: &usize, add: &mut dyn FnMut(usize, usize, [R; 2])) {
         let (model, actuator) = (now.model, &now.model.actuators[index]);

@@ -1,13 +1,13 @@
 //! Contacts that pull: the adhesion δ of geoms, under `solref` and `penalty`.
 //!
-//! The set of forces is moved down the normal: what acts is f − δ with f in the cone, so that a contact
-//! pulls with up to δ and friction is bounded by μ (f_n + δ). A force −δ along the normal stands beside
-//! the rows (`Rows::pushes`), and their targets rise by what it takes to leave the pair of f − δ and
-//! the velocity as it would be in a cone without end, c δ dt; a pyramid's edges have equal shares (MuJoCo
+//! The set of forces is moved down the normal: the acting force is f − δ with f in the cone, so that a
+//! contact pulls with up to δ and friction is bounded by μ (f_n + δ). A force −δ along the normal acts
+//! next to the rows (`Rows::pushes`). The targets of the rows rise so that the pair of f − δ and the
+//! velocity is as in a cone without end, by c δ dt; a pyramid's edges have equal shares (MuJoCo
 //! documentation, "Adhesion").
 //!
-//! It reaches as far as the gap does. Beyond the margin there is no friction: the normal alone has a
-//! row, with its own regulariser.
+//! It acts throughout the gap. Beyond the margin there is no friction: the normal alone has a row, with
+//! the normal's regulariser.
 
 use super::friction::Ways;
 use crate::detect::Contact;
@@ -30,7 +30,7 @@ pub(super) struct Normal<R: Real> {
 }
 
 impl<N: Constant> Model<N> {
-    /// Under this law some contacts pull with forces that stand beside their rows. These are passive
+    /// Checks that some contacts pull with forces next to their rows under this law. These are passive
     /// forces: without them the targets of the rows rise all the same, as in MuJoCo.
     pub(crate) fn pulls_beside_rows(&self, law: Law) -> bool {
         self.sticks && law == Law::SolRef && self.features.passive()
@@ -38,7 +38,7 @@ impl<N: Constant> Model<N> {
 }
 
 impl<N: Constant> Material<N> {
-    /// Below which distance a contact has rows [m].
+    /// Returns the distance below which a contact has rows [m].
     #[inline(always)]
     pub(crate) fn reach<R: Real>(&self) -> R
     where
@@ -53,7 +53,7 @@ impl<N: Constant> Material<N> {
 }
 
 impl<R: Real> Placed<R> {
-    /// Adds what contacts pull with to the passive forces, as MuJoCo counts it.
+    /// Adds the contacts' adhesion to the passive forces, as MuJoCo counts it.
     pub(crate) fn pull_contacts(&mut self, model: &Model<R::Value>, contacts: &[Contact<R>]) {
         for contact in contacts {
             let material = model.material(&contact.pair);
@@ -72,7 +72,7 @@ impl<R: Real> Placed<R> {
 }
 
 impl<R: Real> Rows<R> {
-    /// Lets the contact whose rows begin at `first` and are made pull.
+    /// Adds adhesion to the contact whose complete rows start at `first`.
     pub(super) fn apply_adhesion(
         &mut self,
         now: &Situation<R>,
@@ -95,7 +95,7 @@ impl<R: Real> Rows<R> {
         let most = f64::from(2 * material.condim.max(2) - 2);
         let (impulse, count) = (material.adhesion.get() * now.clock.dt, self.rows.len() - first);
         for k in 0..count {
-            // The fold of a pyramid is so many of its edges in one.
+            // The fold of a pyramid is this many of its edges in one.
             let folded = ways.still > 0 && k + 1 == count;
             let copies = if folded { 2.0 * ways.still as f64 } else { 1.0 };
             let alone = if k == 0 { one } else { zero };
@@ -109,7 +109,7 @@ impl<R: Real> Rows<R> {
         }
         let (dofs, mut y) = (self.rows[first].dofs, self.rows[first].y);
         if edges && count > 1 {
-            // The normal that the edges were made of.
+            // The normal from which the edges were made.
             y = self.y.len();
             self.y.extend_from_slice(&self.ways[..dofs.len]);
         }
@@ -135,7 +135,7 @@ impl<R: Real> Rows<R> {
         if set == Set::Interval {
             let dt = R::of(now.settings.dt);
             if let [up, _, ..] = &self.rows[first..] {
-                // The rows that the edges were made of, the normal first.
+                // The rows from which the edges were made, the normal first.
                 let own = up.y..up.y + up.dofs.len;
                 self.y[own].iter_mut().zip(&self.ways).for_each(|(y, new)| set_to(y, *new));
             }

@@ -1,4 +1,4 @@
-//! What the user applies: `qfrc_applied` on dofs, and `xfrc_applied`, a force at a body's centre
+//! Forces that the user applies: `qfrc_applied` on dofs, and `xfrc_applied`, a force at a body's centre
 //! of mass and a moment, in world axes.
 
 use super::force::{Forces, Group, Moment, Sum};
@@ -14,7 +14,7 @@ impl Forces for JointForce {
     const KIND: Kind = Kind::JointForce;
     const GROUP: Group = Group::Driven;
     const APPLIED: bool = true;
-    /// The joint's first dof, and how many it has.
+    /// The joint's first dof, and its number of dofs.
     type At<N: Constant> = (usize, usize);
 
     fn at(model: &Model, joint: usize) -> Result<(usize, usize), Why> {
@@ -108,7 +108,7 @@ impl Forces for BodyForce {
         Self::force(now, body, &mut |k, force| add(force * velocity[k]));
     }
 
-    /// Of the force alone, on the body alone.
+    /// The strength of the force alone, on the body alone.
     fn strength<R: Real>(
         now: &Moment<R>,
         &index: &usize,
@@ -126,7 +126,7 @@ impl Forces for BodyForce {
     }
 }
 
-/// Force and moment that are applied to a body.
+/// Returns the force and the moment that are applied to a body.
 fn given<R: Real>(now: &Moment<R>, body: usize) -> [V3<R>; 2] {
     let w = &now.inputs.xfrc_applied()[6 * body..6 * body + 6];
     [V3::new(w[0], w[1], w[2]), V3::new(w[3], w[4], w[5])]
@@ -147,7 +147,7 @@ pub(super) fn on_dofs<R: Real>(
     }
 }
 
-/// The same for a force at a point of a body that moves, `arm` from its tree's origin.
+/// Does the same for a force at a point of a body that moves, `arm` from its tree's origin.
 pub(super) fn at_point<R: Real>(
     now: &Moment<R>,
     body: usize,

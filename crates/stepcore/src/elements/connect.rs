@@ -6,7 +6,7 @@ use crate::real::{Real, Value};
 use crate::solve::{Rows, Situation};
 use crate::spatial::{rotate, splat, Motion, V3};
 
-/// How far a point of one body is from a point of another.
+/// The distance between a point of one body and a point of another.
 pub(super) struct Apart<R: Real> {
     pub way: V3<R>,
     /// Its acceleration when no dof accelerates.
@@ -25,7 +25,7 @@ impl<R: Real> Rows<R> {
         self.tie(now, index, first, way.dot(&way).sqrt(), &held);
     }
 
-    /// The rows of the points alone.
+    /// Makes the rows of the points alone.
     pub(super) fn points(
         &mut self,
         now: &Situation<R>,
@@ -51,7 +51,7 @@ impl<R: Real> Rows<R> {
         Apart { way: p1 - p2, curving }
     }
 
-    /// Acceleration of a body point when no dof accelerates: J̇ v.
+    /// Returns the acceleration of a body point when no dof accelerates: J̇ v.
     fn acceleration(&self, now: &Situation<R>, body: usize, at: &V3<R>) -> V3<R> {
         let tree = now.model.bodies[body].tree;
         if tree == NONE || now.model.trees[tree].slides_only {

@@ -1,4 +1,4 @@
-//! The list of elements that are rows: a new kind is one file and one line here.
+//! The list of elements that have rows: a new kind is one file and one line here.
 
 use super::constraint::{Constraint, Makings};
 use super::contact::Contacts;
@@ -14,7 +14,7 @@ use crate::warm::SLIP;
 
 macro_rules! constraints {
     ($($kind:ident),+ $(,)?) => {
-        // What keeps and solves blocks has room for those of every kind.
+        // The storage and the solvers of blocks have room for blocks of every kind.
         $(const _: () = assert!($kind::MOST_ROWS <= SLIP);
         const _: () = assert!($kind::MOST_CONE_ROWS <= CONE);)+
 
@@ -54,7 +54,7 @@ impl<R: Real> Rows<R> {
         self.find_islands(now.model, now.dof_lists);
     }
 
-    /// No rows yet, from this guess.
+    /// Clears the rows and starts from this guess.
     pub(crate) fn begin(&mut self, guess: &[R]) {
         self.clear();
         self.u.copy_from_slice(guess);

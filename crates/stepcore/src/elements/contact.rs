@@ -53,8 +53,8 @@ impl Constraint for Contacts {
 }
 
 impl<R: Real> Rows<R> {
-    /// Rows of how the geoms slide along some directions, or turn about them, each drawn out by its
-    /// scale.
+    /// Makes the rows of how the geoms slide along some directions, or turn about them, each multiplied
+    /// by its scale.
     fn moving_rows(
         &mut self,
         now: &Situation<R>,
@@ -77,7 +77,7 @@ impl<R: Real> Rows<R> {
         self.moving_rows(now, (contact, pair), &[contact.normal], &[R::one()], false);
     }
 
-    /// Rows of the ways of friction, in their measure.
+    /// Makes the rows of the ways of friction, in their measure.
     pub(super) fn friction_rows(
         &mut self,
         now: &Situation<R>,
@@ -88,7 +88,7 @@ impl<R: Real> Rows<R> {
         self.rows_along(now, contact, pair, ways, false);
     }
 
-    /// Rows of the ways of friction, and of the normal before them where that is asked for.
+    /// Makes the rows of the ways of friction, after a row of the normal if requested.
     fn rows_along(
         &mut self,
         now: &Situation<R>,
@@ -124,7 +124,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// A contact leaves so much of its overlap to later steps [m].
+    /// Notes that a contact leaves this much of its overlap to later steps [m].
     fn note_unrecovered(&mut self, mask: R::Mask, left: R) {
         self.unrecovered = R::select(mask, self.unrecovered.max(left), self.unrecovered);
     }
@@ -144,7 +144,7 @@ impl<R: Real> Rows<R> {
         block.kin = now.model.kin(pair, contact.part);
     }
 
-    /// MuJoCo's contact: soft normal, convex friction.
+    /// Makes MuJoCo's contact: soft normal, convex friction.
     pub(super) fn soft_contact(&mut self, now: &Situation<R>, contact: &Contact<R>) {
         let (settings, dt, pair) = (now.settings, R::of(now.settings.dt), &contact.pair);
         let material = now.model.material(pair);
@@ -160,7 +160,7 @@ impl<R: Real> Rows<R> {
         let most = settings.max_recovery_speed.under(Law::SolRef);
         self.rows_along(now, contact, pair, &ways, true);
         if let Some(most) = most {
-            // The normal of a pyramid is its edges side by side, four with condim 3.
+            // The normal of a pyramid is all its edges together, four with condim 3.
             let edges = settings.cone == Cone::Pyramidal && material.condim > 1;
             let count = R::of(f64::from(2 * material.condim.max(2) - 2));
             let weight = if edges { edge_weight(weight, mu, impratio) / count } else { weight };
@@ -201,8 +201,8 @@ impl<R: Real> Rows<R> {
         self.fill_pyramid(now, contact, (first, &ways), (law, r, unmoved, [a, velocity]), mask);
     }
 
-    /// Fills in the edges from `first` on, at the violation r. `unmoved`: nothing moves the normal,
-    /// and its load has no end; [a, velocity]: of the normal, where contacts adhere.
+    /// Fills in the edges from `first` on, at the violation r. `unmoved`: nothing moves the normal, and
+    /// its load has no bound; [a, velocity]: the normal's, if contacts adhere.
     pub(super) fn fill_pyramid(
         &mut self,
         now: &Situation<R>,
@@ -217,7 +217,7 @@ impl<R: Real> Rows<R> {
         let edges = self.rows.len() - first;
         let least = self.least_softness(first, pair);
         for (k, row) in self.rows[first..].iter_mut().enumerate() {
-            // The fold stands last: 2 or 4 equal rows in one.
+            // The fold is last: 2 or 4 equal rows in one.
             let folded = still > 0 && k + 1 == edges;
             let weight = if folded { edge * R::of(0.5) / R::of(still as f64) } else { edge };
             law.fill(row, r, weight, least, dt);
@@ -233,9 +233,9 @@ impl<R: Real> Rows<R> {
         self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
     }
 
-    /// Makes each pair of edges ±μ J_t, where the normal moves nothing and its load has no end, into
-    /// a tangent without bounds and a row that carries the load: as a pair they would be solved by
-    /// differences of loads, which leave no digits, and which sweeps never reach.
+    /// Replaces each pair of edges ±μ J_t, where the normal moves nothing and its load has no bound, by
+    /// a tangent without bounds and a row that carries the load. A pair would be solved by differences
+    /// of loads, which leave no digits, and which sweeps never reach.
     fn split_unmoved_edges(
         &mut self,
         law: SolRef<R>,
@@ -282,8 +282,8 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps, or where
-    /// the shapes are so near that it may for what other rows do.
+    /// Makes a contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps, or where
+    /// the shapes are so near that other rows may make it overlap.
     fn rigid_contact(&mut self, now: &Situation<R>, contact: &mut Contact<R>, pair: &Pair<R>) {
         let law = OnGuess::new(now);
         let first = self.rows.len();
@@ -346,8 +346,8 @@ impl<R: Real> Rows<R> {
         self.close(now, contact, pair, (first, set, ways.mu), mask);
     }
 
-    /// Follows the shapes of a contact that is still ahead along the guess, in the lanes of `open`:
-    /// do they meet? Where the normal is another by then, the contact becomes that one.
+    /// Follows the shapes of a contact that is still ahead along the guess, in the lanes of `open`, to
+    /// see if they meet. If the normal has changed by then, the contact becomes the later one.
     fn met_ahead(
         &mut self,
         now: &Situation<R>,
@@ -369,8 +369,8 @@ impl<R: Real> Rows<R> {
         Ahead { met: met.met, turned: met.turned, phi }
     }
 
-    /// How far geom 2 moves in the step as geom 1 sees it, by the guess [m]: the round shapes'
-    /// centres, and the flat ones' nearest points.
+    /// Returns the motion of geom 2 relative to geom 1 in the step, by the guess [m]: of the round
+    /// shapes' centres, and of the flat ones' nearest points.
     fn way(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair<R>) -> V3<R> {
         let half = R::of(0.5) * contact.dist;
         let [first, second] = [(pair.geom1, -R::one()), (pair.geom2, R::one())].map(|(g, side)| {
@@ -381,7 +381,7 @@ impl<R: Real> Rows<R> {
         (second - first) * R::of(now.settings.dt)
     }
 
-    /// Velocity of a body's point by the guess [m/s].
+    /// Returns the velocity of a body's point by the guess [m/s].
     fn motion_by_guess(&mut self, now: &Situation<R>, body: usize, at: &V3<R>) -> V3<R> {
         let body = &now.model.bodies[body];
         if body.tree == NONE {
@@ -398,7 +398,7 @@ impl<R: Real> Rows<R> {
     }
 }
 
-/// The axis of a way of friction, drawn out by its scale.
+/// Returns the axis of a way of friction, multiplied by its scale.
 pub(super) fn axes_of<R: Real>(
     contact: &Contact<R>,
     now: &Situation<R>,
@@ -417,7 +417,7 @@ pub(super) fn axes_of<R: Real>(
     }
 }
 
-/// MuJoCo's inverse weight of an edge of a pyramid: 2 μ² (1 + μ²)/impratio of the normal's.
+/// Returns MuJoCo's inverse weight of an edge: 2 μ² (1 + μ²)/impratio of the normal's.
 fn edge_weight<R: Real>(normal: R, mu: R, impratio: R) -> R {
     normal * R::of(2.0) * mu * mu / impratio * (R::one() + mu * mu)
 }
@@ -426,7 +426,7 @@ pub(super) fn bodies<N: Constant, P>(model: &Model<N>, pair: &Pair<P>) -> [usize
     [model.geoms[pair.geom1].body, model.geoms[pair.geom2].body]
 }
 
-/// What lies ahead of a contact.
+/// The meeting ahead of a contact.
 struct Ahead<R: Real> {
     /// The shapes meet, and with another normal than the present one.
     met: R::Mask,

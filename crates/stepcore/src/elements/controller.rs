@@ -1,14 +1,14 @@
 //! Controllers with targets, and the motors that they drive: MuJoCo's `pid` and `dcmotor`.
 //!
-//! With the inputs p, v, f (those that are not there are 0), the length l and its rate ω, the
-//! controller asks for kp (s − l) + kv (v − ω) + ki x + f. Its activations, where it has them:
+//! With the inputs p, v, f (missing ones are 0), the length l and its rate ω, the controller requests
+//! kp (s − l) + kv (v − ω) + ki x + f. Its activations, if it has them:
 //!
 //! ```text
-//! s   follows p no faster than slewmax (of one without p the first input does); without it s = p
+//! s   follows p no faster than slewmax (or the first input, if there is no p); without slewmax s = p
 //! x   ẋ = s − l, which stops beyond ±imax
 //! ```
 //!
-//! and of a motor of constant K, resistance R₀ and voltage u the temperature T above the
+//! For a motor of constant K, resistance R₀ and voltage u, they are also the temperature T above the
 //! surroundings, the deflection z of its bristles, and the current i:
 //!
 //! ```text
@@ -18,10 +18,10 @@
 //! force = K i within forcerange, + A sin(n l + φ) − σ₀ z − σ₁ ż
 //! ```
 //!
-//! MuJoCo documentation, XML reference, "actuator/pid" and "actuator/dcmotor"; LuGre is that of
-//! Canudas de Wit et al. (1995). As MuJoCo does, a step takes s and i as they are at its end, moves
-//! z and i by what their equations, which are linear in them, do in a step, and the slopes leave out
-//! what the bristles do but σ₁.
+//! MuJoCo documentation, XML reference, "actuator/pid" and "actuator/dcmotor"; LuGre is the model of
+//! Canudas de Wit et al. (1995). As in MuJoCo, a step takes s and i at its end, moves z and i by the
+//! exact solution of their equations, which are linear in them, and the slopes leave out all of the
+//! bristles but σ₁.
 
 use super::delay::{nearest, Activations};
 use crate::model::transmission::Pulls;
@@ -38,27 +38,26 @@ pub(super) const BRISTLE: usize = 3;
 const CURRENT: usize = 4;
 const KINDS: usize = 5;
 
-/// What divides is no smaller: MuJoCo's `mjMINVAL`.
+/// Divisors are no smaller: MuJoCo's `mjMINVAL`.
 const SMALLEST: f64 = 1e-15;
 
 /// A controller at work.
 #[derive(Clone, Copy)]
 pub(super) struct Work<R: Real> {
     pub force: R,
-    /// Of a motor: what its current does before any bound, and what it has beside that, cogging and
-    /// friction.
+    /// For a motor: the force of its current before any bound, and the rest, cogging and friction.
     pub driven: R,
     pub beside: R,
-    /// Minus the derivatives by length and velocity: those of what bounds of a tendon or a joint hold,
-    /// and those of what is beside that.
+    /// Minus the derivatives by length and velocity: of the part that bounds of a tendon or a joint
+    /// limit, and of the rest.
     pub slopes: [R; 2],
     pub slopes_beside: [R; 2],
-    /// By kind of activation: its rate, and how fast that fades as it moves.
+    /// By kind of activation: its rate, and how fast the rate fades as the activation moves.
     rates: [R; KINDS],
     fading: [R; KINDS],
 }
 
-/// Its activations: their kinds, with their places in act.
+/// Returns the kinds of an actuator's activations, with their places in act.
 pub(super) fn places<N: Constant>(
     model: &Model<N>,
     index: usize,
@@ -73,10 +72,10 @@ fn exp<R: Real>(x: R) -> R {
     R::of(std::f64::consts::E).powf(x)
 }
 
-/// For how long a rate that fades acts in so many seconds [s]: (1 − exp(−a t))/a.
+/// Returns the time for which a fading rate acts in this many seconds [s]: (1 − exp(−a t))/a.
 pub(super) fn span<R: Real>(fading: R, seconds: f64) -> R {
     let x = fading * R::of(seconds);
-    // Below this the series is exact to rounding.
+    // Below this x the series is exact to rounding.
     let small = x.lt(R::of(1e-4));
     let (one, half) = (R::one(), R::of(0.5));
     let series = one - x * (half - x * (R::of(1.0 / 6.0) - x * R::of(1.0 / 24.0)));
@@ -84,7 +83,7 @@ pub(super) fn span<R: Real>(fading: R, seconds: f64) -> R {
     R::of(seconds) * R::select(small, series, (one - exp(-safe)) / safe)
 }
 
-/// What the controller of an actuator does now; None where it has none.
+/// Returns the present output of an actuator's controller; None if it has none.
 #[inline(always)]
 pub(super) fn work<R: Real>(
     model: &Model<R::Value>,
@@ -98,7 +97,7 @@ pub(super) fn work<R: Real>(
     Some(work_of(own, model, index, at, now, inputs, pulls))
 }
 
-/// At the middle of a step (`Activations::middle`) the activations are those of its start, and are
+/// In the middle of a step (`Activations::middle`) the activations are still from its start, and are
 /// moved by half a step first.
 fn work_of<R: Real>(
     own: &Controller,
@@ -130,20 +129,20 @@ fn work_of<R: Real>(
     }
     let mut work = at.work(&states, seconds, 0.0);
     for kind in 0..KINDS {
-        // Of what fades the rate at the start: `advance` lets it fade.
+        // A fading activation keeps the rate at the start: `advance` lets it fade.
         work.rates[kind] += work.fading[kind] * (states[kind] - start[kind]);
     }
     work
 }
 
 impl<R: Real> Work<R> {
-    /// The rate of an activation of some kind, and how fast that fades.
+    /// Returns the rate of an activation of some kind, and how fast it fades.
     pub fn rate(&self, kind: usize) -> [R; 2] {
         [self.rates[kind], self.fading[kind]]
     }
 }
 
-/// An activation after a step: a motor's integral is bounded.
+/// Returns an activation after a step: a motor's integral is bounded.
 pub(super) fn bounded<R: Real>(own: &Controller, kind: usize, act: R) -> R {
     if kind != INTEGRAL || own.motor.is_none() || own.imax == 0.0 {
         return act;
@@ -161,7 +160,7 @@ struct Along<'a, R: Real> {
 }
 
 impl<R: Real> Along<'_, R> {
-    /// Nothing, kp and kv.
+    /// Returns zero, kp and kv.
     fn gains(&self) -> [R; 3] {
         self.actuator.bias.each_ref().map(|x| Value::calc([x], |[x]| 0.0 - x))
     }
@@ -170,7 +169,7 @@ impl<R: Real> Along<'_, R> {
         self.ctrl[input.slot()].unwrap_or(R::zero())
     }
 
-    /// `reach`: for how long what is early has moved already.
+    /// `reach`: the time by which early activations have moved already.
     fn work(&self, states: &[R; KINDS], seconds: f64, reach: f64) -> Work<R> {
         let zero = R::zero();
         let mut out = Work {
@@ -191,7 +190,7 @@ impl<R: Real> Along<'_, R> {
         out
     }
 
-    /// The force that the controller asks for.
+    /// Returns the force that the controller requests.
     fn asked(&self, states: &[R; KINDS], seconds: f64, reach: f64, out: &mut Work<R>) -> R {
         let zero = R::zero();
         let [length, velocity] = self.along;
@@ -217,7 +216,7 @@ impl<R: Real> Along<'_, R> {
         force
     }
 
-    /// What a motor makes of it.
+    /// Computes the motor's response to the requested force.
     fn drive(&self, motor: &Motor, asked: R, states: &[R; KINDS], reach: f64, out: &mut Work<R>) {
         let (zero, one) = (R::zero(), R::one());
         let [length, velocity] = self.along;
@@ -236,7 +235,7 @@ impl<R: Real> Along<'_, R> {
             }
         }
         voltage += self.given(Input::Voltage);
-        // Current by voltage; and the current that it is without.
+        // Current by voltage; and the current without inductance.
         let (mut by_voltage, drop) = (one / resistance, voltage - constant * velocity);
         let mut current = drop / resistance;
         let mut heats = current;
@@ -259,7 +258,7 @@ impl<R: Real> Along<'_, R> {
             out.rates[HEAT] = flows / R::of(capacity);
         }
         let [_, kp, kv] = self.gains();
-        // Free: the controller makes up for the velocity, and what is left are its gains.
+        // Unbounded: the controller makes up for the velocity, and only its gains remain.
         let gains = cold * by_voltage;
         let braked = constant * constant * by_voltage;
         out.slopes = [R::select(free, gains * kp, zero), R::select(free, gains * kv, braked)];

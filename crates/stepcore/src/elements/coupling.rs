@@ -1,6 +1,6 @@
-//! Joint and tendon equality: L₁ − L₁⁰ stays p(L₂ − L₂⁰), p a polynomial; of one joint or tendon
-//! alone, a constant. One row, J = J₁ − p′ J₂. What bends beside p, the way of a spatial tendon,
-//! J̇ v leaves out.
+//! Joint and tendon equality: L₁ − L₁⁰ stays p(L₂ − L₂⁰), p a polynomial; a constant for one joint or
+//! tendon alone. One row, J = J₁ − p′ J₂. J̇ v includes the curvature of p, but not of the path of a
+//! spatial tendon.
 
 use super::equality::Held;
 use crate::model::transmission::Pulls;
@@ -67,7 +67,7 @@ impl<R: Real> Rows<R> {
             gap -= tie.polycoef[0].get();
         }
         if now.settings.law == Law::SolRef {
-            // MuJoCo's softness acts without it.
+            // MuJoCo's softness acts without J̇ v.
             curving = R::zero();
         }
         let first = self.rows.len();

@@ -19,7 +19,7 @@ pub(super) fn pull<R: Real>([a, b, c]: &Coefficients<R::Value>, velocity: R) -> 
     -(damping * velocity)
 }
 
-/// Minus the derivative of that: a + 2 b |v| + 3 c v².
+/// Minus the derivative of `pull`: a + 2 b |v| + 3 c v².
 #[inline(always)]
 pub(super) fn slope<R: Real>([a, b, c]: &Coefficients<R::Value>, velocity: R) -> R {
     let mut damping = a.get();

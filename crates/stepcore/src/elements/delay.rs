@@ -1,20 +1,20 @@
-//! What an actuator reads of its control, which may arrive late: of the samples that are kept.
+//! The control that an actuator reads, which may arrive late: from the samples that are kept.
 //!
 //! MuJoCo documentation, "Delays": each step keeps its control, and the forces of an actuator with a
-//! delay read the one of `delay` ago. Samples are counted in steps back from the present one, so the
-//! newest is one step old, and a shorter delay reads that; a longer one than there are samples reads
-//! the oldest. Between samples stands the earlier one, a line, or a cubic through both whose slopes
-//! there are those of the neighbours (Catmull-Rom), and 0 at the ends of the list.
+//! delay read the control of `delay` ago. Samples are counted in steps back from the present one. The
+//! newest is one step old, and a shorter delay reads it; a delay longer than the list reads the oldest.
+//! Between samples the control is the earlier one, on a line, or on a cubic through both, whose slope
+//! at each is the slope between its neighbours (Catmull-Rom), or 0 at the ends of the list.
 
 use crate::model::Model;
 use crate::real::Real;
 use crate::scene::Interp;
 use crate::state::Inputs;
 
-/// A delay this near to a sample [steps] is that of the sample.
+/// A delay this near to a sample [steps] reads the sample.
 const SAME: f64 = 1e-9;
 
-/// What actuators remember: activations and past controls, and the step that they are advanced by.
+/// Activations and past controls of actuators, and the step that they are advanced by.
 #[derive(Clone, Copy)]
 pub(crate) struct Activations<'a, R: Real> {
     pub act: &'a [R],
@@ -23,14 +23,14 @@ pub(crate) struct Activations<'a, R: Real> {
     /// Time step, and the time between two samples [s].
     pub seconds: f64,
     pub period: f64,
-    /// How far in the step this is, of the step.
+    /// The elapsed part of the step.
     pub ahead: f64,
-    /// This is the middle of a step, and those of controllers are still what they were at its start.
+    /// This is the middle of a step, and the activations of controllers are still from its start.
     pub middle: bool,
 }
 
 impl<R: Real> Activations<'_, R> {
-    /// The control that an actuator has: the present one, or that of its delay ago.
+    /// Returns the control of an actuator: the present one, or the one of its delay ago.
     #[inline(always)]
     pub fn ctrl(&self, model: &Model<R::Value>, index: usize, inputs: &Inputs<R>) -> R {
         let span = model.histories[index];
@@ -43,8 +43,8 @@ impl<R: Real> Activations<'_, R> {
     }
 }
 
-/// The one of those that are the same as a control which is nearest to a length or an activation:
-/// they lie a circle apart (0: there is only the control itself).
+/// Returns the equivalent of a control that is nearest to a length or an activation: equivalent
+/// controls are a circle apart (0: there is only the control itself).
 #[inline(always)]
 pub(super) fn nearest<R: Real>(ctrl: R, about: R, circle: f64) -> R {
     if circle == 0.0 {
@@ -56,7 +56,7 @@ pub(super) fn nearest<R: Real>(ctrl: R, about: R, circle: f64) -> R {
     R::select(far, about + sin.atan2(cos) / scale, ctrl)
 }
 
-/// The control of so many steps ago; samples: the newest first, one step old.
+/// Returns the control of this many steps ago; samples: the newest first, one step old.
 fn read<R: Real>(samples: &[R], steps: f64, interp: Interp) -> R {
     let at = (steps - 1.0).clamp(0.0, (samples.len() - 1) as f64);
     let near = at.round();
@@ -79,7 +79,7 @@ fn read<R: Real>(samples: &[R], steps: f64, interp: Interp) -> R {
     }
 }
 
-/// The cubic from 0 to 1 with these values and slopes at both ends.
+/// Evaluates the cubic from 0 to 1 with these values and slopes at both ends.
 fn hermite<R: Real>(values: [R; 2], slopes: [R; 2], x: R) -> R {
     let rise = values[1] - values[0];
     let bend = slopes[0] + slopes[1] - rise - rise;

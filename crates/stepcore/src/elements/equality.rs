@@ -1,5 +1,5 @@
-//! Equalities: what ties bodies, joints or tendons together, in the order of the scene's list. Each kind
-//! makes its rows in a file of its own; what all of them share stands here.
+//! Equalities tie bodies, joints or tendons together, in the order of the scene's list. Each kind makes
+//! its rows in a separate file; the common parts are here.
 
 use super::constraint::{Constraint, Makings};
 use super::Element;
@@ -36,7 +36,7 @@ impl Constraint for Equalities {
     }
 }
 
-/// What one row of an equality holds at zero.
+/// The quantity that one row of an equality holds at zero.
 #[derive(Clone, Copy)]
 pub(super) struct Held<R: Real> {
     pub gap: R,
@@ -46,8 +46,8 @@ pub(super) struct Held<R: Real> {
 }
 
 impl<R: Real> Rows<R> {
-    /// Makes one block of the rows from `first` on. `size`: the length of all that they hold, by
-    /// which `solref` chooses one impedance.
+    /// Makes one block of the rows from `first` on. `size`: the length of all the gaps, by which
+    /// `solref` chooses one impedance.
     pub(super) fn tie(
         &mut self,
         now: &Situation<R>,
@@ -60,7 +60,7 @@ impl<R: Real> Rows<R> {
         let (dt, law) = (now.settings.dt, OnGuess::new(now));
         let soft = || SolRef::at(&equality.soft, size, dt, now.settings.refsafe);
         let soft = (now.settings.law == Law::SolRef).then(soft);
-        // Rows of one unit have one least softness.
+        // Rows of the same unit share one least softness.
         for (rows, held) in self.rows[first..].chunks_mut(GROUP).zip(held.chunks(GROUP)) {
             let least = least_softness(rows, equality.mass.get());
             for (row, held) in rows.iter_mut().zip(held) {

@@ -1,10 +1,10 @@
-//! What a fluid does to a body that moves through it. MuJoCo documentation, "Fluid forces": drag by
-//! the square of the velocity and viscous resistance by the velocity, of a box with the inertia of the
-//! body; or, of each of its geoms that counts as an ellipsoid, these and lift, and the bent way of the
-//! fluid that moves with it (but not that fluid's own inertia, as in MuJoCo).
+//! Forces of a fluid on a body that moves through it. MuJoCo documentation, "Fluid forces": drag by the
+//! square of the velocity and viscous resistance by the velocity, of a box with the inertia of the
+//! body; or, for each of its geoms that counts as an ellipsoid, these and lift, and the curved path of
+//! the fluid that moves with it (but not the inertia of that fluid, as in MuJoCo).
 //!
-//! All is written in the axes of the shape, of its velocity v against the fluid at its centre and its
-//! angular velocity ω. With u = v/|v|, g the squared areas across the axes beside the largest (a₀),
+//! All is written in the axes of the shape, with its velocity v relative to the fluid at its centre and
+//! its angular velocity ω. With u = v/|v|, g the squared areas across the axes over the largest (a₀),
 //! N = Σ g v², D = Σ g² v²: the area across the way is A = a₀ √(D/N), and
 //!
 //! ```text
@@ -24,13 +24,13 @@ use crate::spatial::{rotate, rotate_back, splat, Force, Motion, M3, V3};
 
 pub(super) struct Fluid;
 
-/// A shape in its body's motion.
+/// A moving shape of a body.
 struct Moving<R: Real> {
     /// Its axes in the world.
     rot: M3<R>,
     /// Its centre, from its tree's origin [m].
     arm: V3<R>,
-    /// Its velocity against the fluid, in its own axes.
+    /// Its velocity relative to the fluid, in the axes of the shape.
     velocity: Motion<R>,
 }
 
@@ -51,7 +51,7 @@ impl<R: Real> Moving<R> {
         Self { rot, arm, velocity }
     }
 
-    /// What one unit of a dof's velocity adds to that.
+    /// Returns the contribution of one unit of a dof's velocity to `velocity`.
     fn by(&self, motion: &Motion<R>) -> Motion<R> {
         Motion {
             ang: rotate_back(&self.rot, &motion.ang),
@@ -116,7 +116,7 @@ impl Forces for Fluid {
     }
 }
 
-/// Force and moment on a shape, in its axes.
+/// Returns the force and the moment on a shape, in its axes.
 fn resistance<R: Real>(part: &Part, velocity: &Motion<R>) -> Force<R> {
     let (v, w) = (&velocity.lin, &velocity.ang);
     let [viscous, twisting] = part.viscous.map(R::of);
@@ -144,7 +144,7 @@ fn resistance<R: Real>(part: &Part, velocity: &Motion<R>) -> Force<R> {
     }
 }
 
-/// How an ellipsoid stands to its way. Where it does not move, all is zero.
+/// Orientation of an ellipsoid to its way. At rest, all is zero.
 struct Way<R: Real> {
     /// |v|, and one over it.
     speed: R,
@@ -158,7 +158,7 @@ struct Way<R: Real> {
     area: R,
     /// Kutta's force is this times N v − |v|² g∘v.
     kutta: R,
-    /// The force by v of what is across the way.
+    /// The drag per unit of v from the area across the way.
     drag: R,
 }
 
@@ -237,13 +237,13 @@ impl<R: Real> Slope<R> {
         }
     }
 
-    /// Of Kutta's lift and the drag.
+    /// Slopes of Kutta's lift and the drag.
     fn way(own: &Ellipsoid, v: &V3<R>) -> M3<R> {
         let way = Way::of(own, v);
         let across = M3::from_diagonal(&splat::<R, _>(&own.across));
         let (unit, square) = (v * way.per_speed, way.speed * way.speed);
         let (by_n, by_d) = (way.g * way.n.recip_or_zero(), way.gg * way.per_d);
-        // The gradients of A beside A, of the lift's factor beside it, and of the drag.
+        // Relative gradients of A and of the lift's factor, and the gradient of the drag.
         let narrower = by_d - by_n;
         let less = by_n - by_d - unit * way.per_speed;
         let excess = R::of(own.blunt - own.slender) * way.area * way.speed;
@@ -256,7 +256,7 @@ impl<R: Real> Slope<R> {
         lift - M3::identity() * way.drag - v * steeper.transpose()
     }
 
-    /// The change of force and moment with a velocity.
+    /// Returns the change of force and moment with a velocity.
     fn along(&self, velocity: &Motion<R>) -> Force<R> {
         Force {
             ang: self.ang[0] * velocity.lin + self.ang[1] * velocity.ang,
@@ -265,7 +265,7 @@ impl<R: Real> Slope<R> {
     }
 }
 
-/// The matrix of v × ·.
+/// Returns the matrix of v × ·.
 fn cross<R: Real>(v: &V3<R>) -> M3<R> {
     let zero = R::zero();
     M3::new(zero, -v.z, v.y, v.z, zero, -v.x, -v.y, v.x, zero)

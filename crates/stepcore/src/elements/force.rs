@@ -1,4 +1,4 @@
-//! What every kind of force offers, and what it reads.
+//! The trait of forces, and the data that they read.
 
 use super::activation::Activations;
 use super::{Element, Kind};
@@ -9,7 +9,7 @@ use crate::real::{Constant, Real};
 use crate::spatial::{rotate, splat, Force, Motion, M3, V3};
 use crate::state::Inputs;
 
-/// What forces depend on: a model at a state, with its inputs.
+/// The input of forces: a model at a state, with its inputs.
 pub(crate) struct Moment<'a, R: Real> {
     pub model: &'a Model<R::Value>,
     pub frames: Frames<'a, R>,
@@ -19,7 +19,7 @@ pub(crate) struct Moment<'a, R: Real> {
     pub inputs: &'a Inputs<R>,
 }
 
-/// The part of `Placed` that is there before forces are added up, and that they read.
+/// The part of `Placed` that exists before forces are added up, and that they read.
 #[derive(Clone, Copy)]
 pub(crate) struct Frames<'a, R: Real> {
     pub xpos: &'a [V3<R>],
@@ -41,7 +41,7 @@ impl<R: Real> Frames<'_, R> {
     }
 }
 
-/// Where forces are added up.
+/// The sums to which forces are added.
 pub(crate) struct Sum<'a, R: Real> {
     /// By dof [N or N·m].
     pub force: &'a mut [R],
@@ -49,14 +49,14 @@ pub(crate) struct Sum<'a, R: Real> {
     pub wrench: &'a mut [Force<R>],
 }
 
-/// Who makes a force.
+/// The source of a force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Group {
-    /// What is there without anybody: springs and dampers.
+    /// Springs and dampers, which act by themselves.
     Passive,
     /// Actuators and what the user applies.
     Driven,
-    /// The weight, which the bias forces hold already.
+    /// The weight, which the bias forces include already.
     Weight,
 }
 
@@ -64,14 +64,14 @@ pub(crate) enum Group {
 pub(crate) trait Forces {
     const KIND: Kind;
     const GROUP: Group;
-    /// One element that acts, as numbers that never change: what its formulas read beside the state.
+    /// One element that acts, as numbers that never change: its formulas read these and the state.
     type At<N: Constant>: std::fmt::Debug;
     /// Acts in joints themselves, each dof by itself: `euler` takes its damping too.
     const IN_JOINTS: bool = false;
     /// Acts only where the user applies forces.
     const APPLIED: bool = false;
 
-    /// How many there are: its elements stand in some list of the model.
+    /// Returns the number of elements, which are in some list of the model.
     #[inline(always)]
     fn count(model: &Model) -> usize {
         model.count(Self::KIND)
@@ -81,7 +81,7 @@ pub(crate) trait Forces {
         Element::whole(Self::KIND, index)
     }
 
-    /// One of these as it acts, or why it never does.
+    /// Returns one of these as it acts, or why it never does.
     fn at(model: &Model, index: usize) -> Result<Self::At<f64>, Why>;
 
     /// Calls `add(dof, force)` for every dof that one element pushes on [N or N·m].
@@ -96,9 +96,9 @@ pub(crate) trait Forces {
     }
 
     /// Calls `add(i, j, [stiffness, damping])`: minus the derivatives of the force on dof i by the
-    /// position and the velocity of dof j. What acts on each dof by itself has entries i = j alone.
-    /// What acts along a length has one for every pair of arms, both ways: aᵢ aⱼ times the stiffness
-    /// and damping along the length (`Transmission::pairs`). Nothing where both are zero.
+    /// position and the velocity of dof j. An element that acts on each dof by itself has entries i = j
+    /// alone. One that acts along a length has one for every pair of arms, both ways: aᵢ aⱼ times the
+    /// stiffness and damping along the length (`Transmission::pairs`). None if both are zero.
     #[inline(always)]
     fn slopes<R: Real>(
         _: &Moment<R>,
@@ -107,11 +107,11 @@ pub(crate) trait Forces {
     ) {
     }
 
-    /// Calls `each(dof)` for every dof on which one element can have slopes, at whatever state.
+    /// Calls `each(dof)` for every dof on which one element can have slopes, at any state.
     #[inline(always)]
     fn sloped<N: Constant>(_: &Model<N>, _at: &Self::At<N>, _each: &mut impl FnMut(usize)) {}
 
-    /// One element has damping, at some state.
+    /// Checks whether one element has damping, at some state.
     #[inline(always)]
     fn damps<N: Constant>(_: &Model<N>, _at: &Self::At<N>) -> bool {
         false
@@ -129,7 +129,7 @@ pub(crate) trait Forces {
         }
     }
 
-    /// Calls `add` for what of one element's slopes holds back: a stiffness or a damping below zero is
+    /// Calls `add` for the slopes of one element that hold back: a stiffness or a damping below zero is
     /// left out. `discrete` takes these, and its metric stays positive definite.
     #[inline(always)]
     fn holding<R: Real>(
@@ -142,7 +142,7 @@ pub(crate) trait Forces {
             Self::slopes(now, at, &mut |i, j, slopes| add(i, j, slopes.map(|x| x.max(zero))));
             return;
         }
-        // The sign of the sum on the diagonal is that of a stiffness along a length.
+        // The sum on the diagonal has the sign of a stiffness along a length.
         let mut sums = [zero; 2];
         Self::slopes(now, at, &mut |i, j, slopes| {
             if i == j {
@@ -156,11 +156,11 @@ pub(crate) trait Forces {
         });
     }
 
-    /// Calls `add` for every part of what one element stores at the positions at hand [J].
+    /// Calls `add` for every part of the energy that one element stores at the present positions [J].
     #[inline(always)]
     fn stored<R: Real>(_: &Moment<R>, _at: &Self::At<R::Value>, _add: &mut impl FnMut(R)) {}
 
-    /// Whether any of them can put power in.
+    /// Checks whether any of them can put power in.
     #[inline(always)]
     fn powers<R: Real>(_: &Moment<R>) -> bool {
         true
@@ -177,7 +177,7 @@ pub(crate) trait Forces {
     ) {
     }
 
-    /// How strongly one element acts in a lane: Q²/M, the rate at which a force Q speeds up the
+    /// Returns how strongly one element acts in a lane: Q²/M, the rate at which a force Q speeds up the
     /// inertia M that it acts on [W/s], whatever its unit. `inertia`: by dof.
     fn strength<R: Real>(
         now: &Moment<R>,

@@ -1,6 +1,6 @@
-//! The list of forces, and what is asked of all of them. `place` adds them up, the implicit
-//! integrators take their slopes, and the watchers read their energies, their power and each
-//! element's own force: a new kind of force is one file and one line here.
+//! The list of forces, and the functions that evaluate all of them. `place` adds them up, the implicit
+//! integrators take their slopes, and the watchers read their energies, their power and the force of
+//! each element: a new kind of force is one file and one line here.
 
 use super::actuator::Actuator;
 use super::applied::{BodyForce, JointForce};
@@ -35,7 +35,7 @@ macro_rules! forces {
                 acting
             }
 
-            /// All that acts.
+            /// Lists all elements that act.
             pub fn elements(&self) -> Vec<Element> {
                 let mut all = vec![];
                 $(all.extend(self.$list.iter().map(|acts| $kind::element(acts.index)));)+
@@ -52,8 +52,8 @@ macro_rules! forces {
         }
 
         /// Calls `add(element, i, j, [stiffness, damping])` for the elements of a group: see
-        /// `Forces::slopes`. Not inlined, as all that asks every element for numbers of two dofs:
-        /// so there is this machine code once, and not for everyone who asks.
+        /// `Forces::slopes`. Not inlined, like everything that evaluates every element for pairs of
+        /// dofs, so that this machine code exists once, and not at every call.
         #[inline(never)]
         pub(crate) fn slopes<R: Real>(
             now: &Moment<R>,
@@ -68,7 +68,7 @@ macro_rules! forces {
             })+
         }
 
-        /// Calls `add(element, i, j, [stiffness, damping])` for what `discrete` takes: see
+        /// Calls `add(element, i, j, [stiffness, damping])` for the slopes that `discrete` takes: see
         /// `Forces::holding`.
         #[inline(never)]
         pub(crate) fn holding<R: Real>(
@@ -81,13 +81,13 @@ macro_rules! forces {
             })+
         }
 
-        /// Calls `each(dofs)` for every element that can have slopes, with the dofs of these.
+        /// Calls `each(dofs)` for every element that can have slopes, with the dofs of the slopes.
         pub(crate) fn sloped<N: Constant>(model: &Model<N>, each: &mut dyn FnMut(&[usize])) {
             let mut dofs = Vec::new();
             $(for Acts { at, .. } in &model.acting.$list {
                 dofs.clear();
                 $kind::sloped(model, at, &mut |dof| dofs.push(dof));
-                // A joint's dofs are each by themselves.
+                // A joint's dofs are separate.
                 dofs.chunks(if $kind::IN_JOINTS { 1 } else { dofs.len().max(1) }).for_each(&mut *each);
             })+
         }
@@ -121,7 +121,7 @@ macro_rules! forces {
             })+
         }
 
-            /// By tree: it has a damping that an integrator takes late.
+            /// Returns, by tree, whether it has a damping that an integrator takes late.
         fn damped<N: Constant>(model: &Model<N>, late: Late) -> Vec<bool> {
             let mut found = vec![false; model.trees.len()];
             $(if late == Late::All || $kind::IN_JOINTS {
@@ -133,7 +133,7 @@ macro_rules! forces {
             found
         }
 
-        /// Calls `add(element, energy)` for every part of what the elements of a group store.
+        /// Calls `add(element, energy)` for every part of the energy of a group's elements.
         #[inline(never)]
         pub(crate) fn stored<R: Real>(
             now: &Moment<R>,
@@ -148,7 +148,7 @@ macro_rules! forces {
             })+
         }
 
-        /// Power that comes from outside while dofs move at `velocity` [W].
+        /// Returns the power that comes from outside while dofs move at `velocity` [W].
         pub(crate) fn power<R: Real>(now: &Moment<R>, velocity: &[R]) -> R {
             let mut power = R::zero();
             $(if $kind::powers(now) {
@@ -168,7 +168,7 @@ macro_rules! forces {
             })+
         }
 
-        /// How strongly every element but the weight acts in a lane.
+        /// Computes how strongly every element but the weight acts in a lane.
         pub(crate) fn strengths<R: Real>(
             now: &Moment<R>,
             lane: usize,
@@ -202,7 +202,7 @@ forces!(
 );
 
 impl<N: Constant> Model<N> {
-    /// Its work is put in from outside: a motor's, or an applied force's.
+    /// Checks whether an element's work is put in from outside: a motor's, or an applied force's.
     pub fn drives(&self, element: Element) -> bool {
         match element.kind {
             Kind::Actuator => !self.actuators[element.index as usize].feeds_back(),
@@ -211,12 +211,12 @@ impl<N: Constant> Model<N> {
         }
     }
 
-    /// Not the weight of a body that stands still, whose energy never changes.
+    /// Checks for an element other than the weight of a fixed body, whose energy never changes.
     pub(crate) fn moves(&self, element: Element) -> bool {
         element.kind != Kind::Gravity || self.bodies[element.part as usize].tree != NONE
     }
 
-    /// By tree: it has a damping that an integrator takes late.
+    /// Returns, by tree, whether it has a damping that an integrator takes late.
     pub(crate) fn damped(&self, late: Late) -> Vec<bool> {
         damped(self, late)
     }

@@ -1,12 +1,12 @@
 //! The ways in which a contact's friction pushes: along two tangents (condim 3), about the normal
 //! (torsion, condim 4), and about both tangents (rolling, condim 6).
 //!
-//! Each way j has its own coefficient, and friction is bounded by Σ (λ_j/μ_j)² ≤ λ_n² (round) or by
-//! |λ_j| ≤ μ_j λ_n (box, and the edges J_n ± μ_j J_j of a pyramid). A row is made in the measure
-//! that makes μ_j the coefficient μ of the first: its Jacobian is (μ_j/μ) J_j, and its impulse
-//! λ_j μ/μ_j, so that torsion and rolling, whose μ_j are lengths, are velocities [m/s] and
-//! impulses [N·s] as well. Then the solvers know one cone only, |λ_t| ≤ μ λ_n, and MuJoCo's
-//! regulariser R_j = R₁ μ₁²/μ_j² is one number for all.
+//! Each way j has a coefficient, and friction is bounded by Σ (λ_j/μ_j)² ≤ λ_n² (round) or by
+//! |λ_j| ≤ μ_j λ_n (box, and the edges J_n ± μ_j J_j of a pyramid). A row is made in the measure that
+//! makes μ_j the coefficient μ of the first: its Jacobian is (μ_j/μ) J_j, and its impulse λ_j μ/μ_j, so
+//! that torsion and rolling, whose μ_j are lengths, are velocities [m/s] and impulses [N·s] as well.
+//! Then the solvers need one cone only, |λ_t| ≤ μ λ_n, and MuJoCo's regulariser R_j = R₁ μ₁²/μ_j² is
+//! one number for all.
 
 use crate::model::{Material, Model, Pair};
 use crate::real::{Constant, Real, Value};
@@ -17,7 +17,7 @@ const LEAST: f64 = 1e-5;
 /// Two tangents, the normal, and both tangents again.
 pub(crate) const MOST_WAYS: usize = 5;
 
-/// What a way is along or about.
+/// The axis of a way, along or about which friction acts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Axis {
     Normal,
@@ -30,11 +30,11 @@ pub(crate) struct Way<R: Real> {
     pub axis: Axis,
     /// It turns about its axis instead of sliding along it.
     pub turns: bool,
-    /// μ_j/μ: of its row beside J_j.
+    /// μ_j/μ: the scale of its row over J_j.
     pub scale: R,
 }
 
-/// In the order of `Material::friction`: what each way is along or about, and whether it turns.
+/// The axis of each way, and whether the way turns, in the order of `Material::friction`.
 const DIRECTIONS: [(Axis, bool); MOST_WAYS] = [
     (Axis::Tangent(0), false),
     (Axis::Tangent(1), false),
@@ -48,19 +48,19 @@ const DIRECTIONS: [(Axis, bool); MOST_WAYS] = [
 pub(crate) struct Ways<R: Real> {
     list: [Way<R>; MOST_WAYS],
     count: usize,
-    /// Ways that have none because nothing can move in them.
+    /// The number of ways without rows, because nothing can move in them.
     pub still: usize,
-    /// The coefficient of the first: that of the cone.
+    /// The coefficient of the first way, which is the cone's.
     pub mu: R,
     /// Some coefficient is not zero.
     pub rubs: bool,
-    /// MuJoCo's μ₁, which its regularisers go by, and its share of μ.
+    /// MuJoCo's μ₁, which its regularisers use, and its share of μ.
     pub slide: R,
     pub share: R,
 }
 
-/// In how many ways the friction of a pair's contacts has rows: under `solref`, and under the
-/// other laws; and how many of its ways nothing can move in.
+/// Returns the number of ways in which the friction of a pair's contacts has rows: under `solref`, and
+/// under the other laws; and the number of its ways in which nothing can move.
 pub fn ways(model: &Model, pair: &Pair) -> (usize, usize, usize) {
     let material = model.material(pair);
     let soft = Ways::<f64>::soft(pair.still, material);
@@ -69,7 +69,7 @@ pub fn ways(model: &Model, pair: &Pair) -> (usize, usize, usize) {
 }
 
 impl<R: Real> Ways<R> {
-    /// Under the law: of a contact whose tangents are `still`.
+    /// Returns the ways under the law for a contact whose tangents are `still`.
     pub fn under(law: Law, still: [bool; 2], material: &Material<R::Value>) -> Self {
         if law == Law::SolRef {
             Self::soft(still, material)
@@ -78,12 +78,12 @@ impl<R: Real> Ways<R> {
         }
     }
 
-    /// Under `solref`: every coefficient is at least MuJoCo's least.
+    /// Returns the ways under `solref`: every coefficient is at least MuJoCo's least.
     pub fn soft(still: [bool; 2], material: &Material<R::Value>) -> Self {
         Self::of(still, material, LEAST)
     }
 
-    /// Under the other laws: a way without friction has no row.
+    /// Returns the ways under the other laws: a way without friction has no row.
     pub fn plain(still: [bool; 2], material: &Material<R::Value>) -> Self {
         Self::of(still, material, 0.0)
     }
@@ -133,7 +133,7 @@ impl<R: Real> Ways<R> {
         &self.list[..self.count]
     }
 
-    /// What one unit of a cone row's impulse is of its own [1, or m].
+    /// Returns the physical size of one unit of a cone row's impulse [1, or m].
     pub fn scale_of_row(&self, row: usize) -> R {
         match row.checked_sub(1).and_then(|way| self.list().get(way)) {
             Some(way) => way.scale,

@@ -25,7 +25,7 @@ impl Constraint for FrictionLoss {
     }
 }
 
-/// What has friction loss and moves, dofs before tendons.
+/// Lists everything with friction loss that moves, dofs before tendons.
 pub(crate) fn rubbing(model: &Model) -> Vec<Rubbing> {
     if !model.features.frictionloss {
         return vec![];
@@ -55,7 +55,7 @@ pub(crate) fn rubbing(model: &Model) -> Vec<Rubbing> {
 }
 
 impl<R: Real> Rows<R> {
-    /// Those of dofs that follow each other on a path are lifted side by side.
+    /// The rows of consecutive dofs on a path are lifted together.
     fn friction_losses(&mut self, now: &Situation<R>) {
         let metric = &now.placed.metric;
         let next = |one: &Rubbing<R::Value>, two: &Rubbing<R::Value>| match (one.along, two.along) {
@@ -84,7 +84,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Fills the row `first` in, and closes it into a block.
+    /// Fills in the row `first`, and closes it into a block.
     fn friction_loss(&mut self, now: &Situation<R>, loss: &Rubbing<R::Value>, first: usize) {
         let (settings, dt) = (now.settings, now.settings.dt);
         // Half a step's for the mean velocity, and half for the last: see `commit/end_of_step_rows.rs`.

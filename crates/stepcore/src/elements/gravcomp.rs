@@ -1,8 +1,8 @@
 //! Gravity compensation: a force at a body's centre of mass that holds up a share of its weight.
 //!
-//! On joints with `actuatorgravcomp` it counts as their actuators' force: then a drive gives it, within
-//! the joint's `actuatorfrcrange`, and none where there is no actuator, as in MuJoCo. It stores energy
-//! all the same, as the weight does that it holds; what a drive withholds counts as put in.
+//! On joints with `actuatorgravcomp` it counts as actuator force: a drive provides it, within the
+//! joint's `actuatorfrcrange`, and there is none without an actuator, as in MuJoCo. It stores energy
+//! all the same, as the weight that it holds does; a part that a drive withholds counts as put in.
 
 use super::applied::on_dofs;
 use super::force::{Forces, Group, Moment};
@@ -13,9 +13,9 @@ use crate::plan::acting::{Acts, MassAt, Why};
 use crate::real::{Constant, Real, Value};
 use crate::spatial::{splat, V3};
 
-/// On joints without `actuatorgravcomp`.
+/// Compensation on joints without `actuatorgravcomp`.
 pub(super) struct Compensation;
-/// On those with it.
+/// Compensation on joints with it.
 pub(super) struct DrivenCompensation;
 /// Stores the energy of both; pushes nothing.
 pub(super) struct Held;
@@ -28,7 +28,7 @@ fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
     }
 }
 
-/// Calls `add(dof, force)` for what holds a body, whole, on dofs that drives hold or on the others.
+/// Calls `add(dof, force)` for a body's whole compensation, on dofs that drives hold or on the others.
 fn whole<R: Real>(
     now: &Moment<R>,
     at: &MassAt<R::Value>,
@@ -44,14 +44,14 @@ fn whole<R: Real>(
     });
 }
 
-/// Calls `add(dof, force)` for all of it that drives are asked for.
+/// Calls `add(dof, force)` for all of the compensation that is requested from drives.
 pub(super) fn asked_of_drives<R: Real>(now: &Moment<R>, mut add: impl FnMut(usize, R)) {
     for Acts { at, .. } in &now.model.acting.driven_compensation {
         whole(now, at, true, &mut add);
     }
 }
 
-/// The part of it that drives give on a dof; None: all.
+/// Returns the part of it that drives provide on a dof; None: all.
 fn given<R: Real>(now: &Moment<R>, dof: usize) -> Option<R> {
     if !drives(now.model) {
         return Some(R::zero());
@@ -59,7 +59,7 @@ fn given<R: Real>(now: &Moment<R>, dof: usize) -> Option<R> {
     now.frames.shares.get(dof).copied()
 }
 
-/// There is an actuator that can give it.
+/// Checks that an actuator exists that can provide it.
 fn drives<N: Constant>(model: &Model<N>) -> bool {
     model.features.actuation && !model.actuators.is_empty()
 }
@@ -119,7 +119,7 @@ impl Forces for DrivenCompensation {
     }
 }
 
-/// What both store, beside the weight.
+/// The energy of both, next to the weight's.
 impl Forces for Held {
     const KIND: Kind = Kind::GravityCompensation;
     const GROUP: Group = Group::Weight;
@@ -131,7 +131,7 @@ impl Forces for Held {
 
     fn force<R: Real>(_: &Moment<R>, _: &MassAt<R::Value>, _add: &mut impl FnMut(usize, R)) {}
 
-    /// m g·c times the share: what the weight stores less.
+    /// m g·c times the share: the reduction of the weight's energy.
     fn stored<R: Real>(now: &Moment<R>, at: &MassAt<R::Value>, add: &mut impl FnMut(R)) {
         let gravity = splat::<R, _>(&now.model.gravity);
         add(at.mass.get() * gravity.dot(&now.frames.centre(now.model, at.body)));

@@ -1,7 +1,7 @@
 //! Gravity: the weight of every body at its centre of mass.
 //!
-//! `place` holds it in the bias forces, as an upward acceleration of the world; what is
-//! written here is the same force by itself, and its potential.
+//! `place` includes it in the bias forces, as an upward acceleration of the world. This file has the
+//! same force by itself, and its potential.
 
 use super::applied::on_dofs;
 use super::force::{Forces, Group, Moment, Sum};
@@ -45,10 +45,10 @@ impl Forces for Gravity {
         on_dofs(now, at.body, &weight, &V3::zeros(), add);
     }
 
-    /// The bias forces hold it.
+    /// The bias forces include it.
     fn push<R: Real>(_: &Moment<R>, _: &[Acts<MassAt<R::Value>>], _: &mut Sum<R>) {}
 
-    /// −m g·c, zero at the world's origin; of fixed bodies too.
+    /// −m g·c, zero at the world's origin; for fixed bodies too.
     #[inline(always)]
     fn stored<R: Real>(now: &Moment<R>, at: &MassAt<R::Value>, add: &mut impl FnMut(R)) {
         let gravity = splat::<R, _>(&now.model.gravity);

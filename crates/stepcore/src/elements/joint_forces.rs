@@ -1,4 +1,4 @@
-//! The force of one kind of element at states of the user's.
+//! The force of one kind of element at given states.
 
 use super::activation::Activations;
 use super::actuator::Actuator;
@@ -10,9 +10,9 @@ use crate::model::Model;
 use crate::place::Placed;
 use crate::state::Inputs;
 
-/// The force of all elements of one kind on the dofs at many states [N or N·m], for kinds that
-/// depend on their own joint alone: springs, dampers and actuators. None for others.
-/// ctrl, act, qpos and qvel one state after the other.
+/// Returns the force of all elements of one kind on the dofs at many states [N or N·m], for kinds that
+/// depend on their joint alone: springs, dampers and actuators. None for others. ctrl, act, qpos and
+/// qvel: one state after the other.
 pub fn joint_forces(
     model: &Model,
     kind: Kind,

@@ -1,4 +1,4 @@
-//! Limits: the length of a joint or of a tendon goes no further than its range. One row a bound.
+//! Limits keep the length of a joint or of a tendon within its range. One row a bound.
 
 use super::constraint::{Constraint, Makings};
 use super::{Element, Kind};
@@ -37,7 +37,7 @@ impl Constraint for Limit {
     }
 }
 
-/// What has a range and moves, joints before tendons.
+/// Lists everything with a range that moves, joints before tendons.
 pub(crate) fn limited(model: &Model) -> Vec<Limited> {
     if !model.features.limit {
         return vec![];
@@ -77,7 +77,7 @@ pub(crate) fn limited(model: &Model) -> Vec<Limited> {
 }
 
 impl<R: Real> Situation<'_, R> {
-    /// Everything that moves a length sleeps.
+    /// Checks that everything that moves a length sleeps.
     #[inline(always)]
     pub(super) fn all_rest(&self, along: Transmission) -> bool {
         if self.asleep.is_empty() {
@@ -90,7 +90,7 @@ impl<R: Real> Situation<'_, R> {
 }
 
 impl<R: Real> Rows<R> {
-    /// The arms of a length, or their opposite, into `scratch`, which is cleared on these dofs.
+    /// Writes the arms of a length, or their opposite, into `scratch`, which is cleared on these dofs.
     pub(super) fn scratch_along(
         &mut self,
         now: &Situation<R>,
@@ -104,8 +104,8 @@ impl<R: Real> Rows<R> {
         });
     }
 
-    /// The row of a bound that is so far away: of the lower one, from which φ grows with the length, or
-    /// of the upper one.
+    /// Makes the row of a bound at this distance φ: of the lower one, from which φ grows with the
+    /// length, or of the upper one.
     fn limit(&mut self, now: &Situation<R>, bound: &Limited<R::Value>, side: usize, phi: R) {
         let settings = now.settings;
         let near = phi.lt(bound.margin.get());

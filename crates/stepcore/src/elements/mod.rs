@@ -1,9 +1,9 @@
-//! What a scene is made of: everything that pushes, stores, takes or constrains.
+//! The elements of a scene: everything that pushes, stores, takes or constrains.
 //!
-//! An `Element` says which one, as data: it is what a row, a contact, a share of a post-mortem
-//! and an error carry. Its text is made in `name.rs` and nowhere else. Each kind is one file,
-//! which says what it has of force, slopes, energy, power and rows; `forces.rs` lists
-//! those that push, and `constraints.rs` those that are rows.
+//! An `Element` identifies one of them as data: rows, contacts, shares of a post-mortem and errors
+//! carry it. Its text is made in `name.rs` and nowhere else. Each kind is one file with its force,
+//! slopes, energy, power and rows; `forces.rs` lists the kinds that push, and `constraints.rs` the
+//! kinds that have rows.
 
 pub(crate) mod activation;
 pub(crate) mod actuator;
@@ -47,10 +47,10 @@ pub use name::Words;
 pub(crate) use text::text;
 pub use text::{Mention, Named, Text};
 
-/// What kind of thing an element is.
+/// The kind of an element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
-    // What stands in the scene's lists, by its index there.
+    // Entries of the scene's lists, by their index there.
     Body,
     Joint,
     Geom,
@@ -61,14 +61,14 @@ pub enum Kind {
     /// A motor or a servo.
     Actuator,
     Sensor,
-    // Of a joint, by its index.
+    // Parts of a joint, by its index.
     Spring,
     Damper,
-    /// Part: which of the joint's dofs.
+    /// Part: the number of the joint's dof.
     FrictionLoss,
     /// Part: 0 for the lower bound, 1 for the upper one.
     Limit,
-    // Of a tendon, by its index.
+    // Parts of a tendon, by its index.
     TendonSpring,
     TendonDamper,
     TendonFriction,
@@ -80,9 +80,9 @@ pub enum Kind {
     JointForce,
     /// `xfrc_applied` on a body, by the body's index.
     BodyForce,
-    /// Part: the weight of which body.
+    /// Part: the body whose weight it is.
     Gravity,
-    // Of a body, by its index.
+    // Parts of a body, by its index.
     Fluid,
     GravityCompensation,
     /// The gyroscopic torque: a part of the bias forces.
@@ -96,15 +96,15 @@ pub enum Kind {
     JointEquality,
     /// A tendon's length that follows another's, or stays.
     TendonEquality,
-    /// By the index of its pair of geoms, in a heap by their number (`model/dynamic_pairs.rs`). Part: which of
-    /// the pair's contacts.
+    /// By the index of its pair of geoms, in a pile by its number (`model/dynamic_pairs.rs`). Part: the
+    /// number of the pair's contact.
     Contact,
 }
 
-/// What a block stands for, as far as solving goes.
+/// The role of a block for the solvers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
-    /// Holds whatever comes.
+    /// Holds against any load.
     Equality,
     /// Friction within fixed bounds.
     Loss,
@@ -148,7 +148,7 @@ impl Kind {
         Self::Contact,
     ];
 
-    /// What its rows are to a solver.
+    /// Returns the role of its rows for a solver.
     pub(crate) fn role(self) -> Role {
         match self {
             Self::Connect | Self::Weld | Self::JointEquality | Self::TendonEquality => {
@@ -160,7 +160,7 @@ impl Kind {
         }
     }
 
-    /// The word by which data outside the engine calls it.
+    /// Returns the name of the kind in data outside the engine.
     pub fn word(self) -> &'static str {
         match self {
             Self::Body => "body",
@@ -202,17 +202,17 @@ pub struct Element {
     pub kind: Kind,
     /// Its place in the list that its kind belongs to; see `Kind`.
     pub index: u64,
-    /// Which part of it; `Element::WHOLE`: all of it.
+    /// The number of its part; `Element::WHOLE`: all of it.
     pub part: u32,
 }
 
 impl Element {
-    /// Not one part of an element but the element.
+    /// The part that means the whole element.
     pub const WHOLE: u32 = u32::MAX;
 
     pub const GRAVITY: Self = Self { kind: Kind::Gravity, index: 0, part: Self::WHOLE };
 
-    /// The whole of an element.
+    /// Returns the whole of an element.
     pub fn whole(kind: Kind, index: usize) -> Self {
         Self { kind, index: index as u64, part: Self::WHOLE }
     }
@@ -221,7 +221,7 @@ impl Element {
         Self { kind, index: index as u64, part: part as u32 }
     }
 
-    /// The element of which this is a part.
+    /// Returns the element of which this is a part.
     pub fn of_part(self) -> Self {
         Self { part: Self::WHOLE, ..self }
     }

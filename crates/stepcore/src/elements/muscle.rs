@@ -1,20 +1,20 @@
 //! Muscles: force by length and velocity, and the activation.
 //!
-//! MuJoCo documentation, "Muscle actuators"; the curves are those of its `mju_muscleGain`,
-//! `mju_muscleBias` and `mju_muscleDynamics`. With L the length over its optimum and V the velocity over
-//! its most, both scaled to the muscle's ranges,
+//! MuJoCo documentation, "Muscle actuators"; the curves are those in its `mju_muscleGain`,
+//! `mju_muscleBias` and `mju_muscleDynamics`. With L the length over its optimum and V the velocity
+//! over its maximum, both scaled to the muscle's ranges,
 //!
 //! ```text
 //! gain = −F FL(L) FV(V)      bias = −F FP(L)
 //! ```
 //!
-//! FL is 1 at L = 1 and 0 at lmin and lmax, of four parabolas; FV is 0 at V = −1, 1 at 0 and fvmax from
-//! fvmax − 1 on; FP is 0 up to L = 1, then a parabola, then its tangent.
+//! FL is 1 at L = 1 and 0 at lmin and lmax, made of four parabolas; FV is 0 at V = −1, 1 at 0 and fvmax
+//! from fvmax − 1 on; FP is 0 up to L = 1, then a parabola, then its tangent.
 
 use crate::real::{same, Constant, Mask, Real, Value};
 use crate::scene::Muscle;
 
-/// MuJoCo's `mjMINVAL`: what divides is no smaller.
+/// MuJoCo's `mjMINVAL`: divisors are no smaller.
 const SMALLEST: f64 = 1e-15;
 
 /// A length and its rate, in the units of the curves.
@@ -36,7 +36,7 @@ impl<N: Constant> Muscle<N> {
         Stretch { length, velocity: velocity * by_rate, by_rate }
     }
 
-    /// The force at full activation, and its derivative by the velocity.
+    /// Returns the force at full activation, and its derivative by the velocity.
     #[inline(never)]
     pub(super) fn gain<R: Real>(&self, length: R, velocity: R, span: [R; 2]) -> [R; 2]
     where
@@ -48,7 +48,7 @@ impl<N: Constant> Muscle<N> {
         [most * fast, most * slope * at.by_rate]
     }
 
-    /// The passive force.
+    /// Returns the passive force.
     #[inline(never)]
     pub(super) fn bias<R: Real>(&self, length: R, span: [R; 2]) -> R
     where
@@ -103,13 +103,13 @@ impl<N: Constant> Muscle<N> {
     }
 }
 
-/// ẇ has a corner: the muscle turns from rising to relaxing, or its control is at a bound.
+/// Checks for a corner of ẇ: the muscle turns from rising to relaxing, or its control is at a bound.
 pub(super) fn turns<N: Constant>(act: f64, ctrl: f64, dynprm: &[N; 3]) -> bool {
     let abrupt = dynprm[2].lane(0) < SMALLEST;
     ctrl == 0.0 || same(ctrl, 1.0) || (abrupt && same(ctrl.clamp(0.0, 1.0), act))
 }
 
-/// ẇ: a filter that is slower where the muscle is active, and has another time constant when it relaxes.
+/// ẇ: a filter that is slower if the muscle is active, and has another time constant when it relaxes.
 pub(super) fn rate<R: Real, N: Value<R>>(act: R, ctrl: R, [rise, fall, width]: &[N; 3]) -> R {
     let (zero, one) = (R::zero(), R::one());
     let slow = R::of(0.5) + R::of(1.5) * act.clamp(zero, one);

@@ -1,11 +1,11 @@
-//! What an element is called: the one place where text about elements is made.
+//! Names of elements: the one place where text about elements is made.
 
 use super::{Element, Kind, Named};
 use crate::model::{Model, Tie};
 use crate::real::Constant;
 use crate::scene::Target;
 
-/// A name in quotes, or the index of what has no name.
+/// Returns a name in quotes, or the index of an element without a name.
 fn called(name: &str, index: usize) -> String {
     if name.is_empty() {
         index.to_string()
@@ -14,7 +14,7 @@ fn called(name: &str, index: usize) -> String {
     }
 }
 
-/// As `called`; what has no name is found in the file by what it belongs to.
+/// Does as `called`; an element without a name is identified by its owner in the file.
 fn found(name: &str, index: usize, whose: impl FnOnce() -> String) -> String {
     let called = called(name, index);
     if name.is_empty() {
@@ -24,8 +24,8 @@ fn found(name: &str, index: usize, whose: impl FnOnce() -> String) -> String {
     }
 }
 
-/// The parts of an element's name: "spring of joint `knee`" is the noun "spring", the owner "joint"
-/// and the label "`knee`". An owner or a label that it does not have is empty.
+/// The parts of an element's name: "spring of joint `knee`" is the noun "spring", the owner "joint" and
+/// the label "`knee`". A missing owner or label is empty.
 pub struct Words {
     pub noun: &'static str,
     pub owner: &'static str,
@@ -46,12 +46,12 @@ impl core::fmt::Display for Words {
 }
 
 impl<N: Constant> Model<N> {
-    /// What a user calls an element; it must be one of this model.
+    /// Returns the name of an element of this model, as users read it.
     pub fn element_name(&self, element: Element) -> String {
         self.element_words(element).to_string()
     }
 
-    /// The same in parts.
+    /// Returns the same in parts.
     pub fn element_words(&self, element: Element) -> Words {
         let index = element.index as usize;
         let joint = || self.joint_label(index);
@@ -137,7 +137,7 @@ impl<N: Constant> Model<N> {
         })
     }
 
-    /// What an actuator pulls at.
+    /// Returns the name of an actuator's target.
     fn at_target(&self, target: &Target) -> String {
         match *target {
             Target::Joint(joint) | Target::InParent(joint) => {
@@ -159,7 +159,7 @@ impl<N: Constant> Model<N> {
         }
     }
 
-    /// How many elements of a kind the model has.
+    /// Returns the number of elements of a kind in the model.
     pub fn count(&self, kind: Kind) -> usize {
         match kind {
             Kind::Body | Kind::BodyForce | Kind::Fluid | Kind::GravityCompensation | Kind::Spin => {
@@ -194,7 +194,7 @@ impl<N: Constant> Model<N> {
         }
     }
 
-    /// An element with its name.
+    /// Returns an element with its name.
     pub fn named(&self, element: Element) -> Named {
         Named { element, name: self.element_name(element) }
     }

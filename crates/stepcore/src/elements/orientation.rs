@@ -1,10 +1,10 @@
 //! Servos that turn a ball joint to an orientation along the shortest way: MuJoCo's `orientation`.
 //!
-//! With q the orientation of the ball and p that which its controls ask for, as a rotation vector or
-//! as a quaternion of any length, the torque in the axes of the body is kp log(q⁻¹ p) − kv ω; where it
-//! is longer than the bound of its force it keeps its direction (MuJoCo documentation, XML
+//! With q the orientation of the ball and p the orientation that its controls request, as a rotation
+//! vector or as a quaternion of any length, the torque in the axes of the body is kp log(q⁻¹ p) − kv ω.
+//! If it is longer than the bound of its force it keeps its direction (MuJoCo documentation, XML
 //! reference, "actuator/orientation"). Each of the three axes is an actuator, and so is a fourth
-//! control. Slopes are those of kp and kv in each axis, as in MuJoCo, and none at the bound.
+//! control. Slopes are kp and kv in each axis, as in MuJoCo, and none at the bound.
 
 use super::activation::Activations;
 use crate::model::Model;
@@ -14,7 +14,7 @@ use crate::scene::Target;
 use crate::spatial::{Quat, V3};
 use crate::state::Inputs;
 
-/// The torque about the axis of one of its actuators, and whether no bound holds it.
+/// The torque about the axis of one of its actuators, and whether it is within the bound.
 pub(super) struct Turn<R: Real> {
     pub force: R,
     pub free: R::Mask,

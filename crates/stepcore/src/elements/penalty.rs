@@ -1,5 +1,5 @@
-//! Contacts under the law `penalty`: a spring and a damper under the surface, the trap that is
-//! kept so that it can be measured. No row, a force on the guess.
+//! Contacts under the law `penalty`: a spring and a damper under the surface, a trap that is kept so
+//! that it can be measured. No row, a force on the guess.
 //!
 //! Friction is Coulomb's, regularised by a damper: |f_t| = min(μ f_n, γ |v_t|), against v_t. The
 //! damper is an eighth of the critical one of the contact's spring and the mass 1/A_t that it moves
@@ -20,8 +20,8 @@ use crate::solve::{Push, Row, Rows, Situation};
 const SIDEWAYS: f64 = 0.25;
 
 impl<R: Real> Rows<R> {
-    /// −k φ − b J v along the normal while shapes overlap, b a share of what is critical to the
-    /// mass 1/A that the contact moves; then friction along the tangents.
+    /// Applies −k φ − b J v along the normal while shapes overlap, b a share of the critical damping
+    /// for the mass 1/A that the contact moves; then friction along the tangents.
     pub(super) fn penalty(&mut self, now: &Situation<R>, contact: &Contact<R>) {
         let (settings, pair) = (now.settings, &contact.pair);
         let mask = contact.mask.and(contact.dist.lt(R::zero()));
@@ -43,7 +43,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Friction of at most `bound` [N·s] in all its ways together, each in its measure.
+    /// Applies friction of at most `bound` [N·s] in all its ways together, each in its measure.
     fn rub(
         &mut self,
         now: &Situation<R>,
@@ -81,7 +81,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Gives the guess an impulse along a row that was made.
+    /// Gives the guess an impulse along a complete row.
     fn push_apart(
         &mut self,
         now: &Situation<R>,
@@ -99,7 +99,7 @@ impl<R: Real> Rows<R> {
     }
 }
 
-/// The velocity that the damper of a way sees: turning is as fast to end as sliding with this A.
+/// Returns the velocity that the damper of a way acts on: turning ends as fast as sliding with this A.
 fn eased<R: Real>(row: &Row<R>, way: &Way<R>, a: R) -> R {
     if way.turns {
         row.velocity * (a * row.a.recip_or_zero())
@@ -108,7 +108,7 @@ fn eased<R: Real>(row: &Row<R>, way: &Way<R>, a: R) -> R {
     }
 }
 
-/// What a contact's spring stores [J].
+/// Returns the energy of a contact's spring [J].
 pub(crate) fn stored<R: Real>(settings: &Settings, contact: &Contact<R>) -> R {
     let depth = contact.dist.min(R::zero());
     let energy = R::of(0.5 * settings.penalty_stiffness) * depth * depth;

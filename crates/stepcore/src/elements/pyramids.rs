@@ -1,5 +1,5 @@
-//! Contacts that slide along two tangents, whose pyramids are made at once: four of two free boxes
-//! share bodies, directions, material and most of what their rows are made of.
+//! Contacts that slide along two tangents, whose pyramids are made together: the contacts of two free
+//! boxes, often four, share bodies, directions, material and most terms of their rows.
 
 use super::contact::{axes_of, bodies};
 use super::friction::Ways;
@@ -10,8 +10,8 @@ use crate::solve::law::Spring;
 use crate::solve::{Rows, Situation};
 
 impl<R: Real> Rows<R> {
-    /// MuJoCo's contacts. Those of one pair stand one after another, and are made by fours and twos
-    /// where their directions are the same.
+    /// Makes MuJoCo's contacts. Contacts of one pair are adjacent, and are made by fours and twos if
+    /// their directions are the same.
     pub(super) fn soft_contacts(&mut self, now: &Situation<R>, contacts: &[Contact<R>]) {
         for own in contacts.chunk_by(|a, b| a.pair.index == b.pair.index) {
             let rest = self.by_pyramids::<4>(now, own);
@@ -21,14 +21,14 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Makes contacts of one pair N at a time; what is left of them.
+    /// Makes contacts of one pair N at a time, and returns the rest.
     fn by_pyramids<'a, const N: usize>(
         &mut self,
         now: &Situation<R>,
         mut contacts: &'a [Contact<R>],
     ) -> &'a [Contact<R>] {
         while let Some((own, rest)) = contacts.split_first_chunk::<N>() {
-            // Lanes have vectors of their own.
+            // Lanes have their vectors already.
             if !R::ALONE || !self.pyramids(now, own) {
                 own.iter().for_each(|contact| self.soft_contact(now, contact));
             }
@@ -37,8 +37,8 @@ impl<R: Real> Rows<R> {
         contacts
     }
 
-    /// The edges of contacts of one pair that slide along the same two tangents and no more, made at
-    /// once; false: nothing is made.
+    /// Makes the edges of contacts of one pair that slide along the same two tangents and no more,
+    /// together; false: nothing is made.
     pub(super) fn pyramids<const N: usize>(
         &mut self,
         now: &Situation<R>,

@@ -11,8 +11,8 @@ use std::sync::Mutex;
 const PARTS: usize = 2;
 
 impl<R: Real> Rows<R> {
-    /// Threads share the rows of so many contacts. Under other laws, and of geoms that adhere, a
-    /// contact changes a list, or what the next one reads.
+    /// Checks that threads share the rows of this many contacts. Under other laws, and with geoms that
+    /// adhere, a contact changes a list, or data that the next one reads.
     pub(super) fn shares(&self, now: &Situation<R>, contacts: usize) -> bool {
         let heap = now.model.dynamic_pairs.is_some()
             && now.settings.law == Law::SolRef

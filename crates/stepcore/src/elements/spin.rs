@@ -1,6 +1,6 @@
-//! The gyroscopic torque of a body, (I ω) × ω in world axes with I about its centre of mass: the
-//! part of the bias forces that makes a spinning body precess and nutate. It is pushed with the
-//! bias; here it stands by itself, so that one can ask how stiff it is.
+//! The gyroscopic torque of a body, (I ω) × ω in world axes with I about its centre of mass: the part
+//! of the bias forces that makes a spinning body precess and nutate. The bias pushes it; this file has
+//! it by itself, so that its stiffness can be computed.
 
 use super::applied::on_dofs;
 use super::force::Moment;
@@ -27,7 +27,7 @@ pub(crate) fn force<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut
     on_dofs(now, index, &V3::zeros(), &moment, add);
 }
 
-/// Such a body turns freely about any axis.
+/// Checks for a body that turns freely about any axis.
 pub(crate) fn isotropic<N: Constant>(body: &Body<N>) -> bool {
     let inertia = body.inertia.map(|x| x.lane(0));
     let mean = inertia.trace() / 3.0;

@@ -1,6 +1,6 @@
-//! The spring in a joint: a force −k·s on each of its dofs, s being how far the joint is from
-//! the spring's rest; of a ball or a free joint's turn, a rotation vector. Its stiffness k may
-//! grow with the length of s.
+//! The spring in a joint: a force −k·s on each of its dofs, s the displacement of the joint from the
+//! spring's rest; for the turn of a ball or a free joint, a rotation vector. Its stiffness k may grow
+//! with the length of s.
 
 use super::force::{Forces, Group, Moment};
 use super::Kind;
@@ -30,7 +30,7 @@ pub(super) fn pull<R: Real>(
     }
 }
 
-/// Minus the derivative of that along the stretch: a + 2 b x + 3 c x².
+/// Minus the derivative of `pull` along the stretch: a + 2 b x + 3 c x².
 #[inline(always)]
 pub(super) fn slope<R: Real>(law: &Coefficients<R::Value>, stretch: &[R]) -> R {
     let ([a, b, c], x) = (value::get(law), length(stretch));
@@ -54,7 +54,7 @@ fn linear<N: Constant>([_, b, c]: &Coefficients<N>) -> bool {
     b.vanishes() && c.vanishes()
 }
 
-/// Of one number with its sign.
+/// Returns the length of a stretch; one number keeps its sign.
 #[inline(always)]
 fn length<R: Real>(stretch: &[R]) -> R {
     match stretch {
@@ -92,7 +92,7 @@ impl Forces for Spring {
         add: &mut dyn FnMut(usize, usize, [R; 2]),
     ) {
         if linear(&at.law) {
-            // Wherever the joint is.
+            // The slope is the same at every position.
             let slope = at.law[0].get();
             (at.dof..at.dof + at.kind.dofs()).for_each(|k| add(k, k, [slope, R::zero()]));
             return;
@@ -115,8 +115,8 @@ impl Forces for Spring {
     }
 }
 
-/// Calls `each(first dof, stretch)`: how far a joint is from its spring's rest [m or rad], a
-/// free joint's way and its turn apart.
+/// Calls `each(first dof, stretch)` with the displacement of a joint from its spring's rest [m or rad],
+/// separately for a free joint's way and its turn.
 #[inline(always)]
 fn stretches<R: Real>(
     model: &Model<R::Value>,

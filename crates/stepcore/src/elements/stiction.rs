@@ -1,15 +1,15 @@
 //! Stiction: friction that holds without creep, under `solref`.
 //!
-//! MuJoCo's friction rows have no position: at rest they creep at R λ/(dt b). With
-//! `Settings::stiction` a contact that sticks has an anchor: the slip s of its two points since then
-//! (and their turn against each other), which its friction rows undo with the spring of their law, as
-//! a normal row undoes an overlap: t = u − dt (b u + K d s). At rest the speed is 0, and
-//! s = R λ/(dt K d). This is the tangential spring of Cundall and Strack (A discrete numerical model
-//! for granular assemblies, Géotechnique 29, 1979). Elastic contacts have one, about as stiff as
-//! along their normal (Mindlin 1949), as it is here where impratio is 1.
+//! MuJoCo's friction rows have no position: at rest they creep at R λ/(dt b). With `Settings::stiction`
+//! a contact that sticks has an anchor: the slip s of its two points since then (and their turn against
+//! each other). Its friction rows undo s with the spring of their law, as a normal row undoes an
+//! overlap: t = u − dt (b u + K d s). At rest the speed is 0, and s = R λ/(dt K d). This is the
+//! tangential spring of Cundall and Strack (A discrete numerical model for granular assemblies,
+//! Géotechnique 29, 1979). Elastic contacts have one, about as stiff as along their normal (Mindlin
+//! 1949), as it is here if impratio is 1.
 //!
-//! Where the spring asks for more than friction can give, the contact slips: s is shortened until it
-//! asks for just that (radial return), so that a spring gives back no more than it took.
+//! Where the spring requests more than friction can give, the contact slips: s is shortened until the
+//! request is exactly at the bound (radial return), so that a spring gives back no more than it took.
 //!
 //! s is a vector of the world in the plane of the contact. It tilts with the normal at the same
 //! length, and turns about the normal with the flatter of the two geoms: a ball that spins on a table
@@ -45,8 +45,8 @@ fn pull<R: Real>(
 }
 
 impl<R: Real> Rows<R> {
-    /// Pulls the friction rows of the block that is next back by the slip of its contact: rows from
-    /// `first` on are edges in pairs, or else a normal and its ways.
+    /// Pulls the friction rows of the next block back by the slip of its contact: rows from `first` on
+    /// are edges in pairs, or else a normal and its ways.
     pub(super) fn anchor(
         &mut self,
         now: &Situation<R>,
@@ -73,7 +73,7 @@ impl<R: Real> Rows<R> {
         self.anchors.push(anchor);
     }
 
-    /// The anchor of the last step, carried on, with what the points moved since.
+    /// Returns the anchor of the last step, carried on, with the points' motion since.
     fn moved(
         &mut self,
         now: &Situation<R>,
@@ -115,7 +115,7 @@ impl<R: Real> Rows<R> {
         Anchor { block: self.blocks.len(), slide, turn, along, pull: R::zero() }
     }
 
-    /// The slip that the last step left, found as impulses are: by slot and feature.
+    /// Returns the slip that the last step left, found as impulses are: by slot and feature.
     fn kept_slip(&self, now: &Situation<R>, contact: &Contact<R>) -> [V3<R>; 2] {
         let kin = now.model.kin(&contact.pair, contact.part);
         let mut slip = [R::zero(); SLIPS];
@@ -130,8 +130,8 @@ impl<R: Real> Rows<R> {
         [V3::new(a, b, c), V3::new(d, e, f)]
     }
 
-    /// How fast the flatter of two geoms turns about the normal [rad/s]; both equally flat: their
-    /// mean.
+    /// Returns the rate at which the flatter of two geoms turns about the normal [rad/s]; both equally
+    /// flat: their mean.
     fn spin_of_flatter(&mut self, now: &Situation<R>, pair: &Pair<R>, normal: &V3<R>) -> R {
         let flat = |geom: usize| match now.model.geoms[geom].kind {
             GeomType::Plane | GeomType::HField => 100,
@@ -157,7 +157,7 @@ impl<R: Real> Rows<R> {
             .fold(R::zero(), |spin, &k| spin + now.placed.motion[k].ang.dot(normal) * self.guess[k])
     }
 
-    /// What the next step begins with of the slip of a block: no more than friction held.
+    /// Returns the slip of a block with which the next step starts: no more than friction held.
     pub(crate) fn held_slip(&self, anchor: &Anchor<R>, block: &Block<R>) -> [R; SLIPS] {
         let zero = R::zero();
         let own = block.rows.range();
@@ -170,7 +170,7 @@ impl<R: Real> Rows<R> {
             let size = R::select(some, square, R::one()).sqrt();
             (R::select(some, size, zero) * anchor.pull, c * block.mu * impulse(own.start))
         } else {
-            // |λ₊ − λ₋| = 2 pull μ s/c of each pair, together no more than the sum of all edges.
+            // |λ₊ − λ₋| = 2 pull μ s/c for each pair, together no more than the sum of all edges.
             let sum = anchor.along.iter().fold(zero, |sum, s| sum + s.abs());
             let load = own.clone().fold(zero, |load, at| load + impulse(at).max(zero));
             (sum * anchor.pull * (block.mu + block.mu), normal.c * load)
@@ -181,8 +181,8 @@ impl<R: Real> Rows<R> {
     }
 }
 
-/// A vector of the plane that had another normal, in the plane of this one at the same length, turned
-/// by an angle (as a rational rotation, exact to the third order).
+/// Returns a vector of the plane of an earlier normal, in the plane of this one at the same length,
+/// turned by an angle (as a rational rotation, exact to the third order).
 fn carried<R: Real>(slip: &V3<R>, normal: &V3<R>, angle: R) -> V3<R> {
     let flat = slip - normal * slip.dot(normal);
     let (square, left) = (slip.dot(slip), flat.dot(&flat));

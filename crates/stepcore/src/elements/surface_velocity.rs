@@ -1,9 +1,9 @@
 //! Surfaces that move while their geoms do not: conveyor belts, treadmills, turntables.
 //!
-//! A surface moves as σ(x) = v + ω × (x − p), v and ω in the frame of its geom and p the origin of
-//! that. A contact's friction acts on J u + s: s is what the surface of geom 2 moves by beyond that
-//! of geom 1, along the way of friction, or for torsion turns about the normal. Rolling and the
-//! normal know nothing of it (MuJoCo documentation, XML reference, geom/surfacevel).
+//! A surface moves as σ(x) = v + ω × (x − p), v and ω in the frame of its geom and p the origin of the
+//! frame. A contact's friction acts on J u + s: s is the velocity of the surface of geom 2 relative to
+//! the surface of geom 1, along the way of friction, or for torsion turning about the normal. Rolling
+//! and the normal ignore it (MuJoCo documentation, XML reference, geom/surfacevel).
 
 use super::friction::{Axis, Way, Ways, MOST_WAYS};
 use crate::detect::Contact;
@@ -18,7 +18,7 @@ use nalgebra::Vector3;
 /// s along each way of friction, in its measure [m/s].
 pub(super) type Drift<R> = [R; MOST_WAYS];
 
-/// None where no surface moves.
+/// Returns the drift; None if no surface moves.
 pub(super) fn drift<R: Real>(
     now: &Situation<R>,
     contact: &Contact<R>,
@@ -38,8 +38,8 @@ pub(super) fn drift<R: Real>(
     Some(drift)
 }
 
-/// The velocity and the angular velocity that the surface of geom 2 has beyond that of geom 1 where
-/// they touch; None where neither moves.
+/// Returns the velocity and the angular velocity of geom 2's surface relative to geom 1's, beyond their
+/// bodies' motion, where they touch; None if neither moves.
 fn apart<R: Real>(
     model: &Model<R::Value>,
     placed: &Placed<R>,
@@ -54,7 +54,7 @@ fn apart<R: Real>(
     Some([two[0] - one[0], two[1] - one[1]])
 }
 
-/// The velocity of a geom's surface at a point beyond that of its body, and its angular velocity.
+/// Returns the velocity of a geom's surface at a point relative to its body, and its angular velocity.
 fn surface<R: Real>(
     model: &Model<R::Value>,
     placed: &Placed<R>,
@@ -68,8 +68,8 @@ fn surface<R: Real>(
 }
 
 impl<R: Real> Sim<R> {
-    /// The power of surfaces that move [W], by lane: friction takes what a sliding contact turns to
-    /// heat from what slides and from them, so that they put in −f·s.
+    /// Returns the power of surfaces that move [W], by lane: friction takes the heat of a sliding
+    /// contact from the sliding bodies and from the surfaces, so that these put in −f·s.
     pub(crate) fn power_of_surfaces(&self) -> R {
         let mut sum = R::zero();
         for lane in 0..R::LANES {
@@ -92,8 +92,8 @@ impl<R: Real> Sim<R> {
 }
 
 impl<R: Real> Rows<R> {
-    /// Friction targets of the block that is next follow the surfaces: rate × drift less. Rows from
-    /// `first` on are edges in pairs, or else a normal and its ways.
+    /// Subtracts rate × drift from the friction targets of the next block, so that they follow the
+    /// surfaces. Rows from `first` on are edges in pairs, or else a normal and its ways.
     pub(super) fn apply_surface_velocity(
         &mut self,
         drift: Option<&Drift<R>>,
@@ -108,14 +108,14 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Takes `by` from the target of a way of friction: from its row, or from its two edges.
+    /// Subtracts `by` from the target of a way of friction: from its row, or from its two edges.
     pub(super) fn shift_target(&mut self, way: usize, by: R, (first, edges): (usize, bool)) {
         if !edges {
             self.rows[first + 1 + way].t -= by;
             return;
         }
         let [one, other] = &mut self.rows[first + 2 * way..first + 2 * way + 2] else { return };
-        // Unfolded: the first is the tangent, the second its load.
+        // Edges that were split: the first is the tangent, the second its load.
         let alone = one.lo.lt(R::zero());
         one.t -= by;
         other.t = R::select(alone, other.t, other.t + by);

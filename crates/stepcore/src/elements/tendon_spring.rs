@@ -13,8 +13,8 @@ use crate::scene::NONE;
 pub(super) struct TendonSpring;
 pub(super) struct TendonDamper;
 
-/// How far the length is from the range within which the spring is slack: below it negative [m]. Of a
-/// spring with one rest length it is differentiable there.
+/// Returns the distance of the length from the range within which the spring is slack, negative below
+/// the range [m]. For a spring with one rest length it is differentiable there.
 #[inline(always)]
 fn stretch<R: Real>(now: &Moment<R>, index: usize) -> R {
     let (length, [lo, hi]) =
@@ -29,7 +29,7 @@ fn along<R: Real>(now: &Moment<R>, index: usize, mut each: impl FnMut(usize, R))
     Transmission::Tendon(index, None).arms(now.model, now.qpos, now.frames.pulls, &mut each);
 }
 
-/// A slope along a tendon as entries of its dofs.
+/// Calls `add` with a slope along a tendon as entries of its dofs.
 fn spread<R: Real>(
     now: &Moment<R>,
     index: usize,
@@ -50,7 +50,7 @@ fn rate<R: Real>(now: &Moment<R>, index: usize) -> R {
     Transmission::Tendon(index, None).velocity(now.model, now.qpos, now.qvel, now.frames.pulls)
 }
 
-/// The force of springs and dampers along a tendon, positive where it lengthens it [N].
+/// Returns the force of springs and dampers along a tendon, positive if it lengthens it [N].
 pub(crate) fn tendon_force<R: Real>(now: &Moment<R>, index: usize) -> R {
     let (tendon, mut sum) = (&now.model.tendons[index], R::zero());
     if !none(&tendon.stiffness) {
@@ -82,7 +82,7 @@ impl Forces for TendonSpring {
         along(now, at.tendon, |dof, arm| add(dof, arm * pull));
     }
 
-    /// Slack, it has none.
+    /// A slack spring has none.
     #[inline(never)]
     fn slopes<R: Real>(
         now: &Moment<R>,

@@ -1,11 +1,11 @@
-//! Text about elements, with the elements that it names beside it as data.
+//! Text about elements, with the elements that it names as separate data.
 
 use std::fmt;
 use std::ops::Range;
 
 use super::{Element, Kind};
 
-/// An element with its name, where no model is at hand to ask for it.
+/// An element with its name, for use without a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Named {
     pub element: Element,
@@ -13,7 +13,7 @@ pub struct Named {
 }
 
 impl Named {
-    /// What stands before its name in a sentence: "the spring of joint `knee`", "servo `grip`".
+    /// Returns the words before its name in a sentence: "the spring of joint `knee`", "servo `grip`".
     pub fn article(&self) -> &'static str {
         match self.element.kind {
             Kind::Spring
@@ -39,7 +39,7 @@ impl fmt::Display for Named {
     }
 }
 
-/// Text in which elements of a scene are named; where each stands in it is data beside it.
+/// Text in which elements of a scene are named; the places of the names are separate data.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Text {
     words: String,
@@ -49,7 +49,7 @@ pub struct Text {
 /// An element in a `Text`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mention {
-    /// In bytes.
+    /// Position in bytes.
     pub at: Range<usize>,
     pub element: Element,
 }

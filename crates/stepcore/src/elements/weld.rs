@@ -1,4 +1,4 @@
-//! `weld`: a frame of one body stays on a frame of another. Three rows of their points, as those of
+//! `weld`: a frame of one body stays on a frame of another. Three rows of their points, as in
 //! `connect`, and three of their turn.
 //!
 //! With A and B the orientations of frame 1 and 2, the turn is s · vec Q, Q = B* A, half the rotation
@@ -9,7 +9,7 @@
 //! ```
 //!
 //! so that row k turns along d = ½ s R_B (Q_w e_k + Q_v × e_k), and its J̇ v is
-//! d · (ω̇ + ω₁ × ω₂) − ¼ s |ω|² Q_k, ω̇ being what no dof's acceleration adds to.
+//! d · (ω̇ + ω₁ × ω₂) − ¼ s |ω|² Q_k, ω̇ at zero acceleration of the dofs.
 
 use super::connect::Apart;
 use super::equality::Held;
@@ -18,7 +18,7 @@ use crate::real::{Mask, Real, Value};
 use crate::solve::{Rows, Situation};
 use crate::spatial::{rotate, Motion, Quat, M3, V3};
 
-/// Of a product of unit quaternions.
+/// Roundings of a product of unit quaternions.
 const ROUNDINGS: f64 = 8.0;
 
 impl<R: Real> Rows<R> {
@@ -41,7 +41,7 @@ impl<R: Real> Rows<R> {
         self.tie(now, index, first, square.sqrt(), &held);
     }
 
-    /// The rows of the turn.
+    /// Makes the rows of the turn.
     fn turns(
         &mut self,
         now: &Situation<R>,
@@ -73,7 +73,7 @@ impl<R: Real> Rows<R> {
             let mut gap = R::of(scale) * turn.v[k];
             let unmoved = self.rows[first + k].a.le(R::zero());
             if unmoved.any() {
-                // What nothing turns has the load gap/R, and R is least: not of a rounding.
+                // A row that nothing turns has the load gap/R with the least R: rounding must not load it.
                 let rounding = turn.v[k].abs().le(R::of(ROUNDINGS * R::epsilon()));
                 gap = R::select(unmoved.and(rounding), R::zero(), gap);
             }
@@ -84,7 +84,7 @@ impl<R: Real> Rows<R> {
     }
 }
 
-/// The way along which each row of the turn Q turns, in the world; `matrix` is R_B.
+/// Returns the direction along which each row of the turn Q turns, in the world; `matrix` is R_B.
 pub(crate) fn axes<R: Real>(turn: &Quat<R>, matrix: &M3<R>, scale: f64) -> [V3<R>; 3] {
     [0, 1, 2].map(|k| {
         let mut axis = V3::zeros();
@@ -94,12 +94,12 @@ pub(crate) fn axes<R: Real>(turn: &Quat<R>, matrix: &M3<R>, scale: f64) -> [V3<R
     })
 }
 
-/// Angular velocity of a body.
+/// Returns the angular velocity of a body.
 fn spin<'a, R: Real>(now: &'a Situation<'a, R>) -> impl Fn(usize) -> V3<R> + 'a {
     |body| if turns(now, body) { now.placed.velocity[body].ang } else { V3::zeros() }
 }
 
-/// The same accelerated, when no dof accelerates.
+/// Returns the angular acceleration when no dof accelerates.
 fn spinning_up<'a, R: Real>(now: &'a Situation<'a, R>) -> impl Fn(usize) -> V3<R> + 'a {
     |body| {
         if turns(now, body) {

@@ -1,5 +1,5 @@
 //! The step of each integrator where the motion is linear, M dv' = −K dq − D dv, or x' = J x of
-//! x = [dq, dv]. With h = dt, D̂ and K̂ what the integrator takes at the end of the step:
+//! x = [dq, dv]. With h = dt, D̂ and K̂ its implicit parts at the end of the step:
 //!
 //! ```text
 //! Map::Taylor   x⁺ = (1 + z + z²/2 + …) x, z = h J
@@ -13,18 +13,18 @@ pub use nalgebra::DMatrix;
 
 use super::{Integrator, Map};
 
-/// A linear motion of n dofs, and what of it may be taken at the end of a step.
+/// A linear motion of n dofs, and the parts that may be taken at the end of a step.
 pub struct Linear<'a> {
     /// J, 2n by 2n [1/s].
     pub rates: &'a DMatrix<f64>,
     pub mass: &'a DMatrix<f64>,
-    /// D̂ and K̂, which only integrators that take them look at.
+    /// D̂ and K̂, which only some integrators use.
     pub damping: &'a DMatrix<f64>,
     pub stiffness: &'a DMatrix<f64>,
 }
 
 impl Linear<'_> {
-    /// x⁺ of every column of x; None where a matrix is singular.
+    /// x⁺ for every column of x; None if a matrix is singular.
     pub fn step(&self, integrator: Integrator, dt: f64, x: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         match integrator.scheme().map {
             Map::Taylor(order) => {

@@ -1,12 +1,12 @@
-//! What stands where at qpos0: the poses of bodies; and lengths and arms, as a step places them.
+//! The model at qpos0: the poses of bodies; and lengths and arms, as a step places them.
 
 use super::{Body, Model, Transmission};
 use crate::place::Placed;
 use crate::scene::AUTOMATIC;
 use crate::spatial::Pose;
 
-/// World poses of all bodies, where every hinge and slide stands at its reference and so adds no
-/// displacement of its own.
+/// World poses of all bodies with every hinge and slide at its reference, so that it adds no
+/// displacement.
 pub fn poses(bodies: &[Body]) -> Vec<Pose<f64>> {
     let mut poses: Vec<Pose<f64>> = Vec::with_capacity(bodies.len());
     for (i, body) in bodies.iter().enumerate() {
@@ -16,7 +16,7 @@ pub fn poses(bodies: &[Body]) -> Vec<Pose<f64>> {
     poses
 }
 
-/// What tendons are at qpos0, and where their springs are at rest.
+/// Measures tendons at qpos0, and finds the rest lengths of their springs.
 pub fn measure_tendons(model: &mut Model) {
     if model.tendons.is_empty() {
         return;
@@ -35,7 +35,7 @@ pub fn measure_tendons(model: &mut Model) {
 }
 
 impl Model {
-    /// The arms of each actuator where qpos0 was placed, by dof.
+    /// The arms of each actuator, by dof, after qpos0 was placed.
     pub(super) fn arms_at_qpos0(&self, placed: &Placed<f64>) -> Vec<Vec<f64>> {
         let arms = |along: &Transmission| {
             let mut row = vec![0.0; self.nv];

@@ -1,22 +1,22 @@
-//! What a step asks of its fixed pairs first: one number a pair, side by side, and one of all pairs
+//! The first test of a step's fixed pairs: one number for each pair, packed, and one for all pairs
 //! of two bodies.
 //!
-//! Most pairs of a robot are far apart in most steps. The numbers here are those of the spheres
-//! that hold the geoms (`detect/apart.rs` tries more), packed so that hundreds of pairs are a short
-//! loop; and of spheres that hold all geoms of a body, so that most of them are not looked at: all
-//! of both bodies first, then one geom and all of the other body. What a step computes is the same,
-//! to the bit, with and without them.
+//! Most pairs of a robot are far apart in most steps. The numbers here belong to the spheres that
+//! contain the geoms (`detect/apart.rs` tests more), packed so that hundreds of pairs are a short
+//! loop; and to spheres that contain all geoms of a body, so that most pairs are skipped: first all
+//! of both bodies, then one geom and all of the other body. A step's result is the same, to the
+//! bit, with and without them.
 
 use super::{BodyPair, Model, Pair, Span, Spheres};
 
-/// By how much more the spheres of bodies are apart, of their size: more than rounding in single
-/// precision, so that no pair is passed over that the spheres of its geoms would not.
+/// By how much farther apart the spheres of bodies must be, relative to their size: more than
+/// single-precision rounding, so that no pair is skipped that the spheres of its geoms would keep.
 const SURE: f64 = 1e-4;
 
-/// So many pairs of a geom are worth a sphere of their own.
+/// The number of pairs of a geom that justifies a sphere for them.
 const RUN: usize = 4;
 
-/// By pair, and by two bodies.
+/// The spheres by pair, and by two bodies.
 pub fn of_pairs(model: &Model) -> (Vec<Spheres>, Vec<BodyPair>) {
     let spheres = model.pairs.iter().map(|pair| of_pair(model, pair)).collect();
     let mut body_pairs = vec![];
@@ -46,7 +46,7 @@ pub fn of_pairs(model: &Model) -> (Vec<Spheres>, Vec<BodyPair>) {
     (spheres, body_pairs)
 }
 
-/// The two bodies of a pair, the smaller first: geoms stand in the order of their types.
+/// The two bodies of a pair, the smaller first: geoms are in the order of their types.
 fn sorted(model: &Model, pair: &Pair) -> [usize; 2] {
     let mut bodies = [pair.geom1, pair.geom2].map(|geom| model.geoms[geom].body);
     bodies.sort_unstable();
@@ -69,7 +69,7 @@ fn of_bodies(model: &Model, own: &[Pair], bodies: [usize; 2]) -> Spheres {
     Spheres { geoms: [one.0 as u32, two.0 as u32], square: least * least, apart }
 }
 
-/// The smallest sphere about one of a body's geoms that holds all those of these pairs.
+/// The smallest sphere about one of a body's geoms that contains all its geoms in these pairs.
 fn sphere(model: &Model, pairs: &[Pair], body: usize) -> (usize, f64) {
     let mut geoms: Vec<usize> = pairs.iter().flat_map(|pair| [pair.geom1, pair.geom2]).collect();
     geoms.retain(|geom| model.geoms[*geom].body == body);

@@ -14,12 +14,12 @@ use crate::plan::acting::Acting;
 use crate::scene::Scene;
 
 impl Model {
-    /// Compiles a scene, or says which element cannot be compiled and why.
+    /// Compiles a scene, or returns an error that names the element and the reason.
     pub fn compile(scene: &Scene) -> Result<Self> {
         Self::compiled(scene, dynamic_pairs::most_fixed)
     }
 
-    /// The same, where up to so many pairs are listed: see `dynamic_pairs.rs`.
+    /// The same, with at most `most_fixed` pairs listed: see `dynamic_pairs.rs`.
     pub fn compile_with(scene: &Scene, most_fixed: usize) -> Result<Self> {
         Self::compiled(scene, |_| most_fixed)
     }
@@ -32,7 +32,7 @@ impl Model {
         let scene = &Scene { geoms, ..scene.clone() };
         let mut model = tree::lay_out(scene, &assets);
         pairs::planes_stand_still(&model)?;
-        // Each needs what those above it have made; of what most, stands beside it.
+        // Each call needs the results of the calls above it; the comments name most of them.
         let (aligned, axes) = inertia::weigh(scene, &assets, &mut model)?;
         let poses = at_qpos0::poses(&model.bodies);
         tendons::compile(scene, &mut model); // masses

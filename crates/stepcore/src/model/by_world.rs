@@ -1,5 +1,5 @@
-//! Models of worlds that stand side by side: the same but for numbers, each of which is one for all of
-//! them or one for each.
+//! The models of several worlds that differ only in numbers. Each number is stored once for all
+//! worlds, or once for each.
 
 use std::any::Any;
 use std::ops::Deref;
@@ -22,30 +22,30 @@ use crate::room::Room;
 use crate::scene::{Actuator, Muscle, Softness};
 use crate::solve::law::impedance_form;
 
-/// A part of a model, whose numbers may differ from world to world.
+/// A part of a model whose numbers may differ from world to world.
 trait Part {
-    /// The same of numbers of another kind.
+    /// The same part with another number type.
     type In<V: Constant>;
-    /// It differs from another in numbers alone, of which none is zero or infinite in one only.
+    /// Whether it differs from another only in numbers, none of them zero or infinite in one only.
     fn like(&self, other: &Self) -> bool;
-    /// Its numbers, always in one order.
+    /// Appends its numbers, always in one order.
     fn list(&self, numbers: &mut Vec<f64>);
-    /// The same with the numbers of all worlds, in that order.
+    /// The same part with the numbers of all worlds, in that order.
     fn with<V: Constant>(&self, numbers: &mut Numbers) -> Self::In<V>;
 }
 
-/// What a step may ask of a number without looking at it in every lane.
+/// The properties of a number that a step may use without testing every lane.
 fn class(x: f64) -> (bool, bool) {
     (x == 0.0, x.is_infinite())
 }
 
-/// The numbers of several models, and what is made of all of them.
+/// The numbers of several models, and the data that depends on all of them.
 struct Numbers {
-    /// By model.
+    /// One entry for each model.
     lists: Vec<Vec<f64>>,
-    /// How many were taken of each.
+    /// How many numbers of each model were taken.
     taken: usize,
-    /// By pair: its place among the different sets of materials that pairs have in the models; and these.
+    /// For each pair: its place among the pairs' distinct sets of materials; and these sets.
     places: Vec<usize>,
     sets: Vec<Vec<usize>>,
     spheres: Vec<Spheres>,
@@ -54,7 +54,7 @@ struct Numbers {
 }
 
 impl Numbers {
-    /// The next one of each model.
+    /// The next number of each model.
     fn next<V: Constant>(&mut self) -> V {
         let column: Vec<f64> = self.lists.iter().map(|list| list[self.taken]).collect();
         self.taken += 1;
@@ -76,7 +76,7 @@ impl Part for f64 {
     }
 }
 
-/// A list of parts, of whatever kind, whose `like` and `list` are those of a slice.
+/// A list of parts of any kind, whose `like` and `list` are the slice's.
 macro_rules! list_of_parts {
     () => {
         fn like(&self, other: &Self) -> bool {
@@ -180,8 +180,8 @@ impl<A: Part> Part for Acts<A> {
     }
 }
 
-/// A struct: its fields that hold numbers; those that are the same in all; what else has to be, as
-/// steps ask it of one of them; and fields that are made of all.
+/// A struct: its fields that hold numbers; the fields that are equal in all models; the properties
+/// that have to be equal, since steps test them in one model; and fields computed from all models.
 macro_rules! parts {
     ($type:ident: $($number:ident),*; $($same:ident),* $(; $ask:expr)*
         $(=> $($made:ident: $make:expr),*)?) => {
@@ -261,8 +261,8 @@ parts!(Model: pairs, gears, clamps, gravity, bodies, joints, dofs, trees, geoms,
     body_pairs: |_: &Model, all: &mut Numbers| std::mem::take(&mut all.body_pairs),
     guards: |_: &Model, all: &mut Numbers| std::mem::take(&mut all.guards));
 
-/// By pair: its place among the different sets of materials that pairs have in the models; and these. Which
-/// materials two pairs share may differ from world to world.
+/// For each pair: its place among the distinct sets of materials of the models' pairs; and these
+/// sets. The materials that two pairs share may differ from world to world.
 fn sets(of: &[&Model]) -> (Vec<usize>, Vec<Vec<usize>>) {
     if let [one] = of {
         let own = one.pairs.iter().map(|pair| pair.material).collect();
@@ -304,7 +304,7 @@ fn numbers(of: &[&Model]) -> Option<Numbers> {
     Some(Numbers { lists, taken: 0, places, sets, spheres, body_pairs, guards })
 }
 
-/// Several models as one; None where more than numbers differs.
+/// Several models as one; None if they differ in more than numbers.
 fn together<V: Constant>(of: &[&Model]) -> Option<Model<V>> {
     let mut numbers = numbers(of)?;
     let mut model: Model<V> = of[0].with(&mut numbers);
@@ -314,7 +314,7 @@ fn together<V: Constant>(of: &[&Model]) -> Option<Model<V>> {
     Some(model)
 }
 
-/// What is apart by the largest distance is apart in all of them.
+/// Spheres with the largest distance of any model: pairs farther apart are apart in all models.
 fn spheres(of: &[&Model]) -> Option<Vec<Spheres>> {
     let list: Vec<&[Spheres]> = of.iter().map(|model| &model.spheres[..]).collect();
     let count = list[0].len();
@@ -342,7 +342,7 @@ fn largest<'a>(mut all: impl Iterator<Item = &'a Spheres>) -> Option<Spheres> {
     })
 }
 
-/// Within the narrowest bounds the two are apart in all of them.
+/// The narrowest bounds of any model: within them the two are apart in all models.
 fn guards(of: &[&Model]) -> Option<Vec<Guard>> {
     let list: Vec<&[Guard]> = of.iter().map(|model| &model.guards[..]).collect();
     let first = list[0];
@@ -386,8 +386,8 @@ impl Part for Tie {
     }
 }
 
-/// The models of the worlds in lanes: one for all, or one a lane; the last one is that of the lanes that
-/// follow, too.
+/// The models of the worlds in lanes: one for all lanes, or one for each. The last one also serves
+/// the lanes that follow.
 #[derive(Clone)]
 pub(crate) enum ByLane {
     One(Arc<Model>),
@@ -404,14 +404,14 @@ impl Deref for ByLane {
     }
 }
 
-/// Shared: counted by whoever made it.
+/// Shared: counted by the owner.
 impl Room for ByLane {
     fn room(&self) -> usize {
         0
     }
 }
 
-/// The models of worlds that stand side by side, by lane and as one.
+/// The models of the worlds in lanes, by lane and as one.
 #[derive(Clone)]
 pub struct SideBySide<R: Real> {
     pub(crate) models: ByLane,
@@ -421,7 +421,7 @@ pub struct SideBySide<R: Real> {
 room!(SideBySide<R>: models, model);
 
 impl<R: Real> SideBySide<R> {
-    /// Refuses those that differ in more than numbers.
+    /// Combines models; refuses those that differ in more than numbers.
     pub fn new(models: Vec<Arc<Model>>) -> Result<Self> {
         match Model::of_worlds(&models) {
             Some(model) => {
@@ -440,29 +440,29 @@ impl<R: Real> SideBySide<R> {
         }
     }
 
-    /// That of the first world.
+    /// The model of the first world.
     pub(crate) fn first(&self) -> &Arc<Model> {
         &self.models[0]
     }
 
-    /// That of a lane.
+    /// The model of a lane.
     pub(crate) fn of(&self, lane: usize) -> &Arc<Model> {
         &self.models[lane.min(self.models.len() - 1)]
     }
 
-    /// All lanes are worlds of this model.
+    /// Whether all lanes are worlds of this model.
     pub(crate) fn all_are(&self, model: &Arc<Model>) -> bool {
         self.models.iter().all(|own| Arc::ptr_eq(own, model))
     }
 }
 
-/// Two models are the same but for numbers.
+/// Whether two models differ only in numbers.
 pub(crate) fn differ_in_numbers(one: &Arc<Model>, other: &Arc<Model>) -> bool {
     Arc::ptr_eq(one, other) || one.dynamic_pairs.is_none() && numbers(&[one, other]).is_some()
 }
 
 impl<V: Constant> Model<V> {
-    /// One model as numbers of this kind have it.
+    /// One model in this number type.
     pub fn same(model: &Model) -> Self {
         match together(&[model]) {
             Some(model) => model,
@@ -470,8 +470,7 @@ impl<V: Constant> Model<V> {
         }
     }
 
-    /// The models of worlds that stand side by side, as one; None where they differ in more than
-    /// numbers.
+    /// The models of worlds in lanes, as one; None if they differ in more than numbers.
     fn of_worlds(models: &[Arc<Model>]) -> Option<Arc<Self>> {
         let first: Arc<dyn Any + Send + Sync> = models[0].clone();
         if let Ok(plain) = first.downcast::<Self>() {
@@ -502,7 +501,7 @@ impl<V: Constant> Model<V> {
         size_of::<Self>() + lists.iter().sum::<usize>()
     }
 
-    /// Nothing that is placed once and for all is elsewhere than in another model of this kind.
+    /// Whether everything that is placed only once is in the same place as in another such model.
     pub(crate) fn stands_as(&self, other: &Self) -> bool {
         let constant = self.trees.iter().any(|tree| tree.constant);
         let bodies = self.bodies.iter().zip(&other.bodies).all(|(a, b)| a.pos == b.pos);

@@ -1,5 +1,5 @@
-//! What a scene must satisfy before it is compiled. Every error names the
-//! element, the field, the value and the limit; nothing is built before all hold.
+//! The rules that a scene must satisfy before it is compiled. Every error names the element, the
+//! field, the value and the limit; nothing is built before all hold.
 
 mod tendon;
 
@@ -13,7 +13,7 @@ use crate::scene::{SleepPolicy, Softness};
 use std::collections::HashSet;
 use std::fmt;
 
-/// What is being looked at, as an error names it.
+/// The element or field under test, as an error names it.
 struct Subject(Text);
 
 impl Subject {
@@ -45,7 +45,7 @@ impl Subject {
         self.number(field, value, value >= 0.0, "finite and >= 0")
     }
 
-    /// Finite, and of a length that can be divided by.
+    /// Checks that values are finite, and that their length can be a divisor.
     fn direction(&self, field: &str, values: &[f64]) -> Result<()> {
         self.finite(field, values)?;
         let square = values.iter().map(|x| x * x).sum::<f64>();
@@ -191,8 +191,8 @@ fn names(scene: &Scene) -> Result<()> {
     once("keys", scene.keys.iter().map(|x| &x.name))
 }
 
-/// Depth first: a body follows its parent's subtree so far, which makes the dofs
-/// of a tree, and MuJoCo's order of qpos, contiguous.
+/// Bodies are depth first: a body follows its parent's subtree up to there, which makes the dofs of
+/// a tree, and MuJoCo's order of qpos, contiguous.
 fn bodies(scene: &Scene) -> Result<()> {
     let (mut path, mut moves) = (vec![0], Vec::with_capacity(scene.bodies.len()));
     for (i, b) in scene.bodies.iter().enumerate() {
@@ -245,7 +245,7 @@ fn inertial(e: &Subject, x: &Inertial) -> Result<()> {
     Ok(())
 }
 
-/// Elements of one kind stand in the order of their bodies.
+/// Elements of one kind are in the order of their bodies.
 fn grouped<'a>(kind: Kind, elements: impl Iterator<Item = (&'a str, usize)>) -> Result<()> {
     let mut last = 0;
     for (i, (name, body)) in elements.enumerate() {
@@ -320,7 +320,7 @@ fn joint(e: &Subject, j: &Joint) -> Result<()> {
     e.finite("margin", &[j.margin])?;
     e.finite("reference", &[j.reference])?;
     e.finite("springref", &[j.springref])?;
-    // A spring that pushes away is a model like any other; MuJoCo has it too.
+    // A spring that pushes away is allowed, as in MuJoCo.
     e.finite("stiffness", &j.stiffness)?;
     e.finite("damping", &j.damping)?;
     e.not_negative("damping", j.damping[0])?;
@@ -383,7 +383,7 @@ fn pair(e: &Subject, p: &ExplicitPair, ngeom: usize) -> Result<()> {
     e.number("solreffriction[1]", b, ok, limit)
 }
 
-/// What a geom refers to is there, and fits its shape.
+/// Checks that the assets of a geom exist, and fit its shape.
 fn asset(e: &Subject, g: &Geom, scene: &Scene) -> Result<()> {
     let fits = match g.kind {
         GeomType::Mesh => g.mesh.is_some(),

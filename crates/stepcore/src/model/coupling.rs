@@ -1,11 +1,11 @@
-//! Which dofs the metric of `discrete` couples beside those that a tree does.
+//! The dofs that the metric of `discrete` couples in addition to the dofs of a tree.
 //!
-//! A stiffness along a length couples all dofs that move it, and these may be on different branches,
-//! or of different trees. M̂ = M + dt·D + dt²·K then has entries where M has none, and its factors
-//! fill in. Eliminating dofs from the last to the first, dof k couples all that it touches, S(k); the
-//! highest of these, p, is its parent: S(p) takes what is left of S(k) (Liu 1990, elimination trees).
-//! Every dof's row is its whole chain of these parents, so that the factors of a tree serve as they
-//! are. Where nothing couples branches, parents are those of the tree.
+//! A stiffness along a length couples all dofs that move it, and these may be on different
+//! branches, or of different trees. M̂ = M + dt·D + dt²·K then has entries where M has none, and
+//! its factors fill in. Eliminating dofs from the last to the first, dof k couples all that it
+//! touches, S(k); the highest of these, p, is its parent: S(p) takes the rest of S(k) (Liu 1990,
+//! elimination trees). Every dof's row is its whole chain of these parents, so that the factors of
+//! a tree serve as they are. Where nothing couples branches, parents are the tree's.
 
 use crate::interrupt::checkpoint;
 use crate::real::Constant;
@@ -16,7 +16,7 @@ use crate::elements::forces::sloped;
 
 /// Lists of dofs, closed under the parents of the metric; each stored once.
 struct Lists {
-    /// By dof: it and its ancestors, ascending.
+    /// For each dof: it and its ancestors, ascending.
     chains: Vec<Vec<usize>>,
     known: HashMap<Vec<usize>, Span>,
 }
@@ -103,7 +103,7 @@ impl<N: Constant> Model<N> {
         });
     }
 
-    /// By tree: some element can have slopes on it.
+    /// For each tree: whether some element can have slopes on it.
     pub fn sloped(&self) -> Vec<bool> {
         let mut found = vec![false; self.trees.len()];
         sloped(self, &mut |dofs| dofs.iter().for_each(|dof| found[self.dofs[*dof].tree] = true));

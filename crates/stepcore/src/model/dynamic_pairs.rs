@@ -1,12 +1,12 @@
-//! Models of so many geoms that a list of the pairs that could meet would be most of their memory.
+//! Models with too many geoms for a list of the possible pairs, which would fill their memory.
 //!
-//! Up to `MOST_FIXED` such pairs are listed when a model is compiled (`pairs.rs`), of a model of few
-//! trees up to `MOST_OF_FEW`: each has its dofs,
-//! its slots and its island for good, which is quick for few, and what worlds in lanes need. Above
-//! that a model is a heap: `detect/near.rs` finds in every step the pairs whose boxes overlap, and
-//! makes them as they would stand in the list. What pairs share is kept by geom, and their materials
-//! by two classes of geoms. A pair is known by a number that counts up in the order of the list: by
-//! the two bodies, then by the geoms.
+//! Up to `MOST_FIXED` such pairs are listed when a model is compiled (`pairs.rs`), in a model of
+//! few trees up to `MOST_OF_FEW`. Each listed pair keeps its dofs, its slots and its island, which
+//! is quick for few pairs, and which worlds in lanes need. Above that a model is a pile:
+//! `detect/near.rs` finds in every step the pairs whose boxes overlap, and makes them as they would
+//! be in the list. The data that pairs share is kept by geom, and their materials by two classes of
+//! geoms. A pair is identified by a number that counts up in the order of the list: by the two
+//! bodies, then by the geoms.
 
 use super::fixed_tangents::{loose, still};
 use super::pairs::explicit;
@@ -20,22 +20,22 @@ use crate::shapes::{height_field, ShapeTest};
 use crate::spatial::Pose;
 use std::collections::{HashMap, HashSet};
 
-/// Pairs up to which all are listed.
+/// The largest number of pairs of which all are listed.
 const MOST_FIXED: usize = 2000;
-/// The same where fewer than `MANY` trees move: a body of theirs is near few others, and most pairs
-/// are passed over by twos of bodies (`body_pairs.rs`).
+/// The same if fewer than `MANY` trees move: a body of theirs is near few others, and most pairs
+/// are skipped body by body (`body_pairs.rs`).
 const MOST_OF_FEW: usize = 20_000;
-/// So many trees that the contacts between them decide what is solved together.
+/// The number of trees from which on contacts between them decide what is solved together.
 pub const MANY: usize = 8;
-/// Slots of a pair of a heap, whatever its test.
+/// Slots of a pair of a pile, whatever its test.
 pub const MOST_TOUCHES: usize = 64;
 const _: () = assert!(height_field::MOST <= MOST_TOUCHES);
-/// Classes of geoms whose materials are mixed by two.
+/// The largest number of classes of geoms whose materials are mixed by two.
 const MOST_CLASSES: usize = 2048;
-/// Pairs of geoms that no free body carries, for which still tangents are looked for.
+/// The largest number of pairs of geoms without a free body that are searched for still tangents.
 const MOST_STILL: usize = 100_000;
 
-/// Pairs up to which all of a model are listed.
+/// The largest number of pairs of a model that are all listed.
 pub fn most_fixed(model: &Model) -> usize {
     if model.trees.len() < MANY {
         MOST_OF_FEW
@@ -44,7 +44,7 @@ pub fn most_fixed(model: &Model) -> usize {
     }
 }
 
-/// What a material is mixed from, bit by bit.
+/// The parameters from which a material is mixed, bit by bit.
 fn key(geom: &Geom) -> Vec<u64> {
     let whole = [u64::from(geom.condim), geom.priority as u64];
     let numbers = [geom.margin, geom.gap, geom.solmix, geom.adhesion];
@@ -52,7 +52,7 @@ fn key(geom: &Geom) -> Vec<u64> {
     whole.into_iter().chain(lists.chain(&geom.soft.solimp).map(|x| x.to_bits())).collect()
 }
 
-/// That of a model, whose material list it extends and whose geoms it marks.
+/// Makes the pairs of a model; extends its material list and marks its geoms.
 pub fn of_geoms(scene: &Scene, model: &mut Model, poses: &[Pose<f64>]) -> Result<DynamicPairs> {
     let (class, heads) = classes(scene)?;
     let mut mixed = Vec::with_capacity(heads.len() * heads.len());
@@ -138,11 +138,10 @@ fn listed(scene: &Scene, geom: &Geom) -> f64 {
     geom.gap + scene.contact_override.as_ref().map_or(geom.margin, |by| 0.5 * by.margin)
 }
 
-/// Geoms that share a bit with a geom of another body, unless both are of bodies that never move;
+/// Geoms that share a bit with a geom of another body, unless both bodies never move. Checks that
 /// every two kinds that can meet have a test.
 fn solid(model: &Model, heap: &DynamicPairs) -> Result<Vec<usize>> {
-    // One geom for each kind and set of bits, of what moves and of what does not, stands for all of
-    // them.
+    // One geom represents all of its kind and set of bits, moving and fixed ones apart.
     let mut groups: HashMap<(GeomType, u32, u32, bool), (usize, bool)> = HashMap::new();
     let moves = |geom: &super::Geom| model.bodies[geom.body].tree != NONE;
     let bits = |geom: &super::Geom| (geom.kind, geom.contype, geom.conaffinity, moves(geom));
@@ -177,7 +176,7 @@ fn solid(model: &Model, heap: &DynamicPairs) -> Result<Vec<usize>> {
 }
 
 impl DynamicPairs {
-    /// Slots are counted in 64 bits.
+    /// Checks that 64 bits can count the slots.
     fn check_numbers(&self, model: &Model) -> Result<()> {
         let (bodies, most) = (model.bodies.len() as u128, self.most as u128);
         let numbers = bodies * bodies * 2 * most * most;
@@ -190,7 +189,7 @@ impl DynamicPairs {
         )]))
     }
 
-    /// Explicit pairs, whose own parameters count.
+    /// Adds explicit pairs, which have separate parameters.
     fn take_explicit(&mut self, scene: &Scene, model: &mut Model) {
         for (_, index) in explicit(scene, model) {
             let pair = &scene.pairs[index];
@@ -209,7 +208,7 @@ impl DynamicPairs {
         self.tests[model.geoms[one].kind as usize][model.geoms[two].kind as usize]
     }
 
-    /// Tangents along which nothing moves, of pairs in which no part moves freely.
+    /// Finds tangents along which nothing moves, in pairs in which no part moves freely.
     fn find_still(&mut self, model: &Model, poses: &[Pose<f64>]) {
         let mut bound = self.solid.clone();
         bound.retain(|geom| !loose(model, model.geoms[*geom].body));
@@ -236,7 +235,7 @@ impl DynamicPairs {
 }
 
 impl<N: Constant> Model<N> {
-    /// The number of a pair of a heap; None where the two never meet.
+    /// The number of a pair of a pile; None if the two never meet.
     pub(crate) fn number(&self, heap: &DynamicPairs, a: usize, b: usize) -> Option<u64> {
         let (one, two) = (self.geoms[a].body, self.geoms[b].body);
         let own = !heap.explicit.is_empty() && self.explicit.contains(&(a.min(b), a.max(b)));
@@ -260,7 +259,7 @@ impl<N: Constant> Model<N> {
         Some(((bodies * 2 + side) * heap.most * heap.most + within) as u64)
     }
 
-    /// A pair of a heap by its number, without its dofs. There is one world.
+    /// A pair of a pile by its number, without its dofs. There is one world.
     pub(crate) fn near_pair(&self, heap: &DynamicPairs, number: u64, a: usize, b: usize) -> Pair {
         let (a, b) = self.ordered(a, b);
         let (x, y) = (&self.geoms[a], &self.geoms[b]);
@@ -274,7 +273,7 @@ impl<N: Constant> Model<N> {
         Pair {
             geom1: a,
             geom2: b,
-            // Every two kinds that can meet have one.
+            // Every two kinds that can meet have a test.
             test: heap.test(self, a, b).unwrap_or(ShapeTest::SphereSphere),
             material,
             index: number as usize,
@@ -305,8 +304,8 @@ impl<N: Constant> Model<N> {
         (self.number(heap, found.0, found.1) == Some(index as u64)).then_some(found)
     }
 
-    /// A pair that could meet, by the index of its contacts' element; None: there is no such pair.
-    /// In a heap it has no dofs.
+    /// A possible pair, by the index of its contacts' element; None: there is no such pair. In a
+    /// pile it has no dofs.
     pub fn pair(&self, index: usize) -> Option<Pair> {
         match &self.dynamic_pairs {
             None => self.pairs.get(index).map(|pair| pair.lane(0)),

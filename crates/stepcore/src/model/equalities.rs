@@ -1,4 +1,4 @@
-//! Equalities, compiled: what each ties, with everything its rows share.
+//! Equalities, compiled: the elements that each ties, with the data that its rows share.
 
 use super::tree::Unions;
 use super::{Coupling, Ends, Equality, Model, Span, Tie, Transmission};
@@ -39,7 +39,7 @@ pub fn compile(scene: &Scene, model: &mut Model, poses: &[Pose<f64>], unions: &m
     }
 }
 
-/// Mass of the trees of some dofs, each once.
+/// The total mass of the trees of some dofs, each counted once.
 fn mass_of(model: &Model, dofs: Span) -> f64 {
     let mut trees: Vec<usize> =
         dofs.of(&model.dof_lists).iter().map(|dof| model.dofs[*dof].tree).collect();
@@ -47,7 +47,7 @@ fn mass_of(model: &Model, dofs: Span) -> f64 {
     trees.iter().map(|tree| model.trees[*tree].mass).sum()
 }
 
-/// A frame that is not given is where the other one is at qpos0.
+/// The frames of an equality; one that is not given is at the other one's place at qpos0.
 fn ends(model: &Model, poses: &[Pose<f64>], q: &scene::Equality) -> Ends {
     let bodies = [q.first, q.second.unwrap_or(0)];
     let mut pos = [Vector3::zeros(); 2];

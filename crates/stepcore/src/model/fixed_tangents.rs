@@ -1,18 +1,18 @@
 //! Contact tangents along which nothing can ever move.
 //!
-//! Under MuJoCo's pyramid the two edges along such a tangent are copies of the
-//! normal row, and `solve` folds them into one. Claimed is only what holds in
-//! every configuration, to rounding.
+//! Under MuJoCo's pyramid the two edges along such a tangent are copies of the normal row, and
+//! `solve` folds them into one. Tangents are claimed only if still in every configuration, to
+//! rounding.
 //!
 //! - Slides only: the body never turns, and a tangent across every slide is still.
-//! - A planar chain, every hinge along one n and every slide across it: points
-//!   move across n, so a tangent along n is still.
+//! - A planar chain, every hinge along one n and every slide across it: points move across n, so a
+//!   tangent along n is still.
 //!
-//! The contact's frame must be known for that. Against a plane its normal is
-//! constant. Two spheres that slide along their common line have it as normal;
-//! a sphere and a sphere or a capsule whose axis lies in the plane of motion have their normal in it,
-//! unless a centre stays where the other's centre or axis is: then it may stand across the plane. So it
-//! does where the axes of two capsules cross, which they can anywhere: they keep both tangents.
+//! The contact's frame must be known for that. Against a plane its normal is constant. Two spheres
+//! that slide along their common line have it as normal. A sphere and a sphere or a capsule whose
+//! axis is in the plane of motion have their normal in it, unless a centre stays at the other's
+//! centre or axis: then it may be across the plane. It is also across it where the axes of two
+//! capsules cross, which they can anywhere: they keep both tangents.
 
 use super::{Geom, Model};
 use crate::scene::{GeomType, JointType};
@@ -26,7 +26,7 @@ const ROUNDING: f64 = 1e-12;
 /// A capsule this close to the normal leaves the direction of its tangent open.
 const OPEN: f64 = 1e-6;
 
-/// For a pair of geoms; `[false, false]` where nothing is known.
+/// The still tangents of a pair of geoms; `[false, false]` if nothing is proved.
 pub fn still(
     model: &Model,
     poses: &[Pose<f64>],
@@ -38,7 +38,7 @@ pub fn still(
     if model.bodies[plane.body].carried || model.bodies[other.body].carried {
         return [false; 2];
     }
-    // A surface that moves asks for friction, moved or not.
+    // A moving surface needs friction, whether bodies move or not.
     if plane.belt.is_some() || other.belt.is_some() {
         return [false; 2];
     }
@@ -59,7 +59,7 @@ pub fn still(
     }
 }
 
-/// No tangent of the body's contacts is ever still: it turns freely.
+/// Whether no tangent of the body's contacts is ever still: it turns freely.
 pub fn loose(model: &Model, body: usize) -> bool {
     let free = |dof: &usize| {
         let kind = model.joints[model.dofs[*dof].joint].kind;
@@ -120,9 +120,8 @@ fn along_hint(motion: &Motion, normal: &Vector3<f64>, axis: &Vector3<f64>) -> [b
             let (first, second) = tangents(normal, Some(axis));
             [motion.lacks(&first), motion.lacks(&second)]
         }
-        // The axis turns within the plane of motion: the second tangent is along
-        // n, also where the capsule stands upright and the spare takes its place, unless
-        // that has a part along n.
+        // The axis turns within the plane of motion. The second tangent is along n, also where the
+        // capsule is upright and the spare replaces it, unless the spare has a part along n.
         Motion::Planar(n) => {
             let across = |v: &Vector3<f64>| v.dot(n).abs() <= ROUNDING;
             [false, across(normal) && across(axis) && across(&spare())]
@@ -161,7 +160,7 @@ fn between_round_shapes(
         };
         return [axes().next().is_some_and(line); 2];
     }
-    // Where they are in one place in the first configuration, they may be in every one.
+    // If they coincide in the first configuration, they may in every one.
     let beside = capsule.map_or(apart, |axis| apart - axis * axis.dot(&apart));
     if beside.norm() <= tiny {
         return [false; 2];
@@ -174,6 +173,6 @@ fn between_round_shapes(
         };
         apart.dot(n).abs() <= tiny && lies && moves(&one) && moves(&two)
     };
-    // Where the normal is across the usual tangent, that is the first one.
+    // If the normal is across the usual tangent, that is the first one.
     [across(&usual()), across(&spare())]
 }

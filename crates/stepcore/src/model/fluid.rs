@@ -1,5 +1,5 @@
-//! The fluid around the bodies, compiled: which shapes it resists, and the coefficients of each.
-//! MuJoCo documentation, "Fluid forces".
+//! The fluid around the bodies, compiled: which shapes it resists, and the coefficients of each
+//! shape. MuJoCo documentation, "Fluid forces".
 
 use super::parts::{Body, Geom, Span, NONE};
 use super::principal::{seen_from, Axes};
@@ -9,13 +9,13 @@ use crate::spatial::rotation;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::PI;
 
-/// Everything that the fluid resists.
+/// The fluid and the shapes that it resists.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Fluid {
     /// Velocity of the fluid [m/s].
     pub wind: Vector3<f64>,
     pub parts: Vec<Part>,
-    /// By body, into `parts`.
+    /// For each body, into `parts`.
     pub of_body: Vec<Span>,
 }
 
@@ -30,7 +30,7 @@ pub struct Part {
     pub shape: Shape,
 }
 
-/// What resists by the square of a velocity.
+/// A shape's resistance that grows with the square of a velocity.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
     /// A box, axis by axis: force [N·s²/m²] and moment [N·m·s²].
@@ -41,21 +41,21 @@ pub enum Shape {
     Ellipsoid(Box<Ellipsoid>),
 }
 
-/// The coefficients of an ellipsoid of semi-axes r. Areas, volumes and moments are multiplied by the
-/// fluid's density.
+/// The coefficients of an ellipsoid of semi-axes r. Areas, volumes and moments are multiplied by
+/// the fluid's density.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ellipsoid {
-    /// (r_j r_k)² beside the largest of the three: by them the area across a velocity goes.
+    /// (r_j r_k)² divided by the largest of the three: they give the area across a velocity.
     pub across: Vector3<f64>,
-    /// π r_j r_k of that largest one, and of the largest projection.
+    /// π r_j r_k of the largest one, and of the largest projection.
     pub area: f64,
     pub most_area: f64,
-    /// Drag of what is across the velocity, and of the rest.
+    /// Drag of the part across the velocity, and of the rest.
     pub blunt: f64,
     pub slender: f64,
     /// Moment by ω |Kω|: K.
     pub turning: Vector3<f64>,
-    /// Lift: by circulation (Kutta), and by the body's own turn (Magnus).
+    /// Lift: by circulation (Kutta), and by the body's rotation (Magnus).
     pub kutta: f64,
     pub magnus: f64,
     /// Mass [kg] and moment of inertia [kg·m²] of the fluid that moves with it.
@@ -63,7 +63,7 @@ pub struct Ellipsoid {
     pub inertia: Vector3<f64>,
 }
 
-/// What resists these bodies. `axes`: of the inertia of each.
+/// The resisting shapes of these bodies. `axes`: the principal axes of each inertia.
 pub fn of_bodies(scene: &Scene, axes: &[Axes], bodies: &[Body], geoms: &[Geom]) -> Fluid {
     let of_body = vec![Span::default(); bodies.len()];
     let mut fluid = Fluid { wind: Vector3::from(scene.wind), parts: vec![], of_body };
@@ -140,7 +140,7 @@ fn ellipsoid(scene: &Scene, geom: &scene::Geom, r: Vector3<f64>) -> Shape {
     let middle = r.sum() - most - least;
     let squares = Vector3::new(y * z, z * x, x * y).map(|area| area * area);
     let largest = squares.max();
-    // A moment of the ellipsoid that it sweeps as it turns about an axis.
+    // The moment of the ellipsoid that is swept by turning about an axis.
     let swept = |i: f64, j: f64, k: f64| 8.0 / 15.0 * PI * i * j.max(k).powi(4);
     let swept = Vector3::new(swept(x, y, z), swept(y, z, x), swept(z, x, y));
     let most_swept = 8.0 / 15.0 * PI * middle * most.powi(4);
@@ -161,9 +161,9 @@ fn ellipsoid(scene: &Scene, geom: &scene::Geom, r: Vector3<f64>) -> Shape {
 }
 
 /// Volume and moment of the fluid that moves with an ellipsoid (Lamb 1932, chapter 5; Tuckerman
-/// 1925), of density one.
+/// 1925), at density one.
 fn moved(r: &Vector3<f64>, volume: f64) -> (Vector3<f64>, Vector3<f64>) {
-    // A number without a unit: of the shape alone.
+    // Dimensionless: depends on the shape only.
     let (x, y, z) = (r.x / r.max(), r.y / r.max(), r.z / r.max());
     let kappa = Vector3::new(kappa(x, y, z), kappa(y, z, x), kappa(z, x, y));
     let mass = kappa.map(|k| volume * k / (2.0 - k).max(MARGIN));
@@ -177,11 +177,11 @@ fn moved(r: &Vector3<f64>, volume: f64) -> (Vector3<f64>, Vector3<f64>) {
     (mass, Vector3::new(moment(0), moment(1), moment(2)))
 }
 
-/// Beside one: less is a quotient of roundings.
+/// Relative to one: anything smaller is a quotient of roundings.
 const MARGIN: f64 = 1e-15;
 
-/// Half of the nodes of the 15-point rule of Gauss and Kronrod on [0, 1], and their weights, to the
-/// digits that MuJoCo has.
+/// Half of the nodes of the 15-point rule of Gauss and Kronrod on [0, 1], and their weights, to
+/// MuJoCo's digits.
 const NODES: [f64; 8] =
     [0.00427231, 0.02544604, 0.06756779, 0.12923441, 0.20695638, 0.29707742, 0.39610752, 0.5];
 const WEIGHTS: [f64; 8] = [

@@ -1,4 +1,4 @@
-//! Masses of bodies: given, or put together from their geoms, under MJCF's rules.
+//! Masses of bodies: given, or summed over their geoms, under MJCF's rules.
 
 use super::meshes::Asset;
 use super::principal::{seen_from, Axes};
@@ -14,12 +14,12 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 /// over the third, is rounding.
 const ROUNDING: f64 = 1e-15;
 const TRIANGLE: f64 = 1e-10;
-/// The same of what is left off the diagonal in axes that are given as principal.
+/// The same for the off-diagonal rest in axes that are given as principal.
 const GIVEN: f64 = 1e-9;
 /// Two frames closer than this (radians; parts of the body's size) are one, as in MuJoCo.
 const SAME_FRAME: f64 = 1e-6;
 
-/// A body's mass, centre and inertia, while they are being made.
+/// A body's mass, centre and inertia, while they are computed.
 #[derive(Clone, Debug)]
 struct Load {
     mass: f64,
@@ -31,7 +31,7 @@ struct Load {
 }
 
 impl Load {
-    /// The axes stay what they are when moments become equal: a fluid's box has them.
+    /// Keeps the axes when moments become equal: a fluid's box has them.
     fn keep_axes(&mut self) {
         self.axes = Axes::Own(self.axes.of(&self.inertia));
     }
@@ -50,7 +50,7 @@ fn point_inertia(mass: f64, p: &Vector3<f64>) -> Matrix3<f64> {
     (Matrix3::identity() * p.norm_squared() - p * p.transpose()) * mass
 }
 
-/// Inertia of a geom about its own centre, in body axes.
+/// Inertia of a geom about its centre, in body axes.
 fn own_inertia(g: &Geom, asset: &Asset, mass: f64) -> Matrix3<f64> {
     let quat = unit_quat(g.quat);
     match &asset.solid {
@@ -63,7 +63,7 @@ fn conjugate([w, x, y, z]: [f64; 4]) -> [f64; 4] {
     [w, -x, -y, -z]
 }
 
-/// None: no geom of this body counts.
+/// The sum over the geoms; None if no geom of this body counts.
 fn from_geoms(scene: &Scene, assets: &[Asset], geoms: &[usize]) -> Option<Load> {
     let [lo, hi] = scene.mass_rules.group_range;
     let mass_of = |g: &Geom, asset: &Asset| match g.mass {
@@ -121,9 +121,9 @@ fn given(scene: &Scene, body: usize) -> Option<Load> {
     Some(Load { mass: x.mass, ipos, inertia, aligned, axes })
 }
 
-/// A body that weighs nothing. MuJoCo then reads the body's own pos and quat as
-/// those of its inertia; where the body is fixed to a moving one, the inverse
-/// weight at that point counts in its contacts.
+/// The load of a body without mass. MuJoCo then reads the body's pos and quat as the pose of its
+/// inertia; if the body is fixed to a moving one, the inverse weight at that point counts in its
+/// contacts.
 fn nothing(scene: &Scene, body: usize) -> Load {
     let (ipos, quat) = (Vector3::from(scene.bodies[body].pos), unit_quat(scene.bodies[body].quat));
     let aligned = same_frame(&ipos, quat, 0.0);
@@ -134,7 +134,7 @@ fn same_frame(offset: &Vector3<f64>, quat: [f64; 4], size: f64) -> bool {
     offset.amax() <= SAME_FRAME * size && quat[1..].iter().all(|x| x.abs() < SAME_FRAME)
 }
 
-/// Axes that are given are principal.
+/// Checks that given axes are principal.
 fn principal(element: &Text, load: &Load) -> Result<()> {
     let Axes::Own(quat) = load.axes else { return Ok(()) };
     let seen = seen_from(quat, &load.inertia);
@@ -147,7 +147,7 @@ fn principal(element: &Text, load: &Load) -> Result<()> {
     Err(Error::value(text![element, " iquat"], format!("[{w}, {x}, {y}, {z}]"), limit))
 }
 
-/// No rule for masses mends a negative moment, nor, as in MuJoCo, a full matrix without one.
+/// Refuses a negative moment, which no mass rule mends, and, as in MuJoCo, a full matrix with one.
 fn positive(element: &Text, load: &Load) -> Result<()> {
     let m = SymmetricEigen::new(load.inertia).eigenvalues;
     let least = if diagonal(&load.inertia) { -ROUNDING } else { ROUNDING };
@@ -196,8 +196,8 @@ fn apply_rules(scene: &Scene, body: usize, load: &mut Load) -> Result<()> {
     Ok(())
 }
 
-/// Fills mass, centre and inertia of every body and the mass of every tree; says
-/// which bodies' frames are their inertias' frames, and the axes of the inertias.
+/// Fills mass, centre and inertia of every body and the mass of every tree. Returns which bodies'
+/// frames are their inertias' frames, and the axes of the inertias.
 pub fn weigh(scene: &Scene, assets: &[Asset], model: &mut Model) -> Result<(Vec<bool>, Vec<Axes>)> {
     let rules = &scene.mass_rules;
     let mut geoms = vec![vec![]; scene.bodies.len()];
@@ -240,9 +240,9 @@ fn finite(element: &Text, x: &Load) -> Result<()> {
     Err(Error::value(text![element, " mass"], x.mass, "finite, with a finite inertia"))
 }
 
-/// What moves has mass, of its own or of a body that is fixed to it. A point mass may
-/// turn about an axis away from it; a mass matrix that is singular at the initial
-/// configuration is refused in `invweight`.
+/// Checks that every moving body has mass, itself or in a body that is fixed to it. A point mass
+/// may turn about an axis away from it; a mass matrix that is singular at the initial configuration
+/// is refused in `invweight`.
 fn check(scene: &Scene, model: &Model, loads: &[Load]) -> Result<()> {
     let heavy = |x: &Load| x.mass > 0.0 && (1.0 / x.mass).is_finite();
     for (i, body) in model.bodies.iter().enumerate() {

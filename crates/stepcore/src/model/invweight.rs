@@ -1,6 +1,6 @@
-//! Inverse weights at qpos0: how easily a force moves a body or a dof. They set the
-//! regulariser R of rows. Formulas at `fill`, MuJoCo's exception at `plain`. What a servo's
-//! damping ratio means is decided by the same factors.
+//! Inverse weights at qpos0: how easily a force moves a body or a dof. They set the regulariser R
+//! of rows. Formulas at `fill`, MuJoCo's exception at `plain`. The same factors decide the meaning
+//! of a servo's damping ratio.
 
 use super::{tendons, Body, Dof, Model, Tendon, NONE};
 use crate::elements::{text, Kind, Text};
@@ -9,12 +9,11 @@ use crate::interrupt::Meter;
 use crate::place::Placed;
 use crate::scene::{JointType, Scene};
 
-/// A pivot this small, relative to its diagonal, is rounding: a dof that adds no
-/// motion of its own.
+/// A pivot this small, relative to its diagonal, is rounding: the dof adds no independent motion.
 const SINGULAR: f64 = 1e-14;
 
-/// The inverse weight of a centre of mass that no dof moves is rounding: this much beside the
-/// inverse of its tree's mass is none.
+/// The inverse weight of a centre of mass that no dof moves is rounding: below this share of the
+/// inverse of its tree's mass it counts as zero.
 const WEIGHTLESS: f64 = 1e-20;
 
 /// MuJoCo's `mjMINVAL`: the weight of an actuator whose arms are rounding is below it.
@@ -42,7 +41,7 @@ impl<'a> Factors<'a> {
         let Placed { metric, mass, composite, motion, .. } = &self.placed;
         for k in self.model.trees.iter().flat_map(|tree| tree.dofs.range().rev()) {
             let (dof, pivot) = (&self.model.dofs[k], metric.pivot(k));
-            // Turned about the tree's origin: what cancels is as large as this.
+            // Turned about the tree's origin: the terms that cancel are as large as this.
             let lever = composite[dof.body].mass * motion[k].lin.norm_squared();
             if pivot.is_nan() || pivot <= SINGULAR * (mass[dof.row.start] + lever) {
                 let joint = &self.model.joints[dof.joint];
@@ -60,7 +59,7 @@ impl<'a> Factors<'a> {
         Ok(())
     }
 
-    /// j M⁻¹ jᵀ of a row on these dofs, each with all that move it.
+    /// j M⁻¹ jᵀ of a row on these dofs, each with all dofs that move it.
     fn weight(&mut self, dofs: &[usize], entry: impl Fn(usize, usize) -> f64) -> f64 {
         self.meter.count(dofs.len() * dofs.len());
         dofs.iter().enumerate().for_each(|(at, k)| self.row[*k] = entry(at, *k));
@@ -69,7 +68,7 @@ impl<'a> Factors<'a> {
         dofs.iter().map(|k| std::mem::take(&mut self.row[*k]).powi(2) * inv_d[*k]).sum()
     }
 
-    /// The mean over three directions, of a body's centre of mass and of its turning.
+    /// The mean over three directions, for a body's centre of mass and for its rotation.
     fn of_body(&mut self, body: usize) -> [f64; 2] {
         let chain = self.model.bodies[body].chain.of(&self.model.dof_lists);
         let Placed { origin, motion, .. } = &self.placed;
@@ -83,7 +82,7 @@ impl<'a> Factors<'a> {
     }
 }
 
-/// The axes of a servo of orientations have the mean of their weights.
+/// Gives the axes of a servo of orientations the mean of their weights.
 fn share_axes(model: &Model, pulled: &mut [[f64; 2]]) {
     let turns = |index: &usize| model.actuators[*index].orientation.is_some();
     let leads = |index: &usize| turns(index) && model.actuators[*index].feeds.is_none();
@@ -159,7 +158,7 @@ pub fn weigh(scene: &Scene, model: &mut Model, aligned: &[bool]) -> Result<()> {
 
 /// Bodies that MuJoCo weighs by their mass alone, whatever the armature of their joints and the
 /// number of their axes: slides through the origin along coordinate axes, the
-/// inertia's frame the body's own, no child, above it the world or one fixed
+/// inertia's frame the body's, no child, above it the world or one fixed
 /// child of the world, and no tendon with armature that has it in its path.
 fn plain<'a>(
     scene: &Scene,
@@ -199,8 +198,8 @@ fn plain<'a>(
 }
 
 /// Springs and dampers of joints that are given by a time constant and a damping ratio, MuJoCo's
-/// `springdamper`. With the inertia m = 1/invweight that a joint moves at the initial configuration (the mean of a free
-/// joint's six), stiffness m/(τ ζ)² and damping 2 m/τ in place of its own.
+/// `springdamper`. With the inertia m = 1/invweight that a joint moves at the initial configuration
+/// (the mean of a free joint's six), the stiffness becomes m/(τ ζ)² and the damping 2 m/τ.
 pub fn spring_dampers(scene: &Scene, model: &mut Model) {
     for (index, source) in scene.joints.iter().enumerate() {
         let [constant, ratio] = source.springdamper;
@@ -215,7 +214,7 @@ pub fn spring_dampers(scene: &Scene, model: &mut Model) {
             joint.stiffness[0] = inertia / (constant * constant * ratio * ratio);
         }
         if scene.features.damper {
-            // That of actuators on it, which is in the sum already, stays.
+            // The damping of actuators on it, which is in the sum already, stays.
             let of_actuators = joint.damping[0] - source.damping[0];
             joint.damping[0] = of_actuators + 2.0 * inertia / constant;
         }

@@ -1,4 +1,4 @@
-//! What has a length: the transmissions of actuators, tendons, linkages; and equalities, which
+//! Elements with a length: the transmissions of actuators, tendons, linkages; and equalities, which
 //! tie lengths, points and frames.
 
 use super::parts::Span;
@@ -8,26 +8,25 @@ use crate::scene::{Coefficients, Softness, Target};
 use nalgebra::Vector3;
 use std::ops::Range;
 
-/// Whose length.
+/// The length that is transmitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Transmission {
-    /// Of a hinge or a slide its position; of a ball the angle by which it is turned, never
-    /// negative.
+    /// The position of a hinge or a slide; the angle of rotation of a ball, never negative.
     Joint(usize),
-    /// A joint behind a gear, which has one entry for each dof, from this place of `Model::gears` on.
-    /// The length of a ball is the part of its rotation vector along the gear; a free joint has none.
+    /// A joint behind a gear, with one entry for each dof, from this place of `Model::gears` on. A
+    /// ball's length is the part of its rotation vector along the gear; a free joint has none.
     Geared(usize, usize),
-    /// A ball or a free joint whose axes of rotation are those of the frame in which it stands.
+    /// A ball or a free joint whose axes of rotation are the axes of its parent frame.
     InParent(usize, usize),
     /// A tendon, and the place of a gear by which its length is multiplied; None: 1.
     Tendon(usize, Option<usize>),
     /// A linkage, whose arms hold its gear.
     Linkage(usize),
-    /// One dof, of which only the rate matters.
+    /// One dof, of which only the rate is used.
     Dof(usize),
 }
 
-/// A length that goes no further than its range.
+/// A length with a range.
 #[derive(Clone, Debug)]
 pub(crate) struct Limited<N = f64> {
     pub along: Transmission,
@@ -65,21 +64,21 @@ pub struct Point {
     pub pos: Vector3<f64>,
 }
 
-/// What a stretch of a tendon goes round.
+/// The geom around which a stretch of a tendon goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Round {
     pub geom: usize,
-    /// Of a sphere, else of a cylinder without ends.
+    /// A sphere, else a cylinder without ends.
     pub sphere: bool,
     pub radius: f64,
     pub side: Option<Point>,
 }
 
-/// The dofs of a tree that move the ends of a stretch and its geom alike, and against each other.
+/// The dofs of a tree that move the ends of a stretch and its geom relative to each other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Movers {
     pub tree: usize,
-    /// They move the first end, the geom, the second end.
+    /// Whether they move the first end, the geom, the second end.
     pub moves: [bool; 3],
     /// Each dof, and its place among the tendon's.
     pub dofs: Vec<(usize, usize)>,
@@ -95,7 +94,7 @@ pub struct Stretch {
     pub movers: Vec<Movers>,
 }
 
-/// How its length comes about.
+/// The definition of its length.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Course {
     /// (joint, coefficient)
@@ -115,13 +114,13 @@ pub struct Tendon<N = f64> {
     pub closed: Span,
     /// Into `Placed::tendon_arms`: one entry for each of `dofs`.
     pub arms: Span,
-    /// Something reads its length in a step.
+    /// Whether something reads its length in a step.
     pub used: bool,
     pub range: Option<[N; 2]>,
     pub margin: N,
-    /// As found where the scene leaves it to be found.
+    /// As computed, if the scene leaves it to be computed.
     pub springlength: [N; 2],
-    /// Zero where MJCF's flags switch springs and dampers off.
+    /// Zero if MJCF's flags switch springs and dampers off.
     pub stiffness: Coefficients<N>,
     pub damping: Coefficients<N>,
     pub armature: N,
@@ -139,17 +138,17 @@ pub struct Tendon<N = f64> {
 }
 
 impl<N: Constant> Tendon<N> {
-    /// Its poses are needed: it runs over points of bodies.
+    /// Whether its poses are needed: it runs over points of bodies.
     pub fn spatial(&self) -> bool {
         matches!(self.course, Course::Spatial(_))
     }
 
-    /// It has a spring or a damper.
+    /// Whether it has a spring or a damper.
     pub fn pulls(&self) -> bool {
         !(none(&self.stiffness) && none(&self.damping))
     }
 
-    /// It has a force, an inertia or a row of its own.
+    /// Whether it has a force, an inertia or a row.
     pub(super) fn acts(&self) -> bool {
         self.pulls()
             || !(self.armature.vanishes() && self.frictionloss.vanishes())
@@ -164,13 +163,13 @@ pub struct Linkage {
     pub gear: [f64; 6],
     /// Its place in `Placed::tendon_length`, after the tendons.
     pub length: usize,
-    /// As those of a tendon.
+    /// As the dofs of a tendon.
     pub dofs: Span,
     pub arms: Span,
     pub movers: Vec<Moved>,
 }
 
-/// A dof that moves one of the ends of a linkage, and not both alike.
+/// A dof that moves one of the ends of a linkage, but not both equally.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moved {
     pub dof: usize,
@@ -179,24 +178,24 @@ pub struct Moved {
     pub ends: [bool; 2],
 }
 
-/// An equality, with what its rows share.
+/// An equality, with the data that its rows share.
 #[derive(Clone, Debug)]
 pub struct Equality<N = f64> {
     pub name: String,
     pub tie: Tie<N>,
     pub active: bool,
     pub soft: Softness<N>,
-    /// As those of a `Pair`. Empty: nothing that it ties can move, and it has no rows.
+    /// As the dofs of a `Pair`. Empty: nothing that it ties can move, and it has no rows.
     pub dofs: Span,
     pub mass: N,
 }
 
-/// What an equality holds.
+/// The constraint of an equality.
 #[derive(Clone, Debug)]
 pub enum Tie<N = f64> {
-    /// The two points are one.
+    /// Two points coincide.
     Connect(Ends<N>),
-    /// The two frames are one; their turn times `torquescale`.
+    /// Two frames coincide; their rotation is multiplied by `torquescale`.
     Weld { ends: Ends<N>, torquescale: f64 },
     /// A length follows another.
     Lengths(Coupling<N>),
@@ -236,7 +235,7 @@ impl<N: Constant> Equality<N> {
         }
     }
 
-    /// What its rows are called.
+    /// The kind of its rows.
     pub fn kind(&self) -> Kind {
         match self.tie {
             Tie::Connect(_) => Kind::Connect,

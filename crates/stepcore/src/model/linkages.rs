@@ -1,11 +1,11 @@
-//! What actuators pull along, compiled: their transmissions, and the linkages whose length no joint and
-//! no tendon is: that of a site, and of a slider-crank.
+//! The compiled transmissions of actuators, and the linkages whose length is neither a joint's nor
+//! a tendon's: the length of a site and of a slider-crank.
 
 use super::{Linkage, Model, Moved, Span, Transmission};
 use crate::real::Constant;
 use crate::scene::{self, Dynamics, JointType, Scene, Target};
 
-/// Everything that concerns actuators but what they do to inertias.
+/// Compiles everything of actuators except their effect on inertias.
 pub fn compile(scene: &Scene, model: &mut Model) {
     for actuator in &scene.actuators {
         let len = actuator.states();
@@ -31,7 +31,7 @@ pub fn compile(scene: &Scene, model: &mut Model) {
         .collect();
 }
 
-/// Damping and armature of actuators become those of what they pull at.
+/// Adds the damping and armature of actuators to the joints, tendons or dofs that they pull.
 pub fn reflect(model: &mut Model) {
     for index in 0..model.actuators.len() {
         let scene::Actuator { target, gear, damping, armature, .. } = model.actuators[index];
@@ -58,7 +58,7 @@ pub fn reflect(model: &mut Model) {
     }
 }
 
-/// The place of a gear.
+/// Stores a gear and returns its place.
 fn stored(model: &mut Model, gear: [f64; 6]) -> usize {
     model.gears.extend(gear);
     model.gears.len() - gear.len()
@@ -90,7 +90,7 @@ fn transmission(model: &mut Model, actuator: &scene::Actuator) -> Transmission {
     }
 }
 
-/// Adds a linkage between two sites; `apart`: what moves both does not count.
+/// Adds a linkage between two sites; `apart`: dofs that move both ends do not count.
 fn link(
     model: &mut Model,
     course: Target,
@@ -151,7 +151,7 @@ fn circle(model: &Model, actuator: &scene::Actuator) -> f64 {
 }
 
 impl<N: Constant> Model<N> {
-    /// The force of an actuator takes part.
+    /// Whether the force of an actuator takes part.
     #[inline(always)]
     pub fn acts(&self, index: usize) -> bool {
         self.features.actuation && self.actuators[index].enabled
@@ -175,7 +175,7 @@ impl<N: Constant> Model<N> {
         (self.tendons.len() + self.linkages.len(), tendons + linkages)
     }
 
-    /// By tree: a linkage ends on a body of it.
+    /// Whether a linkage ends on a body of each tree.
     pub(super) fn passed_by_linkages(&self) -> Vec<bool> {
         let mut found = vec![false; self.trees.len()];
         let ended = |linkage: &&Linkage| !matches!(linkage.course, Target::Body(_));

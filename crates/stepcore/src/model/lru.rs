@@ -1,11 +1,11 @@
-//! What takes long to find out about a scene, kept for the next compilation that asks the same.
+//! A cache of expensive results about a scene, for the next compilation of the same question.
 
 use std::collections::VecDeque;
 
-/// Questions with their answers, the last one used at the back; those used longest ago make room.
+/// Questions with their answers, the last one used at the back; the oldest used are removed.
 pub(super) struct Lru<K, V> {
     entries: VecDeque<(K, V)>,
-    /// Of all entries together, and the most that it may be.
+    /// The size of all entries together, and its limit.
     size: usize,
     most: usize,
     size_of: fn(&K) -> usize,
@@ -24,7 +24,7 @@ impl<K, V: Clone> Lru<K, V> {
         Some(answer)
     }
 
-    /// Keeps an answer, in the place of one to the same question.
+    /// Keeps an answer and replaces one to the same question.
     pub fn keep(&mut self, question: K, answer: V, same: impl Fn(&K, &K) -> bool) {
         self.take(|other| same(other, &question));
         self.put((question, answer));
@@ -66,10 +66,10 @@ mod tests {
         recent.keep(2, "two", same);
         assert_eq!(recent.recalled(|size| *size == 5), None);
         assert_eq!(recent.recalled(|size| *size == 4), Some("four"));
-        // An answer takes the place of the one before it.
+        // An answer replaces the one before it.
         recent.keep(4, "vier", same);
         assert_eq!((recent.entries.len(), recent.size), (2, 6));
-        // What is too large for itself is not kept, nor anything beside it.
+        // An entry above the limit is not kept, nor anything else.
         recent.keep(11, "eleven", same);
         assert_eq!((recent.entries.len(), recent.size), (0, 0));
     }

@@ -1,5 +1,5 @@
-//! What the contacts of two geoms are made of: mixed from both, given by an explicit pair, or
-//! overridden for all. MuJoCo documentation, "Contact parameters" and "Contact override".
+//! The contact parameters of two geoms: mixed from both, given by an explicit pair, or overridden
+//! for all. MuJoCo documentation, "Contact parameters" and "Contact override".
 
 use crate::real::{Constant, Real, Value};
 use crate::scene::{ExplicitPair, Geom, Scene, Softness};
@@ -15,14 +15,14 @@ pub struct Material<N = f64> {
     pub margin: N,
     pub gap: N,
     pub soft: Softness<N>,
-    /// The solref of friction rows of a cone. None: that of `soft`.
+    /// The solref of friction rows of a cone. None: the one of `soft`.
     pub solreffriction: Option<[N; 2]>,
-    /// With how much a contact can pull [N].
+    /// The largest pulling force of a contact [N].
     pub adhesion: N,
 }
 
 impl<N: Constant> Material<N> {
-    /// Below which distance contacts are listed [m].
+    /// The distance below which contacts are listed [m].
     #[inline(always)]
     pub fn listed<R: Real>(&self) -> R
     where
@@ -31,21 +31,21 @@ impl<N: Constant> Material<N> {
         N::calc([&self.margin, &self.gap], |[margin, gap]| margin + gap)
     }
 
-    /// The same of a lane.
+    /// The same for one lane.
     pub fn listed_in(&self, lane: usize) -> f64 {
         self.margin.lane(lane) + self.gap.lane(lane)
     }
 }
 
 impl Material {
-    /// Of two geoms of a scene that no explicit pair names.
+    /// The material of two geoms of a scene that no explicit pair names.
     pub fn of_geoms(scene: &Scene, a: usize, b: usize) -> Self {
         Self::mixed(&scene.geoms[a], &scene.geoms[b]).overridden(scene)
     }
 
     /// The geom of higher priority decides; equals are mixed: the larger condim and friction,
-    /// softness by the share of solmix, and adhesion as the sum. Margins and gaps are distances, and
-    /// add up.
+    /// softness by the share of solmix, and adhesion as the sum. Margins and gaps are distances,
+    /// and add up.
     fn mixed(x: &Geom, y: &Geom) -> Self {
         let (margin, gap) = (x.margin + y.margin, x.gap + y.gap);
         let of = |condim, friction, soft, adhesion| Self {
@@ -65,7 +65,7 @@ impl Material {
         of(x.condim.max(y.condim), larger, mixed_softness(x, y), x.adhesion + y.adhesion)
     }
 
-    /// Of an explicit pair: the parameters of its geoms do not count.
+    /// The material of an explicit pair: the parameters of its geoms do not count.
     pub fn of_pair(scene: &Scene, pair: &ExplicitPair) -> Self {
         let of = Self {
             condim: pair.condim,
@@ -79,7 +79,7 @@ impl Material {
         of.overridden(scene)
     }
 
-    /// With the parameters that replace those of every contact. Condim, gap and adhesion stay.
+    /// Applies the parameters that override every contact's: all but condim, gap, adhesion.
     fn overridden(self, scene: &Scene) -> Self {
         let Some(by) = &scene.contact_override else { return self };
         let (margin, friction, soft) = (by.margin, by.friction, by.soft.clone());

@@ -1,7 +1,8 @@
-//! What a model and its worlds take of memory, before any of it is asked for.
+//! The memory that a model and its worlds need, before any of it is allocated.
 //!
-//! Where memory ends a program is aborted, and with it the interpreter; so what a file of a few lines
-//! can ask for is added up first. The bytes of one of each were measured, and rounded up.
+//! A program that runs out of memory is aborted, and with it the interpreter. So all memory that a
+//! short file can request is added up first. The bytes of each element were measured and rounded
+//! up.
 
 use super::Model;
 use crate::detect::Contact;
@@ -23,10 +24,10 @@ const HEIGHT: usize = 24;
 const ELEMENT: usize = 2000;
 const NUMBER: usize = 32;
 
-/// One line of the account: what it is for, and how many bytes it is.
+/// One line of the account: its purpose, and its size in bytes.
 type Line = (usize, Text);
 
-/// Refuses a scene that the memory does not hold, naming what asks for most.
+/// Refuses a scene that does not fit in memory, and names the largest request.
 pub(super) fn check_scene(scene: &Scene) -> Result<()> {
     let lines = [
         elements(scene),
@@ -53,7 +54,7 @@ pub(super) fn check_scene(scene: &Scene) -> Result<()> {
     ]))
 }
 
-/// Bytes of the working space of a world, with room for so many contacts.
+/// Bytes of the working space of a world, with room for this many contacts.
 fn working_space(model: &Model, contacts: usize) -> usize {
     let elements = model.bodies.len() + model.geoms.len() + model.tendons.len();
     let parts = [(model.nhistory, SAMPLE), (model.row_dofs.len(), PLACES), (elements, ELEMENT)];
@@ -61,7 +62,7 @@ fn working_space(model: &Model, contacts: usize) -> usize {
     parts.iter().fold(reserved, |sum, (count, each)| sum + count * each)
 }
 
-/// Refuses more working spaces than the memory holds; `field` says whose number they are.
+/// Refuses more working spaces than fit in memory; `field` names the number that sets them.
 pub(crate) fn check_spaces(
     model: &Model,
     settings: &Settings,
@@ -100,8 +101,8 @@ fn elements(scene: &Scene) -> Line {
     (count * ELEMENT, format!("its {count} elements").into())
 }
 
-/// Of each dof with those before it on its body's way to the world; and of the dofs that a tendon
-/// couples with each other.
+/// The matrix entries of each dof with the dofs before it on its body's way to the world, and of
+/// the dofs that a tendon couples with each other.
 fn matrix(scene: &Scene) -> Line {
     let mut own = vec![0; scene.bodies.len()];
     for joint in &scene.joints {
@@ -174,7 +175,7 @@ fn sensors(scene: &Scene) -> Line {
     (bytes, text![what, ", most of them of ", Text::label(Kind::Sensor, &most.name, index)])
 }
 
-/// The largest of some assets, where it has a name.
+/// The name of the largest of some assets, if it has one.
 fn named(name: Option<&str>) -> String {
     match name {
         None | Some("") => String::new(),

@@ -1,9 +1,9 @@
 //! Geoms of meshes: each in the frame of its mesh's principal axes, or as the primitive that fits.
 //!
-//! What is measured is kept for the next compilation of any scene that has the same mesh: hulls take
-//! most of the time of compiling a robot, and measurements compile the same robot with other numbers
-//! some hundred times. A mesh is known again by its content, so what is kept is to the bit what would
-//! be measured anew.
+//! Measured meshes are kept for the next compilation of any scene with the same mesh: hulls take
+//! most of the time of compiling a robot, and measurements compile the same robot with other
+//! numbers some hundred times. A mesh is recognised by its content, so the kept result equals a new
+//! one to the bit.
 
 use super::lru::Lru;
 use super::principal::product;
@@ -21,7 +21,7 @@ use crate::spatial::{rotation, unit_quat};
 use nalgebra::Vector3;
 use std::sync::{Arc, Mutex};
 
-/// A mesh once measured. Its hull is in the mesh's own coordinates.
+/// The measurements of a mesh. The hull is in the mesh's coordinates.
 #[derive(Clone)]
 pub struct Measured {
     solid: Arc<Solid>,
@@ -31,12 +31,12 @@ pub struct Measured {
     aligned: Option<Arc<Hull>>,
 }
 
-/// The most vertices and faces that are kept of all meshes together: some 100 MB with their hulls.
+/// The largest number of vertices and faces kept for all meshes: some 100 MB with their hulls.
 const MOST: usize = 1 << 20;
 
 static KEPT: Mutex<Lru<Mesh, Measured>> = Mutex::new(Lru::new(MOST, size));
 
-/// Keeps none any more.
+/// Empties the cache.
 pub(super) fn forget() {
     lock(&KEPT).clear();
 }
@@ -45,7 +45,7 @@ fn size(mesh: &Mesh) -> usize {
     mesh.vertices.len() + mesh.faces.len()
 }
 
-/// All that is measured depends on, to the bit (0 is not −0); the name is not.
+/// Compares everything that the measurements depend on, to the bit (0 is not −0); not the name.
 fn same(a: &Mesh, b: &Mesh) -> bool {
     let bits = |v: &[f64; 3]| v.map(f64::to_bits);
     a.inertia == b.inertia
@@ -55,19 +55,19 @@ fn same(a: &Mesh, b: &Mesh) -> bool {
         && a.vertices.iter().map(bits).eq(b.vertices.iter().map(bits))
 }
 
-/// What a geom is beyond its size: the mesh or the field that it stands for.
+/// The mesh or height field of a geom.
 #[derive(Clone, Debug, Default)]
 pub struct Asset {
     pub solid: Option<Arc<Solid>>,
-    /// Of a mesh that collides.
+    /// The hull of a mesh that collides.
     pub hull: Option<Arc<Hull>>,
     pub field: Option<Arc<HeightField>>,
     pub surface: Option<Arc<Surface>>,
 }
 
-/// The geoms of a scene, those of meshes in the frames of their meshes or fitted to them, with
-/// their assets. Each mesh that a geom uses is measured once, or recalled from an earlier scene;
-/// unused ones are not looked at.
+/// The geoms of a scene with their assets; the geoms of meshes are in the frames of their meshes,
+/// or fitted to them. Each mesh that a geom uses is measured once, or recalled from an earlier
+/// scene; unused meshes are not measured.
 pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
     let mut measured: Vec<Option<Measured>> = scene.meshes.iter().map(|_| None).collect();
     let mut fields: Vec<Option<Arc<HeightField>>> = vec![None; scene.hfields.len()];
@@ -131,12 +131,12 @@ fn height_field(field: &HField) -> HeightField {
     HeightField { nrow: field.nrow, ncol: field.ncol, half: [x, y], base, heights }
 }
 
-/// Its masks let it meet something.
+/// Whether its masks let it meet something.
 fn may_collide(geom: &Geom) -> bool {
     geom.contype != 0 || geom.conaffinity != 0
 }
 
-/// A sensor finds its distance from others.
+/// Whether a sensor finds its distance from others.
 fn is_measured(scene: &Scene, geom: usize) -> bool {
     use SensorType::{Distance, FromTo, Normal};
     let of_distance = |sensor: &&Sensor| matches!(sensor.kind, Distance | Normal | FromTo);
@@ -148,7 +148,7 @@ fn is_measured(scene: &Scene, geom: usize) -> bool {
     sensors.flat_map(|sensor| [sensor.object, sensor.reference]).flatten().any(is_its)
 }
 
-/// An error about a mesh with the geom that uses it before it.
+/// Prefixes an error about a mesh with the geom that uses it.
 fn named(error: Error, geom: &Text) -> Error {
     Error::Scene(text![geom, ": ", error.to_string()])
 }
@@ -209,7 +209,7 @@ fn measure(mesh: &Mesh, index: usize) -> Result<Measured> {
     Ok(Measured { solid: Arc::new(solid), surface: Arc::new(surface), hull, aligned: None })
 }
 
-/// No two faces run along an edge in the same direction: the surface has an outside.
+/// Checks that no two faces run along an edge in the same direction: the surface has an outside.
 fn consistent(mesh: &Mesh, index: usize) -> Result<()> {
     let mut edges: Vec<(usize, usize)> = Vec::with_capacity(3 * mesh.faces.len());
     for &[a, b, c] in mesh.faces.iter() {
@@ -228,13 +228,12 @@ fn consistent(mesh: &Mesh, index: usize) -> Result<()> {
     Err(Error::Scene(words.into()))
 }
 
-/// Moves a geom from the coordinates of its mesh's file to the frame of the mesh; fits a primitive
-/// to it.
+/// Moves a geom from its mesh file's coordinates to the mesh's frame; fits a primitive to it.
 fn place(geom: &mut Geom, solid: &Solid, aabb: bool) {
     let mut centre = solid.centre;
     let turned = rotation(solid.quat);
     if geom.kind == GeomType::Mesh {
-        // As MuJoCo has it: the largest coordinates, which are not half of the extents.
+        // As in MuJoCo: the largest coordinates, which are not half of the extents.
         geom.size = crate::real::array::from_fn(|k| solid.low[k].abs().max(solid.high[k].abs()));
     } else {
         let half = if aabb {
@@ -267,8 +266,8 @@ fn inertia_box(solid: &Solid) -> Vector3<f64> {
     Vector3::new(half(0), half(1), half(2))
 }
 
-/// The size of a primitive that fits a box of these half sizes: inside about as much as outside,
-/// or around it where it is a bounding box.
+/// The size of a primitive fitted to a box of these half sizes: about as much inside as outside, or
+/// around it for a bounding box.
 fn fitted(kind: GeomType, half: &Vector3<f64>, aabb: bool) -> [f64; 3] {
     let (x, y, z) = (half.x, half.y, half.z);
     let across = if aabb { x.max(y) } else { 0.5 * (x + y) };

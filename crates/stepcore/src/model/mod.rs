@@ -1,7 +1,7 @@
-//! `Model`: a scene once compiled, constant during a step.
+//! `Model`: a compiled scene, constant during a step.
 //!
-//! Numbers are `f64` in SI units; a stage turns them into its own number with `Real::of`.
-//! Fields that a `Scene` has too mean here what they mean there.
+//! Numbers are `f64` in SI units; a stage turns them into its number type with `Real::of`. Fields
+//! that a `Scene` has too have the same meaning there.
 
 mod at_qpos0;
 mod body_pairs;
@@ -67,7 +67,7 @@ use fluid::Fluid;
 use nalgebra::{Scalar, Vector3};
 use std::collections::HashSet;
 
-/// Forgets what compiling keeps of the meshes and pairs of earlier models, for the next one.
+/// Empties the caches of meshes and pairs of earlier models.
 pub fn empty_caches() {
     meshes::forget();
     proofs::forget();
@@ -80,32 +80,32 @@ pub struct Model<N: Scalar = f64> {
     /// Entries of qpos, and of qvel.
     pub nq: usize,
     pub nv: usize,
-    /// Entries of act, and by actuator those that are its own.
+    /// Entries of act, and the entries of each actuator.
     pub na: usize,
     pub activations: Vec<Span>,
-    /// Past controls that are kept, and by actuator those that are its own.
+    /// Stored past controls, and the entries of each actuator.
     pub nhistory: usize,
     pub histories: Vec<Span>,
-    /// By actuator: along what it pulls, and after which length the target of its servo is the same
-    /// again (0: never).
+    /// For each actuator: the length along which it pulls, and the length after which its servo's
+    /// target is the same again (0: never).
     pub along: Vec<Transmission>,
     pub circles: Vec<f64>,
-    /// What transmissions point into.
+    /// The gears that transmissions point into.
     pub gears: Vec<N>,
-    /// By actuator, and by input of its controller: whose control that is.
+    /// For each actuator and input of its controller: the element whose control that is.
     pub feeders: Vec<[Option<usize>; 4]>,
     pub linkages: Vec<Linkage>,
-    /// Some of them are those of contacts, which are found after the smooth forces.
+    /// Whether some actuators are adhesions of contacts, which are found after the smooth forces.
     pub adheres: bool,
-    /// Some geoms or pairs adhere: their contacts can pull. See `pulls_beside_rows`.
+    /// Whether some geoms or pairs adhere: their contacts can pull. See `pulls_beside_rows`.
     pub sticks: bool,
-    /// Joints whose actuators together are bounded, and the bounds.
+    /// Joints with a bound on the sum of their actuators, and the bounds.
     pub clamps: Vec<(usize, [N; 2])>,
     pub gravity: Vector3<N>,
     pub magnetic: Vector3<f64>,
     pub features: Features,
     pub bodies: Vec<Body<N>>,
-    /// Bodies whose poses are inputs; and of what they carry the bodies without a dof, in order.
+    /// Bodies whose poses are inputs; and the bodies without a dof that they carry, in order.
     pub mocaps: Vec<usize>,
     pub carried: Vec<usize>,
     pub joints: Vec<Joint<N>>,
@@ -114,57 +114,57 @@ pub struct Model<N: Scalar = f64> {
     pub geoms: Vec<Geom<N>>,
     pub sites: Vec<Site>,
     pub tendons: Vec<Tendon<N>>,
-    /// Some body is held up against gravity.
+    /// Whether some body's weight is compensated.
     pub compensates: bool,
-    /// What resists where the bodies move through a fluid.
+    /// The shapes that resist motion through a fluid.
     pub fluid: Fluid,
     pub sensors: Vec<Sensor>,
-    /// Empty in a heap.
+    /// Empty in a pile.
     pub pairs: Vec<Pair<N>>,
-    /// By pair, and by two bodies: what a step asks of them first.
+    /// For each pair, and by two bodies: the first tests of a step.
     pub spheres: Vec<Spheres>,
     pub body_pairs: Vec<BodyPair>,
-    /// There are too many pairs that could meet for a list of them.
+    /// Set if there are too many possible pairs for a list of them.
     pub dynamic_pairs: Option<DynamicPairs>,
     pub materials: Vec<Material<N>>,
-    /// Geoms of explicit pairs, the smaller index first: they are no candidates beside that.
+    /// Geoms of explicit pairs, the smaller index first: they are no candidates otherwise.
     pub explicit: HashSet<(usize, usize)>,
     /// Pairs of bodies whose geoms never meet, the smaller index first.
     pub excludes: HashSet<(usize, usize)>,
-    /// What pairs that are apart rely on.
+    /// The joint bounds that separated pairs rely on.
     pub guards: Vec<Guard>,
     pub equalities: Vec<Equality<N>>,
     pub actuators: Vec<Actuator<N>>,
     pub keys: Vec<Key>,
     pub qpos0: Vec<f64>,
-    /// Where each joint's spring is at rest (MuJoCo's `qpos_spring`).
+    /// The rest position of each joint's spring (MuJoCo's `qpos_spring`).
     pub qpos_spring: Vec<N>,
     /// Lists of dofs that spans point into.
     pub dof_lists: Vec<usize>,
     /// The mass matrix's pattern: see `Dof::row`.
     pub row_dofs: Vec<usize>,
-    /// An element couples dofs of different branches or trees: see `model/coupling.rs`.
+    /// Whether an element couples dofs of different branches or trees: see `model/coupling.rs`.
     pub couples: bool,
-    /// What has a range, and what has friction loss.
+    /// Elements with a range, and elements with friction loss.
     pub(crate) limited: Vec<Limited<N>>,
     pub(crate) rubbing: Vec<Rubbing<N>>,
     slots: Slots,
-    /// What a step places, what makes rows, and what pushes.
+    /// The things that a step places, that make rows, and that push.
     pub(crate) makers: Vec<Maker>,
     pub(crate) places: Places,
     pub(crate) acting: Acting<N>,
-    /// By actuator.
+    /// One entry for each actuator.
     pub(crate) drives: Vec<ActuatorAt<N>>,
 }
 
-/// Nearer than this share of the size of what meets, a row stays: whether the guess of bodies
-/// at rest on each other overlaps is rounding.
+/// A row is kept if it is nearer than this share of the size of the two bodies: for bodies at rest
+/// on each other, only rounding decides whether the guess overlaps.
 pub const NEAR: f64 = 1.0 / 1024.0;
 
 impl Model {
-    /// Where a material stands in the list; it is added if it is new.
+    /// The place of a material in the list; it is added if it is new.
     pub(super) fn material_index(&mut self, material: Material) -> usize {
-        // Neighbours are mostly alike.
+        // Neighbours mostly have equal materials.
         let known = self.materials.iter().rposition(|known| *known == material);
         known.unwrap_or_else(|| {
             self.materials.push(material);
@@ -174,32 +174,32 @@ impl Model {
 }
 
 impl<N: Constant> Model<N> {
-    /// What a pair's contacts are made of.
+    /// The contact parameters of a pair.
     #[inline(always)]
     pub fn material<P>(&self, pair: &Pair<P>) -> &Material<N> {
         &self.materials[pair.material]
     }
 
-    /// A body that stands where its user puts it: it is awake.
+    /// Whether a body's pose is set by the user: it is awake.
     pub(crate) fn is_mocap(&self, body: usize) -> bool {
         let body = &self.bodies[body];
         body.tree == NONE && body.carried
     }
 
-    /// It can make rows, with so many contacts.
+    /// Whether it can make rows, with this many contacts.
     #[inline(always)]
     pub(crate) fn makes_rows(&self, contacts: usize) -> bool {
         self.makers.iter().any(|maker| *maker != Maker::Contacts || contacts > 0)
     }
 
-    /// Some of its geoms can meet.
+    /// Whether some of its geoms can meet.
     #[inline(always)]
     pub(crate) fn meets(&self) -> bool {
         self.dynamic_pairs.is_some() || !self.pairs.is_empty()
     }
 
-    /// One free joint and nothing jointed on it, the mass a ball's about the joint's own
-    /// centre: it has no gyroscopic force, and its mass matrix is diagonal.
+    /// A tree of one free joint and no other, with the mass of a ball about the joint's centre: it
+    /// has no gyroscopic force, and its mass matrix is diagonal.
     pub fn free_ball(&self, tree: &Tree<N>) -> bool {
         let body = &self.bodies[tree.bodies.start];
         let i = &body.inertia;
@@ -209,7 +209,7 @@ impl<N: Constant> Model<N> {
         tree.bodies.len == 1 && self.free_alone(tree) && isotropic
     }
 
-    /// A single free body, whatever is fixed to it.
+    /// A single free body, with all that is fixed to it.
     pub fn free_alone(&self, tree: &Tree<N>) -> bool {
         let joints = self.bodies[tree.bodies.start].joints.of(&self.joints);
         tree.dofs.len == 6 && joints[0].kind == JointType::Free
@@ -230,8 +230,8 @@ impl<N: Constant> Model<N> {
         self.dofs[k].closed
     }
 
-    /// Where the mass matrix has the entry of two dofs, in arrays laid out like `row_dofs`; None
-    /// where neither moves the other.
+    /// The place of the mass matrix's entry of two dofs, in arrays laid out like `row_dofs`; None
+    /// if neither moves the other.
     #[inline(always)]
     pub fn entry(&self, i: usize, j: usize) -> Option<usize> {
         let row = self.dofs[i.max(j)].row;
@@ -242,8 +242,9 @@ impl<N: Constant> Model<N> {
         Some(row.start + at)
     }
 
-    /// The island of each tree, by its lowest tree: trees that some pair, equality or tendon
-    /// can connect share one. In a heap pairs connect trees only while they touch: see `solve/contact_islands.rs`.
+    /// The island of each tree, by its lowest tree: trees that some pair, equality or tendon can
+    /// connect share one. In a pile only touching pairs connect trees: see
+    /// `solve/contact_islands.rs`.
     pub fn islands(&self) -> Vec<usize> {
         let mut island = Union::new(self.trees.len());
         let meets = self.pairs.iter().map(|p| [self.geoms[p.geom1].body, self.geoms[p.geom2].body]);

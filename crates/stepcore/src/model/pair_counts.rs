@@ -1,9 +1,9 @@
-//! How many pairs of geoms can meet, and how many never do and why, without going through them.
+//! How many pairs of geoms can meet, and how many never do and why, without a loop over the pairs.
 //!
-//! Geoms of one kind with the same bits are of one sort. What keeps two bodies apart keeps all their
-//! geoms apart, so pairs are counted by two sorts: all there are, less those within a body, on bodies
-//! without a joint between them, on excluded bodies, and on a body and its parent; what is left can
-//! meet if the bits of the two sorts do.
+//! Geoms of one kind with the same bits are of one sort. A reason that separates two bodies
+//! separates all their geoms, so pairs are counted by two sorts: all pairs, less the pairs within a
+//! body, on bodies without a joint between them, on excluded bodies, and on a body and its parent.
+//! The remaining pairs can meet if the bits of the two sorts do.
 
 use super::pairs::Never;
 use super::Model;
@@ -11,7 +11,7 @@ use crate::plan::{Unmet, EXAMPLES};
 use crate::scene::GeomType;
 use std::collections::BTreeMap;
 
-/// Pairs looked at for examples.
+/// Pairs examined for examples.
 const LOOKED_AT: usize = 1000;
 
 /// Geoms by sort.
@@ -19,7 +19,7 @@ type Sorts = BTreeMap<usize, usize>;
 /// Pairs by two sorts, the lower one first.
 type Counts = BTreeMap<(usize, usize), usize>;
 
-/// What the pairs of a heap come to.
+/// The counts of the pairs of a pile.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     /// Pairs that can meet, by the two kinds of geoms.
@@ -56,17 +56,17 @@ fn take(from: &mut Counts, counts: &Counts) {
 struct Count<'a> {
     model: &'a Model,
     solid: Vec<usize>,
-    /// Of each sort, its geoms.
+    /// The geoms of each sort.
     sorts: Vec<Vec<usize>>,
     by_body: Vec<Sorts>,
     by_weld: Vec<Sorts>,
-    /// Pairs that no reason has taken yet.
+    /// Pairs that no reason has removed yet.
     left: Counts,
     tally: Tally,
 }
 
 impl Model {
-    /// Of a heap: see `Tally`.
+    /// Counts the pairs of a pile: see `Tally`.
     pub fn tally(&self) -> Tally {
         let solid = (0..self.geoms.len())
             .filter(|g| self.geoms[*g].contype != 0 || self.geoms[*g].conaffinity != 0);
@@ -106,7 +106,7 @@ impl Count<'_> {
         within(&all, &mut self.left);
     }
 
-    /// What bodies keep apart.
+    /// Removes the pairs that bodies keep apart.
     fn bodies(&mut self) {
         let model = self.model;
         let weld = |body: usize| model.bodies[body].weld;
@@ -144,7 +144,7 @@ impl Count<'_> {
         }
     }
 
-    /// What the bits keep apart, and what can meet.
+    /// Removes the pairs that the bits keep apart; the rest can meet.
     fn bits(&mut self) {
         for (sorts, count) in std::mem::take(&mut self.left) {
             let [one, two] = [sorts.0, sorts.1].map(|sort| self.sorts[sort][0]);
@@ -160,7 +160,7 @@ impl Count<'_> {
         }
     }
 
-    /// Explicit pairs meet, whatever else is said of their geoms.
+    /// Adds explicit pairs, which meet whatever the other rules are for their geoms.
     fn explicit(&mut self) {
         let model = self.model;
         for &(a, b) in &model.explicit {
@@ -187,7 +187,7 @@ impl Count<'_> {
         self.tally.never.retain(|_, unmet| unmet.count > 0);
     }
 
-    /// These pairs never meet for this reason.
+    /// Records that these pairs never meet for this reason.
     fn note(&mut self, why: Never, counts: &Counts) {
         take(&mut self.left, counts);
         let count: usize = counts.values().sum();

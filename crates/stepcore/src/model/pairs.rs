@@ -1,5 +1,5 @@
-//! Which geoms can ever meet, and what their contacts share. MuJoCo's filter and
-//! mixing rules; the filter is applied once, here, and never during a step.
+//! The geoms that can ever meet, and the data that their contacts share. MuJoCo's filter and mixing
+//! rules; the filter is applied once, here, and never during a step.
 
 use super::fixed_tangents::still;
 use super::tree::Unions;
@@ -35,7 +35,7 @@ pub enum Never {
     /// Contacts are switched off.
     Off,
     SameBody,
-    /// No joint stands between their bodies.
+    /// No joint is between their bodies.
     Fixed,
     /// One body is the parent of the other.
     Family,
@@ -44,18 +44,18 @@ pub enum Never {
     Bits,
     /// Two planes.
     Planes,
-    /// An explicit pair stands in their place.
+    /// An explicit pair replaces this one.
     Explicit,
 }
 
 impl<N: Constant> Model<N> {
-    /// Two bodies that nothing in a step moves against each other.
+    /// Whether nothing in a step moves two bodies against each other.
     pub(super) fn stand_still(&self, body1: usize, body2: usize) -> bool {
         let (one, two) = (&self.bodies[body1], &self.bodies[body2]);
         one.weld == two.weld || (one.tree == NONE && two.tree == NONE)
     }
 
-    /// Why no geom of these two bodies can meet one of the other, or None.
+    /// The reason why no geom of these two bodies can meet one of the other, or None.
     pub fn never_between(&self, body1: usize, body2: usize) -> Option<Never> {
         let (weld1, weld2) = (self.bodies[body1].weld, self.bodies[body2].weld);
         let above = |weld: usize| self.bodies[self.bodies[weld].parent].weld;
@@ -69,18 +69,18 @@ impl<N: Constant> Model<N> {
         } else if self.excludes.contains(&(body1.min(body2), body1.max(body2))) {
             Some(Never::Excluded)
         } else {
-            // The world is no one's family.
+            // The parent filter never applies to the world.
             (self.features.filterparent && family).then_some(Never::Family)
         }
     }
 
-    /// Why these two geoms cannot meet although their bodies may, or None.
+    /// The reason why these two geoms cannot meet although their bodies may, or None.
     pub fn never(&self, a: usize, b: usize) -> Option<Never> {
         let explicit = || self.explicit.contains(&(a.min(b), a.max(b))).then_some(Never::Explicit);
         self.never_by_kind(a, b).or_else(explicit)
     }
 
-    /// Why two geoms of such kinds, with such bits, cannot meet, or None.
+    /// The reason why two geoms of such kinds, with such bits, cannot meet, or None.
     pub(super) fn never_by_kind(&self, a: usize, b: usize) -> Option<Never> {
         let (x, y) = (&self.geoms[a], &self.geoms[b]);
         if x.contype & y.conaffinity | y.contype & x.conaffinity == 0 {
@@ -102,8 +102,8 @@ impl<N: Constant> Model<N> {
     }
 }
 
-/// Pairs in MuJoCo's order of contacts: by the two bodies, then by the geoms. False where there
-/// are more than `most`, and none was made.
+/// Lists pairs in MuJoCo's order of contacts: by the two bodies, then by the geoms. Returns false,
+/// and no pairs, if there are more than `most`.
 pub fn list(
     scene: &Scene,
     model: &mut Model,
@@ -200,8 +200,8 @@ impl List<'_> {
     }
 }
 
-/// Explicit pairs by their bodies, which decide their place among the others; without those whose
-/// geoms cannot move against each other.
+/// Explicit pairs by their bodies, which decide their place among the others; without the pairs
+/// whose geoms cannot move against each other.
 pub(super) fn explicit(scene: &Scene, model: &Model) -> Vec<([usize; 2], usize)> {
     if !(model.features.contact && model.features.constraint) {
         return vec![];
@@ -220,7 +220,7 @@ pub(super) fn explicit(scene: &Scene, model: &Model) -> Vec<([usize; 2], usize)>
     list
 }
 
-/// Two geoms can meet, and there is no test of their shapes.
+/// The error for two geoms that can meet although their shapes have no test.
 pub(super) fn not_built(model: &Model, a: usize, b: usize) -> Error {
     let (x, y) = (&model.geoms[a], &model.geoms[b]);
     Error::Scene(text![
@@ -237,7 +237,7 @@ pub(super) fn not_built(model: &Model, a: usize, b: usize) -> Error {
     ])
 }
 
-/// Mass of the trees of both bodies, each once.
+/// The total mass of the trees of both bodies, each counted once.
 pub(super) fn touched_mass<N: Constant>(model: &Model<N>, body1: usize, body2: usize) -> f64 {
     let (one, two) = (model.bodies[body1].tree, model.bodies[body2].tree);
     let mass = |tree: usize| if tree == NONE { 0.0 } else { model.trees[tree].mass.lane(0) };

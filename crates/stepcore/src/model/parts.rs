@@ -1,5 +1,5 @@
-//! What a compiled model consists of: bodies, joints and geoms, and the pairs that can meet. What
-//! has a length is in `lengths.rs`.
+//! The parts of a compiled model: bodies, joints and geoms, and the pairs that can meet. Elements
+//! with a length are in `lengths.rs`.
 
 use crate::real::{Constant, Real, Value};
 use crate::scene::{Coefficients, GeomType, JointType, SleepPolicy, Softness};
@@ -33,7 +33,7 @@ impl Span {
     }
 }
 
-/// A body with its place in the tree, and its mass put together.
+/// A body with its place in the tree and its compiled mass.
 #[derive(Clone, Debug)]
 pub struct Body<N = f64> {
     pub name: String,
@@ -46,7 +46,7 @@ pub struct Body<N = f64> {
     /// w x y z.
     pub quat: [f64; 4],
     pub joints: Span,
-    /// This body's own dofs.
+    /// The dofs of this body.
     pub dofs: Span,
     /// Into `Model::dof_lists`: every dof that moves this body, ascending.
     pub chain: Span,
@@ -62,13 +62,13 @@ pub struct Body<N = f64> {
     pub inertia: Matrix3<N>,
     /// Mean inverse mass and inverse inertia at qpos0: MuJoCo's `body_invweight0`.
     pub invweight: [N; 2],
-    /// The share of its weight that holds it up.
+    /// The share of its weight that gravity compensation carries.
     pub gravcomp: f64,
     /// Its place among `Model::mocaps`.
     pub mocap: Option<usize>,
-    /// It is a mocap body, or hangs on one.
+    /// Whether it is a mocap body, or hangs on one.
     pub carried: bool,
-    /// Some dof rotates this body, or it is carried; else its orientation is constant.
+    /// Whether some dof rotates this body, or it is carried; else its orientation is constant.
     pub turns: bool,
 }
 
@@ -87,12 +87,12 @@ pub struct Joint<N = f64> {
     pub range: Option<[N; 2]>,
     pub margin: f64,
     pub reference: f64,
-    /// Zero where MJCF's flags switch springs and dampers off.
+    /// Zero if MJCF's flags switch springs and dampers off.
     pub stiffness: Coefficients<N>,
     pub damping: Coefficients<N>,
     pub actuatorfrcrange: Option<[N; 2]>,
     pub limit: Softness<N>,
-    /// Its share of what holds bodies up against gravity counts as its actuators' force.
+    /// Whether its gravity compensation counts as the force of its actuators.
     pub actuatorgravcomp: bool,
 }
 
@@ -111,8 +111,8 @@ pub struct Dof<N = f64> {
     pub tree: usize,
     /// The dof before this one on the chain to the root, or `NONE`.
     pub parent: usize,
-    /// Into `Model::dof_lists`: it and its ancestors, ascending, and what the metric of `discrete`
-    /// couples to these.
+    /// Into `Model::dof_lists`: this dof and its ancestors, ascending, and the dofs that the metric
+    /// of `discrete` couples to these.
     pub closed: Span,
     /// Row of the mass matrix, in `Model::row_dofs` and every array laid out like
     /// it: this dof, then its ancestors, nearest first.
@@ -124,7 +124,7 @@ pub struct Dof<N = f64> {
     pub invweight: N,
 }
 
-/// A body that moves against the world, and all that hangs on it.
+/// A body that moves against the world, and all bodies that hang on it.
 #[derive(Clone, Debug)]
 pub struct Tree<N = f64> {
     pub bodies: Span,
@@ -132,12 +132,12 @@ pub struct Tree<N = f64> {
     pub mass: N,
     /// Only slide joints.
     pub slides_only: bool,
-    /// The mass matrix, its factors and the bias force never change: it only slides, or it
-    /// is a free ball about its own centre, which nothing ties.
+    /// Whether the mass matrix, its factors and the bias force never change: the tree only slides,
+    /// or it is a free ball about its centre that nothing ties.
     pub constant: bool,
-    /// Its poses enter a step: something turns, collides or is tied.
+    /// Whether a step needs its poses: something turns, collides or is tied.
     pub seen: bool,
-    /// It moves in a plane, and nothing else of it is asked for.
+    /// Its plane, if it moves in one and nothing needs more of it than that.
     pub plane: Option<Plane<N>>,
     pub sleep: SleepPolicy,
 }
@@ -160,27 +160,27 @@ pub struct Geom<N = f64> {
     /// As in the scene.
     pub contype: u32,
     pub conaffinity: u32,
-    /// Of a mesh that can collide, in the geom's frame.
+    /// The hull of a mesh that can collide, in the geom's frame.
     pub hull: Option<Arc<Hull>>,
-    /// Of a height field.
+    /// The surface of a height field.
     pub field: Option<Arc<HeightField>>,
-    /// Of a mesh: its triangles, for rays.
+    /// The triangles of a mesh, for rays.
     pub surface: Option<Arc<Surface>>,
     pub group: i32,
-    /// Rays pass through it.
+    /// Whether rays pass through it.
     pub hidden: bool,
-    /// Takes part in some pair, so that its pose is needed.
+    /// Whether it takes part in some pair, so that its pose is needed.
     pub collides: bool,
-    /// A capsule whose contacts ask for its axis alone, of all that says how it lies.
+    /// A capsule whose contacts need only its axis, not its full orientation.
     pub by_axis: bool,
-    /// Its surface moves, by a velocity and an angular velocity in its frame.
+    /// The velocity and angular velocity of its moving surface, in its frame.
     pub belt: Option<[Vector3<f64>; 2]>,
-    /// Of a geom on a tree that moves in a plane.
+    /// The pose in two dimensions, for a geom on a tree that moves in a plane.
     pub in_plane: Option<Box<FlatGeom<N>>>,
 }
 
 impl<N> Geom<N> {
-    /// The shape that it is, at a pose.
+    /// The geom's shape at a pose.
     #[inline(always)]
     pub fn shape<'a, R: Real<Value = N>>(&'a self, pose: &'a Pose<R>) -> Shape<'a, R> {
         Shape { pose, size: &self.size, hull: self.hull.as_deref(), field: self.field.as_deref() }
@@ -208,30 +208,30 @@ pub struct Pair<N = f64> {
     pub test: ShapeTest,
     /// Into `Model::materials`.
     pub material: usize,
-    /// Its place in `Model::pairs`; in a heap its number.
+    /// Its place in `Model::pairs`; in a pile its number.
     pub index: usize,
-    /// The first of its slots among those of contacts: as many as its test has touches.
+    /// The first of its slots among the contacts' slots: as many as its test has touches.
     pub slot: usize,
     /// Sum of both bodies' translational invweight.
     pub invweight: N,
-    /// Into `Model::dof_lists`: union of both bodies' chains, ascending. In a heap: see `DynamicPairs`.
+    /// Into `Model::dof_lists`: union of both chains, ascending. In a pile: see `DynamicPairs`.
     pub dofs: Span,
     /// Mass of the trees that the contact touches, for residuals.
     pub mass: N,
-    /// Tangents along which nothing can move, known when compiled (see `model/fixed_tangents.rs`).
+    /// Tangents along which nothing can ever move (see `model/fixed_tangents.rs`).
     pub still: [bool; 2],
-    /// The ranges of joints keep the two apart: it is tested only while one of `Model::guards`
-    /// is left (see `model/range_separation.rs`).
+    /// The ranges of joints keep the two apart: the pair is tested only while a joint is outside
+    /// its `Model::guards` (see `model/range_separation.rs`).
     pub apart: bool,
 }
 
 impl<N: Constant> Pair<N> {
-    /// As it is in a lane.
+    /// The pair of one lane.
     pub fn lane(&self, lane: usize) -> Pair {
         self.with(|x| x.lane(lane))
     }
 
-    /// As steps read it.
+    /// The pair in a step's number type.
     #[inline(always)]
     pub fn get<R: Real>(&self) -> Pair<R>
     where
@@ -248,7 +248,7 @@ impl<N: Constant> Pair<N> {
     }
 }
 
-/// The positions of a joint within which pairs are apart: its range, widened.
+/// The joint positions for which pairs are proved apart: the joint's range, widened.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Guard {
     pub joint: usize,
@@ -262,32 +262,32 @@ pub struct Guard {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spheres {
     pub geoms: [u32; 2],
-    /// Square of the distance above which nothing in them is listed [m²]; infinite with a plane.
+    /// Square of the distance above which their pairs list nothing [m²]; infinite with a plane.
     pub square: f64,
-    /// The ranges of joints keep everything in them apart: see `Pair::apart`.
+    /// The ranges of joints keep all their pairs apart: see `Pair::apart`.
     pub apart: bool,
 }
 
-/// Consecutive pairs of the same two bodies, or those of them that share their first geom, and a
-/// sphere about what each of the two has in them.
+/// Consecutive pairs of the same two bodies, or the part of them that shares its first geom, with
+/// one sphere on each body that contains that body's geoms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyPair {
     pub spheres: Spheres,
-    /// Into `Model::pairs`; none where they are in the body_pairs that follow.
+    /// Into `Model::pairs`; empty if the pairs are in the body_pairs that follow.
     pub pairs: Span,
-    /// Of the next meeting that is no part of this one.
+    /// The place of the next entry that is not part of this one.
     pub next: usize,
 }
 
-/// The plane in which a tree moves, and what it needs of the tree: all as at qpos0, and turned with
-/// the body from there on.
+/// The plane in which a tree moves, and the numbers that a step needs of the tree, all at qpos0;
+/// they turn with the body from there on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plane<N = f64> {
-    /// Which of the world's axes is its normal.
+    /// The index of the world axis that is its normal.
     pub normal: usize,
-    /// By body of the tree.
+    /// One entry for each body of the tree.
     pub bodies: Vec<FlatBody<N>>,
-    /// By joint of the tree.
+    /// One entry for each joint of the tree.
     pub joints: Vec<FlatJoint<N>>,
     pub(super) first_joint: usize,
 }
@@ -302,7 +302,7 @@ pub struct FlatBody<N = f64> {
     pub quat: Quat<f64>,
     /// From the parent's origin, as the parent turns [m].
     pub pos: [N; 2],
-    /// From its own origin to its centre of mass [m].
+    /// From the body's origin to its centre of mass [m].
     pub centre: [N; 2],
 }
 
@@ -317,11 +317,11 @@ pub struct FlatGeom<N = f64> {
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlatJoint<N = f64> {
-    /// Of a hinge: ±1, along the normal; 0 of a slide.
+    /// ±1 along the normal for a hinge; 0 for a slide.
     pub turns: f64,
-    /// Of a hinge, from the body's origin [m].
+    /// The anchor of a hinge, from the body's origin [m].
     pub anchor: [N; 2],
-    /// Of a slide.
+    /// The axis of a slide.
     pub axis: [f64; 2],
 }
 
@@ -332,7 +332,7 @@ impl<N> Plane<N> {
         across(self.normal)
     }
 
-    /// Of a joint of this tree.
+    /// The joints of a body of this tree.
     #[inline(always)]
     pub fn joints_of(&self, body: &Body<N>) -> &[FlatJoint<N>] {
         let first = body.joints.start - self.first_joint;
@@ -348,22 +348,22 @@ pub(super) fn across(normal: usize) -> [usize; 2] {
 /// Kinds of geoms.
 pub(super) const KINDS: usize = 8;
 
-/// What all pairs that could meet share.
+/// The data that all possible pairs share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DynamicPairs {
-    /// Geoms that may meet some other: ascending those that may move, then those that never do.
+    /// Geoms that may meet another one: ascending, first the movable ones, then the fixed ones.
     pub solid: Vec<usize>,
-    /// How many of them may move.
+    /// How many of them can move.
     pub moving: usize,
-    /// By geom: its part of the distance below which contacts are listed [m].
+    /// For each geom: its part of the distance below which contacts are listed [m].
     pub listed: Vec<f64>,
-    /// By geom: its class; and by two classes their material.
+    /// For each geom: its class; and by two classes their material.
     pub(super) class: Vec<u32>,
     pub(super) classes: usize,
     pub(super) mixed: Vec<u32>,
-    /// By two kinds of geoms.
+    /// The tests for two kinds of geoms.
     pub(super) tests: [[Option<ShapeTest>; KINDS]; KINDS],
-    /// By body: its first geom. The most geoms of any body.
+    /// For each body: its first geom. The most geoms of any body.
     pub(super) first: Vec<usize>,
     pub(super) most: usize,
     /// Pairs with tangents along which nothing can move.
@@ -375,8 +375,8 @@ pub struct DynamicPairs {
 /// Bounds of a joint or a tendon.
 pub const SIDES: usize = 2;
 
-/// Where each kind's slots begin: equalities, then the friction losses of dofs and of
-/// tendons, the limits of joints and of tendons, the contacts of pairs.
+/// The first slot of each kind: equalities, then the friction losses of dofs and of tendons, the
+/// limits of joints and of tendons, the contacts of pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Slots {
     pub(super) losses: usize,

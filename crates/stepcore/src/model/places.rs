@@ -1,4 +1,4 @@
-//! What a step places, and how: `plan/places.rs` says what these are.
+//! The bodies and geoms that a step places, and how: `plan/places.rs` defines the types.
 
 use super::{Model, NONE};
 use crate::plan::places::{Part, Place, Places, Way};
@@ -6,7 +6,7 @@ use crate::real::Constant;
 use crate::scene::{GeomType, JointType};
 
 impl<N: Constant> Model<N> {
-    /// How a body is placed whose pose is no input.
+    /// How a body is placed if its pose is no input.
     #[inline(always)]
     pub(crate) fn way(&self, index: usize) -> Way {
         let body = &self.bodies[index];
@@ -24,7 +24,7 @@ impl<N: Constant> Model<N> {
         }
     }
 
-    /// What contacts ask for of a geom's pose.
+    /// The part of a geom's pose that contacts need.
     pub(crate) fn part(&self, index: usize) -> Part {
         let geom = &self.geoms[index];
         let round = geom.kind == GeomType::Sphere && geom.belt.is_none();
@@ -37,7 +37,7 @@ impl<N: Constant> Model<N> {
         }
     }
 
-    /// What a step places.
+    /// Everything that a step places.
     pub(super) fn find_places(&self) -> Places {
         let model = self;
         let trees = || model.trees.iter().enumerate();

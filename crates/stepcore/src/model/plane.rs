@@ -1,5 +1,5 @@
-//! Trees that move in a plane: every hinge turns about one world axis, and every slide lies across
-//! it. What they do in a step is worked out in two dimensions: see `place/in_plane.rs`.
+//! Trees that move in a plane: every hinge turns about one world axis, and every slide is across
+//! it. Their steps are computed in two dimensions: see `place/in_plane.rs`.
 
 use super::parts::{across, FlatBody, FlatJoint};
 use super::{Body, FlatGeom, Geom, Joint, Model, Plane, Tree};
@@ -7,10 +7,11 @@ use crate::scene::JointType;
 use crate::spatial::{rotation, Pose, Quat};
 use nalgebra::Vector3;
 
-/// How far from a world axis an axis may point that was turned there: roundings of poses.
+/// The largest deviation of a rotated axis from a world axis: rounding of poses.
 const TURNED: f64 = 8.0 * f64::EPSILON;
 
-/// Fills `Tree::plane` and `Geom::in_plane`. Equalities, and tendons that have a mass, read the motion of bodies in space.
+/// Fills `Tree::plane` and `Geom::in_plane`. Equalities and tendons with mass read the motion of
+/// bodies in space.
 pub(super) fn find(model: &mut Model, poses: &[Pose<f64>]) {
     let weighted = model.weighted_by_tendons();
     let quats = quats_at_qpos0(&model.bodies);

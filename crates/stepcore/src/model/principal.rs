@@ -1,19 +1,19 @@
-//! The principal axes of a symmetric matrix as a rotation from the matrix's own axes.
+//! The principal axes of a symmetric matrix as a rotation from the matrix's axes.
 
 use crate::spatial::{rotation, unit_quat};
 use nalgebra::{Matrix3, Vector3};
 
-/// Relative to the trace: an element that is rounding, moments that are the same.
+/// Relative to the trace: below this an element is rounding, and two moments are equal.
 const ROUNDING: f64 = 1e-12;
-/// Turns after which the iteration ends in any case; three or four sweeps of three are enough.
+/// Rotations after which the iteration ends in any case; three or four sweeps of three are enough.
 const MOST: usize = 500;
 
 /// The principal axes of a body's inertia.
 #[derive(Clone, Copy, Debug)]
 pub enum Axes {
-    /// Those of its only geom, those that were given, or of the inertia before a rule changed it.
+    /// Existing axes: of the only geom, as given, or of the inertia before a rule changed it.
     Own([f64; 4]),
-    /// To be found from the matrix.
+    /// Axes to compute from the matrix.
     Found,
 }
 
@@ -29,7 +29,7 @@ impl Axes {
 
 /// Orientation (w x y z) of the principal axes, the greatest moment first: Jacobi's iteration
 /// (Golub and Van Loan, Matrix Computations, section 8.5), largest element first, on a quaternion,
-/// which keeps the axes a rotation and near the matrix's own.
+/// which keeps the axes a rotation and near the matrix's axes.
 pub fn axes(matrix: &Matrix3<f64>) -> [f64; 4] {
     let scale = matrix.trace().abs();
     let mut quat = [1.0, 0.0, 0.0, 0.0];
@@ -38,7 +38,7 @@ pub fn axes(matrix: &Matrix3<f64>) -> [f64; 4] {
         own = seen_from(quat, matrix);
         let size = |(i, j): (usize, usize)| own[(i, j)].abs();
         let (xy, xz, yz) = (size((0, 1)), size((0, 2)), size((1, 2)));
-        // Rows i and j, and the axis k that the turn leaves alone.
+        // Rows i and j, and the axis k that the rotation leaves unchanged.
         let (i, j, k) = if xy > xz && xy > yz {
             (0, 1, 2)
         } else if xz > yz {
@@ -77,7 +77,7 @@ fn in_falling_order(mut quat: [f64; 4], mut moments: Vector3<f64>, scale: f64) -
     quat
 }
 
-/// A matrix in the axes of a frame, symmetric to the last bit.
+/// A matrix expressed in a rotated frame, symmetric to the last bit.
 pub fn seen_from(quat: [f64; 4], matrix: &Matrix3<f64>) -> Matrix3<f64> {
     let rot = rotation(quat);
     let mut own = rot.transpose() * matrix * rot;
@@ -87,7 +87,7 @@ pub fn seen_from(quat: [f64; 4], matrix: &Matrix3<f64>) -> Matrix3<f64> {
     own
 }
 
-/// The rotation b, then a.
+/// The quaternion product: rotation b, then a.
 pub fn product(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
     [
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],

@@ -1,8 +1,8 @@
 //! Proofs that ranges keep pairs apart, kept for the next compilation of the same geometry.
 //!
 //! Measurements compile a robot with other gains, dampings and masses some hundred times, and none
-//! of these moves a geom. A question is known again by all that the proof reads, to the bit, so what
-//! is recalled is what would be proved anew.
+//! of these moves a geom. A question is recognised by all that the proof reads, to the bit, so a
+//! recalled proof equals a new one.
 
 use super::lru::Lru;
 use super::{Guard, Model};
@@ -11,25 +11,24 @@ use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
 use std::sync::{Arc, Mutex, Weak};
 
-/// The most words that are kept of all questions together: a few robots with some of their variants,
-/// 2 MB.
+/// The largest number of words kept for all questions: a few robots with some variants, 2 MB.
 const MOST: usize = 1 << 18;
 
 static KEPT: Mutex<Lru<Question, Proof>> =
     Mutex::new(Lru::new(MOST, |question| question.words.len()));
 
-/// By pair whether its geoms never meet, and the positions of joints for which that holds.
+/// For each pair, whether its geoms never meet, and the positions of joints for which that holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proof {
     pub apart: Vec<bool>,
     pub guards: Vec<Guard>,
 }
 
-/// All that a proof depends on.
+/// Everything that a proof depends on.
 #[derive(Clone)]
 pub struct Question {
     words: Vec<u64>,
-    /// No other one can get the address of one of these.
+    /// No other hull can get the address of one of these.
     hulls: Vec<Option<Weak<Hull>>>,
     fields: Vec<Option<Weak<HeightField>>>,
 }
@@ -92,8 +91,8 @@ impl Question {
     }
 }
 
-/// Equal hulls are one hull where meshes are recalled (`meshes.rs`); two of equal content count as
-/// different here, which costs a proof and no more.
+/// Equal hulls are one hull where meshes are recalled (`meshes.rs`). Two hulls of equal content
+/// count as different here, which costs only a proof.
 fn are_one<T>(a: &[Option<Weak<T>>], b: &[Option<Weak<T>>]) -> bool {
     let one = |(x, y): (&Option<Weak<T>>, &Option<Weak<T>>)| match (x, y) {
         (Some(x), Some(y)) => Weak::ptr_eq(x, y),
@@ -126,7 +125,7 @@ pub fn keep(question: Question, proof: &Proof) {
     lock(&KEPT).keep(question, proof.clone(), Question::same);
 }
 
-/// Keeps none any more.
+/// Empties the cache.
 pub fn forget() {
     lock(&KEPT).clear();
 }
@@ -149,7 +148,7 @@ mod tests {
             scene.joints.push(Joint { body, kind, axis, range, ..Joint::default() });
             scene.geoms.push(Geom { body, size, pos, ..Geom::default() });
         }
-        // The inner link lies about the post, and only has a mass.
+        // The inner link is around the post, and has only a mass.
         (scene.geoms[1].contype, scene.geoms[1].conaffinity) = (0, 0);
         scene
     }

@@ -1,16 +1,15 @@
 //! Pairs that the ranges of joints keep apart.
 //!
-//! Two geoms are moved against each other by the joints between their bodies alone. Over
-//! the box of those joints' ranges, halved again and again: where the distance at the
-//! middle of a box is larger than what the joints can still move either geom, no
-//! configuration of that box lets them meet. A hinge that turns by δ moves no point by more
-//! than its chord 2 sin(δ/2) times the point's distance from the hinge, which is at most the
-//! length of the links between them; a slide moves a point by δ. So the test is sound, and
-//! gives up (the pair may meet) where it takes too many boxes.
+//! Only the joints between their bodies move two geoms against each other. The box of those joints'
+//! ranges is halved again and again. If the distance at the middle of a box is larger than the
+//! largest motion that the joints can still give either geom, no configuration of that box lets the
+//! geoms meet. A hinge that turns by δ moves no point by more than its chord 2 sin(δ/2) times the
+//! point's distance from the hinge, which is at most the length of the links between them; a slide
+//! moves a point by δ. So the test is sound. It gives up (the pair may meet) after too many boxes.
 //!
-//! Limits are soft, and a state can be set beyond them: ranges are widened by a tenth at
-//! both ends, and while a joint is beyond that all pairs are tested (`Model::guards`). What
-//! a step computes is the same, to the bit, with and without this test.
+//! Limits are soft, and a state can be set beyond them: ranges are widened by a tenth at both ends,
+//! and while a joint is beyond that all pairs are tested (`Model::guards`). A step's result is the
+//! same, to the bit, with and without this test.
 
 use super::proofs::{self, Proof, Question};
 use super::{Guard, Model, NONE};
@@ -20,14 +19,14 @@ use crate::real::elementary::sin_cos;
 use crate::scene::JointType;
 use std::f64::consts::PI;
 
-/// More joints than this between two geoms reach everywhere.
+/// With more joints than this between them, two geoms are assumed to reach each other everywhere.
 const JOINTS: usize = 5;
 /// Boxes for a pair, and for a whole model.
 const BOXES: usize = 200;
 const ALL_BOXES: usize = 20_000;
 /// A range is widened by this share of its width, at both ends.
 const WIDER: f64 = 0.1;
-/// Of the lengths involved: what rounding, in single precision too, cannot bridge.
+/// A share of the lengths involved that rounding, even in single precision, cannot bridge.
 const ROUNDING: f64 = 1e-4;
 
 /// A joint between the two geoms of a pair.
@@ -36,13 +35,13 @@ struct Between {
     low: f64,
     high: f64,
     limited: bool,
-    /// The farthest that a point of the geom can be from the anchor; 1 for a slide.
+    /// The largest distance of a point of the geom from the anchor; 1 for a slide.
     lever: f64,
     turns: bool,
 }
 
 impl Between {
-    /// The most that a change of half the width moves any point.
+    /// The largest motion of any point by a change of half the width.
     fn moves(&self, width: f64) -> f64 {
         if self.turns {
             2.0 * sin_cos((0.25 * width).min(0.5 * PI)).0 * self.lever
@@ -71,7 +70,7 @@ pub fn prove(model: &mut Model) {
     model.guards = proof.guards;
 }
 
-/// The search, for pairs with the joints between them.
+/// Runs the search for pairs with the joints between them.
 fn proved(model: &Model, asked: &[(usize, Vec<Between>)]) -> Proof {
     let mut placed = Placed::<f64>::new(model);
     let mut left = ALL_BOXES;
@@ -94,7 +93,7 @@ fn proved(model: &Model, asked: &[(usize, Vec<Between>)]) -> Proof {
     proof
 }
 
-/// The joints between a pair's geoms; None where one of them reaches everywhere.
+/// The joints between a pair's geoms; None if one of them reaches everywhere.
 fn between(model: &Model, pair: usize) -> Option<Vec<Between>> {
     let pair = &model.pairs[pair];
     let bodies = [model.geoms[pair.geom1].body, model.geoms[pair.geom2].body];
@@ -103,7 +102,7 @@ fn between(model: &Model, pair: usize) -> Option<Vec<Between>> {
     }
     let mut joints = walk(model, pair.geom1, bodies[1])?;
     joints.extend(walk(model, pair.geom2, bodies[0])?);
-    // Two trees that no joint ties to the world reach each other everywhere.
+    // Two trees without a joint to the world reach each other everywhere.
     let fits = !joints.is_empty() && joints.len() <= JOINTS;
     (fits && joints.iter().any(|joint| joint.limited)).then_some(joints)
 }
@@ -122,7 +121,7 @@ fn walk(model: &Model, geom: usize, other: usize) -> Option<Vec<Between>> {
     };
     let mut found = vec![];
     let mut body = shape.body;
-    // From the frame at hand to the farthest point of the geom.
+    // From the current frame to the farthest point of the geom.
     let mut far = shape.pos.norm() + shape.reach;
     while !carries(other, body) {
         for index in model.bodies[body].joints.range().rev() {
@@ -159,7 +158,7 @@ fn walk(model: &Model, geom: usize, other: usize) -> Option<Vec<Between>> {
     (found.is_empty() || far.is_finite()).then_some(found)
 }
 
-/// Everything that the test of one pair needs.
+/// The data that the test of one pair needs.
 struct Search<'a> {
     model: &'a Model,
     placed: &'a mut Placed<f64>,
@@ -205,7 +204,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// No configuration of the whole box lets the pair meet. `boxes`: how many may be looked at.
+    /// Whether no configuration of the box lets the pair meet. `boxes`: how many may be examined.
     fn apart(&mut self, boxes: &mut usize) -> bool {
         let whole: Vec<[f64; 2]> = self.between.iter().map(|j| [j.low, j.high]).collect();
         let mut pending = vec![whole];
@@ -232,8 +231,8 @@ impl<'a> Search<'a> {
         true
     }
 
-    /// What the middle of a box tells of it, where the joints can move the geoms by `moves` [m].
-    /// The distance itself is dear: it is asked for only where boxes and centres do not tell.
+    /// The conclusion from the middle of a box, if the joints can move the geoms by `moves` [m].
+    /// The distance itself is expensive: it is computed only if boxes and centres do not decide.
     fn at_the_middle(&mut self, region: &[[f64; 2]], moves: f64) -> Middle {
         for (joint, [low, high]) in self.between.iter().zip(region) {
             self.qpos[self.model.joints[joint.joint].qpos] = 0.5 * (low + high);
@@ -253,7 +252,7 @@ impl<'a> Search<'a> {
             return Middle::Unknown;
         }
         let distance = detect::distance(self.model, self.placed, pair) - self.least;
-        // What is no number is no proof.
+        // A distance that is not a number proves nothing.
         if distance.is_nan() || distance <= 0.0 {
             Middle::Meets
         } else if distance > moves {
@@ -264,7 +263,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// What one configuration tells of all that are near it.
+/// The conclusion from one configuration about all near it.
 enum Middle {
     /// The pair meets there.
     Meets,

@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 pub fn measure(g: &Geom) -> f64 {
     let [a, b, c] = g.size;
     match (g.kind, g.shell_inertia) {
-        // A mesh's are those of its `Solid`.
+        // A mesh's measure is in its `Solid`.
         (GeomType::Plane | GeomType::HField | GeomType::Mesh, _) => 0.0,
         (GeomType::Sphere, false) => 4.0 / 3.0 * PI * a * a * a,
         (GeomType::Sphere, true) => 4.0 * PI * a * a,
@@ -29,7 +29,7 @@ pub fn measure(g: &Geom) -> f64 {
     }
 }
 
-/// Principal moments of a shape of unit mass, about its centre, in its own axes.
+/// Principal moments of a shape of unit mass, about its centre, in its axes.
 pub fn unit_inertia(g: &Geom) -> Vector3<f64> {
     let [a, b, c] = g.size;
     let round = |across: f64, along: f64| Vector3::new(across, across, along);
@@ -69,8 +69,8 @@ pub fn unit_inertia(g: &Geom) -> Vector3<f64> {
             moments(mean(a, x), mean(b, y), mean(c, z))
         }
         (GeomType::Ellipsoid, false) => moments(a * a / 5.0, b * b / 5.0, c * c / 5.0),
-        // What an ellipsoid gains while its half axes all grow by the same small
-        // length: the limit of the difference that MuJoCo takes.
+        // The gain of an ellipsoid while its half axes all grow by the same small length: the limit
+        // of the difference that MuJoCo takes.
         (GeomType::Ellipsoid, true) => {
             let area = a * b + b * c + c * a;
             let gain = |s: f64, t: f64, u: f64| (s * s * area + 2.0 * s * s * t * u) / (5.0 * area);

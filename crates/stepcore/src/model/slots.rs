@@ -1,5 +1,5 @@
-//! The numbers by which whatever can have rows is known from step to step: one slot each,
-//! in the order in which their rows are made.
+//! The slots that identify elements with rows from step to step: one number for each, in the order
+//! in which their rows are made.
 
 use super::dynamic_pairs::MOST_TOUCHES;
 use super::parts::{Slots, SIDES};
@@ -32,14 +32,14 @@ impl<N: Constant> Model<N> {
                 let fixed = self.pairs.get(index).map(|pair| pair.slot);
                 self.slots.contacts + fixed.unwrap_or(index * MOST_TOUCHES) + part
             }
-            // Equalities stand first; nothing else has rows.
+            // Equalities come first; nothing else has rows.
             _ => index,
         };
         slot as u64
     }
 
-    /// The slots in which a contact of a pair may have been in the step before: its own, or any of
-    /// the pair's where contacts are known by feature.
+    /// The slots in which a contact of a pair may have been in the step before: the same slot, or
+    /// any of the pair's if contacts are identified by feature.
     pub fn kin<P>(&self, pair: &Pair<P>, part: usize) -> Range<u64> {
         let first = (self.slots.contacts + pair.slot) as u64;
         if pair.test.by_feature() {
@@ -49,8 +49,8 @@ impl<N: Constant> Model<N> {
         own..own + 1
     }
 
-    /// By slot: its place among the slots of its island. Copies of an island that stand
-    /// beside each other in one scene have the same ranks.
+    /// For each slot: its place among the slots of its island. Copies of an island in one scene
+    /// have the same ranks.
     pub fn ranks(&self, islands: &[usize]) -> Vec<u32> {
         let tree = |body: usize| self.bodies[body].tree;
         let either = |a: usize, b: usize| tree(if tree(a) == NONE { b } else { a });
@@ -72,7 +72,7 @@ impl<N: Constant> Model<N> {
             .chain(tendon_limits)
             .chain(contacts)
             .map(|tree| {
-                // What ties the world to itself has no rows.
+                // Ties of the world to itself have no rows.
                 let Some(island) = islands.get(tree) else { return 0 };
                 used[*island] += 1;
                 used[*island] - 1

@@ -18,14 +18,14 @@ pub struct Solid {
     /// Its frame in the coordinates of its file: centre of mass [m], and w x y z.
     pub centre: Vector3<f64>,
     pub quat: [f64; 4],
-    /// Of unit mass, about the centre in this frame [m²].
+    /// Inertia at unit mass, about the centre in this frame [m²].
     pub inertia: Matrix3<f64>,
     /// Corners of the box around all vertices, in this frame [m].
     pub low: Vector3<f64>,
     pub high: Vector3<f64>,
 }
 
-/// Why a mesh has no mass properties.
+/// The reason why a mesh has no mass properties.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Unsolid {
     /// No volume, or no area.
@@ -64,7 +64,7 @@ impl Solid {
     }
 }
 
-/// A volume that is rounding of what an area of this size could hold is none.
+/// Refuse a volume that is only rounding next to the largest volume that this area could enclose.
 fn check(measure: f64, area: f64) -> Result<(), Unsolid> {
     let least = 1e-15 * area * area.sqrt();
     match measure {
@@ -92,7 +92,7 @@ fn surface(triangles: &[Triangle]) -> (f64, Vector3<f64>) {
     (total, middle / total)
 }
 
-/// What a triangle weighs: the area of a shell, else the volume of the pyramid from `tip`.
+/// The weight of a triangle: the area for a shell, else the volume of the pyramid from `tip`.
 fn weight(triangle: &Triangle, tip: &Vector3<f64>, inertia: MeshInertia) -> f64 {
     let (centre, across) = facing(triangle);
     let pyramid = || (centre - tip).dot(&across) / 3.0;

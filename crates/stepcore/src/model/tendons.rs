@@ -1,10 +1,10 @@
-//! Tendons compiled: their stretches, the dofs that move them, and what they are at qpos0.
+//! Tendons compiled: their stretches, the dofs that move them, and their values at qpos0.
 
 use super::{Course, Model, Movers, Point, Round, Span, Stretch, Tendon};
 use crate::real::Constant;
 use crate::scene::{self, GeomType, Scene, Stop, Target};
 
-/// Compiles the tendons, all but what they are at qpos0 and their inverse weights.
+/// Compiles the tendons, except their values at qpos0 and their inverse weights.
 pub fn compile(scene: &Scene, model: &mut Model) {
     for source in &scene.tendons {
         let closed = dofs_passed(model, source);
@@ -59,7 +59,7 @@ pub(super) fn body(model: &Model, stop: &Stop) -> Option<usize> {
     }
 }
 
-/// The union of what moves its stops, as a list of its own.
+/// The union of the dofs that move its stops, as a new list.
 fn dofs_passed(model: &mut Model, source: &scene::Tendon) -> Span {
     let mut union = vec![];
     for stop in &source.path {
@@ -78,7 +78,7 @@ fn dofs_passed(model: &mut Model, source: &scene::Tendon) -> Span {
     list(model, union)
 }
 
-/// These dofs, ascending, as a list of their own.
+/// Stores these dofs, ascending, as a new list.
 fn list(model: &mut Model, mut dofs: Vec<usize>) -> Span {
     dofs.sort_unstable();
     dofs.dedup();
@@ -87,7 +87,7 @@ fn list(model: &mut Model, mut dofs: Vec<usize>) -> Span {
     span
 }
 
-/// Its course, and those of the dofs of its stops that can change its length.
+/// Its course, and the dofs of its stops that can change its length.
 fn course(model: &mut Model, source: &scene::Tendon, closed: Span) -> (Course, Span) {
     if let Some(Stop::Joint { .. }) = source.path.first() {
         let part = |stop: &Stop| match *stop {
@@ -137,7 +137,7 @@ fn stretches(model: &Model, source: &scene::Tendon, closed: Span) -> Vec<Stretch
     stretches
 }
 
-/// The dofs that move some, but not all, of what a stretch hangs on; their places are not known yet.
+/// The dofs that move some, but not all, of a stretch's supports; their places are not set yet.
 fn movers(model: &Model, ends: [Point; 2], round: Option<Round>, dofs: &[usize]) -> Vec<Movers> {
     let carries = |body: usize, dof: usize| {
         model.bodies[body].chain.of(&model.dof_lists).binary_search(&dof).is_ok()
@@ -160,7 +160,7 @@ fn movers(model: &Model, ends: [Point; 2], round: Option<Round>, dofs: &[usize])
 }
 
 impl<N: Constant> Model<N> {
-    /// Tendons whose armature couples dofs of which neither moves the other: see
+    /// Whether each tendon's armature couples dofs of which neither moves the other: see
     /// `place/tendon_inertia.rs`.
     pub fn armature_beyond_the_tree(&self) -> Vec<bool> {
         let beyond = |tendon: &Tendon<N>| {
@@ -171,12 +171,12 @@ impl<N: Constant> Model<N> {
         self.tendons.iter().map(beyond).collect()
     }
 
-    /// By tree: the armature of a spatial tendon is part of its mass matrix.
+    /// For each tree: whether the armature of a spatial tendon is part of its mass matrix.
     pub(super) fn weighted_by_tendons(&self) -> Vec<bool> {
         self.trees_of_tendons(|tendon| !tendon.armature.vanishes())
     }
 
-    /// By tree: a spatial tendon that steps read runs over a body of it.
+    /// For each tree: whether a spatial tendon that steps read runs over a body of it.
     pub(super) fn passed_by_tendons(&self) -> Vec<bool> {
         self.trees_of_tendons(|tendon| tendon.used)
     }

@@ -1,7 +1,7 @@
-//! How a length follows the dofs: its value at a position, and its gradient, the moment arms.
+//! The relation between a length and the dofs: value at a position, and gradient (the arms).
 //!
-//! What pulls along a length (an actuator, a limit, a tendon's spring) asks here, and knows neither
-//! joint nor path. The lengths and arms of tendons are made in `place/tendon.rs`.
+//! Elements that pull along a length (an actuator, a limit, a tendon's spring) use this and need
+//! neither joint nor path. The lengths and arms of tendons are computed in `place/tendon.rs`.
 
 pub(crate) use super::lengths::{Limited, Rubbing};
 pub use super::Transmission;
@@ -10,7 +10,7 @@ use crate::real::{Constant, Real, Value};
 use crate::scene::JointType;
 use crate::spatial::{Quat, V3};
 
-/// Lengths that were placed: by tendon, and their arms (see `Tendon::arms`).
+/// Placed lengths: by tendon, and their arms (see `Tendon::arms`).
 #[derive(Clone, Copy)]
 pub struct Pulls<'a, R: Real> {
     pub length: &'a [R],
@@ -60,7 +60,7 @@ impl Transmission {
                     JointType::Hinge | JointType::Slide => {
                         model.gears[gear].get() * qpos[joint.qpos]
                     }
-                    // A rotation leaves its own axis where it is: in both frames it is the same.
+                    // A rotation leaves its axis where it is: in both frames it is the same.
                     JointType::Ball => {
                         turned(joint.qpos, qpos).log().dot(&axis(&model.gears[gear..]))
                     }
@@ -73,7 +73,7 @@ impl Transmission {
         }
     }
 
-    /// What moves along the arms: of a hinge, a slide or a tendon the rate of its length [m/s or rad/s].
+    /// The velocity along the arms: the rate of a hinge, slide or tendon [m/s or rad/s].
     #[inline(always)]
     pub fn velocity<R: Real>(
         self,
@@ -170,8 +170,8 @@ impl Transmission {
         }
     }
 
-    /// Calls `each(i, j, aᵢ aⱼ)` for every pair of arms, both ways, and each with itself: along a
-    /// length a stiffness of one is this matrix on the dofs.
+    /// Calls `each(i, j, aᵢ aⱼ)` for every pair of arms, both ways, and each with itself: this
+    /// matrix on the dofs is a unit stiffness along the length.
     #[inline(always)]
     pub fn pairs<R: Real>(
         self,
@@ -189,7 +189,7 @@ impl Transmission {
         });
     }
 
-    /// The dof and the arm of what follows one dof at all positions alike: of a hinge or a slide.
+    /// The dof and the arm of a length with a constant arm on one dof: a hinge or a slide.
     #[inline(always)]
     fn only_arm<N: Constant>(self, model: &Model<N>) -> Option<(usize, Option<usize>)> {
         let (joint, arm) = match self {
@@ -201,7 +201,7 @@ impl Transmission {
         (joint.dofs() == 1).then_some((joint.dof, arm))
     }
 
-    /// `arms`, as a call: every kind of arm inside every other is much machine code.
+    /// `arms` as a call: inlining every kind of arm into every other makes much machine code.
     #[inline(never)]
     fn all_arms<R: Real>(
         self,
@@ -214,7 +214,7 @@ impl Transmission {
     }
 }
 
-/// The quaternion that begins at a place of qpos.
+/// The quaternion that starts at a place of qpos.
 #[inline(always)]
 fn turned<R: Real>(from: usize, qpos: &[R]) -> Quat<R> {
     Quat::of(&qpos[from..from + 4]).normalized()

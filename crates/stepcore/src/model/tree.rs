@@ -52,7 +52,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     model
 }
 
-/// Weight is compensated. As in MuJoCo, a share below 0 counts only where some body has one above 0.
+/// Whether weight is compensated. As in MuJoCo, a share below 0 counts only next to one above 0.
 fn compensates(scene: &Scene) -> bool {
     let on = scene.features.gravity && scene.features.passive();
     on && scene.bodies.iter().any(|body| body.gravcomp > 0.0)
@@ -158,7 +158,7 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
         limit: source.limit.clone(),
         actuatorgravcomp: source.actuatorgravcomp,
     });
-    // The last dof already on the chain: of this body, or of the ones above it.
+    // The last dof already on the chain: a dof of this body, or of the bodies above it.
     let body = &model.bodies[source.body];
     let above = body.chain.len - body.dofs.len;
     let before = body.chain.of(&model.dof_lists)[..above].last().copied();
@@ -250,7 +250,7 @@ fn half(source: &crate::scene::Geom, asset: &Asset, reach: f64) -> [f64; 3] {
     }
 }
 
-/// Which trees a step places, and which are constant: equalities, tendons and pairs are known.
+/// Marks the trees that a step places, and the constant ones: equalities, tendons, pairs exist.
 pub fn mark(model: &mut Model) {
     let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
     let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
@@ -267,7 +267,7 @@ pub fn mark(model: &mut Model) {
     }
 }
 
-/// By tree: whether some of these bodies is in it.
+/// For each tree: whether some of these bodies is in it.
 fn trees_of(model: &Model, bodies: impl Iterator<Item = usize>) -> Vec<bool> {
     let mut found = vec![false; model.trees.len()];
     for tree in bodies.map(|body| model.bodies[body].tree).filter(|tree| *tree != NONE) {
@@ -299,7 +299,7 @@ impl Unions {
         let mut union = [one, two].concat();
         union.sort_unstable();
         union.dedup();
-        // One list for all with these two, in either order. Joints of one body start alike.
+        // One list for all with these two, in either order. Joints of one body share their start.
         let mut two = [a, b].map(|span| (span.start, span.len));
         two.sort_unstable();
         let lists = &mut model.dof_lists;
@@ -311,7 +311,7 @@ impl Unions {
     }
 }
 
-/// Every list as its tree closes it.
+/// Replaces every list with its closure in the tree.
 fn close_lists(model: &mut Model) {
     for k in 0..model.nv {
         let body = &model.bodies[model.dofs[k].body];

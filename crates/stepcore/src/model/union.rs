@@ -1,7 +1,6 @@
-//! Which things are tied together: sets that grow into one another, each known by its lowest
-//! member (union-find: Tarjan 1975).
+//! Union-find (Tarjan 1975): sets that grow into one another, each identified by its lowest member.
 
-/// By member: one of its set that is no higher, at last the lowest.
+/// For each member: a member of its set that is no higher, at last the lowest.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Union {
     below: Vec<usize>,
@@ -14,7 +13,7 @@ impl Union {
         Self { below: (0..count).collect() }
     }
 
-    /// Each of `count` members by itself.
+    /// Makes a set of each of `count` members.
     pub fn reset(&mut self, count: usize) {
         self.below.clear();
         self.below.extend(0..count);

@@ -1,5 +1,5 @@
-//! Velocities of bodies, and the forces that keep the present velocity:
-//! recursive Newton-Euler (Featherstone 2008, 5.3), gravity as an upward acceleration.
+//! Velocities of bodies, and the forces that maintain the present velocity: recursive Newton-Euler
+//! (Featherstone 2008, 5.3), gravity as an upward acceleration.
 
 use super::Placed;
 use crate::model::{Model, Tree};
@@ -8,7 +8,7 @@ use crate::scene::JointType;
 use crate::spatial::{splat, Motion, V3};
 
 impl<R: Real> Placed<R> {
-    /// Velocity of each body, and its acceleration when no dof accelerates.
+    /// Computes the velocity of each body, and its acceleration when no dof accelerates.
     pub(super) fn velocities(
         &mut self,
         model: &Model<R::Value>,
@@ -25,8 +25,8 @@ impl<R: Real> Placed<R> {
             };
             for joint in body.joints.of(&model.joints) {
                 // Axes of slides and hinges are fixed in the frame before the joint. A
-                // ball's three and a free joint's last three share one rotation, whose own
-                // part cancels in the sum; a free joint's first three never turn.
+                // ball's three and a free joint's last three share one rotation, whose effect on itself
+                // cancels in the sum; a free joint's first three never turn.
                 let mut frame = v;
                 for k in joint.dof..joint.dof + joint.dofs() {
                     let motion = self.motion[k];
@@ -47,7 +47,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// Acceleration of a body when no dof accelerates, gravity taken out.
+    /// Returns the acceleration of a body when no dof accelerates, without gravity.
     pub fn free_acceleration(&self, model: &Model<R::Value>, body: usize) -> Motion<R> {
         let mut a = self.acceleration[body];
         if model.features.gravity {
@@ -56,7 +56,7 @@ impl<R: Real> Placed<R> {
         a
     }
 
-    /// Velocities, where something asks for them, and the bias force.
+    /// Computes the velocities, if needed, and the bias force.
     pub(super) fn bias_in_space(&mut self, model: &Model<R::Value>, qvel: &[R], tree: usize) {
         if model.features.coriolis || !model.equalities.is_empty() {
             self.velocities(model, qvel, &model.trees[tree]);
@@ -64,7 +64,7 @@ impl<R: Real> Placed<R> {
         self.bias_of_tree(model, tree);
     }
 
-    /// The force on each dof that holds those accelerations.
+    /// Computes the force on each dof that maintains those accelerations.
     pub(super) fn bias_of_tree(&mut self, model: &Model<R::Value>, tree: usize) {
         let tree = &model.trees[tree];
         if !model.features.coriolis {
@@ -80,7 +80,7 @@ impl<R: Real> Placed<R> {
         self.wrench_to_dofs(model, tree);
     }
 
-    /// The same without what velocities contribute: the force that carries the weight.
+    /// Computes the bias force at zero velocity: the force that carries the weight.
     fn weight_of_tree(&mut self, model: &Model<R::Value>, tree: &Tree<R::Value>) {
         let up = match model.features.gravity {
             true => -splat::<R, _>(&model.gravity),

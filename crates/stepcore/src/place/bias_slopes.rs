@@ -1,18 +1,18 @@
-//! How the bias forces change with the velocities, ∂c/∂v: `implicit` takes it.
+//! Derivatives of the bias forces by the velocities, ∂c/∂v, for `implicit`.
 //!
 //! With v_b, a_b the velocity of body b and its acceleration when no dof accelerates, its wrench is
-//! I a + v ×* I v, and cᵢ = sᵢ·Σ of the wrenches of all that hangs on dof i. A dof j adds sⱼ to the
-//! velocity of everything that hangs on it, and to the acceleration
+//! I a + v ×* I v, and cᵢ = sᵢ·Σ of the wrenches of all bodies that hang on dof i. A dof j adds sⱼ to
+//! the velocity of everything that hangs on it, and to the acceleration
 //!
 //! ```text
 //! ∂a_b/∂vⱼ = fⱼ × sⱼ + sⱼ × (v_b − gⱼ) = mⱼ + sⱼ × v_b,   mⱼ = fⱼ × sⱼ − sⱼ × gⱼ
 //! ```
 //!
-//! fⱼ is the velocity of the frame in which sⱼ is fixed, and gⱼ the velocity from which on axes are
-//! carried along by sⱼ: after the dof for a hinge, after all three for a ball. With the map
-//! B_b s = I (s × v) + s ×* I v + v ×* I s, summed over what hangs on a body as inertia is,
-//! ∂cᵢ/∂vⱼ = sᵢ·(I mⱼ + B sⱼ), I and B those of the body of the deeper dof. (Carpentier & Mansard
-//! 2018 differentiate the same recursion.)
+//! fⱼ is the velocity of the frame in which sⱼ is fixed, and gⱼ the velocity at the first axis that sⱼ
+//! carries along: after the dof for a hinge, after all three for a ball. With the map
+//! B_b s = I (s × v) + s ×* I v + v ×* I s, summed over everything that hangs on a body as inertia is,
+//! ∂cᵢ/∂vⱼ = sᵢ·(I mⱼ + B sⱼ), with I and B of the body of the deeper dof. (Carpentier & Mansard 2018
+//! differentiate the same recursion.)
 
 use super::Placed;
 use crate::model::{Model, Tree};
@@ -37,8 +37,8 @@ impl<R: Real> BiasSlopes<R> {
         }
     }
 
-    /// Calls `add(at, [∂cⱼ/∂vₖ, ∂cₖ/∂vⱼ])` for every dof k of a tree and each dof j of its row, itself
-    /// the first; `at`: their place in `Model::row_dofs`.
+    /// Calls `add(at, [∂cⱼ/∂vₖ, ∂cₖ/∂vⱼ])` for every dof k of a tree and each dof j of its row,
+    /// starting with k itself; `at`: their place in `Model::row_dofs`.
     pub fn of_tree(
         &mut self,
         placed: &Placed<R>,
@@ -74,7 +74,7 @@ impl<R: Real> BiasSlopes<R> {
         }
     }
 
-    /// mⱼ of every dof.
+    /// Computes mⱼ of every dof.
     fn carry(
         &mut self,
         placed: &Placed<R>,
@@ -87,7 +87,7 @@ impl<R: Real> BiasSlopes<R> {
             let inside = body.parent >= tree.bodies.start;
             let mut v = if inside { placed.velocity[body.parent] } else { Motion::zero() };
             for joint in body.joints.of(&model.joints) {
-                // A free joint slides first, then it turns as a ball does.
+                // A free joint slides first, then it turns like a ball.
                 let (first, count) = (joint.dof, joint.dofs());
                 let slides = count.saturating_sub(3);
                 for dofs in [first..first + slides, first + slides..first + count] {

@@ -1,6 +1,6 @@
 //! The metric of `discrete`: M̂ = M + dt·D + dt²·K, in which the step solves its rows.
 //!
-//! Forces of springs, dampers and servos are those at the end of the step, to first order:
+//! Forces of springs, dampers and servos are taken at the end of the step, to first order:
 //! f − D (v⁺ − v) − dt K v⁺, and so M̂ (v⁺ − v) = dt (f − dt K v) + Jᵀλ. (MuJoCo documentation,
 //! "Numerical integration": its `discrete`.) K and D hold back, `Forces::holding`, so that M̂ is
 //! positive definite.
@@ -17,20 +17,20 @@ use crate::model::Model;
 use crate::real::{Mask, Real, Stage};
 use crate::state::Inputs;
 
-/// M̂ and what goes with it.
+/// M̂ and its working data.
 pub struct Effective<R: Real> {
     dt: R,
     /// Whether stiffness counts.
     held: bool,
     /// M̂, in the layout of the metric.
     matrix: Vec<R>,
-    /// Where each entry of M stands in it.
+    /// The place of each entry of M in `matrix`.
     places: Vec<usize>,
     /// dt K v, by dof [N or N·m].
     pub(super) shift: Vec<R>,
     /// Dofs whose M̂ a step changes, and which are factored together.
     parts: Vec<Range<usize>>,
-    /// By tree, where M̂ has slopes of a tendon or an actuator.
+    /// By tree: the lanes in which M̂ has slopes of a tendon or an actuator.
     pub(crate) tied: Vec<R::Mask>,
 }
 
@@ -54,7 +54,7 @@ impl<R: Real> Effective<R> {
         Self { dt, held: true, matrix, places, shift, parts, tied }
     }
 
-    /// M + T D alone, without stiffness, over a time T.
+    /// Returns M + T D alone, without stiffness, over a time T.
     pub(crate) fn damped(model: &Model<R::Value>, metric: &Metric<R>, time: R) -> Self {
         Self { held: false, ..Self::new(model, metric, time) }
     }
@@ -63,14 +63,14 @@ impl<R: Real> Effective<R> {
         self.dt = dt;
     }
 
-    /// M alone, of all dofs: what stands of it where no step changes it.
+    /// Starts with M alone, of all dofs: entries that no step changes stay.
     pub(crate) fn start(&mut self, mass: &[R], metric: &mut Metric<R>) {
         spread(mass, &self.places, &mut self.matrix);
         metric.l.copy_from_slice(&self.matrix);
         metric.factor(0..self.shift.len());
     }
 
-    /// M̂ there, and its factors; M is `mass`.
+    /// Computes M̂ at a state, and its factors; M is `mass`.
     pub(crate) fn factor(&mut self, now: &Moment<R>, mass: &[R], metric: &mut Metric<R>) {
         self.assemble(now, mass, metric);
         for part in &self.parts {
@@ -99,14 +99,14 @@ impl<R: Real> Effective<R> {
         });
     }
 
-    /// An entry of M̂ of two dofs.
+    /// Returns the entry of M̂ of two dofs.
     pub(crate) fn entry(&self, metric: &Metric<R>, i: usize, j: usize) -> R {
         metric.place(i, j).map_or(R::zero(), |at| self.matrix[at])
     }
 }
 
 impl<R: Real> Placed<R> {
-    /// M̂ and its factors, if rows are solved in it; M is there.
+    /// Computes M̂ and its factors, if rows are solved in it; M must have been computed.
     pub(super) fn weigh_effective(
         &mut self,
         model: &Model<R::Value>,

@@ -13,26 +13,26 @@ use crate::real::array::from_fn;
 use crate::real::Real;
 use crate::spatial::{subtract_all, subtract_scaled};
 
-/// So many rows are factored together.
+/// This many rows are factored together.
 const CHAIN: usize = 4;
-/// Rows of at most so many entries are short: see `factor_next`.
+/// Rows of at most this many entries are short: see `factor_next`.
 const SHORT: usize = 7;
 
-/// The factors of one symmetric matrix with the pattern of the mass matrix, or with that which the
-/// metric of `discrete` has (`model/coupling.rs`).
+/// The factors of one symmetric matrix with the pattern of the mass matrix, or of the metric of
+/// `discrete` (`model/coupling.rs`).
 pub struct Metric<R: Real> {
-    /// L in the layout of `Model::row_dofs`, or of its own pattern; the diagonal places hold D.
+    /// L in the layout of `Model::row_dofs`, or of this matrix's pattern; the diagonal places hold D.
     pub l: Vec<R>,
     /// 1 / D, by dof.
     pub inv_d: Vec<R>,
     /// The pattern, packed: each dof's row, and each entry's dof and its row.
     rows: Vec<Span>,
-    /// What of each row stands left of the diagonal, without rows in which all of that is zero
+    /// The entries of each row left of the diagonal, without rows in which all of these are zero
     /// throughout.
     left: Vec<Span>,
-    /// By dof: how many dofs of one chain end with it, up to `CHAIN`.
+    /// By dof: the number of dofs of one chain that end with it, up to `CHAIN`.
     chained: Vec<usize>,
-    /// No row has anything there.
+    /// All rows are empty left of the diagonal.
     diagonal: bool,
     dofs: Vec<usize>,
     above: Vec<usize>,
@@ -46,7 +46,7 @@ impl<R: Real> Metric<R> {
         Self::with_pattern(rows, model.row_dofs.clone())
     }
 
-    /// With the pattern of the metric of `discrete`: each dof's row is its closed chain.
+    /// Creates a metric with the pattern of `discrete`: each dof's row is its closed chain.
     pub fn coupled(model: &Model<R::Value>) -> Self {
         let chain = |k: usize| model.dofs[k].closed.of(&model.dof_lists);
         let dofs: Vec<usize> = (0..model.nv).flat_map(|k| chain(k).iter().rev()).copied().collect();
@@ -77,7 +77,7 @@ impl<R: Real> Metric<R> {
         }
     }
 
-    /// Where each entry of M stands in this matrix, in the layout of `Model::row_dofs`.
+    /// Returns the place of each entry of M in this matrix, in the layout of `Model::row_dofs`.
     pub fn places(&self, model: &Model<R::Value>) -> Vec<usize> {
         let rows = model.dofs.iter().enumerate();
         let entries =
@@ -85,7 +85,7 @@ impl<R: Real> Metric<R> {
         entries.filter_map(|(k, j)| self.place(k, j)).collect()
     }
 
-    /// Where the matrix has the entry of two dofs; None where it has none.
+    /// Returns the place of the entry of two dofs; None if the matrix has none.
     #[inline(always)]
     pub fn place(&self, i: usize, j: usize) -> Option<usize> {
         let row = self.rows[i.max(j)];
@@ -96,25 +96,25 @@ impl<R: Real> Metric<R> {
         Some(row.start + at)
     }
 
-    /// An entry of D.
+    /// Returns an entry of D.
     pub fn pivot(&self, k: usize) -> R {
         self.l[self.rows[k].start]
     }
 
-    /// A row's entries left of the diagonal, nearest ancestor first.
+    /// Returns a row's entries left of the diagonal, nearest ancestor first.
     #[inline(always)]
     pub fn left_of(&self, k: usize) -> &[R] {
         self.left[k].of(&self.l)
     }
 
-    /// The same with their dofs.
+    /// Returns the same with their dofs.
     #[inline(always)]
     pub fn row(&self, k: usize) -> impl Iterator<Item = (R, usize)> + '_ {
         let left = self.left[k];
         left.of(&self.l).iter().copied().zip(left.of(&self.dofs).iter().copied())
     }
 
-    /// These dofs' rows never change: those that are zero left of the diagonal are passed over.
+    /// Marks these dofs' rows as constant: rows that are zero left of the diagonal are skipped.
     pub(super) fn constant(&mut self, dofs: Range<usize>) {
         for left in &mut self.left[dofs] {
             if left.of(&self.l).iter().all(R::is_zero) {
@@ -124,7 +124,7 @@ impl<R: Real> Metric<R> {
         self.diagonal = self.left.iter().all(|left| left.len == 0);
     }
 
-    /// L is the unit matrix.
+    /// Checks that L is the unit matrix.
     #[inline(always)]
     pub(super) fn is_diagonal(&self) -> bool {
         self.diagonal
@@ -137,8 +137,8 @@ impl<R: Real> Metric<R> {
         self.l[own.clone()].copy_from_slice(&matrix[own]);
     }
 
-    /// Where an entry of another matrix, made symmetric, is added to one of this pattern, if there is a
-    /// place for it, and how much of it: that of two dofs has half of each of the other's two.
+    /// Returns the place at which an entry of another matrix, made symmetric, is added to this pattern,
+    /// if there is one, and the part of it that is added: half for each of the two entries of two dofs.
     #[inline(always)]
     pub fn share(&self, i: usize, j: usize, x: R) -> Option<(usize, R)> {
         self.place(i, j).map(|at| (at, if i == j { x } else { R::of(0.5) * x }))
@@ -162,15 +162,15 @@ impl<R: Real> Metric<R> {
                 1 => self.factor_next::<1>(end),
                 2 => self.factor_next::<2>(end),
                 3 => self.factor_next::<3>(end),
-                // The code of more together would be large.
+                // The code for more together would be large.
                 _ if R::FILLS && self.rows[end - 3].len <= SHORT => self.factor_next::<3>(end),
                 _ => self.factor_chain::<CHAIN>(end),
             };
         }
     }
 
-    /// The last N rows before `end`, each a chain's next one. In one world, whose sums are short, by a
-    /// function that knows how many dofs they share.
+    /// Factors the last N rows before `end`, each the next one of a chain. A single world's sums are
+    /// short, and have a function for each number of dofs that the rows share.
     #[inline(always)]
     fn factor_next<const N: usize>(&mut self, end: usize) -> usize {
         if !R::FILLS {
@@ -188,12 +188,12 @@ impl<R: Real> Metric<R> {
         }
     }
 
-    /// The same of rows that share S dofs.
+    /// Does the same for rows that share S dofs.
     #[inline(never)]
     fn factor_short<const N: usize, const S: usize>(&mut self, end: usize) -> usize {
         let start = self.rows[end - N].start;
         let (above, rows) = self.l.split_at_mut(start);
-        // Row n has n dofs of the chain before those that all share.
+        // Row n has n dofs of the chain before the shared ones.
         let first = |n: usize| n * (S + 1) + n * n.saturating_sub(1) / 2;
         let rows = &mut rows[..first(N)];
         let (mut own, mut shared) = ([[R::zero(); N]; N], [[R::zero(); S]; N]);
@@ -240,7 +240,7 @@ impl<R: Real> Metric<R> {
         N
     }
 
-    /// The same of any rows.
+    /// Does the same for any rows.
     #[inline(always)]
     fn factor_chain<const N: usize>(&mut self, end: usize) -> usize {
         let first = self.rows[end - N];
@@ -258,7 +258,7 @@ impl<R: Real> Metric<R> {
             }
         }
         for (at, to) in self.above[first.range()].iter().enumerate().skip(1) {
-            // The last first: the sums are those of one row after the other.
+            // The last row first: the sums are the same as with one row after the other.
             let places: [usize; N] = from_fn(|k| start(N - 1 - k) + N - 1 - k + at);
             let by: [R; N] = from_fn(|k| rows[places[k]] * inv_d[N - 1 - k]);
             let len = first.len - at;
@@ -297,7 +297,7 @@ impl<R: Real> Metric<R> {
         }
     }
 
-    /// The same on an ancestor-closed, ascending list of dofs.
+    /// Does the same on an ancestor-closed, ascending list of dofs.
     pub fn from_factored_on(&self, dofs: &[usize], u: &[R], v: &mut [R]) {
         for &k in dofs {
             let mut sum = u[k];
@@ -319,20 +319,20 @@ impl<R: Real> Metric<R> {
         }
     }
 
-    /// The list is the path of its last dof from the root, whole.
+    /// Checks that the list is the whole path of its last dof from the root.
     #[inline(always)]
     pub fn is_path(&self, list: &[usize]) -> bool {
         list.last().is_some_and(|last| self.rows[*last].len == list.len())
     }
 
-    /// x ← L⁻ᵀ x of N vectors side by side, N numbers a dof of a path.
+    /// x ← L⁻ᵀ x for N vectors together, N numbers a dof of a path.
     #[inline(always)]
     pub fn lift_path<const N: usize>(&self, path: &[usize], x: &mut [R]) {
         self.lift_end::<N>(path, &mut x[..N * path.len()], &mut []);
     }
 
-    /// The same of the last dofs of a path, whose numbers are `own`: those of the dofs before them are
-    /// `above`, from which what they carry is taken.
+    /// Does the same for the last dofs of a path, whose numbers are `own`; their contributions to the
+    /// dofs before them are subtracted from `above`.
     #[inline(always)]
     pub fn lift_end<const N: usize>(&self, end: &[usize], own: &mut [R], above: &mut [R]) {
         let mut rest = own;
@@ -346,7 +346,7 @@ impl<R: Real> Metric<R> {
         }
     }
 
-    /// So many dofs of one chain end with this one, at most `CHAIN`.
+    /// Returns the number of dofs of one chain that end with this one, at most `CHAIN`.
     #[inline(always)]
     pub fn chained(&self, k: usize) -> usize {
         self.chained[k]
@@ -362,7 +362,7 @@ impl<R: Real> Metric<R> {
         }
     }
 
-    /// x ← D⁻¹L⁻ᵀ x: a force into the change of u that it makes in a unit of time.
+    /// x ← D⁻¹L⁻ᵀ x: converts a force into the change of u that it causes per unit of time.
     pub fn half_solve(&self, x: &mut [R]) {
         self.half_solve_dofs(0..x.len(), x);
     }
@@ -395,8 +395,8 @@ impl<R: Real> Metric<R> {
     }
 }
 
-/// Takes l · own off the last of `x`, N numbers each, the last first: what is left of a dof in its row
-/// stands in the path's order, the nearest first.
+/// Subtracts l · own from the last of `x`, N numbers each, the last first: a row's entries left of the
+/// diagonal are in the path's order, the nearest first.
 #[inline(always)]
 fn take_off<R: Real, const N: usize>(left: &[R], own: &[R; N], x: &mut [R]) {
     let mut rest = x;
@@ -409,7 +409,7 @@ fn take_off<R: Real, const N: usize>(left: &[R], own: &[R; N], x: &mut [R]) {
     }
 }
 
-/// M alone, each entry in its place: see `Metric::places`.
+/// Copies M alone, each entry to its place: see `Metric::places`.
 pub fn spread<R: Real>(mass: &[R], places: &[usize], out: &mut [R]) {
     out.fill(R::zero());
     for (at, mass) in places.iter().zip(mass) {
@@ -417,7 +417,7 @@ pub fn spread<R: Real>(mass: &[R], places: &[usize], out: &mut [R]) {
     }
 }
 
-/// What of a row stands left of the diagonal.
+/// Returns the part of a row left of the diagonal.
 fn left(row: Span) -> Span {
     Span { start: row.start + 1, len: row.len - 1 }
 }

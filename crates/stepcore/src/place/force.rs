@@ -14,12 +14,12 @@ use crate::real::Real;
 use crate::state::Inputs;
 
 impl<R: Real> Placed<R> {
-    /// What activations change by: `act_rate`, and `act_fading`.
+    /// Returns the rates of activations: `act_rate`, and `act_fading`.
     pub(crate) fn act_rates(&self) -> [&[R]; 2] {
         [&self.act_rate, &self.act_fading]
     }
 
-    /// The forces of actuators, and what joints let through of them.
+    /// Computes the forces of actuators, and the parts of them that joints let through.
     pub(crate) fn tensions(
         &mut self,
         model: &Model<R::Value>,
@@ -69,7 +69,7 @@ impl<R: Real> Placed<R> {
         let shares = &self.shares;
         let frames = Frames { xpos, xmat, origin, motion, tension: actuator, shares, pulls };
         let now = Moment { model, frames, qpos, qvel, act, inputs };
-        // What adhesion pulls is added to it, for those who read it.
+        // The pull of adhesion is added to the passive forces later, for their readers.
         if model.acting.passive || model.sticks {
             push(&now, Group::Passive, &mut Sum { force: passive, wrench });
         }

@@ -13,7 +13,7 @@ use crate::spatial::{Motion, V3};
 
 pub(super) type V2<R> = [R; 2];
 
-/// What the plane has of one body.
+/// The state of one body in the plane.
 #[derive(Clone, Copy)]
 pub(super) struct InPlane<R: Real> {
     /// From qpos0 on, by half the angle and by the whole.
@@ -36,7 +36,7 @@ struct Moments<R: Real> {
 }
 
 impl<R: Real> InPlane<R> {
-    /// Of a body that never moves.
+    /// Returns the state of a body that never moves.
     pub fn still() -> Self {
         let (zero, none) = (R::zero(), [R::zero(); 2]);
         let turn = [R::one(), zero];
@@ -61,7 +61,7 @@ impl<R: Real> Moments<R> {
         self.i += o.i;
     }
 
-    /// Momentum of a motion.
+    /// Returns the momentum of a motion.
     #[inline(always)]
     fn mul(&self, (w, v): (R, V2<R>)) -> (R, V2<R>) {
         let Self { mass, h, i } = *self;

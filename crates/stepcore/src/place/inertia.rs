@@ -6,7 +6,7 @@ use crate::real::{value, Real, Value};
 use crate::spatial::{rotate, splat, Inertia, M3, V3};
 
 impl<R: Real> Placed<R> {
-    /// Where everything is, and the mass matrix there with its factors.
+    /// Computes all positions, and the mass matrix there with its factors.
     pub(crate) fn masses(&mut self, model: &Model<R::Value>, qpos: &[R]) {
         self.positions(model, qpos);
         for tree in &model.trees {
@@ -15,7 +15,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// The mass matrix of the tree.
+    /// Computes the mass matrix of the tree.
     pub(super) fn weigh(&mut self, model: &Model<R::Value>, tree: &Tree<R::Value>) {
         self.inertias(model, tree);
         for k in tree.dofs.range() {
@@ -29,7 +29,7 @@ impl<R: Real> Placed<R> {
         self.weigh_tendons(model, tree);
     }
 
-    /// Inertia of each body, and of all that hangs on it.
+    /// Computes the inertia of each body, and of everything that hangs on it.
     pub(super) fn inertias(&mut self, model: &Model<R::Value>, tree: &Tree<R::Value>) {
         let origin = &self.origin[model.bodies[tree.bodies.start].tree];
         for index in tree.bodies.range() {
@@ -51,7 +51,7 @@ impl<R: Real> Placed<R> {
     }
 }
 
-/// m · i · mᵀ of a symmetric i.
+/// Returns m · i · mᵀ for a symmetric i.
 #[inline(always)]
 fn turn<R: Real>(m: &M3<R>, i: &M3<R>) -> M3<R> {
     let column = |k: usize| {

@@ -8,7 +8,7 @@ use crate::scene::JointType;
 use crate::spatial::{principal, rotate, splat, Motion, Quat, M3, V3};
 use nalgebra::Vector3;
 
-/// A frame that lies like its parent's.
+/// A frame that is aligned with its parent's.
 const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 
 /// Turns a body's frame about a joint's anchor, which is returned.
@@ -29,7 +29,7 @@ fn turn_about<R: Real>(
     anchor
 }
 
-/// A direction of a body's frame in world axes.
+/// Returns a direction of a body's frame in world axes.
 #[inline(always)]
 fn turned<R: Real>(rot: &M3<R>, direction: &Vector3<f64>) -> V3<R> {
     match principal(direction) {
@@ -40,7 +40,7 @@ fn turned<R: Real>(rot: &M3<R>, direction: &Vector3<f64>) -> V3<R> {
 }
 
 impl<R: Real> Placed<R> {
-    /// Hangs a body on its parent and moves it through its joints in order.
+    /// Places a body on its parent and moves it through its joints in order.
     pub(super) fn place_body(&mut self, model: &Model<R::Value>, qpos: &[R], index: usize) {
         if let Some(at) = model.bodies[index].mocap {
             let (pos, quat) = self.mocap[at];
@@ -55,7 +55,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// Moves a body so.
+    /// Places a body in this way.
     #[inline(always)]
     pub(super) fn place_by(&mut self, model: &Model<R::Value>, qpos: &[R], index: usize, way: Way) {
         match way {
@@ -96,12 +96,12 @@ impl<R: Real> Placed<R> {
                 }
                 JointType::Hinge => {
                     let angle = q - R::of(joint.reference);
-                    // The last one's is read of the body's matrix.
+                    // The last one's axis is read from the body's matrix.
                     let before = at < last;
                     let axis = if before { quat.rotate(&splat(&joint.axis)) } else { V3::zeros() };
                     let turned = |quat: &Quat<R>| quat.turned(&joint.axis, angle);
                     let anchor = turn_about(joint, &mut pos, &mut quat, turned);
-                    // `lin` holds the anchor until the tree's origin is known.
+                    // `lin` holds the anchor until the tree's origin is computed.
                     self.motion[joint.dof] = Motion { ang: axis, lin: anchor };
                 }
                 JointType::Ball => {
@@ -113,7 +113,7 @@ impl<R: Real> Placed<R> {
                         self.motion[joint.dof + k] = Motion { ang: axis, lin: anchor };
                     }
                 }
-                // The builder lets a free joint only stand alone: the branch above.
+                // The builder allows a free joint only alone: the branch above.
                 JointType::Free => {}
             }
         }
@@ -131,7 +131,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// A body that never turns keeps its orientation, its axes and its offset.
+    /// Places a body that never turns: its orientation, its axes and its offset stay.
     fn slide_body(&mut self, model: &Model<R::Value>, qpos: &[R], index: usize) {
         let body = &model.bodies[index];
         let mut pos = self.xpos[body.parent] + self.offset[index];
@@ -175,7 +175,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// The pose of a geom, whole.
+    /// Places a geom completely.
     pub fn place_geom(&mut self, model: &Model<R::Value>, index: usize) {
         let geom = &model.geoms[index];
         self.place_geom_centre(model, index);
@@ -201,7 +201,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// As much of a colliding geom's pose as its contacts need.
+    /// Places only the part of a colliding geom's pose that its contacts need.
     #[inline(always)]
     pub(super) fn place_part(&mut self, model: &Model<R::Value>, index: usize, part: Part) {
         match part {

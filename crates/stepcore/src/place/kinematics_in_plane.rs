@@ -1,5 +1,5 @@
-//! Forward kinematics of trees that move in a plane: see `kinematics.rs` and `in_plane.rs`. What lies
-//! along the plane's normal stays as it was placed first.
+//! Forward kinematics of trees that move in a plane: see `kinematics.rs` and `in_plane.rs`. Components
+//! along the plane's normal stay as they were placed first.
 
 use super::in_plane::{plus_turned, V2};
 use super::Placed;
@@ -12,7 +12,7 @@ use nalgebra::Matrix3;
 /// cos and sin of an angle.
 pub(super) type Turn<R> = [R; 2];
 
-/// The turn by the sum of both angles.
+/// Returns the turn by the sum of both angles.
 #[inline(always)]
 fn sum<R: Real>([c, s]: Turn<R>, [d, t]: Turn<R>) -> Turn<R> {
     [c * d - s * t, s * d + c * t]
@@ -74,7 +74,7 @@ impl<R: Real> Placed<R> {
                 let arm = turned(turn, &flat.anchor);
                 pos = [pos[0] + arm[0], pos[1] + arm[1]];
             }
-            // The anchor, until the tree's origin is known.
+            // The anchor, until the tree's origin is computed.
             [lin[x], lin[y]] = pos;
             let (s, c) = (along * R::of(0.5 * flat.turns)).sin_cos();
             half = sum(half, [c, s]);

@@ -1,15 +1,14 @@
-//! Lengths and arms of linkages: what actuators pull along at sites.
+//! Lengths and arms of linkages: the sites and contacts at which actuators pull.
 //!
-//! MuJoCo documentation, "Transmission". At a site the arms are those of a force and a moment in its
-//! axes, and there is no length; from a reference the length is gear · (offset, rotation vector) in the
-//! axes of that, and what moves both is left out.
+//! MuJoCo documentation, "Transmission". At a site the arms are the ones of a force and a moment in its
+//! axes, and there is no length; with a reference the length is gear · (offset, rotation vector) in the
+//! axes of the reference, and motion of both is left out.
 //!
-//! A crank pin and a slider are joined by a rod r: with v from the slider to the pin and a the slider's
+//! A crank pin and a slider are joined by a rod r. With v from the slider to the pin and a the slider's
 //! axis the slider is at l = a·v − √d, d = (a·v)² + r² − v·v, whose slopes are
-//! ∂l/∂v = (1 − a·v/√d) a + v/√d and ∂l/∂a = (1 − a·v/√d) v. Where the rod cannot reach (d ≤ 0),
-//! l = a·v.
+//! ∂l/∂v = (1 − a·v/√d) a + v/√d and ∂l/∂a = (1 − a·v/√d) v. If the rod cannot reach (d ≤ 0), l = a·v.
 //!
-//! The contacts of a body are pulled at along their normals, each with the same force.
+//! The contacts of a body are pulled along their normals, each with the same force.
 
 use super::Placed;
 use crate::detect::Contact;
@@ -23,14 +22,14 @@ use crate::scene::Target;
 use crate::spatial::{rotate, rotate_back, splat, Force, Quat, M3, V3};
 use crate::state::Inputs;
 
-/// What an end of a linkage is pulled by: a force and a moment at a point.
+/// The load on an end of a linkage: a force and a moment at a point.
 struct Grip<R: Real> {
     point: V3<R>,
     force: V3<R>,
     moment: V3<R>,
 }
 
-/// Where a site is.
+/// The pose of a site.
 struct Frame<R: Real> {
     pos: V3<R>,
     quat: Quat<R>,
@@ -38,7 +37,7 @@ struct Frame<R: Real> {
 }
 
 impl<R: Real> Placed<R> {
-    /// Lengths and arms of linkages; bodies must have been placed.
+    /// Computes lengths and arms of linkages; bodies must have been placed.
     pub(super) fn place_linkages(&mut self, model: &Model<R::Value>) {
         for linkage in &model.linkages {
             let (length, grips) = match linkage.course {
@@ -76,9 +75,9 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// The arms at contacts, each in some lanes: an equal share of each, along its normal and pulling
-    /// its bodies together; and what they add to the smooth force, within the bounds that joints have
-    /// for all of their actuators together. `guess` is overwritten.
+    /// Computes the arms at contacts, each in some lanes: an equal share of each, along its normal and
+    /// pulling its bodies together; and adds their part of the smooth force, within the bounds that
+    /// joints have for all of their actuators together. `guess` is overwritten.
     pub(crate) fn place_adhesion(
         &mut self,
         model: &Model<R::Value>,
@@ -112,7 +111,7 @@ impl<R: Real> Placed<R> {
         self.driven_by_bounded_joints(model, R::one());
     }
 
-    /// What actuators ask of each dof, into `guess`.
+    /// Sums the actuators' requests of each dof, into `guess`.
     fn ask_of_joints(
         &mut self,
         model: &Model<R::Value>,
@@ -126,7 +125,7 @@ impl<R: Real> Placed<R> {
         self.guess = sums;
     }
 
-    /// Adds what bounded joints let through of what is asked of them, so many times.
+    /// Adds the parts of the requests that bounded joints let through, this many times.
     fn driven_by_bounded_joints(&mut self, model: &Model<R::Value>, times: R) {
         for (joint, _) in &model.clamps {
             let dof = model.joints[*joint].dof;
@@ -227,7 +226,7 @@ impl<R: Real> Placed<R> {
     }
 }
 
-/// The direction and the axis of a gear of six.
+/// Returns the direction and the axis of a gear of six.
 fn halves<R: Real>(gear: &[f64; 6]) -> [V3<R>; 2] {
     [0, 3].map(|k| V3::from_fn(|i, _| R::of(gear[k + i])))
 }

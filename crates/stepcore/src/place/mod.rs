@@ -1,8 +1,8 @@
-//! Stage 1, place: where everything is, how heavy it is, and where it would go
-//! if nothing were in the way.
+//! Stage 1, place: the positions and masses of everything, and the motion to be expected without
+//! contacts and other rows.
 //!
-//! Reads positions, velocities and the inputs; writes `Placed`. The last thing it makes is
-//! the guess, in factored coordinates: u = L v, û = u + dt·D⁻¹L⁻ᵀf.
+//! Reads positions, velocities and the inputs; writes `Placed`. Its last result is the guess, in
+//! factored coordinates: u = L v, û = u + dt·D⁻¹L⁻ᵀf.
 
 mod bias;
 pub(crate) mod bias_slopes;
@@ -36,7 +36,7 @@ use crate::state::Inputs;
 use in_plane::InPlane;
 use resting::Resting;
 
-/// What this stage writes. Lists are by body, dof, geom, tree as named.
+/// The output of this stage. Lists are by body, dof, geom, tree as named.
 pub struct Placed<R: Real> {
     /// Body frame, by body [m].
     pub xpos: Vec<V3<R>>,
@@ -44,26 +44,26 @@ pub struct Placed<R: Real> {
     pub xmat: Vec<M3<R>>,
     /// From the parent's frame to this one before its joints move it, in world axes.
     offset: Vec<V3<R>>,
-    /// Poses of mocap bodies, as they were put in last.
+    /// Poses of mocap bodies, as last set.
     pub(crate) mocap: Vec<(V3<R>, Quat<R>)>,
-    /// Everything was placed once, so that constants stand.
+    /// Everything was placed once, so that constants are valid.
     placed: bool,
-    /// Trees that sleep, and need not be placed again.
     /// The next placing is at the positions of the last one: see `Sim::hold_positions`.
     pub(crate) held: bool,
+    /// Trees that sleep, and need not be placed again.
     resting: Resting<R>,
     /// Pose of each geom that collides, by geom.
     pub geom: Vec<Pose<R>>,
-    /// The point about which a tree's spatial quantities are written, by tree.
+    /// The point about which a tree's spatial quantities are expressed, by tree.
     pub origin: Vec<V3<R>>,
-    /// What one unit of a dof's velocity does to its body, by dof.
+    /// Motion of a dof's body per unit of the dof's velocity, by dof.
     pub motion: Vec<Motion<R>>,
     /// Spatial inertia by body, and summed over all that hangs on the body.
     pub inertia: Vec<Inertia<R>>,
     pub composite: Vec<Inertia<R>>,
-    /// What trees that move in a plane have instead, by body; empty where there are none.
+    /// The state of trees that move in a plane, by body; empty if there are none.
     in_plane: Vec<InPlane<R>>,
-    /// Each step asks how bodies move in space, of these trees too.
+    /// Each step needs the motion of bodies in space, of these trees too.
     in_space: bool,
     /// The mass matrix, armature included, in the layout of `Model::row_dofs`.
     pub mass: Vec<R>,
@@ -74,23 +74,22 @@ pub struct Placed<R: Real> {
     pub velocity: Vec<Motion<R>>,
     acceleration: Vec<Motion<R>>,
     wrench: Vec<Force<R>>,
-    /// Coriolis, centrifugal and gravity forces, by dof; they stand on the left side.
+    /// Coriolis, centrifugal and gravity forces, by dof; on the left side of the equation.
     pub bias: Vec<R>,
     /// Joint springs and dampers, by dof.
     pub passive: Vec<R>,
-    /// Length of each tendon [m, or that of its joints], and its arms in the layout of
-    /// `Tendon::arms`; of tendons that no step uses, from when they were last read. Then those of
-    /// linkages.
+    /// Length of each tendon [m, or the unit of its joints], and its arms in the layout of
+    /// `Tendon::arms`; for tendons that no step uses, from when they were last read. Then the linkages.
     pub tendon_length: Vec<R>,
     pub tendon_arms: Vec<R>,
     /// Force of each motor and servo before its gear, by actuator.
     pub actuator: Vec<R>,
     /// Rates of the activations, by entry of act.
     pub act_rate: Vec<R>,
-    /// And how fast these fade as the activations move [1/s].
+    /// Rates at which `act_rate` fades as the activations move [1/s].
     pub act_fading: Vec<R>,
-    /// How much of the actuators' forces its joint lets through, by dof; then, by tendon and again by
-    /// dof, 1 where no bound holds the sum of these forces, else 0. Empty: nothing has such bounds.
+    /// The share of the actuators' forces that a joint lets through, by dof; then, by tendon and again
+    /// by dof, 1 if no bound limits the sum of these forces, else 0. Empty: nothing has such bounds.
     pub shares: Vec<R>,
     /// All smooth forces summed, by dof: applied + actuated + passive − bias.
     pub force: Vec<R>,
@@ -104,12 +103,12 @@ room!(Placed<R>: xpos, xquat, xmat, offset, mocap, placed, held, resting, geom, 
     passive, tendon_length, tendon_arms, actuator, act_rate, act_fading, shares, force, u, guess);
 
 impl<R: Real> Placed<R> {
-    /// For those who place, and do not step.
+    /// Creates the output for placing without steps.
     pub fn new(model: &Model<R::Value>) -> Self {
         Self::with(model, None, false)
     }
 
-    /// For steps of these settings.
+    /// Creates the output for steps with these settings.
     pub fn for_steps(model: &Model<R::Value>, settings: &Settings) -> Self {
         let scheme = settings.integrator.scheme();
         let in_space = scheme.turning == Some(Turning::Trees);
@@ -165,7 +164,7 @@ impl<R: Real> Placed<R> {
         placed
     }
 
-    /// Whatever no step changes: fixed bodies, and all of a tree that only slides.
+    /// Places everything that no step changes: fixed bodies, and all of a tree that only slides.
     fn place_constants(&mut self, model: &Model<R::Value>) {
         let qpos: Vec<R> = model.qpos0.iter().map(|q| R::of(*q)).collect();
         let still = vec![R::zero(); model.nv];
@@ -191,7 +190,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// Positions only: bodies, geoms and the motion of every dof.
+    /// Computes positions only: bodies, geoms and the motion of every dof.
     pub fn positions(&mut self, model: &Model<R::Value>, qpos: &[R]) {
         self.resting.forget();
         R::enter(Stage::Kinematics);
@@ -209,7 +208,7 @@ impl<R: Real> Placed<R> {
         self.place_linkages(model);
     }
 
-    /// The same where a step needs it.
+    /// Computes the positions that a step needs.
     pub fn positions_in_step(&mut self, model: &Model<R::Value>, qpos: &[R]) {
         R::enter(Stage::Kinematics);
         for body in &model.carried {
@@ -231,7 +230,7 @@ impl<R: Real> Placed<R> {
         self.place_linkages(model);
     }
 
-    /// The poses of some bodies, each after its parent, and of some geoms on them.
+    /// Computes the poses of some bodies, each after its parent, and of some geoms on them.
     pub(crate) fn place_some(
         &mut self,
         model: &Model<R::Value>,
@@ -248,19 +247,19 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// Steps are so long from now on [s].
+    /// Changes the length of the steps [s].
     pub(crate) fn set_dt(&mut self, dt: R) {
         if let Some(effective) = &mut self.effective {
             effective.set_dt(dt);
         }
     }
 
-    /// What follows places every tree.
+    /// Makes the next call place every tree.
     pub(crate) fn place_all(&mut self) {
         self.resting.forget();
     }
 
-    /// What forces read of it.
+    /// Returns the data that forces read.
     #[inline(always)]
     pub(crate) fn frames(&self) -> Frames<'_, R> {
         Frames {
@@ -274,13 +273,13 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// Lengths and arms of tendons.
+    /// Returns the lengths and arms of tendons.
     #[inline(always)]
     pub(crate) fn pulls(&self) -> Pulls<'_, R> {
         Pulls { length: &self.tendon_length, arms: &self.tendon_arms }
     }
 
-    /// The smooth dynamics at (qpos, qvel): M, its factors, and the forces.
+    /// Computes the smooth dynamics at (qpos, qvel): M, its factors, and the forces.
     pub(crate) fn dynamics(
         &mut self,
         model: &Model<R::Value>,
@@ -319,8 +318,8 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// Inertia and velocity of every body about its tree's origin; `dynamics` skips trees whose
-    /// dynamics are constant, and whose bodies move all the same, and those that move in a plane.
+    /// Computes inertia and velocity of every body about its tree's origin; `dynamics` skips trees
+    /// whose dynamics are constant although their bodies move, and trees that move in a plane.
     pub fn all_bodies(&mut self, model: &Model<R::Value>, qvel: &[R]) {
         self.resting.forget();
         for tree in &model.trees {
@@ -329,14 +328,14 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// Takes the poses of mocap bodies in.
+    /// Takes in the poses of mocap bodies.
     pub(crate) fn carry(&mut self, inputs: &Inputs<R>) {
         for (pose, given) in self.mocap.iter_mut().zip(inputs.mocap()) {
             *pose = given;
         }
     }
 
-    /// The whole stage, ending with the guess û.
+    /// Runs the whole stage, ending with the guess û.
     pub(crate) fn place(
         &mut self,
         model: &Model<R::Value>,
@@ -351,7 +350,7 @@ impl<R: Real> Placed<R> {
             self.carry(inputs);
             self.positions_in_step(model, qpos);
         } else if model.adheres {
-            // The arms at contacts are zero until these are known.
+            // The arms at contacts are zero until the contacts are detected.
             self.place_linkages(model);
         }
         self.dynamics(model, qpos, qvel, act, inputs);
@@ -362,7 +361,7 @@ impl<R: Real> Placed<R> {
         self.resting.end();
     }
 
-    /// û of the smooth force at hand.
+    /// Computes û from the present smooth force.
     pub(crate) fn make_guess(&mut self, dt: R) {
         if self.metric.is_diagonal() && self.effective.is_none() {
             let each = self.u.iter().zip(&self.force).zip(&self.metric.inv_d);
@@ -384,7 +383,7 @@ impl<R: Real> Placed<R> {
     }
 }
 
-/// Where a fixed body stands, as its scene has it.
+/// Returns the pose of a fixed body in its scene.
 fn pose_of<R: Real>(body: &Body<R::Value>) -> (V3<R>, Quat<R>) {
     (splat(&body.pos), Quat::splat(&body.quat))
 }

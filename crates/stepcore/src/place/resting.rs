@@ -1,16 +1,16 @@
-//! Trees that sleep stay as they were placed: whatever is placed of a tree follows from its positions
-//! and velocities, which then are the same in every step.
+//! Sleeping trees stay as they were placed: all placed quantities of a tree follow from its positions
+//! and velocities, which are then the same in every step.
 
 use super::Placed;
 use crate::model::Model;
 use crate::real::Real;
 
-/// Who was placed asleep.
+/// The trees that were placed asleep.
 pub(super) struct Resting<R: Real> {
-    /// By tree: it slept, without velocities, when it was last placed; by entry of qpos where.
+    /// By tree: it slept, without velocities, when last placed; by entry of qpos its position then.
     asleep: Vec<bool>,
     qpos: Vec<R>,
-    /// By tree: what follows need not place it. Empty: it places all.
+    /// By tree: the next placing may skip it. Empty: it places all.
     skipped: Vec<bool>,
 }
 
@@ -26,34 +26,34 @@ impl<R: Real> Resting<R> {
         self.skipped.get(tree).is_some_and(|skipped| *skipped)
     }
 
-    /// Trees were placed, or are to be, that nobody said to rest.
+    /// Forgets the sleeping trees, as others are placed or will be.
     pub fn forget(&mut self) {
         self.asleep.clear();
         self.skipped.clear();
     }
 
-    /// A placing begins.
+    /// Starts a placing.
     pub fn begin(&mut self) {
         if self.skipped.is_empty() {
             self.forget();
         }
     }
 
-    /// A placing is over.
+    /// Ends a placing.
     pub fn end(&mut self) {
         self.skipped.clear();
     }
 }
 
 impl<R: Real> Placed<R> {
-    /// Before a placing: whether each tree sleeps and has no velocities, and its entries of qpos.
+    /// Prepares a placing: by tree whether it sleeps and has no velocities, and its entries of qpos.
     pub(crate) fn rest(
         &mut self,
         model: &Model<R::Value>,
         qpos: &[R],
         trees: impl Iterator<Item = (bool, [usize; 2])>,
     ) {
-        // What a tendon weighs, and what springs and dampers do to a metric, is added tree over tree.
+        // Tendon armature and the metric's spring and damper terms are added tree by tree.
         if self.effective.is_some() || !model.tendons.is_empty() {
             return;
         }
@@ -82,7 +82,7 @@ mod tests {
     use crate::sim::Sim;
     use std::sync::Arc;
 
-    /// Balls of which one falls on those at rest.
+    /// Balls, one of which falls on two at rest.
     fn balls() -> Scene {
         let mut scene = Scene::default();
         let plane = Geom { kind: GeomType::Plane, ..Geom::default() };
@@ -97,8 +97,8 @@ mod tests {
         scene
     }
 
-    /// Steps, and all that is placed, are those of a world whose trees are all placed in each step:
-    /// while some sleep, when one is touched, and after a snapshot.
+    /// Steps and all placed quantities equal a world's whose trees are all placed in each step: while
+    /// some sleep, when one is touched, and after a snapshot.
     #[test]
     fn who_sleeps_stays_as_placed() {
         let model = Arc::new(Model::compile(&balls()).unwrap());
@@ -110,7 +110,7 @@ mod tests {
                 kept = Some(sims[0].state.clone());
             }
             if step == 800 {
-                // Other positions than those that were placed last.
+                // Positions that differ from the last placed ones.
                 for sim in &mut sims {
                     sim.state = kept.clone().unwrap();
                 }

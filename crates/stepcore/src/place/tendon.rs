@@ -1,8 +1,8 @@
 //! Lengths of tendons and their arms, ∂length/∂dof.
 //!
-//! The shortest path does not change its length, to first order, when the points move along
-//! which it touches a geom: its gradient is that of its straight parts between points fixed to
-//! their bodies.
+//! To first order, the shortest path does not change its length when the points at which it touches a
+//! geom move along it: its gradient is the gradient of its straight parts between points fixed to their
+//! bodies.
 
 use super::wrap::{wrap, Obstacle};
 use super::Placed;
@@ -10,21 +10,21 @@ use crate::model::{Course, Model, Movers, Point, Round, Stretch, Tendon};
 use crate::real::{Mask, Real};
 use crate::spatial::{rotate, splat, Force, Pose, Quat, V3};
 
-/// An arm of so many roundings of what it is the sum of is none.
+/// An arm that is smaller than this many roundings of its terms counts as zero.
 const ROUNDING: f64 = 16.0;
 
-/// Points of bodies at which a stretch pulls: at both ends, and where it comes to its geom and
-/// leaves it. Directions are of unit length, from the other end of a straight part to this one.
+/// Points of bodies at which a stretch pulls: both ends, and the points where it reaches and leaves its
+/// geom. Directions are of unit length, from the other end of a straight part to this one.
 struct Pull<R: Real> {
     ends: [(V3<R>, V3<R>); 2],
     geom: [(V3<R>, V3<R>); 2],
     length: R,
-    /// It lies on its geom.
+    /// The lanes in which it lies on its geom.
     wraps: R::Mask,
 }
 
-/// What of a pull a joint feels that moves some of its points: their wrench about the origin of its
-/// motion, and how large its rounding may be.
+/// The part of a pull at the points that a joint moves: their wrench about the origin of its motion,
+/// and a bound on its rounding.
 struct Felt<R: Real> {
     wrench: Force<R>,
     reach: R,
@@ -32,7 +32,7 @@ struct Felt<R: Real> {
 }
 
 impl<R: Real> Pull<R> {
-    /// Of the first end, the geom and the second end where these move.
+    /// Returns the part of the pull at the first end, the geom and the second end, for each that moves.
     #[inline(never)]
     fn felt(&self, origin: &V3<R>, [first, middle, second]: [bool; 3]) -> Felt<R> {
         let wrench = Force { ang: V3::zeros(), lin: V3::zeros() };
@@ -52,7 +52,7 @@ impl<R: Real> Pull<R> {
 }
 
 impl<R: Real> Placed<R> {
-    /// Length and arms of the tendons that are needed; bodies must have been placed.
+    /// Computes length and arms of the tendons that are needed; bodies must have been placed.
     pub(super) fn place_tendons(
         &mut self,
         model: &Model<R::Value>,
@@ -80,7 +80,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// The arms of fixed tendons, which no position changes.
+    /// Computes the arms of fixed tendons, which no position changes.
     pub(super) fn constant_arms(&mut self, model: &Model<R::Value>) {
         for tendon in &model.tendons {
             let Course::Fixed(parts) = &tendon.course else { continue };
@@ -107,7 +107,7 @@ impl<R: Real> Placed<R> {
         let pull = self.pull_of(model, stretch);
         let share = R::of(stretch.share);
         for Movers { tree, moves, dofs } in &stretch.movers {
-            // What moves both ends of a straight line leaves its length as it is.
+            // A motion of both ends of a straight line leaves its length unchanged.
             let [first, _, second] = *moves;
             let bends = first && second;
             if bends && pull.wraps.none() {
@@ -120,8 +120,8 @@ impl<R: Real> Placed<R> {
                 if bends {
                     arm = R::select(pull.wraps, arm, R::zero());
                 }
-                // What a sphere that turns about its centre leaves is rounding too: a row of roundings
-                // alone would have any force.
+                // The arm of a sphere that turns about its centre is rounding too: a row of roundings
+                // alone could have any force.
                 let size = span(&motion.ang) * reach + span(&motion.lin) * points;
                 let rounding = arm.abs().le(R::of(ROUNDING * R::epsilon()) * size);
                 arm = R::select(rounding, R::zero(), arm);
@@ -190,7 +190,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// Where a geom is, whether or not it collides.
+    /// Returns the pose of a geom, whether or not it collides.
     fn pose_of(&self, model: &Model<R::Value>, index: usize) -> Pose<R> {
         let geom = &model.geoms[index];
         let pos = self.xpos[geom.body] + rotate(&self.xmat[geom.body], &splat(&geom.pos));
@@ -198,12 +198,12 @@ impl<R: Real> Placed<R> {
     }
 }
 
-/// The sum of the sizes of its entries.
+/// Returns the sum of the absolute values of the entries.
 fn span<R: Real>(v: &V3<R>) -> R {
     v.x.abs() + v.y.abs() + v.z.abs()
 }
 
-/// The straight line between two points; one of no length pulls nowhere.
+/// Returns the pull of the straight line between two points; a line of zero length pulls nowhere.
 fn straight<R: Real>([a, b]: [V3<R>; 2]) -> Pull<R> {
     let apart = b - a;
     let length = apart.dot(&apart).sqrt();

@@ -1,8 +1,8 @@
 //! Armature of tendons: an inertia m of a change of length, ½ m (a·v)² with the arms a.
 //!
-//! The mass matrix gets m a aᵀ, and the bias force m a (ȧ·v): what the length does on its own while
-//! no dof accelerates. As in MuJoCo the mass matrix keeps its pattern: entries of two dofs of which
-//! neither moves the other are left out (the plan says where), and so is armature round geoms.
+//! The mass matrix gets m a aᵀ, and the bias force m a (ȧ·v): the acceleration of the length while no
+//! dof accelerates. As in MuJoCo the mass matrix keeps its pattern: entries of two dofs of which
+//! neither moves the other are left out (the plan lists them), and so is armature round geoms.
 
 use super::Placed;
 use crate::model::{Course, Model, Stretch, Tendon, Tree, NONE};
@@ -26,7 +26,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// Adds their bias forces to those of the trees.
+    /// Adds the bias forces of tendons to the ones of the trees.
     pub(super) fn bias_of_tendons(&mut self, model: &Model<R::Value>) {
         if !model.features.coriolis {
             return;
@@ -41,7 +41,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    /// d²L/dt² of a spatial tendon while no dof accelerates.
+    /// Returns d²L/dt² of a spatial tendon while no dof accelerates.
     pub(crate) fn free_acceleration_along(
         &self,
         model: &Model<R::Value>,
@@ -56,8 +56,8 @@ impl<R: Real> Placed<R> {
         sum
     }
 
-    /// d²/dt² |b − a| while no dof accelerates: along the line the difference of what both ends do,
-    /// and the square of how fast they turn about each other over the length.
+    /// Returns d²/dt² |b − a| while no dof accelerates: along the line the difference of both ends'
+    /// accelerations, and the square of their velocity about each other over the length.
     fn acceleration_of(&self, model: &Model<R::Value>, stretch: &Stretch) -> R {
         let [a, b] = [0, 1].map(|end| {
             let point = &stretch.ends[end];
@@ -71,7 +71,7 @@ impl<R: Real> Placed<R> {
         along.dot(&acceleration) + (velocity.dot(&velocity) - rate * rate) * inverse
     }
 
-    /// Velocity and acceleration of a body point while no dof accelerates.
+    /// Returns the velocity and acceleration of a body point while no dof accelerates.
     fn free_motion_of(&self, model: &Model<R::Value>, body: usize, at: &V3<R>) -> [V3<R>; 2] {
         let tree = model.bodies[body].tree;
         if tree == NONE {

@@ -1,24 +1,24 @@
-//! The shortest way from one point to another round a sphere or a cylinder without ends.
+//! The shortest path from one point to another round a sphere or an infinite cylinder.
 //!
 //! In the plane of the circle, with the points a and b at distances A, B ≥ r from its centre and
 //! φ the angle from a to b, the way touches the circle where φ > α₁ + α₂, cos α₁ = r/A,
 //! cos α₂ = r/B; then it is √(A² − r²) + r (φ − α₁ − α₂) + √(B² − r²) long. Without a side, φ is
 //! the smaller angle; with a side point s it is the angle of the way a → s → b, which may be more
 //! than half a turn: the path keeps the way round on which s lies (MuJoCo 4, `sidesite`). Round a
-//! sphere the plane is that of both points and the centre; on a cylinder the path is a straight
-//! line of the unrolled surface, so that it rises in proportion to its way in the plane.
+//! sphere the plane contains both points and the centre; on a cylinder the path is a straight line of
+//! the unrolled surface, so that it rises in proportion to its way in the plane.
 //!
-//! Where s lies within r of the centre the path goes *through* the geom: it passes the disc, and
-//! where the straight line misses it, it bends at the point t of the circle with the least
+//! If s lies within r of the centre the path goes *through* the geom. It passes the disc, and if the
+//! straight line misses the disc, it bends at the point t of the circle with the least
 //! |a − t| + |t − b|.
 //!
-//! Of points on the surface rounding decides on which side they are. So that it decides as in MuJoCo,
+//! For points on the surface, rounding decides on which side they are. So that it decides as in MuJoCo,
 //! the same numbers are compared: |s|, A and B with r, and A² and B² with r² for a way round.
 
 use crate::real::{Mask, Real};
 use crate::spatial::{Pose, V3};
 
-/// Where a path touches: first and second point in the world, and its length between the two.
+/// The points at which a path touches, first and second, in the world, and its length between them.
 pub struct Wrap<R: Real> {
     /// Lanes in which it touches at all.
     pub touches: R::Mask,
@@ -26,7 +26,7 @@ pub struct Wrap<R: Real> {
     pub length: R,
 }
 
-/// Round what.
+/// The geom that a path goes round.
 pub struct Obstacle<'a, R: Real> {
     pub pose: &'a Pose<R>,
     pub sphere: bool,
@@ -45,7 +45,7 @@ fn cross<R: Real>(a: Flat<R>, b: Flat<R>) -> R {
     a[0] * b[1] - a[1] * b[0]
 }
 
-/// The angle from a to b, counter-clockwise.
+/// Returns the angle from a to b, counter-clockwise.
 fn angle<R: Real>(a: Flat<R>, b: Flat<R>) -> R {
     cross(a, b).atan2(dot(a, b))
 }
@@ -107,10 +107,10 @@ pub fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
     Wrap { touches, points, length }
 }
 
-/// By how much of r² the square of a distance is certainly larger than it.
+/// Margin, as a part of r², by which a squared distance is certainly larger than r².
 const CLEAR: f64 = 1e-4;
 
-/// The straight line clearly passes beside the circle: it needs no angles.
+/// Checks that the straight line clearly misses the circle: it needs no angles.
 fn misses<R: Real>(a: Flat<R>, b: Flat<R>, radius: R) -> R::Mask {
     let apart = [b[0] - a[0], b[1] - a[1]];
     let share = -dot(apart, a) * dot(apart, apart).recip_or_zero();
@@ -119,7 +119,7 @@ fn misses<R: Real>(a: Flat<R>, b: Flat<R>, radius: R) -> R::Mask {
     dot(near, near).gt(R::of(1.0 + CLEAR) * radius * radius)
 }
 
-/// The way a → s → b is certainly no more than half a turn.
+/// Checks that the way a → s → b is certainly no more than half a turn.
 fn on_short_way<R: Real>(a: Flat<R>, s: Flat<R>, b: Flat<R>) -> R::Mask {
     let [first, second, whole] = [cross(a, s), cross(s, b), cross(a, b)];
     let zero = R::zero();
@@ -139,8 +139,8 @@ fn choose<R: Real>(mask: R::Mask, yes: &Touch<R>, no: &Touch<R>) -> Touch<R> {
     }
 }
 
-/// Axes of the plane through the centre and two points; the first is along p. Where both points
-/// are on one line with the centre, any plane with them is as good: MuJoCo's.
+/// Returns axes of the plane through the centre and two points; the first is along p. If both points
+/// are on one line with the centre, any plane through them is as good: MuJoCo's is used.
 fn plane_of<R: Real>(p: &V3<R>, q: &V3<R>) -> [V3<R>; 2] {
     let (zero, one) = (R::zero(), R::one());
     let along = *p * p.dot(p).sqrt().recip_or_zero();
@@ -158,10 +158,10 @@ fn plane_of<R: Real>(p: &V3<R>, q: &V3<R>) -> [V3<R>; 2] {
     [along, unit(unit(normal).cross(&along))]
 }
 
-/// Squared distance, over the squared radius, below which two points are one.
+/// Squared distance, over the squared radius, below which two points count as one.
 const SAME_POINT: f64 = 1e-15;
 
-/// Round the circle by the signed angle `turn` from a to b.
+/// Returns the path round the circle by the signed angle `turn` from a to b.
 fn outside<R: Real>(a: Flat<R>, b: Flat<R>, turn: R, radius: R) -> Touch<R> {
     let zero = R::zero();
     let square = radius * radius;
@@ -169,7 +169,7 @@ fn outside<R: Real>(a: Flat<R>, b: Flat<R>, turn: R, radius: R) -> Touch<R> {
     let (left, right) = ((aa - square).max(zero).sqrt(), (bb - square).max(zero).sqrt());
     let sign = R::select(turn.lt(zero), -R::one(), R::one());
     let angle = turn * sign - left.atan2(radius) - right.atan2(radius);
-    // Of two points in one place the angle may be a whole turn by rounding.
+    // For coincident points the angle may be a whole turn by rounding.
     let apart = [b[0] - a[0], b[1] - a[1]];
     let two = dot(apart, apart).gt(R::of(SAME_POINT) * square);
     let mask = aa.ge(square).and(bb.ge(square)).and(two).and(angle.gt(zero));
@@ -185,10 +185,10 @@ fn outside<R: Real>(a: Flat<R>, b: Flat<R>, turn: R, radius: R) -> Touch<R> {
     Touch { mask, points, arc: R::select(mask, radius * angle, zero) }
 }
 
-/// Most steps of the search for a bend, which halves its bracket where Newton's leaves it.
+/// Largest number of steps of the search for a bend, which bisects if Newton's step leaves the bracket.
 const STEPS: usize = 100;
 
-/// Through the circle: the point of it with the shortest way from a to b.
+/// Returns the path through the circle: its point with the shortest way from a to b.
 fn inside<R: Real>(a: Flat<R>, b: Flat<R>, radius: R) -> Touch<R> {
     let (zero, one) = (R::zero(), R::one());
     let far = [a, b].map(|v| dot(v, v).sqrt());
@@ -209,7 +209,7 @@ fn inside<R: Real>(a: Flat<R>, b: Flat<R>, radius: R) -> Touch<R> {
     Touch { mask, points: [point, point], arc: zero }
 }
 
-/// Where a path through a circle bends: at the angle x from its first end, with
+/// The bend of a path through a circle: at the angle x from its first end, with
 /// f(x) = A sin x / |a − t| − B sin(φ − x) / |b − t| = 0, which is the slope of the way over r.
 struct Bend<R: Real> {
     /// A and B, and φ ≥ 0.
@@ -219,7 +219,7 @@ struct Bend<R: Real> {
 }
 
 impl<R: Real> Bend<R> {
-    /// A sin x / |a − t|, and its slope.
+    /// Returns A sin x / |a − t|, and its slope.
     fn part(&self, far: R, x: R) -> [R; 2] {
         let (sin, cos) = x.sin_cos();
         let (across, r) = (far * sin, self.radius);
@@ -229,7 +229,7 @@ impl<R: Real> Bend<R> {
         [rate, (far * cos - r * rate * rate) * inverse]
     }
 
-    /// f and its slope.
+    /// Returns f and its slope.
     fn miss(&self, x: R) -> [R; 2] {
         let ([one, up], [two, down]) =
             (self.part(self.far[0], x), self.part(self.far[1], self.whole - x));
@@ -241,7 +241,7 @@ impl<R: Real> Bend<R> {
         x - miss * slope.recip_or_zero()
     }
 
-    /// f grows between the ends of what both a and b see of the circle, where it changes its sign.
+    /// Finds the root of f, which grows along the arc that both a and b see, and changes sign there.
     fn solve(&self, mask: R::Mask) -> R {
         let (zero, half) = (R::zero(), R::of(0.5));
         let sees = |far: R| {
@@ -338,7 +338,7 @@ mod tests {
         }
     }
 
-    /// The slopes of dual numbers are differences of lengths, also where an iteration found the bend.
+    /// The slopes of dual numbers are differences of lengths, also if an iteration found the bend.
     #[test]
     fn dual_numbers_follow() {
         let sides = [None, Some(V3::new(0.0, 2.0, 0.0)), Some(V3::new(0.1, 0.0, 0.0))];

@@ -1,17 +1,17 @@
-//! What pushes in a model: one list for each kind of force, and each element as numbers that never
-//! change. The formulas are those of `elements/`, whose `forces.rs` fills these lists.
+//! The forces in a model: one list for each kind, with each element as constant numbers. The
+//! formulas are in `elements/`, whose `forces.rs` fills these lists.
 
 use crate::elements::Element;
 use crate::scene::{Coefficients, JointType};
 
-/// Why an element of a model's lists never acts.
+/// The reason why an element of a model's lists never acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Why {
-    /// This of it is zero.
+    /// This quantity of it is zero.
     Zero(&'static str),
     /// This flag of the scene switches its kind off.
     Off(&'static str),
-    /// Another entry says so.
+    /// Another entry reports it.
     Unsaid,
 }
 
@@ -54,7 +54,7 @@ pub(crate) struct MassAt<N = f64> {
     pub mass: N,
 }
 
-/// What an actuator is to an account of energy.
+/// The role of an actuator in an account of energy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Drive {
     Motor,
@@ -62,23 +62,23 @@ pub(crate) enum Drive {
     Damped,
 }
 
-/// What there is of an actuator's formula.
+/// The parts of an actuator's formula that are present.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ActuatorAt<N = f64> {
     pub drive: Drive,
-    /// Its force depends on its length or on the rate of that; and its gain does.
+    /// Its force depends on its length or the length's rate; and its gain does.
     pub feeds_back: bool,
     pub gain_varies: bool,
-    /// It has a force beside gain·u.
+    /// Whether it has a force besides gain·u.
     pub biased: bool,
-    /// A controller, or a servo of orientations, says what its force is.
+    /// Whether a controller, or a servo of orientations, computes its force.
     pub elsewhere: bool,
     /// Bounds of its control, and of its force.
     pub ctrlrange: Option<[N; 2]>,
     pub bounds: Option<[N; 2]>,
 }
 
-/// All that acts in a model, one list a kind; and what never does.
+/// The elements that act in a model, one list for each kind; and those that never do.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Acting<N = f64> {
     pub damper: Vec<Acts<DamperAt<N>>>,
@@ -86,19 +86,19 @@ pub(crate) struct Acting<N = f64> {
     pub tendon_spring: Vec<Acts<TendonAt<N>>>,
     pub tendon_damper: Vec<Acts<TendonAt<N>>>,
     pub compensation: Vec<Acts<MassAt<N>>>,
-    /// By body.
+    /// One entry for each body.
     pub fluid: Vec<Acts<usize>>,
-    /// By actuator.
+    /// One entry for each actuator.
     pub actuator: Vec<Acts<usize>>,
     pub driven_compensation: Vec<Acts<MassAt<N>>>,
     /// The first dof of a joint, and their number.
     pub joint_force: Vec<Acts<(usize, usize)>>,
-    /// By body.
+    /// One entry for each body.
     pub body_force: Vec<Acts<usize>>,
     pub gravity: Vec<Acts<MassAt<N>>>,
     pub held: Vec<Acts<MassAt<N>>>,
     pub left_out: Vec<(Element, Why)>,
-    /// Something acts by itself that is there without anybody, and that drives.
+    /// Whether a passive force acts; and whether a driven one does.
     pub passive: bool,
     pub driven: bool,
 }

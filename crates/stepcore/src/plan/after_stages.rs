@@ -1,17 +1,17 @@
-//! What a step does after its stages: positions, and what is taken implicitly.
+//! The work of a step after its stages: positions, and implicit terms.
 
 use crate::integrator::{Late, Scheme, Stages, Turning};
 use crate::model::Model;
 use crate::settings::Settings;
 
-/// What a step does after its stages, in order.
+/// The operations of a step after its stages, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Commit {
     /// Damping, at the end of the step: `commit/damped.rs`.
     Damped,
-    /// The gyroscopic forces of free bodies alone, there.
+    /// Only the gyroscopic forces of free bodies, there.
     Spinning,
-    /// Damping, and what bias forces change with all velocities: `commit/implicit.rs`.
+    /// Damping, and the change of bias forces with all velocities: `commit/implicit.rs`.
     Turning,
     /// Positions, by the velocities after the step or before it.
     Positions {
@@ -37,7 +37,7 @@ impl Commit {
             (once && some, late),
             (once, Self::Positions { first: scheme.moves_first }),
             (once && model.na > 0, Self::Activations),
-            // Steps within an accuracy sample controls once: `commit/within.rs`.
+            // Adaptive steps sample controls once: `commit/within.rs`.
             (model.nhistory > 0 && settings.accuracy.0.is_none(), Self::History),
             (settings.sleep, Self::Sleep),
         ];
@@ -50,11 +50,11 @@ impl Commit {
 pub(crate) struct LateTrees {
     /// The elements whose damping is taken there.
     pub of: Option<Late>,
-    /// Those that are damped, or whose bias forces are taken.
+    /// The trees that are damped, or whose bias forces are taken.
     pub damped: Vec<usize>,
-    /// Single free bodies, of which the gyroscopic force is taken.
+    /// Single free bodies whose gyroscopic force is taken.
     pub spinning: Vec<usize>,
-    /// Those of `damped` whose bias forces are taken.
+    /// The trees of `damped` whose bias forces are taken.
     pub turning: Vec<usize>,
 }
 
@@ -86,7 +86,7 @@ mod tests {
     use crate::scene::{Body, Geom, Joint, Scene};
     use crate::settings::Integrator;
 
-    /// What a step does after its stages is what the scene and the settings have of it.
+    /// A step does after its stages only what the scene and the settings contain.
     #[test]
     fn what_is_absent_is_not_in_the_list() {
         let mut scene = Scene::default();

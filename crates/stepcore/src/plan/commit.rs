@@ -1,4 +1,4 @@
-//! The solver, the integrator, and what these take implicitly.
+//! The solver, the integrator, and the terms that these take implicitly.
 
 use super::{split, Of, Plan, Print};
 use crate::integrator::{Late, Turning};

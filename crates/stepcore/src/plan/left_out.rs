@@ -1,13 +1,13 @@
-//! What compiling decided to leave out of every step, and why.
+//! The parts that compilation left out of every step, and the reasons.
 //!
-//! Nothing is decided here: the reasons are read from the model that steps, or asked from
-//! the functions that compiled it.
+//! Nothing is decided here: the reasons are read from the model that steps, or returned by the
+//! functions that compiled it.
 
 use crate::model::{Model, Never};
 use std::collections::BTreeMap;
 
 impl Never {
-    /// As a user reads it.
+    /// The reason as text for a user.
     pub fn why(self) -> &'static str {
         match self {
             Self::Off => "contacts are switched off",
@@ -33,8 +33,8 @@ pub struct Unmet {
 pub(crate) const EXAMPLES: usize = 6;
 
 impl Model {
-    /// Pairs of geoms that were not made candidates, by reason. Geoms without any bit, which
-    /// only draw or weigh, are not looked at.
+    /// Pairs of geoms that were not made candidates, by reason. Geoms without any bit, which only
+    /// draw or weigh, are not examined.
     pub fn unmet(&self) -> BTreeMap<Never, Unmet> {
         if self.dynamic_pairs.is_some() {
             return self.tally().never;
@@ -47,7 +47,7 @@ impl Model {
             for &b in &solid[k + 1..] {
                 let bodies = [self.geoms[a].body, self.geoms[b].body];
                 let why = self.never_between(bodies[0], bodies[1]).or_else(|| self.never(a, b));
-                // An explicit pair meets, whatever else is said of its geoms.
+                // An explicit pair meets, whatever the other rules are for its geoms.
                 let still = matches!(why, Some(Never::Off | Never::SameBody | Never::Fixed));
                 let met = self.explicit.contains(&(a, b)) && !still;
                 let Some(why) = why.filter(|_| !met) else { continue };

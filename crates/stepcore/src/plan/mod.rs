@@ -1,7 +1,7 @@
-//! What a step of a model does, as lists that it walks; and what it leaves out, and why.
+//! The work of a step of a model, as lists that it walks; and the omitted work, with reasons.
 //!
-//! Lists that depend on the scene alone stand in the `Model`: what is placed (`places.rs`), what makes
-//! rows (`makers.rs`), and what pushes (`acting.rs`). `Plan` is what the settings choose beside them.
+//! Lists that depend on the scene alone are in the `Model`: things to place (`places.rs`), makers
+//! of rows (`makers.rs`), forces (`acting.rs`). `Plan` is the choice of the settings besides them.
 
 pub(crate) mod acting;
 mod after_stages;
@@ -21,7 +21,7 @@ pub(crate) use after_stages::{Commit, LateTrees};
 pub use left_out::Unmet;
 pub(crate) use left_out::EXAMPLES;
 
-/// What the elements of an entry are, by their place in the model's lists.
+/// The type of an entry's elements, by their place in the model's lists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Of {
     Body,
@@ -38,7 +38,7 @@ pub enum Of {
     Pair,
 }
 
-/// One thing that a step does, or leaves out.
+/// One operation of a step, or one that it leaves out.
 #[derive(Clone, Debug)]
 pub struct Entry {
     pub stage: &'static str,
@@ -47,34 +47,35 @@ pub struct Entry {
     pub name: String,
     pub of: Of,
     pub elements: Vec<usize>,
-    /// How many elements, named or not.
+    /// The number of elements, named or not.
     pub count: usize,
     pub used: bool,
-    /// Why it is left out, or a remark.
+    /// The reason for leaving it out, or a remark.
     pub why: String,
     /// The kind of elements whose rows these are.
     pub rows: Option<&'static str>,
 }
 
-/// What a step of a model does under its settings, beside the lists of the model. A `Sim` holds it:
-/// no step asks these settings again.
+/// The work of a step of a model under its settings, besides the lists of the model. A `Sim` holds
+/// it: no step reads these settings again.
 #[derive(Clone, Debug)]
 pub struct Plan {
     pub(crate) scheme: &'static Scheme,
-    /// What of the rows acts at the stages of a step.
+    /// The rows that act at the stages of a step.
     pub(crate) inside: Inside,
-    /// A step makes one solve, at the state from which it starts, and all that is in it is awake.
+    /// Whether a step makes one solve, at its initial state, and everything in it is awake.
     pub(crate) solves_once: bool,
     pub(crate) sleeps: bool,
-    /// A solve starts from the last step's impulses; and something of them is handed to the next.
+    /// Whether a solve starts from the last step's impulses; and whether some are kept.
     pub(crate) warm_start: bool,
     pub(crate) keeps: bool,
     /// Newton's method starts from the acceleration of the last solve.
     pub(crate) resumes: bool,
-    /// Sweeps over friction alone after each solve, and where one is the last: see `Rows::inertia`.
+    /// Sweeps over friction alone after each solve, and the gain that ends them: see
+    /// `Rows::inertia`.
     pub(crate) noslip: u32,
     pub(crate) noslip_cost: f64,
-    /// Sweeps end by a share of the mass of their island.
+    /// Whether sweeps end by a share of the mass of their island.
     pub(crate) weighs: bool,
     pub(crate) late: LateTrees,
     pub(crate) commit: Vec<Commit>,
@@ -88,7 +89,7 @@ impl Plan {
         let late = LateTrees::of(model, scheme);
         let equalities = model.equalities.is_empty();
         let noslip_cost = settings.cost_floor(settings.noslip_tolerance);
-        // Elsewhere the last solve of a step is of rows after its stages.
+        // Otherwise the last solve of a step is of rows after its stages.
         let in_stages = scheme.stages == Stages::Start || settings.inside() == Inside::All;
         Self {
             scheme,
@@ -112,8 +113,8 @@ impl Plan {
         }
     }
 
-    /// What it does and what it leaves out: one entry for each kind of work and reason, in the order of
-    /// the stages.
+    /// The work of a step, done and omitted: one entry for each kind of work and reason, in the
+    /// order of the stages.
     pub fn entries(&self, model: &Model, settings: &Settings) -> Vec<Entry> {
         let mut print = Print { entries: vec![] };
         print.places(model);
@@ -126,13 +127,13 @@ impl Plan {
     }
 }
 
-/// Entries as they are found.
+/// A collector of entries.
 struct Print {
     entries: Vec<Entry>,
 }
 
 impl Print {
-    /// Work on these elements.
+    /// Adds work on these elements.
     fn does(
         &mut self,
         stage: &'static str,
@@ -143,7 +144,7 @@ impl Print {
         self.push(stage, name.into(), of, elements, true, String::new())
     }
 
-    /// No work on these elements, and why.
+    /// Adds omitted work on these elements, with the reason.
     fn omits(
         &mut self,
         stage: &'static str,
@@ -189,7 +190,7 @@ impl Entry {
     }
 }
 
-/// Those of `0..count` that pass a test, and the others.
+/// The indices of `0..count` that pass a test, and the others.
 fn split(count: usize, test: impl Fn(usize) -> bool) -> [Vec<usize>; 2] {
     let (have, lack) = (0..count).partition(|index| test(*index));
     [have, lack]

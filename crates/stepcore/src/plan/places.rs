@@ -1,4 +1,4 @@
-//! What a step places, in order, and how: decided when a model is compiled.
+//! The things that a step places, in order, and how: decided when a model is compiled.
 
 /// How a body is placed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,7 +13,7 @@ pub(crate) enum Way {
     Jointed,
 }
 
-/// What of a geom's pose contacts ask for.
+/// The part of a geom's pose that contacts need.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Part {
     Centre,
@@ -30,7 +30,7 @@ pub(crate) struct Place<T> {
     pub how: T,
 }
 
-/// What a step places.
+/// Everything that a step places.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Places {
     pub bodies: Vec<Place<Way>>,

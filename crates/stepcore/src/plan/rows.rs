@@ -8,7 +8,7 @@ use crate::model::Model;
 use crate::scene::JointType;
 use crate::settings::{Cone, Law, Settings};
 
-/// Equalities: how they are printed, their rows, and the kind of these.
+/// Equalities: their printed name, their rows, and the kind of these.
 const EQUALITIES: [(&str, &str, &str); 4] = [
     ("connections", "3 rows", "connect"),
     ("welds", "6 rows", "weld"),
@@ -58,7 +58,7 @@ impl Print {
         self.contacts(model, settings);
     }
 
-    /// Rows of one kind, where its flag is on.
+    /// Adds rows of one kind, if its flag is on.
     fn row_kind(
         &mut self,
         (name, per, word): (&str, &str, &'static str),
@@ -76,7 +76,7 @@ impl Print {
     fn contacts(&mut self, model: &Model, settings: &Settings) {
         let (law, cone) = (settings.law, settings.cone);
         if model.dynamic_pairs.is_some() && law != Law::Penalty {
-            // The contacts of a heap, and their rows, are known only during the run.
+            // The contacts of a pile, and their rows, are found only during the run.
             let name = format!("contacts of what touches ({} cone)", cone.name());
             let count = model.tally().meet.values().sum();
             self.does("solve", name, Of::Pair, vec![]).rows("contact").counting(count);

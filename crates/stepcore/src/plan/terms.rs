@@ -9,7 +9,7 @@ use crate::settings::Settings;
 
 const FIXED: &str = "fixed: computed once, at compilation";
 
-/// How forces are printed: kind, name, and what they are of.
+/// How forces are printed: kind, name, and the type of their elements.
 const FORCES: [(Kind, &str, Of); 6] = [
     (Kind::Spring, "springs", Of::Joint),
     (Kind::Damper, "dampers", Of::Joint),
@@ -129,7 +129,7 @@ impl Print {
                 let own = own.map(|(element, _)| element.index as usize).collect();
                 let why = match reason {
                     Why::Off(flag) => format!("switched off ({flag})"),
-                    // What no tendon has is not worth an entry.
+                    // A quantity that no tendon has gets no entry.
                     Why::Zero(_) | Why::Unsaid if of != Of::Joint => continue,
                     Why::Zero(field) => format!("{field} 0"),
                     Why::Unsaid => continue,

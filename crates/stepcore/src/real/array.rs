@@ -1,5 +1,5 @@
-//! Arrays made number by number. The standard library's `from_fn` and `map` are made for what may be
-//! dropped or fail half-way, a dozen functions for each of ours; these are for numbers.
+//! Arrays computed number by number. The standard library's `from_fn` and `map` support drops and
+//! failures half-way, with a dozen functions for each of ours; these are for numbers.
 
 /// [f(0), f(1), …].
 #[inline(always)]

@@ -1,4 +1,4 @@
-//! `Count`: a whole number for each lane.
+//! `Count`: an integer for each lane.
 
 use super::lanes::WIDEST;
 use super::Mask;
@@ -15,7 +15,7 @@ impl Count {
         self.0[lane]
     }
 
-    /// Adds `n` in the lanes of `mask`.
+    /// Add `n` in the lanes of `mask`.
     #[inline(always)]
     pub fn add<M: Mask>(&mut self, mask: M, n: u64) {
         for (lane, count) in self.0[..M::LANES].iter_mut().enumerate() {
@@ -23,7 +23,7 @@ impl Count {
         }
     }
 
-    /// Adds each lane's own number in the lanes of `mask`.
+    /// Add each lane's number in the lanes of `mask`.
     #[inline(always)]
     pub fn add_each<M: Mask>(&mut self, mask: M, more: &Self) {
         for (lane, count) in self.0[..M::LANES].iter_mut().enumerate() {
@@ -31,7 +31,7 @@ impl Count {
         }
     }
 
-    /// No less than `least` in the lanes of `mask`.
+    /// Raise to at least `least` in the lanes of `mask`.
     #[inline(always)]
     pub fn raise_in<M: Mask>(&mut self, mask: M, least: u64) {
         for (lane, count) in self.0[..M::LANES].iter_mut().enumerate() {
@@ -39,7 +39,7 @@ impl Count {
         }
     }
 
-    /// The larger of both, lane by lane.
+    /// Raise to the larger of both, lane by lane.
     #[inline(always)]
     pub fn raise(&mut self, other: &Self) {
         for (count, other) in self.0.iter_mut().zip(other.0) {
@@ -47,7 +47,7 @@ impl Count {
         }
     }
 
-    /// Lanes whose count is `most` or less.
+    /// Return the lanes whose count is `most` or less.
     #[inline(always)]
     pub fn at_most<M: Mask>(&self, most: u64) -> M {
         M::from_lanes(|lane| self.0[lane] <= most)

@@ -1,23 +1,22 @@
-//! `Counted`: an `f64` that counts what is done with it, by stage of the step.
+//! `Counted`: an `f64` that counts its operations, by stage of the step.
 //!
-//! An operation +, −, ×, ÷ or √ counts 1; sine and cosine together, an arctangent and a
-//! power count `FUNCTION`. Comparisons, signs and copies do not count. What is counted is
-//! what the method does, and not what a compiler makes of it: the count is the same on
-//! every machine. Numbers are those of `f64`, bit for bit. Operations are calls: few steps are
-//! counted, and what they do in place would be much machine code.
+//! An operation +, −, ×, ÷ or √ counts 1; sine and cosine together, an arctangent and a power count
+//! `FUNCTION`. Comparisons, signs and copies do not count. The count covers the method, not the
+//! compiled code: it is the same on every machine. Numbers equal the ones of `f64`, bit for bit.
+//! Operations are calls: few steps are counted, and inlined counting would be much machine code.
 
 use core::cell::Cell;
 use core::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{Real, Stage};
 
-/// What a sine with its cosine, an arctangent or a power counts.
+/// The count of a sine with its cosine, an arctangent or a power.
 pub const FUNCTION: u64 = 20;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Counted(pub f64);
 
-/// Operations by stage, and the stage at hand.
+/// Operations by stage, and the current stage.
 struct Tally {
     at: Cell<usize>,
     counts: [Cell<u64>; Stage::ALL.len()],
@@ -37,7 +36,7 @@ fn note(operations: u64) {
 }
 
 impl Counted {
-    /// What this thread has counted since it was last asked, in the order of `Stage::ALL`.
+    /// Return this thread's counts since the last call, in the order of `Stage::ALL`.
     pub fn take() -> [u64; Stage::ALL.len()] {
         TALLY.with(|tally| crate::real::array::from_fn(|stage| tally.counts[stage].take()))
     }

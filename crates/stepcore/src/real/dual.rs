@@ -1,16 +1,15 @@
 //! `Dual`: one `f64` world whose numbers carry derivatives along a few directions.
 //!
-//! x + Σ dᵢεᵢ with εᵢεⱼ = 0 (Clifford 1873; forward differentiation: Wengert 1964).
-//! The numbers themselves are those of `f64`, bit for bit, and alone decide every
-//! comparison; `select` takes a number with its derivatives. Where a formula is not
-//! differentiable though its number is fine, √0 say, derivatives are 0 there: the mean
-//! of both sides; stages that need better say so with `Real::with_slopes_of`.
+//! x + Σ dᵢεᵢ with εᵢεⱼ = 0 (Clifford 1873; forward differentiation: Wengert 1964). The values
+//! equal the ones of `f64`, bit for bit, and alone decide every comparison; `select` takes a number
+//! with its derivatives. If a formula has a value but no derivative, such as √0, derivatives are 0
+//! there: the mean of both sides; stages that need better use `Real::with_slopes_of`.
 
 use core::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{array, elementary, Constant, Real, Value};
 
-/// Directions that travel together.
+/// The number of simultaneous directions.
 pub const WAYS: usize = 8;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +23,7 @@ impl Dual {
     fn with(value: f64, slope: impl Fn(usize) -> f64) -> Self {
         Self { value, slopes: crate::real::array::from_fn(slope) }
     }
-    /// A function's value, and its derivative times this number's own.
+    /// Return a function's value, and its derivative times this number's.
     #[inline(always)]
     fn chain(self, value: f64, rate: f64) -> Self {
         Self::with(value, |i| rate * self.slopes[i])
@@ -99,7 +98,7 @@ impl Real for Dual {
     fn le(self, other: Self) -> bool {
         self.value <= other.value
     }
-    /// Of the number: a derivative that is not finite is found where it is read.
+    /// Checks the value only: a derivative that is not finite is found when it is read.
     #[inline(always)]
     fn is_finite(self) -> bool {
         self.value.is_finite()
@@ -125,7 +124,7 @@ impl Real for Dual {
         let value = elementary::pow(self.value, power.value);
         let base = power.value * elementary::pow(self.value, power.value - 1.0);
         let rise = elementary::ln(self.value);
-        // 0 · ∞ is 0 here: what does not change adds nothing.
+        // 0 · ∞ is 0 here: a constant adds nothing.
         let part = |rate: f64, slope: f64| if slope == 0.0 { 0.0 } else { rate * slope };
         let power = |i| if value == 0.0 { 0.0 } else { part(value * rise, power.slopes[i]) };
         Self::with(value, |i| part(base, self.slopes[i]) + power(i))
@@ -209,25 +208,25 @@ mod tests {
     }
 }
 
-/// Models around that of a parameter's own value: at −2, −1, 1 and 2 distances.
+/// Models around a parameter's value: at −2, −1, 1 and 2 distances.
 pub const AROUND: usize = 4;
-/// Of central differences, by distance (Fornberg 1988).
+/// Weights of central differences, by distance (Fornberg 1988).
 const WEIGHTS: [f64; AROUND / 2] = [2.0 / 3.0, -1.0 / 12.0];
 
-/// A number of a model as `Dual` reads it, with its derivatives by parameters.
+/// A number of a model for `Dual`, with its derivatives by parameters.
 ///
-/// What follows of a parameter when a model is compiled (inertias, weights of contacts, reaches) has no
-/// formula here. So the model is compiled at four values around each parameter, evenly apart, and a
-/// derivative is that of the polynomial through them: exact for polynomials of degree four, and to the
-/// fourth power of the distance for others.
+/// Numbers that follow from a parameter when a model is compiled (inertias, weights of contacts,
+/// reaches) have no formula here. So the model is compiled at four equidistant values around each
+/// parameter, and a derivative is the one of the polynomial through them: exact for polynomials of
+/// degree four, and to the fourth power of the distance for others.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Sampled {
     One(f64),
-    /// At the parameters' values, then around those of each way's parameter.
+    /// At the parameters' values, then around the parameter of each way.
     Many(Box<[f64; 1 + AROUND * WAYS]>),
 }
 
-/// The derivative by the parameter of a way, over its distance.
+/// Return the derivative by the parameter of a way, times its distance.
 fn slope(samples: &[f64; 1 + AROUND * WAYS], way: usize) -> f64 {
     let around = &samples[1 + way * AROUND..][..AROUND];
     let half = AROUND / 2;

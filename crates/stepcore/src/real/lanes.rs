@@ -1,9 +1,9 @@
-//! `Lanes`: several worlds side by side.
+//! `Lanes`: several worlds in parallel.
 //!
-//! A mask is a word a lane, as wide as its number, all ones or all zeros: what a vector
-//! comparison gives and a vector choice takes. Each operation says which vectors it is of: left to
-//! find them among single lanes, a compiler takes eight numbers of single precision apart and puts
-//! them together again. What vectors a processor has is the business of the crate `wide`.
+//! A mask is one word per lane, as wide as its number, all ones or all zeros: the result of a
+//! vector comparison and the input of a vector selection. Each operation names its vectors
+//! explicitly: from single lanes, a compiler would take eight numbers of single precision apart and
+//! put them together again. The crate `wide` handles the vectors of each processor.
 
 use bytemuck::cast;
 use core::fmt::Debug;
@@ -13,13 +13,13 @@ use wide::{f32x8, f64x4, CmpLe, CmpLt};
 
 use super::{array, elementary, Constant, Mask, Real, Value};
 
-/// How many worlds of `f64` stand side by side: of fewer, a register would ask as often what there is
-/// to do; of more, it would make the rows of more worlds that touch in other places.
+/// The number of parallel worlds of `f64`: with fewer, a register would have as many branches for
+/// less work; with more, it would build the rows of more worlds that touch in other places.
 pub const WIDTH: usize = 8;
-/// The same of `f32`, in as many vectors; the most there are.
+/// The number for `f32`, in as many vectors; the largest.
 pub const WIDEST: usize = 2 * WIDTH;
 
-/// Worlds side by side: eight of `f64` if nothing else is said.
+/// Parallel worlds: eight of `f64` by default.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(32))]
 pub struct Lanes<T = f64, const W: usize = WIDTH>(pub [T; W]);
@@ -27,12 +27,12 @@ pub struct Lanes<T = f64, const W: usize = WIDTH>(pub [T; W]);
 /// Sixteen worlds of `f32`.
 pub type LanesF32 = Lanes<f32, WIDEST>;
 
-/// One truth value for each world: all ones or all zeros.
+/// One truth value per world: all ones or all zeros.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(32))]
 pub struct LaneMask<B = u64, const W: usize = WIDTH>([B; W]);
 
-/// The bits of a number, and what is done with those of all lanes.
+/// The bits of a number, and operations on the bits of all lanes.
 pub trait Word<const W: usize>: Copy + Debug + PartialEq + Send + Sync + 'static {
     const NONE: Self;
     const ALL: Self;
@@ -43,7 +43,7 @@ pub trait Word<const W: usize>: Copy + Debug + PartialEq + Send + Sync + 'static
     fn all(a: [Self; W]) -> bool;
 }
 
-/// A number of which lanes are made, and what is done with all of them.
+/// A number type of lanes, and operations on all of them.
 pub trait Number<const W: usize>:
     Real<Mask = bool, One = Self, Value = f64> + PartialOrd + Into<f64>
 {
@@ -60,7 +60,7 @@ pub trait Number<const W: usize>:
     fn choose(mask: [Self::Bits; W], yes: [Self; W], no: [Self; W]) -> [Self; W];
 }
 
-/// A number and its bits, `$w` of them in vectors of `$vector`: so many of these, by index.
+/// A number and its bits, `$w` of them in vectors of `$vector`: this many vectors, by index.
 macro_rules! number {
     ($number:ty, $bits:ty, $w:ident, $vector:ty, [$($at:literal),*]) => {
         const _: () = {
@@ -124,7 +124,7 @@ macro_rules! number {
                 }
                 #[inline(always)]
                 fn negative(a: [Self; $w]) -> [Self; $w] {
-                    // Its sign is turned: 0 − a would make 0 of 0.
+                    // Flip the sign bit: 0 − a would turn 0 into 0, not −0.
                     let (a, sign): (Vectors, _) = (cast(a), <$vector>::splat(-0.0));
                     cast([$(a[$at] ^ sign),*])
                 }
@@ -149,8 +149,8 @@ macro_rules! number {
                     yes: [Self; $w],
                     no: [Self; $w],
                 ) -> [Self; $w] {
-                    // A blend that is stored where it was read would become a masked store, which
-                    // takes some processors twenty times as long as a plain one.
+                    // A blend stored to its source would become a masked store, which on some
+                    // processors takes twenty times as long as a plain one.
                     let (yes, no): (Vectors, Vectors) = (cast(yes), cast(no));
                     let mask: Vectors = cast(mask);
                     cast([$((yes[$at] & mask[$at]) | (no[$at] & !mask[$at])),*])
@@ -266,14 +266,14 @@ impl<T: Number<W>, const W: usize> One for Lanes<T, W> {
     }
 }
 
-/// The same number in all lanes, or one a lane.
+/// The same number in all lanes, or one per lane.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ByWorld<R, const W: usize> {
     Same(f64),
     Each(Box<Each<R, W>>),
 }
 
-/// The numbers of all lanes, rounded and as they are.
+/// The numbers of all lanes, rounded and exact.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Each<R, const W: usize> {
     rounded: R,
@@ -352,7 +352,7 @@ impl<T: Number<W>, const W: usize> Real for Lanes<T, W> {
     }
     #[inline(always)]
     fn is_finite(self) -> Self::Mask {
-        // What is not finite makes no number of 0.
+        // A number that is not finite times 0 is not a number.
         let zero = self * Self::zero();
         zero.le(zero)
     }

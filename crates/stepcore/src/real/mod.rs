@@ -1,10 +1,10 @@
 //! `Real`: the number the engine computes with, and its masks.
 //!
-//! Every stage is written once against this trait. `f64` and `f32` are one
-//! world; `Lanes` is eight worlds side by side, or sixteen of `f32`; `Dual` is one world whose numbers
-//! carry derivatives, `Counted` one that counts its operations. A comparison gives a mask and
-//! `select` chooses where lanes may differ. With a scalar a mask is a `bool`, so
-//! `if mask.none() { continue }` is an ordinary branch.
+//! Every stage is written once against this trait. `f64` and `f32` are one world; `Lanes` is eight
+//! worlds in parallel, or sixteen of `f32`; `Dual` is one world whose numbers carry derivatives,
+//! `Counted` one that counts its operations. A comparison gives a mask and `select` chooses where
+//! lanes may differ. With a scalar a mask is a `bool`, so `if mask.none() { continue }` is an
+//! ordinary branch.
 //!
 //! Rules that keep a lane equal, bit for bit, to the same world run alone: a
 //! masked update is `select(mask, new, old)`; no fused multiply-add; no sum in
@@ -15,7 +15,7 @@ use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAss
 use nalgebra::Scalar;
 use num_traits::{One, Zero};
 
-/// What follows of a number's four operations and of `Real::of`: assignments, zero and one.
+/// Implementations from a number's four operations and `Real::of`: assignments, zero and one.
 macro_rules! derived {
     ($type:ty: $($op:ident, $f:ident, $sign:tt;)*) => {
         $(impl core::ops::$op for $type {
@@ -48,7 +48,7 @@ macro_rules! derived {
     };
 }
 
-/// A `Real` that is one world.
+/// A `Real` with one world.
 macro_rules! scalar {
     ($one:ty, $value:ty) => {
         type Mask = bool;
@@ -86,15 +86,15 @@ pub use dual::{Dual, Sampled, AROUND, WAYS};
 pub use lanes::{ByWorld, LaneMask, Lanes, LanesF32, WIDEST, WIDTH};
 pub use stage::Stage;
 
-/// So many roundings may lie between numbers that ought to be equal.
+/// The number of roundings allowed between numbers that should be equal.
 pub const ROUNDED: f64 = 16.0;
 
-/// Two numbers are equal but for rounding.
+/// Return whether two numbers are equal up to rounding.
 pub(crate) fn same(a: f64, b: f64) -> bool {
     (a - b).abs() <= ROUNDED * f64::EPSILON * a.abs().max(b.abs())
 }
 
-/// One truth value a lane.
+/// One truth value per lane.
 pub trait Mask: Copy + Debug + Send + Sync + 'static {
     const LANES: usize;
 
@@ -135,17 +135,18 @@ pub trait Real:
     + Sync
 {
     type Mask: Mask;
-    /// The number of one lane, as precise.
+    /// The number of one lane, with the same precision.
     type One: Real<Mask = bool, One = Self::One, Value = f64>;
     /// A number of the model, which may differ by world.
     type Value: Value<Self>;
-    /// How many worlds one value holds.
+    /// The number of worlds in one value.
     const LANES: usize;
-    /// One. What follows `if R::ALONE` is not compiled for lanes: heaps, sleep, steps within an accuracy.
+    /// Whether that is one. Lanes do not compile code under `if R::ALONE`: piles, sleep, adaptive
+    /// steps.
     const ALONE: bool = Self::LANES == 1;
-    /// Several of one world's numbers fill a register, so that sums go over places that are filled up, by
-    /// functions that know how many: not where operations are counted, of which these are none, and not
-    /// for derivatives, whose functions would be large.
+    /// Whether several numbers of one world fill a register, so that sums run over padded places in
+    /// functions of constant length. False where operations are counted, as these are not real
+    /// ones, and for derivatives, whose functions would be large.
     const FILLS: bool = Self::ALONE;
 
     /// Unit roundoff of one lane, as an `f64`.
@@ -170,15 +171,15 @@ pub trait Real:
     fn sin_cos(self) -> (Self, Self);
     fn atan2(self, x: Self) -> Self;
     fn powf(self, power: Self) -> Self;
-    /// This number; where the mask holds with the slopes of `formula`, which gives the same
-    /// number by a way that is differentiable there.
+    /// Return this number; where the mask is true, with the slopes of `formula`, which gives the
+    /// same number in a way that is differentiable there.
     #[inline(always)]
     fn with_slopes_of(self, _mask: Self::Mask, _formula: impl FnOnce() -> Self) -> Self {
         self
     }
-    /// A solution x of F(x, p) = 0 that was found by iteration. In numbers with slopes it gets
-    /// those of `newton`, one Newton step from x taken as constant: x − F_x⁻¹F(x, p) has the
-    /// value x and the slopes −F_x⁻¹F_p.
+    /// A solution x of F(x, p) = 0 found by iteration. Numbers with slopes get the slopes of
+    /// `newton`, one Newton step from x taken as constant: x − F_x⁻¹F(x, p) has the value x and the
+    /// slopes −F_x⁻¹F_p.
     #[inline(always)]
     fn implicit<const N: usize>(
         x: [Self; N],
@@ -186,17 +187,17 @@ pub trait Real:
     ) -> [Self; N] {
         x
     }
-    /// The largest slope, without its sign; 0 where numbers carry none.
+    /// Return the largest slope, without its sign; 0 for numbers without slopes.
     #[inline(always)]
     fn steepness(self) -> f64 {
         0.0
     }
-    /// The largest of all lanes, to report: nothing that is computed follows from it.
+    /// Return the largest of all lanes, for reports: no computation uses it.
     #[inline(always)]
     fn largest(self) -> f64 {
         (0..Self::LANES).map(|lane| self.lane(lane)).fold(f64::NEG_INFINITY, f64::max)
     }
-    /// What follows belongs to this stage: only a number that counts asks.
+    /// Mark the start of a stage: only numbers that count operations use it.
     #[inline(always)]
     fn enter(_: Stage) {}
     #[inline(always)]
@@ -215,7 +216,7 @@ pub trait Real:
     fn clamp(self, lo: Self, hi: Self) -> Self {
         self.max(lo).min(hi)
     }
-    /// 1 / x, and 0 where x is not positive: a row that nothing can move.
+    /// Return 1 / x, or 0 where x is not positive: a row that nothing can move.
     #[inline(always)]
     fn recip_or_zero(self) -> Self {
         Self::select(self.gt(Self::zero()), Self::one() / self, Self::zero())
@@ -224,12 +225,12 @@ pub trait Real:
 
 /// A number of a model.
 pub trait Constant: Clone + Debug + PartialEq + Send + Sync + 'static {
-    /// By lane: in all of them zero or in none, infinite or not.
+    /// From numbers by lane: in all lanes zero or in none, infinite or not.
     fn by_lane(numbers: &[f64]) -> Self;
-    /// That of one lane.
+    /// Return the number of one lane.
     fn lane(&self, lane: usize) -> f64;
 
-    /// In every lane, or in none.
+    /// Whether it is zero, in every lane or in none.
     #[inline(always)]
     fn vanishes(&self) -> bool {
         self.lane(0) == 0.0
@@ -238,17 +239,17 @@ pub trait Constant: Clone + Debug + PartialEq + Send + Sync + 'static {
     fn is_positive(&self) -> bool {
         self.lane(0) > 0.0
     }
-    /// In every lane, or in none.
+    /// Whether it is infinite, in every lane or in none.
     #[inline(always)]
     fn is_infinite(&self) -> bool {
         self.lane(0).is_infinite()
     }
 }
 
-/// As steps of this `Real` read it.
+/// A number of a model, as steps of this `Real` read it.
 pub trait Value<R: Real>: Constant {
     fn get(&self) -> R;
-    /// What follows of some of them, in each lane in double precision, and then rounded.
+    /// Compute from several, in each lane in double precision, then round.
     fn calc<const N: usize>(of: [&Self; N], f: impl Fn([f64; N]) -> f64) -> R;
     #[inline(always)]
     fn times(&self, by: f64) -> R {

@@ -1,25 +1,25 @@
-//! The parts of a step whose work is counted apart.
+//! The parts of a step whose work is counted separately.
 
-/// In the order in which a step comes to them.
+/// In the order of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// Joint positions to poses.
     Kinematics,
-    /// Inertia of every body and of all that hangs on it, and the mass matrix.
+    /// Inertia of every body and of its subtree, and the mass matrix.
     Inertia,
-    /// Its factors.
+    /// The factors of the mass matrix.
     Factor,
-    /// Velocities of bodies, and the forces that keep them.
+    /// Velocities of bodies, and the forces that maintain them.
     Bias,
     /// Springs, dampers, actuators, applied forces.
     Forces,
-    /// The velocity if nothing were in the way.
+    /// The velocity without constraints.
     Guess,
     /// Pairs of shapes that touch.
     Detect,
-    /// Rows out of contacts, limits, friction losses and equalities.
+    /// Rows from contacts, limits, friction losses and equalities.
     Rows,
-    /// The impulses on which the rows agree, and the velocity that they make.
+    /// The impulses that satisfy all rows, and the resulting velocity.
     Impulses,
     /// The integrator.
     Commit,
@@ -39,7 +39,7 @@ impl Stage {
         Self::Commit,
     ];
 
-    /// One of the four stages, and its part.
+    /// Return the name: one of the four stages, and its part.
     pub fn name(self) -> &'static str {
         match self {
             Self::Kinematics => "place/kinematics",

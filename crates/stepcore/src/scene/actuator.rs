@@ -3,51 +3,51 @@
 use super::{Coefficients, NONE};
 use crate::real::Constant;
 
-/// A motor, a servo or a muscle. Its force is gain·u + bias: u is the control, or the activation where
-/// there is one; gain and bias depend on the length along which it pulls and on the rate of that, both
-/// of them times the gear. What it pulls at feels gear × force.
+/// A motor, a servo or a muscle. Its force is gain·u + bias: u is the control, or the activation if
+/// there is one; gain and bias depend on the length along which it pulls and on the rate of that,
+/// both of them times the gear. The target receives gear × force.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Actuator<N = f64> {
     pub name: String,
     pub target: Target,
-    /// The first alone for a hinge, a slide, a tendon and a crank; of a ball an axis; of a free joint
-    /// and of a site a direction and an axis.
+    /// Only the first for a hinge, a slide, a tendon and a crank; for a ball an axis; for a free
+    /// joint and for a site a direction and an axis.
     pub gear: [N; 6],
     /// gain = g₀ + g₁·length + g₂·velocity; bias likewise. A motor: 1, and zeros. A position servo:
     /// kp, and 0, −kp, −kv. A velocity servo: kv, and 0, 0, −kv.
     pub gain: [N; 3],
     pub bias: [N; 3],
-    /// In place of these: the force of a muscle.
+    /// Instead of these: the force of a muscle.
     pub muscle_gain: Option<Muscle<N>>,
     pub muscle_bias: Option<Muscle<N>>,
     /// Not 0: bias₂ is −2·dampratio·√(kp·m), m being the inertia that the actuator moves at
     /// the initial configuration, and is filled in when the scene is compiled.
     pub dampratio: f64,
-    /// In place of the gain: a controller, of which kp is −bias₁ and kv −bias₂.
+    /// Instead of the gain: a controller, with kp = −bias₁ and kv = −bias₂.
     pub controller: Option<Controller>,
-    /// It is one of three that turn a ball together, kp being −bias₁ and kv −bias₂.
+    /// Set for one of three that turn a ball together, with kp = −bias₁ and kv = −bias₂.
     pub orientation: Option<Orientation>,
-    /// What its control is to a controller; and of which actuator's, where that is another one: it
-    /// then makes no force itself.
+    /// The role of its control in a controller; and the index of that controller's actuator, if it
+    /// is another one: this one then makes no force itself.
     pub input: Input,
     pub feeds: Option<usize>,
     /// Whether it has an activation, and how that follows the control.
     pub dynamics: Dynamics,
-    /// Of a filter: its time constant [s]. Of a muscle: those of activation and deactivation [s], and
-    /// the width of control over which one becomes the other.
+    /// For a filter: its time constant [s]. For a muscle: those for activation and deactivation
+    /// [s], and the width of control over which one becomes the other.
     pub dynprm: [N; 3],
     /// Bounds of the control, of the activation, and of the force before the gear. None: none.
     pub ctrlrange: Option<[N; 2]>,
     pub actrange: Option<[N; 2]>,
     pub forcerange: Option<[N; 2]>,
-    /// The force is that of the activation at the end of the step.
+    /// Whether the force uses the activation at the end of the step.
     pub actearly: bool,
-    /// The least and greatest length that it can have, which muscles refer to.
+    /// The least and greatest possible length, to which muscles refer.
     pub lengthrange: [N; 2],
-    /// Given, times gear², to the joint or tendon that it pulls at.
+    /// Added, times gear², to the joint or tendon that it pulls.
     pub damping: Coefficients<N>,
     pub armature: N,
-    /// Its control is that of so long ago [s], kept in so many samples; 0: the present one.
+    /// The age of the control that it uses [s], and the number of samples; 0: the present one.
     pub delay: f64,
     pub nsample: usize,
     pub interp: Interp,
@@ -55,20 +55,20 @@ pub struct Actuator<N = f64> {
     pub enabled: bool,
 }
 
-/// What an actuator pulls at, by index.
+/// The target that an actuator pulls, by index.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
-    /// The axes of a ball or a free joint's rotation are those of its body.
+    /// The axes of a ball or a free joint's rotation are its body's.
     Joint(usize),
-    /// The axes are those of the frame in which the joint stands.
+    /// The axes are the joint's parent frame's.
     InParent(usize),
     Tendon(usize),
-    /// In the axes of the site; with a reference in those of that, and measured from it.
+    /// In the axes of the site; with a reference in the reference's axes, and measured from it.
     Site {
         site: usize,
         reference: Option<usize>,
     },
-    /// A rod of some length [m] from a site to another, which slides along its own z axis.
+    /// A rod of some length [m] from a site to another, which slides along its z axis.
     Crank {
         crank: usize,
         slider: usize,
@@ -81,20 +81,20 @@ pub enum Target {
 /// How an activation w follows the control u.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Dynamics {
-    /// There is none: the force is that of the control.
+    /// There is none: the force follows the control.
     #[default]
     None,
     /// ẇ = u
     Integrator,
     /// ẇ = (u − w)/τ
     Filter,
-    /// The same, a step being that of the exact solution.
+    /// The same, but a step is the exact solution.
     FilterExact,
     /// A filter whose time constant depends on w, and on whether it grows.
     Muscle,
 }
 
-/// What a control is between two samples.
+/// The value of a control between two samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Interp {
     /// The earlier one.
@@ -110,21 +110,21 @@ pub enum Interp {
 pub struct Muscle<N = f64> {
     /// The operating range of lengths, of the optimal length.
     pub range: [f64; 2],
-    /// Peak force [N]; negative: `scale` over the acceleration that a unit force gives at the initial
-    /// configuration, filled in when the scene is compiled.
+    /// Peak force [N]; negative: `scale` over the acceleration that a unit force gives at the
+    /// initial configuration, filled in when the scene is compiled.
     pub force: N,
     pub scale: f64,
     /// Lengths beyond which it does not pull; the fastest shortening [1/s].
     pub lmin: f64,
     pub lmax: f64,
     pub vmax: f64,
-    /// Passive force at lmax and active force while it lengthens, of the peak force.
+    /// Passive force at lmax and active force while it lengthens, relative to the peak force.
     pub fpmax: f64,
     pub fvmax: f64,
 }
 
-/// What a control is to a controller: a target of length or velocity, a force beside, a voltage; or a
-/// part of the orientation that a servo turns to.
+/// The role of a control in a controller: a target of length or velocity, an additional force, a
+/// voltage; or a part of the orientation that a servo turns to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Input {
     #[default]
@@ -160,19 +160,19 @@ pub struct Orientation {
 }
 
 /// A controller as MuJoCo's `pid` and `dcmotor` describe it. It has an activation for each of its
-/// features that remembers something, in the order of `elements::controller`.
+/// features with a memory, in the order of `elements::controller`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Controller {
-    /// Gain of the integral of the error, and the bound of that; 0: there is none.
+    /// Gain of the integral of the error, and the bound of the integral; 0: there is none.
     pub ki: f64,
     pub imax: f64,
-    /// How fast the first target can move [1/s]; 0: at once.
+    /// The largest speed of the first target [1/s]; 0: it moves at once.
     pub slewmax: f64,
-    /// The controller asks this for its force; None: it makes it itself.
+    /// The motor that makes the controller's force; None: it makes it itself.
     pub motor: Option<Motor>,
 }
 
-/// A motor: 0 is without, where nothing else is said.
+/// A motor: 0 means without, unless stated otherwise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Motor {
     /// Force per current, which is voltage per velocity.
@@ -182,9 +182,9 @@ pub struct Motor {
     /// Bounds of the controller's voltage, and of the rate of the current.
     pub vmax: f64,
     pub current_rate: f64,
-    /// Of the winding to its surroundings: resistance, heat capacity; then how much of the
-    /// electrical resistance comes with each degree, from which temperature on, and what the
-    /// surroundings have.
+    /// From the winding to its surroundings: resistance, heat capacity; then the increase of the
+    /// electrical resistance with each degree, the temperature at which it starts, and the
+    /// temperature of the surroundings.
     pub thermal: Option<[f64; 5]>,
     /// Amplitude, periods in a unit of length, phase.
     pub cogging: [f64; 3],
@@ -194,8 +194,8 @@ pub struct Motor {
 }
 
 impl Controller {
-    /// Which activations it has, in their order: a target, an integral, a temperature, a deflection of
-    /// bristles, a current.
+    /// Which activations it has, in their order: a target, an integral, a temperature, a deflection
+    /// of bristles, a current.
     pub fn remembers(&self) -> [bool; 5] {
         let [thermal, lugre, inductance] = self.motor.as_ref().map_or([false; 3], |motor| {
             [motor.thermal.is_some(), motor.lugre.is_some(), motor.inductance > 0.0]
@@ -244,7 +244,7 @@ impl Default for Actuator {
 }
 
 impl<N: Constant> Actuator<N> {
-    /// How many past controls it keeps: those that it reads.
+    /// The number of past controls that it keeps, which are the ones it reads.
     pub fn history(&self) -> usize {
         if self.delay > 0.0 {
             self.nsample
@@ -253,7 +253,7 @@ impl<N: Constant> Actuator<N> {
         }
     }
 
-    /// Its controller asks a motor for its force.
+    /// Whether its controller gets its force from a motor.
     pub fn drives_motor(&self) -> bool {
         self.controller.as_ref().is_some_and(|own| own.motor.is_some())
     }
@@ -264,7 +264,7 @@ impl<N: Constant> Actuator<N> {
         self.controller.as_ref().map_or(self.dynamics.count(), of)
     }
 
-    /// Its force depends on a length, or how fast that changes.
+    /// Whether its force depends on a length or its rate.
     pub fn feeds_back(&self) -> bool {
         let depends = |term: &[N; 3]| !(term[1].vanishes() && term[2].vanishes());
         self.drives_motor() || self.is_muscle() || depends(&self.bias) || depends(&self.gain)
@@ -276,7 +276,7 @@ impl<N: Constant> Actuator<N> {
 }
 
 impl Actuator {
-    /// Its control is a length: gain · (u − length), but for a constant.
+    /// Whether its control is a length: gain · (u − length), up to a constant.
     pub fn holds_a_length(&self) -> bool {
         let fixed = self.gain[1] == 0.0 && self.gain[2] == 0.0 && !self.is_muscle();
         fixed && self.orientation.is_none() && self.gain[0] != 0.0 && self.gain[0] == -self.bias[1]

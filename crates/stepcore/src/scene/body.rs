@@ -9,11 +9,11 @@ pub struct Inertial {
     pub pos: [f64; 3],
     /// xx, yy, zz, xy, xz, yz [kg·m²].
     pub inertia: [f64; 6],
-    /// The principal axes (w x y z, in body axes), which equal moments leave open; None finds them.
+    /// The principal axes (w x y z, in body axes), which equal moments leave open; None: computed.
     pub axes: Option<[f64; 4]>,
 }
 
-/// Whether a tree may sleep, said of its root; see `sleep/`.
+/// Whether a tree may sleep, set at its root; see `sleep/`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SleepPolicy {
     /// Unless an actuator drives it, or a tendon that pulls ties it to another tree.
@@ -37,7 +37,7 @@ impl SleepPolicy {
     }
 }
 
-/// A rigid body, fixed to its parent but for its joints.
+/// A rigid body, fixed to its parent except for its joints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Body {
     pub name: String,
@@ -47,11 +47,11 @@ pub struct Body {
     pub quat: [f64; 4],
     /// None: taken from the geoms.
     pub inertial: Option<Inertial>,
-    /// A force at its centre of mass holds up this share of its weight.
+    /// The share of its weight that is compensated by a force at its centre of mass.
     pub gravcomp: f64,
     /// Its pose is an input: `Inputs::mocap_pos`, `Inputs::mocap_quat`.
     pub mocap: bool,
-    /// Of the root of a tree; `Auto` of every other body.
+    /// The policy of a tree, at its root; `Auto` for every other body.
     pub sleep: SleepPolicy,
 }
 
@@ -73,7 +73,7 @@ impl Default for Body {
 /// How masses are made from geoms: MJCF's `compiler` element.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MassRules {
-    /// Some(true): always from geoms; Some(false): never; None: where no inertial is given.
+    /// Some(true): always from geoms; Some(false): never; None: if no inertial is given.
     pub from_geoms: Option<bool>,
     /// First and last group of geoms that give mass.
     pub group_range: [i32; 2],

@@ -1,9 +1,9 @@
-//! Explicit pairs, and what overrides the parameters of contacts.
+//! Explicit pairs, and the override of the parameters of contacts.
 
 use super::Softness;
 
-/// Two geoms that collide whatever their bodies, masks and excludes say, with contact parameters of
-/// their own: MuJoCo's `pair`.
+/// Two geoms that collide regardless of their bodies, masks and excludes, with separate contact
+/// parameters: MuJoCo's `pair`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExplicitPair {
     pub name: String,
@@ -16,9 +16,9 @@ pub struct ExplicitPair {
     pub margin: f64,
     pub gap: f64,
     pub soft: Softness,
-    /// The solref of the friction rows of a cone; None: that of `soft`.
+    /// The solref of the friction rows of a cone; None: the one of `soft`.
     pub solreffriction: Option<[f64; 2]>,
-    /// With how much its contacts can pull, each [N].
+    /// The largest pulling force of each of its contacts [N].
     pub adhesion: f64,
 }
 
@@ -39,7 +39,7 @@ impl Default for ExplicitPair {
     }
 }
 
-/// Contact parameters that replace those of every contact: MuJoCo's `o_margin` and its like.
+/// Contact parameters that override every contact's: MuJoCo's `o_margin` and others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ContactOverride {
     pub margin: f64,

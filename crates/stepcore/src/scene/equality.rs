@@ -1,17 +1,17 @@
-//! Equalities: what ties bodies, joints or tendons together.
+//! Equalities: ties between bodies, joints or tendons.
 
 use super::Softness;
 
-/// What an equality holds.
+/// The kind of a tie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EqualityType {
     /// Two bodies share one point.
     Connect,
     /// Two bodies share one frame.
     Weld,
-    /// A joint follows a polynomial of another, or is held where it is.
+    /// A joint follows a polynomial of another, or is fixed.
     Joint,
-    /// A tendon's length does.
+    /// A tendon's length follows one, or is fixed.
     Tendon,
 }
 
@@ -29,17 +29,17 @@ pub struct Frame {
 pub struct Equality {
     pub name: String,
     pub kind: EqualityType,
-    /// What it ties: bodies (of `Connect` and `Weld`), joints or tendons, by index.
+    /// The tied elements: bodies (of `Connect` and `Weld`), joints or tendons, by index.
     pub first: usize,
     /// None: one joint or tendon alone.
     pub second: Option<usize>,
-    /// What becomes one on the two bodies. None: what the other is on at the initial
+    /// The frames on the two bodies that coincide. None: the other one's place at the initial
     /// configuration; one of the two is given.
     pub frame1: Option<Frame>,
     pub frame2: Option<Frame>,
-    /// Of a weld: by what its turns are multiplied, MuJoCo's `torquescale`.
+    /// The factor of a weld's rotations, MuJoCo's `torquescale`.
     pub torquescale: f64,
-    /// Of joints and tendons: q₁ − q₁⁰ is this polynomial of q₂ − q₂⁰ (a constant without a second).
+    /// For joints, tendons: q₁ − q₁⁰ is this polynomial of q₂ − q₂⁰ (a constant without a second).
     pub polycoef: [f64; 5],
     pub active: bool,
     pub soft: Softness,

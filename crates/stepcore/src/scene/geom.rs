@@ -31,7 +31,7 @@ impl GeomType {
         }
     }
 
-    /// How far the surface of this size is from the core that it rounds off [m]: a sphere's
+    /// The distance of the surface of this size from the core that it rounds off [m]: a sphere's
     /// centre, a capsule's axis.
     pub fn roundness<R: Real, N: Value<R>>(self, size: &[N; 3]) -> R {
         if matches!(self, Self::Sphere | Self::Capsule) {
@@ -42,16 +42,16 @@ impl GeomType {
     }
 }
 
-/// What a fluid takes a geom for.
+/// The shape of a geom for the fluid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FluidShape {
     /// A part of its body, which is resisted as a box of the same inertia.
     None,
-    /// An ellipsoid: then that box counts no more.
+    /// An ellipsoid: then that box no longer counts.
     Ellipsoid,
 }
 
-/// A shape on a body: it collides, and gives mass where the body has no `Inertial`.
+/// A shape on a body: it collides, and gives mass if the body has no `Inertial`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geom {
     pub name: String,
@@ -63,9 +63,9 @@ pub struct Geom {
     /// Frame in the body's [m], w x y z.
     pub pos: [f64; 3],
     pub quat: [f64; 4],
-    /// Into `Scene::meshes`: what it is, or what a primitive is fitted to (`size` is then found).
+    /// Into `Scene::meshes`: its mesh, or the one a primitive is fitted to (`size` is computed).
     pub mesh: Option<usize>,
-    /// Of a primitive fitted to a mesh: its size in parts of what fits.
+    /// For a primitive fitted to a mesh: its size relative to the fit.
     pub fitscale: f64,
     /// Into `Scene::hfields`.
     pub hfield: Option<usize>,
@@ -73,13 +73,13 @@ pub struct Geom {
     pub mass: Option<f64>,
     /// [kg/m³], or [kg/m²] of a shell.
     pub density: f64,
-    /// The mass is on the surface.
+    /// Whether the mass is on the surface.
     pub shell_inertia: bool,
-    /// Rays pass through it.
+    /// Whether rays pass through it.
     pub hidden: bool,
     /// Only groups in `MassRules::group_range` give mass.
     pub group: i32,
-    /// Two geoms collide where one's contype shares a bit with the other's conaffinity.
+    /// Two geoms collide if one's contype shares a bit with the other's conaffinity.
     pub contype: u32,
     pub conaffinity: u32,
     /// Dimensions of a contact's force: 1 normal, 3 with sliding friction,
@@ -93,17 +93,17 @@ pub struct Geom {
     /// both gaps above that.
     pub margin: f64,
     pub gap: f64,
-    /// How its surface moves as contacts feel it, in the geom's frame: a velocity [m/s], and an
-    /// angular velocity about the frame's origin [rad/s].
+    /// The motion of its surface in contacts, in the geom's frame: a velocity [m/s], and an angular
+    /// velocity about the frame's origin [rad/s].
     pub surfacevel: [f64; 6],
-    /// With how much its contacts can pull, each [N].
+    /// The largest pulling force of each of its contacts [N].
     pub adhesion: f64,
     /// Weight of this geom's softness in the mixture of two.
     pub solmix: f64,
     pub soft: Softness,
-    /// How a fluid resists it.
+    /// The resistance model of a fluid.
     pub fluidshape: FluidShape,
-    /// Of an ellipsoid: blunt, slender and angular drag, Kutta and Magnus lift.
+    /// For an ellipsoid: blunt, slender and angular drag, Kutta and Magnus lift.
     pub fluidcoef: [f64; 5],
 }
 

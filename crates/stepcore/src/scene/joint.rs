@@ -2,7 +2,7 @@
 
 use super::Softness;
 
-/// What a joint lets its body do.
+/// The motion that a joint allows its body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointType {
     Free,
@@ -28,14 +28,14 @@ impl JointType {
             Self::Slide | Self::Hinge => 1,
         }
     }
-    /// Changes the orientation of its body.
+    /// Whether it changes the orientation of its body.
     pub fn turns(self) -> bool {
         self != Self::Slide
     }
 }
 
-/// Coefficients a, b, c of a polynomial force by the powers of what it answers to, the first
-/// power first: MuJoCo's, see `elements/spring.rs` and `elements/damper.rs`.
+/// Coefficients a, b, c of a polynomial force by the powers of its variable, the first power first:
+/// MuJoCo's, see `elements/spring.rs` and `elements/damper.rs`.
 pub type Coefficients<N = f64> = [N; 3];
 
 /// No force.
@@ -55,22 +55,22 @@ pub struct Joint {
     pub range: Option<[f64; 2]>,
     /// A limit is a row from this distance on.
     pub margin: f64,
-    /// qpos at the initial configuration, and where the spring is at rest.
+    /// qpos at the initial configuration, and at the rest position of the spring.
     pub reference: f64,
     pub springref: f64,
     pub stiffness: Coefficients,
     pub damping: Coefficients,
-    /// Time constant [s] and damping ratio that replace both where both are > 0.
+    /// Time constant [s] and damping ratio that replace both if both are > 0.
     pub springdamper: [f64; 2],
-    /// Its share of gravity compensation counts as its actuators' force.
+    /// Whether its share of gravity compensation counts as its actuators' force.
     pub actuatorgravcomp: bool,
     /// Inertia added to the dof itself [kg or kg·m²].
     pub armature: f64,
-    /// Bounds of the force of all actuators on a hinge or a slide together. None: none.
+    /// Bounds of the total force of all actuators on a hinge or a slide. None: none.
     pub actuatorfrcrange: Option<[f64; 2]>,
     /// Dry friction: the largest force.
     pub frictionloss: f64,
-    /// Of the limit's rows, and of the friction loss.
+    /// Softness of the limit's rows, and of the friction loss.
     pub limit: Softness,
     pub friction: Softness,
 }

@@ -1,7 +1,7 @@
-//! `Scene`: what is modelled, as the user wrote it. Compiling it gives a `Model`.
+//! `Scene`: the description of a model, as the user wrote it. Compiling it gives a `Model`.
 //!
-//! Plain data in SI units, angles in radians, quaternions w x y z. Index 0 of
-//! `bodies` is the world. A parent stands before its children.
+//! Plain data in SI units, angles in radians, quaternions w x y z. Index 0 of `bodies` is the
+//! world. A parent comes before its children.
 
 mod actuator;
 mod body;
@@ -28,7 +28,7 @@ pub use site::Site;
 pub use softness::Softness;
 pub use tendon::{Stop, Tendon, AUTOMATIC};
 
-/// A keyframe: a state by name. None: qpos0, and zeros.
+/// A keyframe: a named state. None: qpos0, and zeros.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Key {
     pub name: String,
@@ -37,12 +37,12 @@ pub struct Key {
     pub qvel: Option<Vec<f64>>,
     pub act: Option<Vec<f64>>,
     pub ctrl: Option<Vec<f64>>,
-    /// Of mocap bodies.
+    /// Poses of mocap bodies.
     pub mpos: Option<Vec<f64>>,
     pub mquat: Option<Vec<f64>>,
 }
 
-/// What can be switched off in the model itself; but for `coriolis`, MJCF's flags of that name.
+/// Parts of the model that can be switched off: MJCF's flags of that name, and `coriolis`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features {
     pub constraint: bool,
@@ -60,8 +60,8 @@ pub struct Features {
     pub eulerdamp: bool,
     /// MJCF's `sensor`: without it sensors read zero.
     pub sensor: bool,
-    /// Coriolis, centrifugal and gyroscopic forces. MJCF has no flag for them: they are off
-    /// only where it is measured what they matter.
+    /// Coriolis, centrifugal and gyroscopic forces. MJCF has no flag for them: they are off only to
+    /// measure their effect.
     pub coriolis: bool,
 }
 
@@ -93,13 +93,13 @@ impl Default for Features {
     }
 }
 
-/// Everything that is modelled. Elements of one kind stand in the order of their bodies.
+/// Everything that is modelled. Elements of one kind are in the order of their bodies.
 #[derive(Clone, Debug)]
 pub struct Scene {
     pub name: String,
     /// [m/s²]
     pub gravity: [f64; 3],
-    /// Of the fluid around the bodies [kg/m³], [Pa·s], and its velocity [m/s].
+    /// Density [kg/m³], viscosity [Pa·s] and velocity [m/s] of the fluid around the bodies.
     pub density: f64,
     pub viscosity: f64,
     pub wind: [f64; 3],
@@ -116,7 +116,7 @@ pub struct Scene {
     pub actuators: Vec<Actuator>,
     pub equalities: Vec<Equality>,
     pub keys: Vec<Key>,
-    /// Pairs of bodies that never collide, but for explicit pairs of their geoms.
+    /// Pairs of bodies that never collide, except explicit pairs of their geoms.
     pub excludes: Vec<[usize; 2]>,
     pub pairs: Vec<ExplicitPair>,
     pub contact_override: Option<ContactOverride>,

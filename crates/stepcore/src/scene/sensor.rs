@@ -1,4 +1,4 @@
-//! Sensors: what is read of a world, by name.
+//! Sensors: named readings of a world.
 
 /// A kind of sensor; its word is MJCF's.
 macro_rules! sensor_types {
@@ -11,7 +11,7 @@ macro_rules! sensor_types {
         impl SensorType {
             pub const ALL: &'static [Self] = &[$(Self::$variant,)+];
 
-            /// The word by which data outside the engine calls it.
+            /// The word that data outside the engine uses for it.
             pub fn word(self) -> &'static str {
                 match self {
                     $(Self::$variant => $word,)+
@@ -69,12 +69,12 @@ sensor_types! {
     "user" => User,
 }
 
-/// What a sensor looks at.
+/// The type of object that a sensor measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectType {
-    /// A body's centre of mass and principal axes; of contacts, the geoms of a body.
+    /// A body's centre of mass and principal axes; for contacts, the geoms of a body.
     Body,
-    /// A body's own frame; of contacts, a body and all that hangs on it.
+    /// A body's frame; for contacts, a body and all that hangs on it.
     XBody,
     Geom,
     Site,
@@ -117,7 +117,7 @@ impl SensorField {
     }
 }
 
-/// Which of the contacts that match are told.
+/// Which of the matching contacts are reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reduce {
     #[default]
@@ -127,7 +127,7 @@ pub enum Reduce {
     NetForce,
 }
 
-/// What is read of a world under one name. It changes nothing.
+/// A named reading of a world. It changes nothing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensor {
     pub name: String,
@@ -135,11 +135,11 @@ pub struct Sensor {
     pub object: Option<SensorObject>,
     /// The frame that it is measured in, the second of two objects, or the volume.
     pub reference: Option<SensorObject>,
-    /// Bound of the absolute value, where positive; of distances how far is looked.
+    /// Bound of the absolute value, if positive; for distances the search range.
     pub cutoff: f64,
-    /// Of a contact or a rangefinder, in the order of the data.
+    /// For a contact or a rangefinder, in the order of the data.
     pub data: Vec<SensorField>,
     pub reduce: Reduce,
-    /// Of a contact sensor: how many contacts; of a user's: how many numbers.
+    /// For a contact sensor: how many contacts; for a user's: how many numbers.
     pub num: usize,
 }

@@ -9,7 +9,7 @@ pub struct Site {
     pub body: usize,
     pub pos: [f64; 3],
     pub quat: [f64; 4],
-    /// A primitive with a volume, and its size as that of a geom.
+    /// A primitive with a volume, and its size as for a geom.
     pub kind: GeomType,
     pub size: [f64; 3],
 }

@@ -1,4 +1,4 @@
-//! Softness of what acts by rows.
+//! Softness of elements that act by rows.
 
 /// A spring-damper pair and an impedance curve: MuJoCo's `solref`, `solimp`.
 /// MuJoCo documentation, "Solver parameters".

@@ -2,22 +2,22 @@
 
 use super::{Coefficients, Softness, NONE};
 
-/// What a tendon passes at one place of its path.
+/// A stop on the path of a tendon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stop {
-    /// Of a fixed tendon: its length has coef × position of a hinge or a slide.
+    /// For a fixed tendon: its length has coef × position of a hinge or a slide.
     Joint { joint: usize, coef: f64 },
-    /// Of a spatial tendon: a point that it passes through.
+    /// For a spatial tendon: a point that it passes through.
     Site { site: usize },
-    /// A sphere or a cylinder that it goes round where it is in the way; `side`: the site past
-    /// which it goes, or, where that is inside, through the geom.
+    /// A sphere or a cylinder that it goes round if it is in the way; `side`: the site past which
+    /// it goes, or, if that is inside, through the geom.
     Geom { geom: usize, side: Option<usize> },
     /// Starts a branch, whose length is divided.
     Pulley { divisor: f64 },
 }
 
-/// A length with what holds and pulls it. Of joints alone (fixed): a sum of their positions; else
-/// (spatial) the shortest path through its stops [m].
+/// A length with the elements that hold and pull it. Over joints alone (fixed): a sum of their
+/// positions; else (spatial) the shortest path through its stops [m].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tendon {
     pub name: String,
@@ -26,8 +26,8 @@ pub struct Tendon {
     pub range: Option<[f64; 2]>,
     /// A limit is a row from this distance on.
     pub margin: f64,
-    /// Between these lengths its spring is slack; both −1: the length where the joints' springs
-    /// are at rest.
+    /// Between these lengths its spring is slack; both −1: the length at the rest positions of the
+    /// joints' springs.
     pub springlength: [f64; 2],
     pub stiffness: Coefficients,
     pub damping: Coefficients,
@@ -37,12 +37,12 @@ pub struct Tendon {
     pub frictionloss: f64,
     /// Bounds of the sum of its actuators' forces [N]. None: none.
     pub actuatorfrcrange: Option<[f64; 2]>,
-    /// Of the limit's rows, and of the friction loss.
+    /// Softness of the limit's rows, and of the friction loss.
     pub limit: Softness,
     pub friction: Softness,
 }
 
-/// MuJoCo's: the spring's rest is to be found.
+/// MuJoCo's value for a rest length that is computed.
 pub const AUTOMATIC: [f64; 2] = [-1.0, -1.0];
 
 impl Default for Tendon {

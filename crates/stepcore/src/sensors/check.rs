@@ -1,4 +1,4 @@
-//! Whether a scene's sensors look at what there is.
+//! Checks that the objects of a scene's sensors exist.
 
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};

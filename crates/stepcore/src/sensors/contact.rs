@@ -1,4 +1,4 @@
-//! Contact sensors: of the contacts that match, a fixed number, in a fixed number of numbers.
+//! Contact sensors: a fixed number of the matching contacts, each with a fixed number of values.
 
 use super::Reading;
 use crate::model::Model;
@@ -6,14 +6,14 @@ use crate::real::{Constant, Real};
 use crate::scene::{ObjectType, Reduce, Sensor, SensorField, SensorObject};
 use crate::spatial::V3;
 
-/// A contact as a sensor tells it: in the frame (normal, tangent, normal × tangent), the normal from
-/// the sensor's first object to its second.
+/// A contact as a sensor reports it: in the frame (normal, tangent, normal × tangent), the normal
+/// from the sensor's first object to its second.
 struct Told {
     bodies: [usize; 2],
     pos: V3<f64>,
     dist: f64,
     axes: [V3<f64>; 3],
-    /// On the second object, in these axes.
+    /// Force on the second object, in these axes.
     force: V3<f64>,
     torque: V3<f64>,
 }
@@ -50,7 +50,7 @@ impl<R: Real> Reading<'_, R> {
         }
     }
 
-    /// In the order of the contacts.
+    /// The matching contacts in their order.
     fn matching(&self, sensor: &Sensor) -> Vec<Told> {
         let model = self.model();
         let mut all = vec![];
@@ -78,8 +78,8 @@ impl<R: Real> Reading<'_, R> {
         all
     }
 
-    /// Whether a contact is one of the sensor's, and if so whether its second geom is the sensor's
-    /// first object. Where that is as true of the first, it is not.
+    /// Whether a contact matches the sensor, and if so whether its second geom is the sensor's
+    /// first object. If its first geom is too, the answer is no.
     fn matches(&self, sensor: &Sensor, geoms: [usize; 2], pos: &V3<f64>) -> Option<bool> {
         let is = |object: Option<SensorObject>, geom: usize| match object {
             None => true,

@@ -14,7 +14,7 @@ struct Gap {
 }
 
 impl<R: Real> Reading<'_, R> {
-    /// Distance, direction or both ends. Beyond the cutoff nothing is found.
+    /// Distance, direction or both ends. Nothing is found beyond the cutoff.
     pub(super) fn apart(&self, sensor: &Sensor, out: &mut Vec<f64>) {
         let geoms = |object: Option<SensorObject>| match object {
             Some(SensorObject { kind: ObjectType::Geom, index }) => vec![index],

@@ -1,4 +1,4 @@
-//! Where frames are and how they move: frame*, subtree*.
+//! Poses and velocities of frames: frame*, subtree*.
 
 use super::{index, Reading};
 use crate::model::Model;
@@ -38,7 +38,7 @@ impl<R: Real> Reading<'_, R> {
         self.bodies.velocity_at(self.body_of(object), &self.pose(Some(object)).pos)
     }
 
-    /// Velocity in the frame of reference, as seen by one who moves and turns with it.
+    /// Velocity in the frame of reference, as seen by an observer that moves and turns with it.
     pub(super) fn speed(&self, sensor: &Sensor) -> V3<f64> {
         let (own, reference) = (self.pose(sensor.object), self.pose(sensor.reference));
         let (mine, other) = (self.motion(sensor.object), self.motion(sensor.reference));
@@ -48,10 +48,10 @@ impl<R: Real> Reading<'_, R> {
         })
     }
 
-    /// Acceleration of an object's origin, with gravity as an upward one, and its angular
+    /// Acceleration of an object's origin, with gravity as an upward acceleration, and its angular
     /// acceleration, in world axes.
     ///
-    /// The rate of a spatial velocity is not that of a point that moves along: it lacks ω × v.
+    /// The rate of a spatial velocity lacks ω × v compared with a point that moves along.
     pub(super) fn point_acceleration(&mut self, object: SensorObject) -> Motion<f64> {
         let (body, at) = (self.body_of(object), self.pose(Some(object)).pos);
         let arm = at - self.bodies.about(body);
@@ -73,7 +73,7 @@ impl<R: Real> Reading<'_, R> {
 }
 
 impl Bodies {
-    /// Of a body and all that hangs on it: angular momentum about their centre of mass, and the
+    /// For a body and all that hangs on it: angular momentum about their centre of mass, and the
     /// velocity of that centre.
     pub(super) fn subtree_momentum(&self, model: &Model, sensor: &Sensor) -> (V3<f64>, V3<f64>) {
         let top = index(sensor);

@@ -60,7 +60,7 @@ impl<R: Real> Reading<'_, R> {
         }
     }
 
-    /// Force of all actuators on a dof, with what holds up weight through them.
+    /// Force of all actuators on a dof, with the gravity compensation that acts through them.
     fn actuated(&self, dof: usize) -> f64 {
         let (forces, model) = (self.sim.element_forces(self.lane), &self.sim.model);
         let holds = model.joints[model.dofs[dof].joint].actuatorgravcomp;
@@ -71,7 +71,7 @@ impl<R: Real> Reading<'_, R> {
         forces.map(|(_, force)| force[dof]).sum()
     }
 
-    /// Of the limit of a joint or a tendon that acts, the lower one if both do; else 0.
+    /// A quantity of the acting limit of a joint or a tendon, the lower one if both act; else 0.
     fn limit(&self, kind: Kind, index: usize, of: impl Fn(&Row<R>) -> R) -> f64 {
         let acts = self.sim.rows.blocks.iter().find(|block| {
             let element = block.element;

@@ -1,8 +1,8 @@
-//! Sensors: what MuJoCo computes as `sensordata`, one file a family.
+//! Sensors: MuJoCo's `sensordata`, one file for each family.
 //!
-//! They are computed when they are read and never in a step. Their values belong to the state at
-//! which the last solve was made (`watch/last_solve.rs`), as MuJoCo's do. A [`Reading`] holds what
-//! several sensors share, and makes each part of it when the first sensor asks.
+//! They are computed when they are read and never in a step. Their values belong to the state of
+//! the last solve (`watch/last_solve.rs`), as MuJoCo's do. A [`Reading`] holds what several sensors
+//! share, and makes each part of it when the first sensor needs it.
 
 pub(crate) mod check;
 mod contact;
@@ -27,7 +27,7 @@ pub struct Reading<'a, R: Real> {
     forces: Option<BodyForces>,
 }
 
-/// How values are bounded by a cutoff.
+/// How a cutoff bounds values.
 #[derive(Clone, Copy, PartialEq)]
 enum Bound {
     BothSides,
@@ -36,7 +36,7 @@ enum Bound {
 }
 
 impl Sensor {
-    /// How many numbers it gives.
+    /// The number of its values.
     pub fn size(&self) -> usize {
         use SensorType as T;
         let fields: usize = self.data.iter().map(|field| field.size()).sum();
@@ -57,7 +57,7 @@ impl Sensor {
         }
     }
 
-    /// Whether it tells of contacts, rows, forces or accelerations: those of a solve.
+    /// Whether it reads contacts, rows, forces or accelerations, which need a solve.
     pub fn needs_solve(&self) -> bool {
         use SensorType as T;
         matches!(
@@ -86,7 +86,8 @@ impl Sensor {
         match self.kind {
             _ if self.cutoff <= 0.0 => Bound::None,
             T::Touch | T::InsideSite => Bound::Above,
-            // Directions and orientations have no bound, and the ends of a distance are found within it.
+            // Directions and orientations have no bound; the ends of a distance are found within
+            // it.
             T::FrameQuat | T::BallQuat | T::FrameXAxis | T::FrameYAxis | T::FrameZAxis => {
                 Bound::None
             }
@@ -104,7 +105,7 @@ impl Model {
 }
 
 impl<'a, R: Real> Reading<'a, R> {
-    /// Of one lane of a world, at its present state; if it has solved there, of that solve.
+    /// Reads one lane of a world, at its present state; if it has solved there, of that solve.
     pub fn new(sim: &'a mut Sim<R>, lane: usize) -> Self {
         let bodies = sim.bodies(lane);
         sim.refresh();
@@ -156,7 +157,7 @@ impl<'a, R: Real> Reading<'a, R> {
                 out.extend(self.bodies.subtree_momentum(self.model(), sensor).0.iter())
             }
             T::Clock => out.push(self.sim.time()),
-            // Its user fills it in.
+            // The user fills it in.
             T::User => out.extend(std::iter::repeat_n(0.0, sensor.num)),
             T::PotentialEnergy => {
                 let potential = self.sim.potential_of_springs_and_weight();
@@ -188,7 +189,7 @@ impl<'a, R: Real> Reading<'a, R> {
         }
     }
 
-    /// Pose in its body of an object that has a frame.
+    /// Pose of an object with a frame, in its body.
     fn mount(&self, object: SensorObject) -> (usize, V3<f64>, [f64; 4]) {
         const UPRIGHT: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
         let body = self.body_of(object);
@@ -207,7 +208,7 @@ impl<'a, R: Real> Reading<'a, R> {
         (body, pos, quat)
     }
 
-    /// Pose of an object in the world; the world's own without one.
+    /// Pose of an object in the world; the world's frame without one.
     fn pose(&self, object: Option<SensorObject>) -> Pose<f64> {
         let Some(object) = object else {
             return Pose { pos: V3::zeros(), rot: Quat::identity().matrix() };

@@ -1,4 +1,4 @@
-//! What is measured at a site: motion, forces, the distance ahead, and what is inside.
+//! Measurements at a site: motion, forces, the distance ahead, and objects inside.
 
 use super::Reading;
 use crate::real::Real;
@@ -17,7 +17,7 @@ impl<R: Real> Reading<'_, R> {
             SensorType::Gyro => self.motion(Some(object)).ang,
             SensorType::Accelerometer => self.point_acceleration(object).lin,
             _ => {
-                // What the body and its parent exert on each other, about the site.
+                // The force between the body and its parent, about the site.
                 let body = self.body_of(object);
                 let from = self.bodies.about(body);
                 let wrench = self.forces().internal[body];
@@ -30,7 +30,7 @@ impl<R: Real> Reading<'_, R> {
         pose.to_local(&found)
     }
 
-    /// What a ray along the site's z axis meets, the site's own body left out.
+    /// The geom that a ray along the site's z axis meets; the site's body is left out.
     pub(super) fn range(&self, sensor: &Sensor, out: &mut Vec<f64>) {
         let pose = self.pose(sensor.object);
         let excluded = sensor.object.map(|object| self.body_of(object));
@@ -71,7 +71,7 @@ impl<R: Real> Reading<'_, R> {
         ray::primitive(site.kind, &site.size, &ray).is_some()
     }
 
-    /// 1 where the object's origin is within the site, else 0.
+    /// 1 if the object's origin is within the site, else 0.
     pub(super) fn inside(&self, sensor: &Sensor) -> f64 {
         let point = self.pose(sensor.object).pos;
         let within = sensor.reference.is_some_and(|site| self.within(site.index, &point));

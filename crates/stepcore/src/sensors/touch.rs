@@ -21,7 +21,7 @@ impl<R: Real> Reading<'_, R> {
             let wrench = self.sim.contact_wrench(contact, self.lane);
             let normal: V3<f64> = contact.normal.map(|x| x.lane(self.lane));
             let force = normal.dot(&V3::from_column_slice(&wrench[..3]));
-            // The ray goes the way that the force does not push the body: into it.
+            // The ray goes against the force on the body: into it.
             let along = if body == two { -normal } else { normal };
             let pos = contact.pos.map(|x| x.lane(self.lane));
             if force > 0.0 && self.sees(site, &pos, &along) {

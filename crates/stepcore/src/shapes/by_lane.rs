@@ -1,9 +1,9 @@
 //! Tests that branch too freely for lanes: one world at a time, in double precision.
 //!
-//! A hull against a hull takes other steps in every world, so eight of them side by side would do
-//! all steps of all. Such a test is written for numbers of one lane (`f64`, and what carries or
-//! counts along with it), may branch on what it compares, and gets each lane in turn. Lanes equal
-//! scalars bit for bit by construction; single precision is the result in double, rounded.
+//! A hull against a hull takes other steps in every world, so eight of them together would do all steps
+//! of all. Such a test is written for numbers of one lane (`f64`, and numbers that also carry slopes or
+//! counts), may branch on comparisons, and gets one lane after the other. Lanes equal scalars bit for
+//! bit by construction; single precision is the result in double, rounded.
 
 use super::touch::{Touch, Touches};
 use super::Shape;
@@ -16,7 +16,7 @@ pub trait OneWorld<const N: usize> {
     fn touches<R: Real>(&self, one: &Shape<R>, two: &Shape<R>) -> Touches<R, N>;
 }
 
-/// Runs such a test in every lane; `test` gives it for each.
+/// Runs such a test in every lane; `test` returns it for each.
 pub fn by_lane<R: Real, T: OneWorld<N>, const N: usize>(
     test: impl Fn(usize) -> T,
     one: &Shape<R>,
@@ -48,7 +48,7 @@ pub fn by_lane<R: Real, T: OneWorld<N>, const N: usize>(
     out
 }
 
-/// A slot without a contact. Its numbers are finite, so that they may be computed with.
+/// Returns a slot without a contact. Its numbers are finite, so that they may be computed with.
 pub fn empty<R: Real>() -> Touch<R> {
     Touch {
         dist: R::one(),
@@ -59,14 +59,14 @@ pub fn empty<R: Real>() -> Touch<R> {
     }
 }
 
-/// One lane of a size.
+/// Returns one lane of a size.
 fn size<R: Real>(shape: &Shape<R>, lane: usize) -> [f64; 3] {
     shape.size.each_ref().map(|x| x.lane(lane))
 }
 
-/// One lane of a pose. Of coarser numbers the axes are only nearly at right angles: they are put
-/// upright, since what is computed from their cosines and from their components must agree to the
-/// digits that the tests have.
+/// Returns one lane of a pose. In lower precision the axes are only nearly at right angles. They are
+/// made orthogonal, since values computed from their cosines and from their components must agree to
+/// the digits that the tests have.
 fn pose<R: Real>(pose: &Pose<R>, lane: usize) -> Pose<f64> {
     let rot = M3::from_fn(|i, k| pose.rot[(i, k)].lane(lane));
     let coarse = R::epsilon() > f64::EPSILON;
@@ -76,7 +76,7 @@ fn pose<R: Real>(pose: &Pose<R>, lane: usize) -> Pose<f64> {
     }
 }
 
-/// The rotation whose third axis is this one's, and whose first is as near as it can be.
+/// Returns the rotation with the same third axis, whose first axis is as near as possible.
 fn upright(rot: &M3<f64>) -> M3<f64> {
     let z = rot.column(2).normalize();
     let x = rot.column(0) - z * z.dot(&rot.column(0));
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
     use crate::real::Lanes;
 
-    /// Two touches of numbers that show which lane they came from.
+    /// Two touches of numbers that show their lanes.
     struct Both;
 
     impl OneWorld<2> for Both {

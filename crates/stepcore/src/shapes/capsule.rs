@@ -1,8 +1,8 @@
 //! A capsule against a capsule.
 //!
-//! Skew axes: one contact, between the nearest points of the two segments. Axes
-//! within 1e-4 rad of parallel: two, at the ends of the stretch over which the
-//! segments lie side by side, where one contact would hop from end to end.
+//! Skew axes: one contact, between the nearest points of the two segments. Axes within 1e-4 rad of
+//! parallel: two, at the ends of the common stretch of the segments, where one contact would hop from
+//! end to end.
 
 use super::touch::{balls, select3, unit, Ball, Touch, Touches};
 use crate::real::{Mask, Real};
@@ -12,8 +12,8 @@ use crate::spatial::{Pose, V3};
 const PARALLEL: f64 = 1e-8;
 /// Squared length, over the squared size of the pair, below which a segment is a point.
 const POINT: f64 = 1e-15;
-/// The same of the distance of two axes below which their difference, mostly rounding, is a worse
-/// direction than the one across both.
+/// Squared distance of two axes, over the same, below which their difference, mostly rounding, is a
+/// worse direction than the one across both.
 const CROSSED: f64 = 1e-8;
 
 /// A capsule's axis as a start and a whole-length direction.
@@ -33,16 +33,16 @@ impl<R: Real> Segment<R> {
         Self { start, along: (pose.pos + reach) - start, radius, axis }
     }
 
-    /// The ball at a share, 0 to 1, of the length.
+    /// Returns the ball at a share, 0 to 1, of the length.
     #[inline(always)]
     fn ball(&self, share: R) -> Ball<R> {
         Ball { centre: self.start + self.along * share, radius: self.radius, axis: self.axis }
     }
 }
 
-/// Two slots. Skew: slot 0 alone, the nearest points. Parallel: slot 0 is the end
-/// towards a's −z, slot 1 the end towards its +z; of capsules one behind the other
-/// both are in the same place. `ha`, `hb` are half the lengths of the axes.
+/// Two slots. Skew: slot 0 alone, the nearest points. Parallel: slot 0 is the end towards a's −z, slot
+/// 1 the end towards its +z; for capsules one behind the other both are in the same place. `ha`, `hb`
+/// are half the lengths of the axes.
 pub fn capsule_capsule<R: Real>(
     a: &Pose<R>,
     ra: R,
@@ -63,12 +63,11 @@ pub fn capsule_capsule<R: Real>(
     let size = ra + ha + rb + hb;
     let smallest = R::of(POINT) * size * size;
     let (p_long, q_long) = (pp.gt(smallest), qq.gt(smallest));
-    // A coarse number cannot resolve so small an angle.
+    // Single precision cannot resolve so small an angle.
     let small = R::of(PARALLEL.max(16.0 * R::epsilon()));
     let parallel = p_long.and(q_long).and(cross2.le(small * pp * qq));
 
-    // From a place on p to q's nearest point; where that is an end of q, p's
-    // nearest point to the end.
+    // From a place on p to q's nearest point; if this is an end of q, p's nearest point to the end.
     let nearest = |s: R| {
         let free = R::select(q_long, (pq * s - qd) / qq, R::zero());
         let t = within(free);
@@ -93,8 +92,8 @@ pub fn capsule_capsule<R: Real>(
     [first, second]
 }
 
-/// The same contact with its normal across both axes, where they cross (`crossed`) and are nearer
-/// than the root of `close`.
+/// Returns the same contact with its normal across both axes, where they cross (`crossed`) and are
+/// nearer than the root of `close`.
 #[inline(always)]
 fn across<R: Real>(
     touch: Touch<R>,

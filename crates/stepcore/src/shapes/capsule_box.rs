@@ -1,11 +1,11 @@
 //! A capsule against a box: up to two contacts, so that a capsule that lies on a face, or along an
-//! edge, rests on both ends of what it shares with it.
+//! edge, rests on both ends of the common stretch.
 //!
-//! Where the capsule's axis passes the box, the first contact is at the axis' point nearest to the
-//! box; the second at the far end of the part of the axis that is above the same face, or beside
-//! the same edge. Both are as of a ball there. These are MuJoCo's points, but that MuJoCo lists the
-//! first contact twice where there is no second. Where the axis goes through the box no ball tells
-//! the way out: then the shortest one counts, along a face's normal or across an edge and the axis.
+//! If the capsule's axis misses the box, the first contact is at the axis' point nearest to the box. The
+//! second is at the far end of the part of the axis that is above the same face, or next to the same
+//! edge. Both are computed as for a ball there. These are MuJoCo's points, except that MuJoCo lists the
+//! first contact twice if there is no second. If the axis passes through the box, no ball determines the
+//! way out: the shortest one counts, along a face's normal or across an edge and the axis.
 
 use super::boxes::{edge, others, segments_gap, Block, Segment};
 use super::by_lane::{empty, OneWorld};
@@ -14,13 +14,13 @@ use super::Shape;
 use crate::real::{value, Constant, Mask, Real, Value};
 use crate::spatial::V3;
 
-/// Of the sizes: rounding of a distance.
+/// Rounding of a distance, as a part of the sizes.
 const ROUNDING: f64 = 1e-9;
-/// The same of depths that count as equal.
+/// Difference of depths that count as equal, as such a part.
 const TIE: f64 = 1e-12;
-/// Of a distance: what two ways to compute it may differ by.
+/// Difference between two ways to compute a distance, as a part of it.
 const EVEN: f64 = 1e-15;
-/// Of the sizes: a distance whose direction is better told by what meets than by its two points.
+/// Distance, as a part of the sizes, below which the features give a better direction than the points.
 const THIN: f64 = 1e-6;
 /// Squared sine of an angle below which the axis counts as parallel to an edge.
 const PARALLEL: f64 = 1e-14;
@@ -72,13 +72,13 @@ struct WayOut<R: Real> {
     gap: R,
     /// Unit, out of the box.
     normal: V3<R>,
-    /// The face, or of an edge its direction.
+    /// The face, or for an edge its direction.
     face: Option<usize>,
     edge: usize,
 }
 
 impl<R: Real> Lying<R> {
-    /// Of three faces and three cross products of an edge with the axis.
+    /// Finds the way out among three faces and three cross products of an edge with the axis.
     fn way_out(&self) -> WayOut<R> {
         let (axis, half) = (&self.axis, &self.cuboid.half);
         let sign = |x: R| if x.lane(0) < 0.0 { -R::one() } else { R::one() };
@@ -101,7 +101,7 @@ impl<R: Real> Lying<R> {
             let [u, v] = others(k);
             let reach = half[u] * normal[u].abs() + half[v] * normal[v].abs();
             let gap = normal.dot(&axis.middle) - reach;
-            // Of equal ones a face counts.
+            // A face is preferred to equal ones.
             let tiny = TIE * (half[0] + half[1] + half[2]).lane(0);
             if best.as_ref().is_some_and(|now| gap.lane(0) > now.gap.lane(0) + tiny) {
                 best = Some(WayOut { gap, normal, face: None, edge: k });
@@ -110,7 +110,7 @@ impl<R: Real> Lying<R> {
         best.unwrap_or(WayOut { gap: R::zero(), normal: V3::z(), face: Some(2), edge: 0 })
     }
 
-    /// The stretch of the axis whose coordinates k are the box's too.
+    /// Returns the stretch of the axis whose coordinates k are within the box's.
     fn over(&self, axes: &[usize]) -> Option<[R; 2]> {
         let (mut low, mut high) = (-self.axis.half, self.axis.half);
         for &k in axes {
@@ -130,7 +130,7 @@ impl<R: Real> Lying<R> {
         (low.lane(0) <= high.lane(0)).then_some([low, high])
     }
 
-    /// The contacts of an axis that goes through the box, or is on its surface.
+    /// Returns the contacts of an axis that passes through the box, or is on its surface.
     fn through(&self, way: &WayOut<R>) -> Touches<R, 2> {
         let Some(face) = way.face else { return [self.crossing(way), empty()] };
         let Some([low, high]) = self.over(&others(face)) else {
@@ -147,7 +147,7 @@ impl<R: Real> Lying<R> {
         [first, second]
     }
 
-    /// Between the axis and the edge of the box that is farthest along the way out.
+    /// Returns the contact between the axis and the edge of the box that is farthest along the way out.
     fn crossing(&self, way: &WayOut<R>) -> Touch<R> {
         let ends = others(way.edge).map(|k| way.normal[k].lane(0) >= 0.0);
         let (place, _, _) = segments_gap(&self.axis, &self.cuboid.edge(way.edge, ends));
@@ -155,7 +155,7 @@ impl<R: Real> Lying<R> {
         Touch { feature, ..self.touch(place, way.gap, -way.normal) }
     }
 
-    /// Of a ball at this place of the axis, whose centre is so far from the box along `normal`.
+    /// Returns the contact of a ball at this place, whose centre is at this gap along `normal`.
     fn touch(&self, place: R, gap: R, normal: V3<R>) -> Touch<R> {
         let dist = gap - self.radius;
         Touch {
@@ -167,8 +167,8 @@ impl<R: Real> Lying<R> {
         }
     }
 
-    /// An end of the axis (1 and 2), or the edge (from 3) or corner (from 15) of the box nearest to
-    /// a place between.
+    /// Returns the feature: an end of the axis (1 and 2), or the edge (from 3) or corner (from 15) of
+    /// the box nearest to a place between.
     fn feature(&self, place: R) -> R {
         let name = if place.lane(0) <= -self.axis.half.lane(0) {
             1
@@ -190,14 +190,14 @@ impl<R: Real> Lying<R> {
         R::of(name as f64)
     }
 
-    /// As of a ball at this place, whose centre is outside.
+    /// Returns the contact of a ball at this place, whose centre is outside.
     fn ball(&self, place: R) -> Touch<R> {
         let apart = self.from(&self.axis.at(place));
         let length = apart.dot(&apart).sqrt();
         self.touch(place, length, apart * (R::one() / length))
     }
 
-    /// From a point to the box.
+    /// Returns the vector from a point to the box.
     fn from(&self, point: &V3<R>) -> V3<R> {
         V3::from_fn(|k, _| {
             let half = self.cuboid.half[k];
@@ -205,7 +205,7 @@ impl<R: Real> Lying<R> {
         })
     }
 
-    /// The place on the axis nearest to the box: an end, unless an edge is nearer.
+    /// Returns the place on the axis nearest to the box: an end, unless an edge is nearer.
     fn nearest(&self) -> R {
         let length = |v: V3<R>| v.dot(&v).lane(0).sqrt();
         let [first, last] = [-self.axis.half, self.axis.half];
@@ -214,7 +214,7 @@ impl<R: Real> Lying<R> {
         if end < best {
             (place, best) = (last, end);
         }
-        // Of an axis along an edge the end counts; not where the axis comes nearer from there.
+        // If the axis is along an edge the end counts, unless the axis comes nearer from there.
         let ahead = self.axis.along * if place == last { -R::one() } else { R::one() };
         let nears = ahead.dot(&self.from(&self.axis.at(place))).lane(0) > TIE * best;
         best *= if nears { 1.0 + EVEN } else { 1.0 - ROUNDING };
@@ -228,7 +228,7 @@ impl<R: Real> Lying<R> {
         place
     }
 
-    /// The contacts of an axis that passes the box.
+    /// Returns the contacts of an axis that misses the box.
     fn beside(&self, way: &WayOut<R>, size: f64) -> Touches<R, 2> {
         let place = self.nearest();
         let mut first = self.ball(place);
@@ -242,7 +242,7 @@ impl<R: Real> Lying<R> {
         [first, if there { self.ball(second) } else { empty() }]
     }
 
-    /// Where the second contact is, the nearest point being known.
+    /// Returns the place of the second contact, given the nearest point.
     fn second(&self, place: R, normal: &V3<R>) -> R {
         let point = self.axis.at(place);
         let outside = |k: &usize| point[*k].lane(0).abs() > self.cuboid.half[*k].lane(0);
@@ -251,7 +251,7 @@ impl<R: Real> Lying<R> {
         let beside = [0, 1, 2].map(|k| outside(&k));
         match beside.iter().filter(|out| **out).count() {
             0 | 1 => {
-                // Above a face: the far end of what is above it.
+                // Above a face: the far end of the part above it.
                 let far = |[low, high]: [R; 2]| {
                     let upper = (high - place).lane(0) > (place - low).lane(0);
                     if upper {
@@ -275,7 +275,7 @@ impl<R: Real> Lying<R> {
         }
     }
 
-    /// From an edge as far across the face as the face is wide.
+    /// Returns the place as far across the face from an edge as the face is wide.
     fn across(&self, place: R, side: usize, [low, high]: [R; 2]) -> Option<R> {
         let (slope, half) = (self.axis.along[side], self.cuboid.half[side]);
         if slope.lane(0) == 0.0 {
@@ -293,7 +293,7 @@ impl<R: Real> Lying<R> {
         (above && moved).then_some(there)
     }
 
-    /// Of two places the one nearer to the box.
+    /// Returns the one of two places that is nearer to the box.
     fn nearer(&self, [low, high]: [R; 2]) -> R {
         let [a, b] = [low, high].map(|place| {
             let apart = self.from(&self.axis.at(place));

@@ -46,19 +46,19 @@ fn a_capsule_on_a_box_rests_on_both_ends() {
     close(&stands[0], -0.25, [0.5, 0.5, 0.375], down);
     close(&stands[1], 0.75, [0.5, 0.5, 0.875], down);
     assert_eq!((stands[0].feature, stands[1].feature), (1.0, 2.0));
-    // Its axis in the box: out through the top.
+    // Its axis is in the box: out through the top.
     let deep = meet(&lying(0.0, 0.0, 0.25), &capsule, &ground, &size);
     close(&deep[0], -0.5, [-0.5, 0.0, 0.25], down);
     close(&deep[1], -0.5, [0.5, 0.0, 0.25], down);
-    // Along an edge, from outside: both ends of what it shares with it.
+    // Along an edge, from outside: both ends of the common stretch.
     let beside = meet(&lying(0.75, 1.15, 0.7), &capsule, &ground, &size);
     assert_eq!(beside.len(), 2);
     close(&beside[0], 0.0, [0.25, 1.0, 0.5], [0.0, -0.6, -0.8]);
     close(&beside[1], 0.0, [1.0, 1.0, 0.5], [0.0, -0.6, -0.8]);
 }
 
-/// How far the planes across the nearest contact's normal that touch both are apart, less its
-/// distance: 0 of the nearest contact of shapes that are apart.
+/// Distance between the planes across the nearest contact's normal that touch the two shapes, less the
+/// contact's distance: 0 for the nearest contact of shapes that are apart.
 fn unproven(a: &Pose<f64>, capsule: &[f64; 3], b: &Pose<f64>, block: &[f64; 3]) -> f64 {
     let found = meet(a, capsule, b, block);
     let first = found.iter().min_by(|s, t| s.dist.total_cmp(&t.dist)).unwrap();
@@ -80,7 +80,7 @@ fn an_axis_all_but_along_an_edge_and_one_all_but_through_it() {
         pose.rot = turn * pose.rot;
         let off = unproven(&pose, &capsule, &block, &size);
         assert!(off.abs() < 1e-11, "{tilt:e}: {off:e}");
-        // Across the edge, so far from it.
+        // Across the edge, at this distance from it.
         let away = Vector3::new(0.0, 0.6, 0.8);
         let way = away.cross(&Vector3::new(1.0, random.next(), 0.0)).normalize();
         let rot = Matrix3::from_columns(&[away, way.cross(&away), way]);

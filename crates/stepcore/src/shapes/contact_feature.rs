@@ -1,21 +1,21 @@
-//! What of a shape meets another one: a face, an edge or a point.
+//! The feature of a shape that meets another one: a face, an edge or a point.
 
 use super::solid::{Core, Solid, PRISM_FACES};
 use crate::real::Real;
 use crate::spatial::V3;
 
-/// Corners of a face that are kept; of a face with more, as many at equal steps.
+/// Largest number of corners of a face; a face with more keeps this many at equal steps.
 pub const CORNERS: usize = 48;
 
-/// Cosine of the angle between a face and the normal up to which the face lies against the other
-/// shape, and sine of an edge's: those of MuJoCo 4, found by turning boxes and capsules.
+/// Cosine of the angle between a face and the normal up to which the face lies against the other shape,
+/// and sine of an edge's: MuJoCo 4's values, found by turning boxes and capsules.
 const FACE: f64 = 0.996;
 const EDGE: f64 = 0.0888;
 
-/// Cosine and sine of π/8: corners of a cylinder's cap stand at odd multiples.
+/// Cosine and sine of π/8: corners of a cylinder's cap are at odd multiples.
 const EIGHTH: (f64, f64) = (0.923_879_532_511_286_7, 0.382_683_432_365_089_8);
 
-/// A corner from the first shape's centre, and its number on its own shape.
+/// A corner relative to the first shape's centre, and its number on its shape.
 #[derive(Clone, Copy)]
 pub struct Corner<R: Real> {
     pub at: V3<R>,
@@ -28,7 +28,7 @@ pub struct Polygon<R: Real> {
     pub count: usize,
     pub normal: V3<R>,
     pub offset: R,
-    /// Of a cylinder's cap, whose corners stand for a circle: its centre and radius.
+    /// For a cylinder's cap, whose corners represent a circle: its centre and radius.
     pub circle: Option<(V3<R>, R)>,
 }
 
@@ -39,7 +39,7 @@ pub enum Feature<R: Real> {
     Point,
 }
 
-/// What of a shape with its centre at `centre` lies furthest along a unit direction.
+/// Returns the feature of a shape with its centre at `centre` that is furthest along a unit direction.
 pub fn feature<R: Real>(solid: &Solid<R>, centre: &V3<R>, along: &V3<R>) -> Feature<R> {
     match face(solid, centre, along) {
         Some(polygon) => Feature::Face(polygon),
@@ -93,7 +93,7 @@ fn face<R: Real>(solid: &Solid<R>, centre: &V3<R>, along: &V3<R>) -> Option<Poly
     if let Core::Cylinder(radius, half) = solid.core {
         out.circle = Some((centre + normal * R::of(half), R::of(radius)));
     }
-    // The furthest corner: faces of files in single precision are flat but for rounding.
+    // The furthest corner: faces of files in single precision are flat except for rounding.
     let height = |corner: &Corner<R>| normal.dot(&corner.at);
     out.offset = height(&out.corners[0]);
     for corner in &out.corners[1..out.count] {

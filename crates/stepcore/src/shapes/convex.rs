@@ -21,14 +21,14 @@ pub struct Convex<'a> {
     pub hint: Option<&'a Cell<Hint>>,
 }
 
-/// The most contacts of two flat sides: the deepest place of their patch, what is furthest from it, and
-/// what is furthest from both. As soon as a shape leans its deepest place is where it tips: a cylinder on
-/// a box, a pillar and a rounded sole tip at 0.84 to 0.98 of the force that tips a rigid one (with eight
-/// contacts at 0.86 to 0.95), and rest at 1e-15 m/s (with three, five or six, which share a load
-/// unevenly, at 1e-4 to 1e-2). See docs/method/detect.md.
+/// The largest number of contacts of two flat sides: the deepest place of their patch, the furthest
+/// place from it, and the furthest ones from both. As soon as a shape leans its deepest place is where
+/// it tips: a cylinder on a box, a pillar and a rounded sole tip at 0.84 to 0.98 of the force that tips
+/// a rigid one (with eight contacts at 0.86 to 0.95), and rest at 1e-15 m/s (with three, five or six,
+/// which share a load unevenly, at 1e-4 to 1e-2). See docs/method/detect.md.
 pub const PATCH: usize = 4;
 
-/// The most contacts: a round shape touches at one place, a capsule along its side at two.
+/// Returns the largest number of contacts: one of a round shape, two along a capsule's side.
 pub fn most(one: GeomType, two: GeomType) -> usize {
     let either = |kind| one == kind || two == kind;
     if either(GeomType::Sphere) || either(GeomType::Ellipsoid) {
@@ -50,7 +50,7 @@ impl<const N: usize> OneWorld<N> for Convex<'_> {
     }
 }
 
-/// The core and the radius of a shape.
+/// Returns the core and the radius of a shape.
 pub fn solid<'a, R: Real>(kind: GeomType, shape: &Shape<'a, R>) -> Solid<'a, R> {
     let size = shape.size.each_ref().map(|x| x.lane(0));
     let [a, b, _] = size;
@@ -65,11 +65,11 @@ pub fn solid<'a, R: Real>(kind: GeomType, shape: &Shape<'a, R>) -> Solid<'a, R> 
     Solid { core, radius, pose: shape.pose }
 }
 
-/// Operations of one support function, for numbers that count.
+/// Operations of one support function, for counting numbers.
 const SUPPORT: u64 = 40;
 
-/// How far two convex shapes are apart, and along which direction; None if they are proven `within`
-/// [m] apart.
+/// Returns the distance of two convex shapes, and its direction; None if they are proven `within` [m]
+/// apart.
 pub fn meeting<R: Real>(
     one: &Solid<R>,
     two: &Solid<R>,
@@ -86,7 +86,7 @@ pub fn meeting<R: Real>(
     separation
 }
 
-/// The contacts of two convex shapes along a direction.
+/// Computes the contacts of two convex shapes along a direction.
 pub fn contacts<R: Real, const N: usize>(
     one: &Solid<R>,
     two: &Solid<R>,
@@ -110,7 +110,7 @@ pub fn contacts<R: Real, const N: usize>(
     out
 }
 
-/// Counts operations that were done in plain numbers.
+/// Counts operations that used plain numbers.
 fn spend<R: Real>(operations: u64) {
     let mut sum = R::zero();
     for _ in 0..operations {

@@ -1,5 +1,4 @@
-//! The convex routine: closed forms, laws of every pair, lanes, slopes, and shapes that are
-//! nearly nothing.
+//! The convex routine: closed forms, laws of every pair, lanes, slopes, and degenerate shapes.
 
 use super::by_lane::by_lane;
 use super::convex::Convex;
@@ -335,7 +334,7 @@ fn slopes_are_those_of_finite_differences() {
             touch(case.kinds, &case.shape(0, &p), &case.shape(1, &q))
         });
         for ((t, a), b) in with.iter().zip(before).zip(after) {
-            // Not where another place takes over in between.
+            // Skips cases in which another place takes over in between.
             let same = t.exists && a.exists && b.exists && a.feature == b.feature;
             let near = (a.normal - b.normal).norm() < 1e-4 && (a.pos - b.pos).norm() < 1e-4;
             if !(same && near) {

@@ -1,8 +1,8 @@
 //! A sphere against a cylinder.
 //!
-//! Beside its side the cylinder is a ball at the height of the sphere's centre, above a lid a plane,
-//! beyond both a point of the rim. A centre inside leaves by the nearer of side and lid; of equally
-//! near lids by the lower.
+//! Next to its side the cylinder is a ball at the height of the sphere's centre, above a lid a plane,
+//! beyond both a point of the rim. A centre inside leaves by the nearer of side and lid; if the lids
+//! are equally near, by the lower.
 
 use super::touch::{balls, Ball, Touch, Touches};
 use crate::real::{Mask, Real};

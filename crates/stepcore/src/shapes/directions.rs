@@ -1,37 +1,37 @@
-//! Lists by direction: which faces of a polytope can look along it most.
+//! Lists by direction: the faces of a polytope whose normals may be nearest to it.
 //!
 //! Directions fall into cells, squares on the sides of a cube. A direction of a cell is a sum of the
-//! cell's four corners with weights that are not negative. So what something else exceeds along all
-//! four of them it exceeds along each direction between them, and no list of the cell needs it.
+//! cell's four corners with nonnegative weights. So a vector that another one exceeds along all four
+//! corners is exceeded along each direction between them, and no list of the cell needs it.
 
 use nalgebra::Vector3;
 
-/// So many by so many cells on each side. A robot of 30 meshes that lies on the ground takes steps of 4 %
-/// fewer instructions than with 8, and 8 % longer to load.
+/// Number of cells along each edge of a side. A robot of 30 meshes that lies on the ground takes steps
+/// of 4 % fewer instructions than with 8, and 8 % longer to load.
 const CELLS: usize = 16;
 /// All cells.
 pub const COUNT: usize = 6 * CELLS * CELLS;
-/// Of unit vectors along another: what is exceeded by no more is listed too, so that rounding keeps
-/// nothing off a list.
+/// Margin in the projection of unit vectors: a vector that is exceeded by no more is listed too, so
+/// that rounding keeps nothing off a list.
 const SLACK: f64 = 2e-9;
 
-/// The cell of a direction: the side of the cube through which it leaves, and where.
+/// Returns the cell of a direction: the side of the cube through which it leaves, and the place there.
 #[inline(always)]
 pub fn cell(direction: &Vector3<f64>) -> usize {
     let k = direction.iamax();
     let scale = 0.5 * CELLS as f64 / direction[k].abs();
-    // Of no direction, and of a number that is none, the first.
+    // A zero direction and NaN are in the first.
     let grid = |x: f64| ((x * scale + 0.5 * CELLS as f64) as usize).min(CELLS - 1);
     let side = 2 * k + usize::from(direction[k] < 0.0);
     (side * CELLS + grid(direction[(k + 1) % 3])) * CELLS + grid(direction[(k + 2) % 3])
 }
 
-/// The direction in the middle of a cell.
+/// Returns the direction in the middle of a cell.
 pub fn middle(cell: usize) -> Vector3<f64> {
     within(cell, [0.5, 0.5])
 }
 
-/// The direction at a place in a cell, each way from 0 to 1.
+/// Returns the direction at a place in a cell, each way from 0 to 1.
 fn within(cell: usize, at: [f64; 2]) -> Vector3<f64> {
     let (side, row, column) = (cell / (CELLS * CELLS), cell / CELLS % CELLS, cell % CELLS);
     let grid = |place: usize, at: f64| 2.0 * (place as f64 + at) / CELLS as f64 - 1.0;
@@ -42,26 +42,26 @@ fn within(cell: usize, at: [f64; 2]) -> Vector3<f64> {
     direction
 }
 
-/// Unit vectors to the four corners of a cell.
+/// Returns unit vectors to the four corners of a cell.
 fn corners(cell: usize) -> [Vector3<f64>; 4] {
     [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]].map(|at| within(cell, at).normalize())
 }
 
-/// What is furthest along the corners of a cell.
+/// The furthest points along the corners of a cell.
 struct Best {
     corners: [Vector3<f64>; 4],
-    /// Of each, along all four corners, less the slack.
+    /// The reach of each point along all four corners, less the slack.
     reaches: [[f64; 4]; 4],
 }
 
 impl Best {
-    /// `points`: what is furthest along each corner.
+    /// `points`: the furthest along each corner.
     fn of(corners: [Vector3<f64>; 4], points: [Vector3<f64>; 4]) -> Self {
         let reaches = points.map(|point| corners.map(|corner| corner.dot(&point) - SLACK));
         Self { corners, reaches }
     }
 
-    /// One of them exceeds a point along every direction of the cell.
+    /// Checks that one of them exceeds a point along every direction of the cell.
     fn exceeds(&self, point: &Vector3<f64>) -> bool {
         let own = self.corners.map(|corner| corner.dot(point));
         self.reaches.iter().any(|reach| own.iter().zip(reach).all(|(own, reach)| own < reach))
@@ -76,7 +76,7 @@ pub struct ByDirection {
 }
 
 impl ByDirection {
-    /// The lists of unit vectors.
+    /// Makes the lists of unit vectors.
     pub fn of(units: &[Vector3<f64>]) -> Self {
         let (mut starts, mut list) = (vec![0], vec![]);
         let (mut near, mut along): (Vec<u32>, Vec<f64>) = (vec![], vec![]);
@@ -86,7 +86,7 @@ impl ByDirection {
             along.extend(units.iter().map(|unit| unit.dot(&middle)));
             let most = along.iter().fold(-1.0, |most: f64, x| most.max(*x)).min(1.0);
             let wide = corners.iter().fold(1.0, |least: f64, c| least.min(c.dot(&middle)));
-            // The nearest to the middle is that near to all of the cell, or something else is nearer.
+            // The vector nearest to the middle is this near to the whole cell, or another one is nearer.
             let least = (most.acos() + 2.0 * wide.acos()).min(std::f64::consts::PI).cos() - SLACK;
             near.clear();
             near.extend((0..).zip(&along).filter(|(_, x)| **x >= least).map(|(i, _)| i));
@@ -97,7 +97,7 @@ impl ByDirection {
         Self { starts, list }
     }
 
-    /// Of a cell, ascending.
+    /// Returns the list of a cell, ascending.
     #[inline(always)]
     pub fn at(&self, cell: usize) -> &[u32] {
         &self.list[self.starts[cell] as usize..self.starts[cell + 1] as usize]
@@ -108,7 +108,7 @@ impl ByDirection {
     }
 }
 
-/// What of a list is furthest along a direction.
+/// Returns the point of a list that is furthest along a direction.
 fn furthest(points: &[Vector3<f64>], list: &[u32], along: &Vector3<f64>) -> Vector3<f64> {
     let points = list.iter().map(|i| points[*i as usize]);
     points.max_by(|a, b| a.dot(along).total_cmp(&b.dot(along))).unwrap_or_default()

@@ -13,56 +13,56 @@ use crate::spatial::V3;
 const NONE: u16 = u16::MAX;
 /// Height above a face, over the size, that is only rounding.
 const FLAT: f64 = 1e-13;
-/// Sine of the angle by which a direction leans: a face over a surface that bends by it is lower by 4e-6.
+/// Sine of the tilt of a direction: a face over a surface that bends by it is lower by 4e-6.
 const LEAN: f64 = 6e-3;
-/// Cosine of the angle up to which a face is beside a direction.
+/// Cosine of the angle up to which a face is next to a direction.
 const BESIDE: f64 = 0.5;
 
-/// Points from which the first four are taken: of a simplex, along axes, and beside those twice.
+/// Points from which the first four are taken: of a simplex, along axes, and twice next to these.
 const SEEDS: usize = 4 + 6 + 2 * 4;
 
 /// One triangle, counter-clockwise from outside.
 #[derive(Clone, Copy)]
 struct Face {
     corners: [u16; 3],
-    /// Across the edge from corner k to the next.
+    /// The faces across the edge from corner k to the next.
     across: [u16; 3],
     normal: V3<f64>,
-    /// From the origin along the normal; infinite where the triangle has no area.
+    /// From the origin along the normal; infinite if the triangle has no area.
     height: f64,
-    /// Nothing lies beyond it but rounding.
+    /// Only rounding lies beyond it.
     done: bool,
 }
 
-/// The polytope as grown so far. Its lists are used again for the next one.
+/// The polytope at its present size. Its lists are used again for the next one.
 #[derive(Default)]
 pub struct Polytope {
     points: Vec<Vertex>,
     faces: Vec<Face>,
-    /// So many points, and twice as many faces, have room.
+    /// Capacity for this many points, and twice as many faces.
     most: usize,
     size: f64,
     /// The last push found nothing more, or no room for it.
     pub stuck: bool,
     /// A push found no room.
     pub full: bool,
-    /// It has more points than it began with.
+    /// It has more points than at the start.
     pub grown: bool,
-    /// A push found faces that do not fit around what it sees.
+    /// A push found faces that do not fit around the visible ones.
     pub torn: bool,
-    /// The direction of the shortest way out that was seen.
+    /// The direction of the shortest way out so far.
     pub best: V3<f64>,
     least: f64,
     growth: Growth,
 }
 
-/// What one growth of the polytope lists.
+/// The lists of one growth of the polytope.
 #[derive(Default)]
 struct Growth {
-    /// By face: the new point sees it; and those that it sees.
+    /// By face: whether the new point sees it; and the faces that it sees.
     seen: Vec<bool>,
     visible: Vec<u16>,
-    /// Edges of the rim: the face outside, and which of its edges.
+    /// Edges of the rim: the face outside, and the number of its edge.
     rim: Vec<(u16, u16)>,
     /// By point the rim's edge that leaves it.
     places: Vec<u16>,
@@ -71,12 +71,12 @@ struct Growth {
 /// A face, and the set's reach along its normal.
 pub struct Way {
     pub normal: V3<f64>,
-    /// Of the set along this normal: a way out.
+    /// Reach of the set along this normal: a way out.
     pub reach: f64,
 }
 
 impl Polytope {
-    /// Begins with a tetrahedron of points of the set; false where the set is flat.
+    /// Starts with a tetrahedron of points of the set; returns false if the set is flat.
     pub fn start(
         &mut self,
         support: &impl Fn(&V3<f64>) -> Vertex,
@@ -107,7 +107,7 @@ impl Polytope {
         true
     }
 
-    /// Begins with a shell whose corners are where `at` says now; false where the origin is no longer
+    /// Starts with a shell whose corners are now at `at`; returns false if the origin is no longer
     /// inside of each of its faces.
     pub fn start_from(
         &mut self,
@@ -136,13 +136,13 @@ impl Polytope {
         self.faces.push(face);
     }
 
-    /// Writes down its surface, of corners that faces have; nothing if these are more than `most`.
+    /// Writes its surface, of corners that faces have; nothing if these are more than `most`.
     pub fn keep(&mut self, shell: &mut Shell, most: usize) {
         let places = &mut self.growth.places;
         places.clear();
         places.resize(self.points.len(), NONE);
         shell.clear();
-        // Of a closed surface of triangles.
+        // The Euler formula for a closed surface of triangles.
         if self.faces.len() / 2 + 2 > most {
             return;
         }
@@ -175,7 +175,7 @@ impl Polytope {
         Face { corners, across: [0; 3], normal, height, done: sliver }
     }
 
-    /// The lowest face below a height, and its own; None: all are done.
+    /// Returns the lowest face below a height, and the face's height; None: all are done.
     pub fn lowest(&self, below: f64) -> Option<(usize, f64)> {
         let mut best: Option<(usize, f64)> = None;
         for (i, face) in self.faces.iter().enumerate() {
@@ -186,7 +186,7 @@ impl Polytope {
         best
     }
 
-    /// How far the set reaches beyond a face. Where that is further than `close` the polytope grows there,
+    /// Returns the set's reach beyond a face. If it is further than `close` the polytope grows there,
     /// if there is room.
     pub fn push(&mut self, face: usize, close: f64, support: &impl Fn(&V3<f64>) -> Vertex) -> Way {
         let Face { normal, height, .. } = self.faces[face];
@@ -203,8 +203,8 @@ impl Polytope {
         Way { normal, reach }
     }
 
-    /// Grows over a face with the set's furthest point along a direction, or along one that leans from it a
-    /// little towards the face; false where neither lies beyond the face.
+    /// Grows over a face with the set's furthest point along a direction, or along one that leans from
+    /// it a little towards the face; returns false if neither lies beyond the face.
     pub fn grow_beside(
         &mut self,
         face: usize,
@@ -224,7 +224,7 @@ impl Polytope {
         })
     }
 
-    /// Takes away what the new point sees and joins the rim to it.
+    /// Removes the faces that the new point sees and joins the rim to it.
     fn grow(&mut self, seed: usize, w: Vertex) -> bool {
         self.see(seed, &w.at);
         if !self.find_rim() {
@@ -244,7 +244,7 @@ impl Polytope {
         self.points.push(w);
         self.grown = true;
         self.size = self.size.max(w.at.dot(&w.at).sqrt());
-        // New faces stand where those stood that go.
+        // New faces take the places of the removed ones.
         let mut visible = std::mem::take(&mut self.growth.visible);
         for _ in visible.len()..edges {
             visible.push(self.faces.len() as u16);
@@ -266,7 +266,7 @@ impl Polytope {
         true
     }
 
-    /// Takes these faces out, which none is beside: the last ones come to their places.
+    /// Removes these faces, which have no neighbours: the last ones move to their places.
     fn close_gaps(&mut self, gaps: &mut [u16]) {
         gaps.sort_unstable();
         for gap in gaps.iter().rev() {
@@ -283,7 +283,7 @@ impl Polytope {
         }
     }
 
-    /// Lists which faces a point sees, from one of them on.
+    /// Lists the faces that a point sees, from one of them on.
     fn see(&mut self, seed: usize, w: &V3<f64>) {
         let Growth { seen, visible, .. } = &mut self.growth;
         seen.clear();
@@ -305,7 +305,7 @@ impl Polytope {
         }
     }
 
-    /// Lists the edges between what is seen and what is not; false where faces do not know each other.
+    /// Lists the edges between visible and hidden faces; returns false if neighbours do not match.
     fn find_rim(&mut self) -> bool {
         let Growth { seen, visible, rim, .. } = &mut self.growth;
         rim.clear();
@@ -325,8 +325,8 @@ impl Polytope {
         true
     }
 
-    /// Lists which edge of the rim leaves each point; false unless it is one closed loop, in which each
-    /// corner leaves once and arrives once.
+    /// Lists the edge of the rim that leaves each point; returns false unless it is one closed loop, in
+    /// which each corner leaves once and arrives once.
     fn close_rim(&mut self) -> bool {
         let mut places = std::mem::take(&mut self.growth.places);
         places.clear();
@@ -343,14 +343,14 @@ impl Polytope {
         closed
     }
 
-    /// An edge of the rim. Seen from inside the rim it runs the other way.
+    /// Returns the ends of an edge of the rim. From inside the rim it runs the other way.
     fn ends(&self, (face, k): (u16, u16)) -> (u16, u16) {
         let corners = &self.faces[usize::from(face)].corners;
         (corners[(usize::from(k) + 1) % 3], corners[usize::from(k)])
     }
 }
 
-/// Four points of the set that span a volume; None where the set is flat.
+/// Returns four points of the set that span a volume; None if the set is flat.
 fn tetrahedron(support: &impl Fn(&V3<f64>) -> Vertex, simplex: &[Vertex]) -> Option<[Vertex; 4]> {
     let mut seeds = [Vertex::default(); SEEDS];
     seeds[..simplex.len()].copy_from_slice(simplex);
@@ -367,7 +367,7 @@ fn tetrahedron(support: &impl Fn(&V3<f64>) -> Vertex, simplex: &[Vertex]) -> Opt
         }
         corners = spread(&seeds[..count]);
     }
-    // Two crossed needles: what was seen lies in one plane or on one line, the set does not.
+    // Two crossed needles: the sampled points lie in one plane or on one line, the set does not.
     for _ in 0..2 {
         if corners.is_none() {
             for way in beside(&seeds[..count])? {
@@ -380,8 +380,8 @@ fn tetrahedron(support: &impl Fn(&V3<f64>) -> Vertex, simplex: &[Vertex]) -> Opt
     corners
 }
 
-/// The first of the points, the one furthest from it, and the one furthest from their line; with
-/// the square of their distance, and of twice the area of their triangle.
+/// Returns the first of the points, the one furthest from it, and the one furthest from their line;
+/// with the square of their distance, and of twice the area of their triangle.
 fn base(points: &[Vertex]) -> Option<([Vertex; 3], f64, f64)> {
     let first = *points.first()?;
     let a = first.at;
@@ -402,7 +402,7 @@ fn furthest(points: &[Vertex], measure: impl Fn(&V3<f64>) -> f64) -> (f64, Verte
     })
 }
 
-/// Four of the points that span a volume.
+/// Returns four of the points that span a volume.
 fn spread(points: &[Vertex]) -> Option<[Vertex; 4]> {
     let ([a, b, c], length, area) = base(points)?;
     let normal = (b.at - a.at).cross(&(c.at - a.at));
@@ -412,7 +412,7 @@ fn spread(points: &[Vertex]) -> Option<[Vertex; 4]> {
     (!flat).then_some([a, b, c, d])
 }
 
-/// Four directions across the plane or the line in which points lie.
+/// Returns four directions across the plane or the line in which points lie.
 fn beside(points: &[Vertex]) -> Option<[V3<f64>; 4]> {
     let (corners, length, area) = base(points)?;
     let [a, b, c] = corners.map(|corner| corner.at);

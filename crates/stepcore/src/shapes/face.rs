@@ -1,24 +1,24 @@
-//! What fixes the direction of a separation, and when that is certain without a search.
+//! Faces that determine the direction of a separation, and when they do so without a search.
 //!
 //! Two minus one is a convex set. Across a direction n it has a supporting plane, at −s(n) from the
-//! origin, and in that plane what a face of one of the two spans. Of shapes apart that is nearest to
-//! the origin if it holds the origin's foot. Of shapes that overlap by d = −s it is the shortest way
-//! out if no supporting plane is nearer. One that is turned by an angle a lies at least
-//! d cos a + r sin a from the origin, where r is the foot's room, the radius of a disc around it that
-//! the set holds: no less than d up to a = 2 atan(r/d). One turned further lies beyond the set's
-//! furthest point along n.
+//! origin, and in this plane a face of one of the two spans a part of it. For shapes apart this part is
+//! nearest to the origin if it holds the origin's foot. For shapes that overlap by d = −s it is the
+//! shortest way out if no supporting plane is nearer. A plane that is turned by an angle a lies at
+//! least d cos a + r sin a from the origin, where r is the foot's room, the radius of a disc around it
+//! that the set holds: no less than d up to a = 2 atan(r/d). A plane turned further lies beyond the
+//! set's furthest point along n.
 
 use super::separation::{Cause, Pairing, Separation, ROUNDING};
 use crate::spatial::V3;
 
-/// Over the size of the pair: by how much more room there must be than rounding takes.
+/// Margin of the room over rounding, as a part of the size of the pair.
 const CLEAR: f64 = 1e-9;
-/// The same of a face, which is level but for 1e-9: over that over 1.4e-3, the angle within which a search's
-/// direction counts as the face's.
+/// The margin for a face, which is level except for 1e-9: over 1e-9/1.4e-3, the angle within which a
+/// search's direction counts as the face's.
 const ROOM: f64 = 1e-6;
 
-/// What a face of one of the two says, which it is, and what of the other one is over it: from the
-/// centre of the face's own shape.
+/// The separation along a face of one of the two, the face, and the feature of the other one over it:
+/// from the centre of the face's shape.
 pub struct Facing {
     pub separation: Separation,
     face: usize,
@@ -26,8 +26,8 @@ pub struct Facing {
 }
 
 impl Pairing<'_> {
-    /// The faces of both that look most along a direction, if the cosine of the angle to it is as much
-    /// as this.
+    /// Returns the faces of both whose normals are nearest to a direction, if the cosine of the angle
+    /// to it is at least this.
     pub(super) fn facing(&self, rough: &V3<f64>, cosine: f64) -> [Option<Facing>; 2] {
         let along = |face: &(V3<f64>, f64, usize)| face.1 >= cosine;
         let least = |normal: &V3<f64>| {
@@ -51,7 +51,7 @@ impl Pairing<'_> {
         [of_one, of_two]
     }
 
-    /// Of what faces say the largest; the first one's where they differ by rounding.
+    /// Returns the largest of the faces' separations; the first one's if they differ by rounding.
     pub(super) fn best_of(&self, facing: &[Option<Facing>; 2]) -> Option<Separation> {
         let [one, two] = facing.each_ref().map(|facing| facing.as_ref().map(|own| own.separation));
         match (one, two) {
@@ -60,8 +60,8 @@ impl Pairing<'_> {
         }
     }
 
-    /// What a face near a direction says, if no search can find more. `proven`: what is known to be the
-    /// answer.
+    /// Returns the separation along a face near a direction, if no search can find more. `proven`: the
+    /// answer, if it is established already.
     pub(super) fn on_face(
         &self,
         near: &V3<f64>,
@@ -81,7 +81,7 @@ impl Pairing<'_> {
         facing.iter().flatten().any(certain).then_some(best)
     }
 
-    /// No direction less than twice an angle with this tangent away says more than the best face.
+    /// Checks that no direction within twice an angle with this tangent has more than the best face.
     pub(super) fn tops(
         &self,
         facing: &[Option<Facing>; 2],
@@ -94,8 +94,8 @@ impl Pairing<'_> {
         })
     }
 
-    /// How far what is over a face is from the face's sides; negative beside it. Where that is a face or
-    /// an edge, of which `over` is some corner, the place of it nearest to the middle tells.
+    /// Returns the distance of the feature over a face from the face's sides; negative next to it. If
+    /// it is a face or an edge, of which `over` is some corner, its place nearest to the middle counts.
     fn room_on(&self, Facing { separation, face, over }: &Facing) -> f64 {
         let n = separation.normal;
         let (own, other, outward, way) = match separation.cause {
@@ -110,7 +110,7 @@ impl Pairing<'_> {
         own.room(*face, &(other.furthest_near(&-outward, &(middle - way)) + way)).max(room)
     }
 
-    /// No other direction says more: `room` is that of the origin's foot.
+    /// Checks that no other direction has more. `room`: the room of the origin's foot.
     fn certain(&self, found: &Separation, room: f64) -> bool {
         if room <= CLEAR * self.size || found.apart >= 0.0 {
             return room > CLEAR * self.size;
@@ -119,7 +119,7 @@ impl Pairing<'_> {
         let furthest = self.furthest(n);
         let up = n.dot(&furthest);
         let sideways = furthest - n * up;
-        // Cosine and sine, times depth² + room², of what π is more than 2 atan(room/depth).
+        // Cosine and sine, times depth² + room², of π − 2 atan(room/depth).
         let (cosine, sine) = (room * room - depth * depth, 2.0 * room * depth);
         let beyond = cosine * up - sine * sideways.dot(&sideways).sqrt();
         beyond >= (depth + CLEAR * self.size) * (room * room + depth * depth)
@@ -141,8 +141,8 @@ mod tests {
     const KINDS: [GeomType; 5] =
         [GeomType::Capsule, GeomType::Ellipsoid, GeomType::Cylinder, GeomType::Box, GeomType::Mesh];
 
-    /// Where a face is certain the search finds the same, bit for bit: of shapes at random, and of
-    /// shapes that stand on a face, level but for `tilt`. How often it is certain.
+    /// If a face is certain the search finds the same, bit for bit: for random shapes, and for shapes
+    /// that lie on a face, level but for `tilt`. Returns the number of certain cases.
     fn certain(random: &mut Random, tilt: Option<f64>) -> usize {
         let mut certain = 0;
         for case in 0..2500 {
@@ -195,8 +195,8 @@ mod tests {
         (0..2 * n).map(around).chain(ends).collect()
     }
 
-    /// Two hulls that move through each other have the contacts, bit for bit, of those who know nothing of
-    /// the step before. How often they overlap, and how often the shell of the step before is enough.
+    /// Two hulls that move through each other have the same contacts, bit for bit, without the step
+    /// before. Counts the overlaps, and the cases in which the shell of the step before is enough.
     #[test]
     fn what_the_step_before_proves_the_search_finds() {
         let mut random = Random(11);
@@ -212,7 +212,7 @@ mod tests {
             let mut poses = [random.pose(0.2), random.pose(0.2)];
             let (drift, spin) = (random.vector() * 4e-3, random.vector() * 0.02);
             let block = [0.1, 0.2, 0.3];
-            // Gems that are set one above the other: many directions are as good.
+            // Gems that are placed one above the other: many directions are as good.
             let level = case % 4 == 3;
             let gems = [0.3, 0.2].map(|size| Hull::of(&gem(2 + case % 7, size)).unwrap());
             let hulls = if level { &gems } else { &hulls };

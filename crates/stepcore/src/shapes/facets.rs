@@ -9,11 +9,11 @@ use std::collections::{BTreeMap, BTreeSet};
 const FLAT: f64 = 5e-7;
 
 /// Cosine of the largest angle between two triangles of one face, and of a sliver and its face: the
-/// normal of a triangle that is only rounding high is only rounding.
+/// normal of a triangle whose height is only rounding is only rounding.
 const PARALLEL: f64 = 0.9999;
 const SLIVER: f64 = 0.5;
 
-/// How often polygons that are not convex are taken apart.
+/// Largest number of rounds in which polygons that are not convex are taken apart.
 const ROUNDS: usize = 8;
 
 /// A polygon of a polytope's surface.
@@ -22,7 +22,7 @@ pub struct Face {
     /// Unit length, outward; normal · x ≤ offset [m] of every vertex x.
     pub normal: Vector3<f64>,
     pub offset: f64,
-    /// Its corners lie in its plane but for 1e-9 of the hull's reach.
+    /// Its corners lie in its plane except for 1e-9 of the hull's reach.
     pub level: bool,
     /// Counter-clockwise from outside: vertices, and the edge from each one to the next.
     pub corners: Vec<usize>,
@@ -38,8 +38,8 @@ pub struct Edge {
 
 const NONE: usize = usize::MAX;
 
-/// The faces and edges of a surface whose half extent is `half`. Polygons that would not be convex
-/// stay triangles, and so do all where the polygons would not close.
+/// Returns the faces and edges of a surface whose half extent is `half`. Polygons that would not be
+/// convex stay triangles, and so do all if the polygons would not close.
 pub(super) fn merged(
     vertices: &[Vector3<f64>],
     surface: &Surface,
@@ -62,7 +62,7 @@ pub(super) fn merged(
 }
 
 impl Face {
-    /// No corner lies inside the line between its neighbours, but for rounding.
+    /// Checks that no corner lies inside the line between its neighbours, except for rounding.
     fn convex(&self, vertices: &[Vector3<f64>], flat: f64) -> bool {
         let n = self.corners.len();
         (0..n).all(|k| {
@@ -73,7 +73,7 @@ impl Face {
     }
 }
 
-/// Which face each triangle belongs to.
+/// The face of each triangle.
 struct Regions<'a> {
     vertices: &'a [Vector3<f64>],
     surface: &'a Surface,
@@ -82,7 +82,7 @@ struct Regions<'a> {
 }
 
 impl<'a> Regions<'a> {
-    /// Triangles around the largest that lie in its plane, then around the largest of the rest.
+    /// Groups triangles around the largest that lie in its plane, then around the largest of the rest.
     fn flat(vertices: &'a [Vector3<f64>], surface: &'a Surface, flat: f64) -> Self {
         let areas: Vec<Vector3<f64>> =
             surface.triangles.iter().map(|corners| area(vertices, corners)).collect();
@@ -98,7 +98,7 @@ impl<'a> Regions<'a> {
         regions
     }
 
-    /// A new face from a triangle to all that lie in its plane.
+    /// Makes a new face from a triangle and all that lie in its plane.
     fn spread(&mut self, areas: &[Vector3<f64>], seed: usize, flat: f64) {
         let vertices = self.vertices;
         let face = self.count;
@@ -125,7 +125,7 @@ impl<'a> Regions<'a> {
         }
     }
 
-    /// Whether each vertex is a corner: at least three faces meet there.
+    /// Returns whether each vertex is a corner: at least three faces meet there.
     fn corners(&self) -> Vec<bool> {
         let most = self.surface.triangles.iter().flatten().max().map_or(0, |v| v + 1);
         let mut faces: Vec<Vec<usize>> = vec![Vec::new(); most];
@@ -139,8 +139,8 @@ impl<'a> Regions<'a> {
         faces.iter().map(|list| list.len() >= 3).collect()
     }
 
-    /// Gives a face with less than three corners, a strip of slivers, to the one that it shares
-    /// most edges with.
+    /// Gives a face with fewer than three corners, a strip of slivers, to the face that it shares most
+    /// edges with.
     fn heal(&mut self) {
         loop {
             let corners = self.corners();
@@ -158,7 +158,7 @@ impl<'a> Regions<'a> {
             let mut given: Vec<usize> = (0..self.count).collect();
             for bad in (0..self.count).filter(|face| met[*face] < 3) {
                 let into = shared[bad].iter().max_by_key(|(_, edges)| **edges);
-                // What would go to one that is itself given away waits for the next round.
+                // A face whose receiver is itself given away waits for the next round.
                 if let Some((into, _)) = into.filter(|(into, _)| given[**into] == **into) {
                     given[bad] = *into;
                 }
@@ -170,7 +170,7 @@ impl<'a> Regions<'a> {
         }
     }
 
-    /// Makes faces of the triangles of the faces at these places among those that have triangles.
+    /// Splits the faces at these places, among those that have triangles, into triangles.
     fn dissolve(&mut self, places: &[usize]) {
         let used: BTreeSet<usize> = self.face.iter().copied().collect();
         let used: Vec<usize> = used.into_iter().collect();
@@ -183,7 +183,7 @@ impl<'a> Regions<'a> {
         }
     }
 
-    /// The polygons around the faces, and the edges between corners; None if one is not closed.
+    /// Returns the polygons around the faces, and the edges between corners; None if one is not closed.
     fn polygons(&self) -> Option<(Vec<Face>, Vec<Edge>)> {
         let corners = self.corners();
         let mut triangles: Vec<Vec<usize>> = vec![Vec::new(); self.count];
@@ -218,7 +218,7 @@ impl<'a> Regions<'a> {
         (closed && met + faces.len() == edges.len() + 2).then_some((faces, edges))
     }
 
-    /// One face: the corners in the order of its boundary, and its normal.
+    /// Returns one face: the corners in the order of its boundary, and its normal.
     fn polygon(&self, corner: &[bool], triangles: &[usize]) -> Option<Face> {
         let mut next = BTreeMap::new();
         let mut normal = Vector3::zeros();
@@ -251,13 +251,13 @@ impl<'a> Regions<'a> {
     }
 }
 
-/// Half of the cross product of a triangle's sides, normal to it, twice over: twice the area.
+/// Returns the cross product of a triangle's sides: normal to it, twice the area long.
 fn area(vertices: &[Vector3<f64>], corners: &[usize; 3]) -> Vector3<f64> {
     let [a, b, c] = corners.map(|i| vertices[i]);
     (b - a).cross(&(c - a))
 }
 
-/// The triangle is hardly higher than the rounding of its corners.
+/// Checks that the triangle is hardly higher than the rounding of its corners.
 fn low(vertices: &[Vector3<f64>], corners: &[usize; 3], area: &Vector3<f64>, flat: f64) -> bool {
     let [a, b, c] = corners.map(|i| vertices[i]);
     let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());

@@ -1,4 +1,4 @@
-//! The contacts of a height field and a shape as they are found, and which of them stay.
+//! The contacts of a height field and a shape as they are found, and the choice among them.
 
 use super::by_lane::empty;
 use super::height_field::{Prism, MOST};
@@ -7,7 +7,7 @@ use super::touch::{Touch, Touches};
 use crate::real::{Mask, Real};
 use crate::spatial::V3;
 
-/// Contacts that are looked at at once; of more, `KEPT` that are far from each other go on.
+/// Largest number of contacts at once; if there are more, `KEPT` that are far from each other stay.
 const ROOM: usize = 256;
 const KEPT: usize = 64;
 /// Directions in the field's plane, none of them along a side or a diagonal of its cells.
@@ -28,8 +28,8 @@ pub(super) struct List<R: Real> {
     count: usize,
     /// The field's x and y axes.
     axes: [V3<f64>; 2],
-    /// The prism that the shape overlaps most of those whose ways out lead into other ones, and by
-    /// how much it does [m].
+    /// The prism that the shape overlaps most, of the ones whose ways out lead into others, and the
+    /// depth of the overlap, negative [m].
     pub sunk: Option<(Prism, f64)>,
 }
 
@@ -38,7 +38,7 @@ impl<R: Real> List<R> {
         Self { touches: [empty(); ROOM], count: 0, axes, sunk: None }
     }
 
-    /// A prism whose way out leads into another one.
+    /// Drops a prism whose way out leads into another one.
     pub fn drop_way(&mut self, prism: &Prism, way: &Separation, radius: f64) {
         let apart = way.apart - radius;
         if apart < self.sunk.as_ref().map_or(0.0, |sunk| sunk.1) {
@@ -46,7 +46,7 @@ impl<R: Real> List<R> {
         }
     }
 
-    /// Of a prism's contacts those that are `wanted`, named by the prism too.
+    /// Adds the `wanted` contacts of a prism, and includes the prism in their names.
     pub fn add_all(
         &mut self,
         prism: &Prism,
@@ -70,7 +70,7 @@ impl<R: Real> List<R> {
         self.count += 1;
     }
 
-    /// The least distance [m]; infinite of none.
+    /// Returns the least distance [m]; infinite without contacts.
     pub fn least(&self) -> f64 {
         let all = self.touches[..self.count].iter();
         all.fold(f64::INFINITY, |least, touch| least.min(touch.dist.lane(0)))
@@ -89,7 +89,7 @@ impl<R: Real> List<R> {
         self.count = kept;
     }
 
-    /// `MOST` of them: see the top of the file.
+    /// Returns `MOST` of them: see the top of `height_field.rs`.
     pub fn chosen(&self, same: f64) -> Touches<R, MOST> {
         let mut out = [empty(); MOST];
         let picked = self.spread(MOST, same);
@@ -100,7 +100,7 @@ impl<R: Real> List<R> {
         out
     }
 
-    /// Which of the contacts stay, at most `most`.
+    /// Returns the choice of at most `most` contacts.
     fn spread(&self, most: usize, same: f64) -> [bool; ROOM] {
         let all = &self.touches[..self.count];
         let mut picked = [false; ROOM];
@@ -128,7 +128,7 @@ impl<R: Real> List<R> {
         }
         while kept < most {
             let far = |best: usize, i: usize| if nearest[i] > nearest[best] { i } else { best };
-            // The last place is the deepest one's, if no other has been given to it.
+            // The last place goes to the deepest contact, if it has not been chosen yet.
             let missing = kept + 1 == most && nearest[deepest] > same * same;
             let next = if missing { deepest } else { (1..all.len()).fold(0, far) };
             if nearest[next] <= same * same {

@@ -1,31 +1,31 @@
 //! The point of a convex set nearest to the origin: Gilbert, Johnson and Keerthi (1988).
 //!
-//! The set is known by its support function. A simplex of at most four of its points walks towards
-//! the origin: its nearest point v is found, what is not needed for v is dropped, and the set's
-//! furthest point along −v joins. |v| is never less than the distance, v·w/|v| never more: once that
-//! is as much as a caller wants to know, the walk ends.
+//! The set is given by its support function. A simplex of at most four of its points moves towards the
+//! origin: its nearest point v is found, points that v does not need are dropped, and the set's
+//! furthest point along −v joins. |v| is never less than the distance, v·w/|v| never more: once the
+//! latter is as much as a caller needs, the walk ends.
 
 use crate::spatial::V3;
 
-/// A point of the set: the difference of two shapes', and which of their pieces these belong to.
+/// A point of the set: the difference of two shapes' points, and the pieces that these belong to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vertex {
     pub at: V3<f64>,
     pub pieces: [u32; 2],
 }
 
-/// Where the walk ended.
+/// The end of the walk.
 pub struct Nearest {
-    /// The nearest point that was found; of a set beyond what was enough, a direction that shows it.
+    /// The nearest point found; for a set beyond `enough`, a direction that shows it.
     pub point: V3<f64>,
     /// The points that it lies between; four of them hold the origin.
     pub simplex: [Vertex; 4],
     pub count: usize,
     /// The origin is inside or so near that the direction means nothing.
     pub inside: bool,
-    /// The distance is more than was `enough`; nothing else of it is known.
+    /// The distance is more than `enough`; the other fields are not valid.
     pub beyond: bool,
-    /// How often the support function was asked.
+    /// Number of calls of the support function.
     pub asked: usize,
 }
 
@@ -89,8 +89,8 @@ pub fn gjk(
     at
 }
 
-/// The plane across a direction through the set's furthest point w against it is further than
-/// `enough` from the origin.
+/// Checks that the plane across a direction through the set's furthest point w against it is further
+/// than `enough` from the origin.
 pub fn beyond(w: &V3<f64>, along: &V3<f64>, enough: f64) -> bool {
     let reach = w.dot(along);
     reach > 0.0 && reach * reach > enough * enough * along.dot(along)
@@ -98,7 +98,7 @@ pub fn beyond(w: &V3<f64>, along: &V3<f64>, enough: f64) -> bool {
 
 type Reduced = (V3<f64>, [Vertex; 4], usize);
 
-/// The point of a simplex nearest to the origin, and the corners between which it lies.
+/// Returns the point of a simplex nearest to the origin, and the corners between which it lies.
 fn reduce(simplex: &[Vertex; 4], count: usize) -> Reduced {
     match count {
         2 => segment(&simplex[0], &simplex[1]),
@@ -131,7 +131,7 @@ fn segment(first: &Vertex, last: &Vertex) -> Reduced {
     }
 }
 
-/// The nearest of the edges' points, unless the foot of the perpendicular is inside.
+/// Returns the nearest of the edges' points, unless the foot of the perpendicular is inside.
 fn triangle(first: &Vertex, second: &Vertex, third: &Vertex) -> Reduced {
     let [a, b, c] = [first.at, second.at, third.at];
     let normal = (b - a).cross(&(c - a));
@@ -150,7 +150,7 @@ fn tetrahedron(s: &[Vertex; 4]) -> Reduced {
         let from = s[i].at;
         let normal = (s[j].at - from).cross(&(s[k].at - from));
         let (inward, origin) = (normal.dot(&(s[m].at - from)), -normal.dot(&from));
-        // On the other side than the fourth corner, or a flat tetrahedron.
+        // On the other side from the fourth corner, or a flat tetrahedron.
         if inward == 0.0 || (inward > 0.0) != (origin > 0.0) {
             let this = triangle(&s[i], &s[j], &s[k]);
             best = Some(best.map_or(this, |best| nearer(best, this)));

@@ -1,16 +1,16 @@
-//! Points on a grid of integers, and on which side of a plane they lie: exactly.
+//! Points on a grid of integers, and exact tests of their side of a plane.
 
 /// Coordinates of at most 2³⁹.
 pub(super) type Point = [i64; 3];
 
-/// Steps of the grid that its rounding can make of nothing: what is nearer to a plane lies in it.
+/// Steps of the grid that rounding can produce: points nearer to a plane than this lie in it.
 pub(super) const NOISE: f64 = 4.0;
 
 /// Coordinates reach from −2^BITS to 2^BITS.
 const BITS: i32 = 39;
 
-/// Where the grid lies: the centre of the points' box, and the steps to a metre (a power of two,
-/// so that scaling the points by one changes nothing here).
+/// The position of the grid: the centre of the points' box, and the steps per metre (a power of two, so
+/// that scaling the points by one changes nothing here).
 pub(super) struct Grid {
     centre: [f64; 3],
     pub steps: f64,
@@ -19,7 +19,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// None where the points have no finite extent that is not zero.
+    /// Creates the grid; None if the points have no finite nonzero extent.
     pub fn around(points: &[[f64; 3]]) -> Option<Self> {
         let bound = |axis: usize, pick: fn(f64, f64) -> f64| {
             points.iter().map(|p| p[axis]).reduce(pick).unwrap_or(0.0)
@@ -56,7 +56,7 @@ pub(super) struct Plane {
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
 impl Plane {
-    /// Counter-clockwise from above.
+    /// Creates the plane, counter-clockwise from above.
     pub fn through(a: &Point, b: &Point, c: &Point) -> Self {
         let wide = |p: &Point, k: usize| i128::from(p[k] - a[k]);
         let minor = |i: usize, j: usize| wide(b, i) * wide(c, j) - wide(b, j) * wide(c, i);
@@ -68,29 +68,29 @@ impl Plane {
         (0..3).map(|k| (b[k] - a[k]) as f64).map(|x| x * x).sum::<f64>().sqrt()
     }
 
-    /// Length of the normal.
+    /// Returns the length of the normal.
     pub fn length(&self) -> f64 {
         self.rounded.iter().map(|x| x * x).sum::<f64>().sqrt()
     }
 
-    /// normal · (point − origin), rounded, and the sum of the magnitudes of its three products.
+    /// Returns normal · (point − origin), rounded, and the sum of the magnitudes of its three products.
     fn product(&self, point: &Point) -> (f64, f64) {
         let term = |k: usize| self.rounded[k] * (point[k] - self.origin[k]) as f64;
         let (x, y, z) = (term(0), term(1), term(2));
         (x + y + z, x.abs() + y.abs() + z.abs())
     }
 
-    /// Distance above the plane × length of the normal, rounded.
+    /// Returns distance above the plane × length of the normal, rounded.
     pub fn height(&self, point: &Point) -> f64 {
         self.product(point).0
     }
 
-    /// Distance above the plane, in steps of the grid.
+    /// Returns the distance above the plane, in steps of the grid.
     pub fn distance(&self, point: &Point) -> f64 {
         self.height(point) / self.length()
     }
 
-    /// Strictly above, exactly: products stay below 2¹²², sums below 2¹²⁴.
+    /// Checks that a point is strictly above, exactly: products stay below 2¹²², sums below 2¹²⁴.
     pub fn above(&self, point: &Point) -> bool {
         let (sum, size) = self.product(point);
         if sum.abs() > ROUNDING * size {
@@ -100,7 +100,7 @@ impl Plane {
         term(0) + term(1) + term(2) > 0
     }
 
-    /// Above by more than the grid's rounding.
+    /// Checks that a point is above by more than the grid's rounding.
     pub fn beyond_noise(&self, point: &Point) -> bool {
         let sum = self.product(point).0;
         sum > 0.0 && sum > NOISE * self.length() && self.above(point)

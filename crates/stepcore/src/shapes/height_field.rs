@@ -1,16 +1,16 @@
 //! A height field against any convex shape.
 //!
-//! Under each cell of the field stand two prisms, as in MuJoCo: their tops are the cell's two
-//! triangles, which share the diagonal from its corner of least x and y to the opposite one, and
-//! their bottoms lie `base` below height 0. Each prism that the shape's box meets is a convex
-//! shape of its own. But a prism knows nothing of its neighbours: the shortest way out of it may
-//! lead into the next one, over an edge that is none of the field's. Such an answer is dropped for
-//! the top's own normal, where the shape's lowest place is over the prism, or is over a part of the
-//! field that goes on as the prism's top does: on a flat field every shape then touches as on a plane.
+//! Under each cell of the field are two prisms, as in MuJoCo: their tops are the cell's two triangles,
+//! which share the diagonal from its corner of least x and y to the opposite one, and their bottoms lie
+//! `base` below height 0. Each prism that the shape's box meets is tested as a separate convex shape.
+//! But a prism ignores its neighbours: the shortest way out of it may lead into the next one, over an
+//! edge that is not part of the field's surface. Such an answer is replaced by the top's normal, if the
+//! shape's lowest place is over the prism, or over a part of the field that continues the prism's top:
+//! on a flat field every shape then touches as on a plane.
 //!
-//! Points in one place count once. Of more than `MOST` those stay that lie furthest out along eight
-//! directions of the field, so a base is held by its corners; then each time the one furthest from
-//! those that stay, and last the deepest. So a body that rests keeps its contacts.
+//! Points in one place count once. If there are more than `MOST`, the furthest along eight directions
+//! of the field stay, so a base is held by its corners; then each time the one furthest from the chosen
+//! ones, and last the deepest. So a body that rests keeps its contacts.
 
 use super::by_lane::{empty, OneWorld};
 use super::convex::{contacts, meeting, solid};
@@ -24,13 +24,13 @@ use crate::real::{Mask, Real};
 use crate::scene::GeomType;
 use crate::spatial::{Pose, V3};
 
-/// The most contacts of a height field and one shape.
+/// The largest number of contacts of a height field and one shape.
 pub const MOST: usize = 16;
-/// Slopes from a corner of a prism's top to a triangle's up to which that goes on in its plane.
+/// Largest slope from a corner of a prism's top to a triangle's that continues its plane.
 const SAME_PLANE: f64 = 1e-3;
-/// Cells between two questions whether to end.
+/// Number of cells between two checks for an interrupt.
 const CELLS: usize = 1024;
-/// Over the pair's size: what is in one place, and what lies as far along a direction.
+/// Over the pair's size: distance of coincident places, and difference of equal reaches.
 const SAME: f64 = 1e-9;
 
 /// Heights over a grid.
@@ -41,7 +41,7 @@ pub struct HeightField {
     pub ncol: usize,
     /// Half extents along x and y [m].
     pub half: [f64; 2],
-    /// How deep the solid reaches below height 0 [m].
+    /// Depth of the solid below height 0 [m].
     pub base: f64,
     /// Node by node [m], row by row: y grows from row to row, x along a row.
     pub heights: Vec<f64>,
@@ -57,13 +57,13 @@ pub(super) struct Prism {
 }
 
 impl Prism {
-    /// From its bottom to its highest corner it comes as near to a box as `more` [m].
+    /// Checks that its height range comes within `more` [m] of a box.
     fn near(&self, bounds: &Bounds, more: f64) -> bool {
         let top = self.corners[..3].iter().fold(f64::NEG_INFINITY, |most, c| most.max(c.z));
         bounds.low.z - more <= top && bounds.high.z + more >= self.corners[3].z
     }
 
-    /// No more than the distance of a box [m].
+    /// Returns a lower bound of the distance from a box [m].
     fn apart(&self, bounds: &Bounds) -> f64 {
         let sideways = V3::from_fn(|i, _| {
             let corners = || self.corners.iter().map(|corner| corner[i]);
@@ -74,7 +74,7 @@ impl Prism {
         sideways.dot(&sideways).sqrt()
     }
 
-    /// Of its top: unit, upward.
+    /// Returns the normal of its top: unit, upward.
     fn normal(&self) -> V3<f64> {
         let [a, b, c, ..] = self.corners;
         let cross = (b - a).cross(&(c - a));
@@ -82,7 +82,7 @@ impl Prism {
         cross * (1.0 / cross.dot(&cross).sqrt())
     }
 
-    /// A line along the top's normal through a point meets the top, or passes it by `beside` [m].
+    /// Checks that a line along the top's normal through a point is within `beside` [m] of the top.
     fn holds(&self, point: &V3<f64>, beside: f64) -> bool {
         let ([a, b, c, ..], up) = (self.corners, self.normal());
         let side = |p: V3<f64>, q: V3<f64>| {
@@ -95,7 +95,7 @@ impl Prism {
 }
 
 impl HeightField {
-    /// How far it reaches up or down from height 0 [m].
+    /// Returns the largest reach up or down from height 0 [m].
     pub fn tall(&self) -> f64 {
         self.heights.iter().fold(self.base, |most, height| most.max(*height))
     }
@@ -109,7 +109,7 @@ impl HeightField {
         )
     }
 
-    /// The corners of one of a cell's two triangles, counter-clockwise seen from above.
+    /// Returns the corners of one of a cell's two triangles, counter-clockwise from above.
     pub(super) fn top(&self, row: usize, col: usize, upper: bool) -> [V3<f64>; 3] {
         let (first, last) = (self.node(row, col), self.node(row + 1, col + 1));
         if upper {
@@ -129,20 +129,20 @@ impl HeightField {
         Prism { corners, nodes, number }
     }
 
-    /// First and last cell that a stretch meets, of `n` nodes over ±half.
+    /// Returns the first and last cell that a stretch meets, of `n` nodes over ±half.
     fn cells(low: f64, high: f64, n: usize, half: f64) -> Option<(usize, usize)> {
         if !(low <= half && high >= -half) {
             return None;
         }
         let cell = |x: f64| {
             let place = (x / half + 1.0) * (0.5 * (n - 1) as f64);
-            // A float that is out of range becomes the nearest whole number.
+            // An out-of-range float becomes the nearest integer.
             (place.floor().max(0.0) as usize).min(n - 2)
         };
         Some((cell(low), cell(high)))
     }
 
-    /// The cells that a box meets which is larger by `more` [m].
+    /// Returns the cells that a box meets that is larger by `more` [m].
     fn stretch(&self, bounds: &Bounds, more: f64) -> Stretch {
         let cells = |i: usize, n: usize| {
             Self::cells(bounds.low[i] - more, bounds.high[i] + more, n, self.half[i])
@@ -150,7 +150,7 @@ impl HeightField {
         Stretch(cells(1, self.nrow).zip(cells(0, self.ncol)).map(|(rows, columns)| [rows, columns]))
     }
 
-    /// The triangle of the surface over or under a place of the field; None beside it.
+    /// Returns the triangle of the surface over or under a place of the field; None outside the field.
     fn surface(&self, place: &V3<f64>) -> Option<[V3<f64>; 3]> {
         let columns = Self::cells(place.x, place.x, self.ncol, self.half[0])?;
         let rows = Self::cells(place.y, place.y, self.nrow, self.half[1])?;
@@ -160,7 +160,7 @@ impl HeightField {
         Some(self.top(rows.0, columns.0, upper))
     }
 
-    /// Nodes that share a triangle's side with a node.
+    /// Returns the nodes that share a triangle's side with a node.
     fn around(&self, (row, col): (usize, usize)) -> impl Iterator<Item = V3<f64>> + '_ {
         let ways: [(isize, isize); 6] = [(0, 1), (1, 1), (1, 0), (0, -1), (-1, -1), (-1, 0)];
         ways.into_iter().filter_map(move |(dr, dc)| {
@@ -169,7 +169,7 @@ impl HeightField {
         })
     }
 
-    /// Nodes across the sides that two neighbouring nodes share.
+    /// Returns the nodes across the sides that two neighbouring nodes share.
     fn beside(&self, a: (usize, usize), b: (usize, usize)) -> impl Iterator<Item = V3<f64>> + '_ {
         let near = |p: &V3<f64>, q: V3<f64>| (p - q).dot(&(p - q)) == 0.0;
         let others: [Option<V3<f64>>; 6] = {
@@ -186,14 +186,14 @@ impl HeightField {
         others.into_iter().flatten()
     }
 
-    /// A side of a triangle on the field's border.
+    /// Checks for a side of a triangle on the field's border.
     fn border(&self, a: (usize, usize), b: (usize, usize)) -> bool {
         let end = |i: usize, n: usize| i == 0 || i == n - 1;
         a.0 == b.0 && end(a.0, self.nrow) || a.1 == b.1 && end(a.1, self.ncol)
     }
 
-    /// The direction, in the field's axes, leads out of the whole field at the prism's place that
-    /// lies furthest along it, and not into a neighbour.
+    /// Checks that the direction, in the field's axes, leads out of the whole field at the prism's
+    /// place that is furthest along it, and not into a neighbour.
     fn leads_out(&self, prism: &Prism, way: &V3<f64>, centre: &V3<f64>, tolerance: f64) -> bool {
         let most = prism.corners.iter().map(|c| c.dot(way)).fold(f64::NEG_INFINITY, f64::max);
         let far: [bool; 6] =
@@ -247,7 +247,7 @@ impl Stretch {
         self.0.is_some_and(|[rows, columns]| between(row, rows) && between(col, columns))
     }
 
-    /// The prisms of its cells that may have contacts.
+    /// Returns the prisms of its cells that may have contacts.
     fn prisms<'a>(&self, near: &'a Near) -> impl Iterator<Item = Prism> + 'a {
         self.0.into_iter().flat_map(move |[rows, columns]| {
             (rows.0..=rows.1).flat_map(move |row| {
@@ -263,7 +263,7 @@ impl Stretch {
     }
 }
 
-/// Which prisms may have contacts with a shape that are nearer than `within`.
+/// The data that determine which prisms may have contacts with a shape nearer than `within`.
 struct Near<'a> {
     field: &'a HeightField,
     pose: &'a Pose<f64>,
@@ -282,7 +282,7 @@ impl<'a> Near<'a> {
         within: f64,
     ) -> Self {
         let centre = (bounds.low + bounds.high) * 0.5;
-        // More than rounding.
+        // Larger than rounding.
         let far = centre.dot(&centre).sqrt() + field.half[0] + field.half[1];
         let slack = SAME * body.extent() + 64.0 * f64::EPSILON * far;
         Self {
@@ -295,12 +295,12 @@ impl<'a> Near<'a> {
         }
     }
 
-    /// A prism of a cell, unless all of its contacts are proven to be farther.
+    /// Returns a prism of a cell, unless all of its contacts are proven to be farther.
     ///
-    /// The two places of a contact are `dist` apart along its normal. One whose normal is the top's
-    /// is as far as the shape lies above the top's plane or farther, and the shape's place stands
-    /// aside from the prism by no more than its depth times the slope of the normal; any other one
-    /// is the shortest way between the two.
+    /// The two places of a contact are `dist` apart along its normal. If the normal is the top's,
+    /// `dist` is at least the shape's height above the top's plane, and the shape's place is beside the
+    /// prism by at most its depth times the slope of the normal. Any other contact is the shortest way
+    /// between the two.
     fn prism(&self, row: usize, col: usize, upper: bool) -> Option<Prism> {
         let Self { field, pose, body, bounds, centre, within } = *self;
         if within.is_infinite() {
@@ -314,7 +314,7 @@ impl<'a> Near<'a> {
         }
         let prism = field.prism(row, col, upper);
         let within = within + SAME * prism_size(&prism);
-        // How far the shape lies beyond a corner along a direction.
+        // Gap of the shape beyond a corner along a direction.
         let beyond = |way: &V3<f64>, corner: &V3<f64>| {
             let point = pose.to_local(&body.support(&-pose.to_world(way)).0);
             way.dot(&(centre + point - corner)) - body.radius
@@ -342,7 +342,7 @@ impl<'a> Near<'a> {
 #[derive(Clone, Copy, Debug)]
 pub struct OnField {
     pub kind: GeomType,
-    /// What is this far apart [m] is no contact.
+    /// Shapes at least this far apart [m] have no contact.
     pub within: f64,
 }
 
@@ -373,7 +373,7 @@ fn on_field<R: Real>(
         bounds.low[i] = centre[i] + axis.dot(&body.support(&-axis).0) - shape.radius;
     }
     let near = Near::new(field, &plain_pose, &body, &bounds, within);
-    // What lies about the shape by its own extent, and then what else may be near enough.
+    // The prisms near the shape, within a part of its extent, and then others that may be near enough.
     let extents = bounds.high - bounds.low;
     let beside = 0.25 * extents.iter().fold(0.0_f64, |most, x| most.max(*x));
     let first = field.stretch(&bounds, beside);
@@ -392,7 +392,7 @@ fn on_field<R: Real>(
             }
         }
     }
-    // Under a valley every way out may lead into another prism: then a top holds what is below it.
+    // Under a valley every way out may lead into another prism: then a top holds the shape below it.
     if let Some((prism, _)) = list.sunk.take().filter(|_| list.least() >= 0.0) {
         let wedge = solid::Prism::of(prism.corners);
         let ground = Solid { core: Core::Prism(&wedge), radius: 0.0, pose };
@@ -403,7 +403,7 @@ fn on_field<R: Real>(
     list.chosen(SAME * shape.extent())
 }
 
-/// The contacts of one prism that are the field's.
+/// Adds the contacts of one prism that are the field's.
 #[inline(never)]
 fn on_prism<R: Real>(
     field: &HeightField,
@@ -415,7 +415,7 @@ fn on_prism<R: Real>(
 ) {
     let wedge = solid::Prism::of(prism.corners);
     let ground = Solid { core: Core::Prism(&wedge), radius: 0.0, pose };
-    // Which contacts of a field are kept depends on all of them, near or far.
+    // The choice among a field's contacts depends on all of them, near or far.
     let Some(separation) = meeting(&ground, shape, f64::INFINITY, None) else { return };
     let way = plain(pose).to_local(&separation.normal);
     let tolerance = SAME * (shape.extent() + prism_size(prism));
@@ -423,7 +423,7 @@ fn on_prism<R: Real>(
         (separation, true)
     } else {
         let over = over_top(field, prism, pose, shape);
-        // Behind a steep top, and not in its prism: others have it.
+        // Behind a steep top, and not in its prism: other prisms have the contact.
         let behind = separation.apart > tolerance;
         match over.filter(|(found, own)| !(*own && behind && found.apart < -tolerance)) {
             Some(over) => over,
@@ -433,7 +433,7 @@ fn on_prism<R: Real>(
     let touches: Touches<R, 8> = contacts(&ground, shape, &found);
     let there = || touches.iter().filter(|touch| touch.exists.any());
     if !own && there().count() == 1 {
-        // Nothing lies flat on this top: the one place is another prism's.
+        // Nothing lies flat on this top: the single place belongs to another prism.
         return list.drop_way(prism, &separation, shape.radius);
     }
     list.add_all(prism, &touches, tolerance, |touch| {
@@ -442,14 +442,14 @@ fn on_prism<R: Real>(
     });
 }
 
-/// The longest side of a prism's top.
+/// Returns the longest side of a prism's top.
 fn prism_size(prism: &Prism) -> f64 {
     let way = prism.corners[2] - prism.corners[0];
     way.dot(&way).sqrt()
 }
 
-/// The separation along the top's own normal, if the shape's deepest point is over the top (true)
-/// or over ground that goes on in its plane (false).
+/// Returns the separation along the top's normal, if the shape's deepest point is over the top (true)
+/// or over ground that continues its plane (false).
 fn over_top<R: Real>(
     field: &HeightField,
     prism: &Prism,
@@ -464,7 +464,7 @@ fn over_top<R: Real>(
     let over = prism.holds(&point, 0.0);
     let in_plane = || {
         let Some(ground) = field.surface(&point) else { return false };
-        // Over its own top, but beside it along the normal: an edge or a corner is nearer.
+        // Over this top, but next to it along the normal: an edge or a corner is nearer.
         let own = ground.iter().all(|corner| prism.corners[..3].contains(corner));
         !own && ground.iter().all(|corner| {
             let (way, height) = (corner - a, local.dot(&(corner - a)));
@@ -474,7 +474,7 @@ fn over_top<R: Real>(
     (over || in_plane()).then(|| (on_top(prism, &pose, &body), over))
 }
 
-/// The separation along the top's own normal.
+/// Returns the separation along the top's normal.
 fn on_top(prism: &Prism, pose: &Pose<f64>, body: &Solid<f64>) -> Separation {
     let local = prism.normal();
     let normal = pose.to_world(&local);

@@ -1,4 +1,4 @@
-//! `Hull`: a convex polytope in its own frame.
+//! `Hull`: a convex polytope in its frame.
 
 pub use super::facets::{Edge, Face};
 
@@ -10,51 +10,51 @@ use crate::error::{Error, Result};
 use crate::real::array::from_fn;
 use nalgebra::{Matrix3, Vector3};
 
-/// From this many vertices on the support function climbs instead of looking at every vertex.
+/// From this many vertices on the support function climbs instead of examining every vertex.
 const CLIMB: usize = 32;
 
-/// From this many faces on those that look along a direction are listed.
+/// From this many faces on, faces are listed by the direction of their normals.
 const LISTED: usize = 32;
 
-/// Over a hull's reach: corners that are so little below a face's plane lie in it.
+/// Over a hull's reach: corners at most this far below a face's plane lie in it.
 const LEVEL: f64 = 1e-9;
 
 /// A convex polytope.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hull {
-    /// Its corners [m], in the order of the points that they were made from.
+    /// Its corners [m], in the order of the points from which they were made.
     pub vertices: Vec<Vector3<f64>>,
-    /// Which of those points each one is.
+    /// The index of the point of each corner.
     pub source: Vec<usize>,
     /// Its surface in triangles of vertices, counter-clockwise from outside.
     pub triangles: Vec<[usize; 3]>,
-    /// Its surface in polygons: triangles that lie in one plane but for rounding are one face.
+    /// Its surface in polygons: triangles in one plane except for rounding are one face.
     pub faces: Vec<Face>,
-    /// Their planes, four side by side, the first again where there are fewer: by coordinate the normals,
-    /// then the offsets.
+    /// Their planes by fours, the first again if there are fewer: by coordinate the normals, then the
+    /// offsets.
     planes: Vec<[[f64; 4]; 4]>,
-    /// Where two faces meet.
+    /// The lines in which two faces meet.
     pub edges: Vec<Edge>,
     /// Ends of triangles' edges: vertex v's neighbours are `adjacent[starts[v]..starts[v + 1]]`.
     starts: Vec<usize>,
     adjacent: Vec<usize>,
-    /// The same with their places, side by side: those of vertex v are
+    /// The same with their positions, by fours: the fours of vertex v are
     /// `around[first_four[v]..first_four[v + 1]]`.
     first_four: Vec<usize>,
     around: Vec<Four>,
     /// The same without lines inside of level faces.
     folds: Vec<Vec<usize>>,
-    /// By cell of directions the vertex furthest along the middle of the cell, from which the others
-    /// of the cell are climbed to; empty where nobody climbs.
+    /// By cell of directions: the vertex furthest along the middle of the cell, from which the others
+    /// of the cell are climbed to; empty if the hull does not climb.
     nearby: Vec<usize>,
-    /// By cell the faces that may look along it most; empty where there are few, and until the hull is
-    /// where it collides.
+    /// By cell: the faces whose normals may be nearest to it; empty if there are few, and until the
+    /// hull is at its place of collision.
     faces_along: ByDirection,
     /// Distance of the furthest vertex from the origin [m].
     reach: f64,
 }
 
-/// Four neighbours of a vertex; where there are fewer, the first stands again.
+/// Four neighbours of a vertex; if there are fewer, the first is repeated.
 #[derive(Clone, Debug, PartialEq)]
 struct Four {
     vertices: [u32; 4],
@@ -63,13 +63,13 @@ struct Four {
 }
 
 impl Four {
-    /// How far the furthest along a direction is, and which that is: the first of several.
+    /// Returns the reach of the furthest along a direction, and its index: the first of several.
     #[inline(always)]
     fn furthest(&self, direction: &Vector3<f64>) -> (f64, u32) {
         let [x, y, z] = &self.at;
         let along: [(f64, u32); 4] =
             from_fn(|i| (Vector3::new(x[i], y[i], z[i]).dot(direction), self.vertices[i]));
-        // Nobody can tell beforehand: choices, and no branches to be taken wrongly.
+        // The outcome is unpredictable: selections are cheaper than mispredicted branches.
         let further = |a: (f64, u32), b: (f64, u32)| {
             (if b.0 > a.0 { b.0 } else { a.0 }, if b.0 > a.0 { b.1 } else { a.1 })
         };
@@ -78,14 +78,14 @@ impl Four {
 }
 
 impl Hull {
-    /// The hull of points [m]. Those that are within 1e-11 of the largest extent of what is left
-    /// without them are left out.
+    /// Creates the hull of points [m]. A point nearer to the hull of the others than 1e-11 of the
+    /// largest extent is left out.
     pub fn of(points: &[[f64; 3]]) -> Result<Self> {
         Self::of_at_most(points, usize::MAX)
     }
 
-    /// The hull of at most `most` of the points (at least 4), those added first that are furthest
-    /// outside: MuJoCo's `maxhullvert`.
+    /// Creates the hull of at most `most` of the points (at least 4); the points furthest outside are
+    /// added first: MuJoCo's `maxhullvert`.
     pub fn of_at_most(points: &[[f64; 3]], most: usize) -> Result<Self> {
         if most < 4 {
             return Err(Error::value("vertices of a convex hull", most, "at least 4"));
@@ -104,7 +104,7 @@ impl Hull {
         let surface = loop {
             let surface = surface(&on_grid, most).map_err(flat)?;
             let kept = corners(&surface, &on_grid);
-            // Points inside, and corners that turned out to lie in a face or on an edge.
+            // Points inside, and corners that proved to lie in a face or on an edge.
             if kept.len() == on_grid.len() {
                 break surface;
             }
@@ -115,7 +115,7 @@ impl Hull {
         Ok(Self::with_faces(vertices, source, surface, grid.half))
     }
 
-    /// A box of these half sizes [m].
+    /// Creates a box of these half sizes [m].
     pub fn block(half: [f64; 3]) -> Result<Self> {
         let sign =
             |i: usize, axis: usize| if i >> axis & 1 == 1 { half[axis] } else { -half[axis] };
@@ -213,12 +213,12 @@ impl Hull {
         self.folds = (0..self.vertices.len()).map(|one| of(one).collect()).collect();
     }
 
-    /// The vertices at the other ends of the edges from a vertex along which the surface folds.
+    /// Returns the vertices at the other ends of the edges from a vertex along which the surface folds.
     pub fn folds(&self, vertex: usize) -> &[usize] {
         &self.folds[vertex]
     }
 
-    /// How far a point lies outside of the face that it is furthest from; negative inside.
+    /// Returns the distance of a point from the face that it is furthest outside of; negative inside.
     pub fn outside(&self, p: &Vector3<f64>) -> f64 {
         let mut most = [f64::NEG_INFINITY; 4];
         for [x, y, z, offset] in &self.planes {
@@ -242,12 +242,12 @@ impl Hull {
         }
     }
 
-    /// The vertices at the other ends of a vertex's edges.
+    /// Returns the vertices at the other ends of a vertex's edges.
     pub fn neighbours(&self, vertex: usize) -> &[usize] {
         &self.adjacent[self.starts[vertex]..self.starts[vertex + 1]]
     }
 
-    /// The vertex furthest along a direction; the first of several, where there are few.
+    /// Returns the vertex furthest along a direction; the first of several, if there are few.
     pub fn support(&self, direction: &Vector3<f64>) -> usize {
         if self.vertices.len() >= CLIMB {
             return self.support_from(self.nearby[directions::cell(direction)], direction);
@@ -262,7 +262,7 @@ impl Hull {
         best.0
     }
 
-    /// The face that looks most along a direction, the first of several.
+    /// Returns the face whose normal is nearest to a direction, the first of several.
     pub fn face(&self, direction: &Vector3<f64>) -> usize {
         let mut best = (f64::NEG_INFINITY, 0);
         let mut see = |index: usize| {
@@ -280,7 +280,7 @@ impl Hull {
         best.1
     }
 
-    /// The same by hill climbing from a vertex: on a convex surface a vertex that is as far as its
+    /// Does the same by hill climbing from a vertex: on a convex surface a vertex that is as far as its
     /// neighbours is the furthest.
     pub fn support_from(&self, start: usize, direction: &Vector3<f64>) -> usize {
         let (mut best, mut most) = (start, self.vertices[start].dot(direction));
@@ -299,7 +299,7 @@ impl Hull {
         }
     }
 
-    /// The same polytope turned, then moved [m], to collide there.
+    /// Returns the same polytope turned, then moved [m], for collision there.
     pub fn moved(mut self, turn: &Matrix3<f64>, shift: &Vector3<f64>) -> Self {
         for vertex in &mut self.vertices {
             *vertex = turn * *vertex + shift;
@@ -319,13 +319,13 @@ impl Hull {
         self
     }
 
-    /// Half sizes of the box about the origin that holds it [m].
+    /// Returns the half sizes of the box about the origin that holds it [m].
     pub fn half(&self) -> [f64; 3] {
         let most = |k: usize| self.vertices.iter().fold(0.0, |most: f64, v| most.max(v[k].abs()));
         [0, 1, 2].map(most)
     }
 
-    /// Distance of the furthest vertex from the origin [m].
+    /// Returns the distance of the furthest vertex from the origin [m].
     pub fn reach(&self) -> f64 {
         self.reach
     }
@@ -345,8 +345,8 @@ fn refuse(count: usize, flat: Flat) -> Error {
     Error::Scene(text.into())
 }
 
-/// Vertices at which at least three edges meet that are edges of the solid, not only of triangles
-/// in the same plane: ascending.
+/// Returns the vertices with at least three edges of the solid, not only of triangles in the same
+/// plane: ascending.
 fn corners(surface: &Surface, places: &[Point]) -> Vec<usize> {
     let mut folds = vec![0; places.len()];
     for (corners, across) in surface.triangles.iter().zip(&surface.across) {

@@ -39,7 +39,7 @@ fn check(hull: &Hull, points: &[[f64; 3]]) {
             assert!(edge.ends == ends || edge.ends == [ends[1], ends[0]]);
         }
     }
-    // Every point is inside every triangle's plane: to the grid's rounding.
+    // Every point is inside every triangle's plane, up to the grid's rounding.
     for corners in &hull.triangles {
         let [a, b, c] = corners.map(|i| hull.vertices[i]);
         let normal = (b - a).cross(&(c - a));
@@ -99,7 +99,7 @@ fn clouds_of_every_kind_make_closed_convex_hulls() {
         let single = round % 2 == 1;
         let place = |p: [f64; 3]| {
             let x = turn * Vector3::new(p[0], p[1], flat * p[2]);
-            // As a file in single precision holds it.
+            // As stored in a file in single precision.
             if single { x.map(|c| f64::from(c as f32)) } else { x }.into()
         };
         let points: Vec<[f64; 3]> = (0..200)
@@ -217,7 +217,7 @@ fn the_support_is_the_furthest_vertex() {
     }
 }
 
-/// Planes side by side tell what each face does, bit for bit.
+/// Planes by fours give the same as each face, bit for bit.
 #[test]
 fn a_point_is_outside_of_the_face_that_it_is_furthest_from() {
     let mut random = Random(19);
@@ -251,7 +251,7 @@ fn at_most_so_many_vertices_and_all_of_them_points() {
     }
     assert!((before / (4.0 / 3.0 * std::f64::consts::PI) - 1.0).abs() < 0.03);
     assert!(Hull::of_at_most(&points, 3).is_err());
-    // Most of these are inside in the end.
+    // Most of these end up inside.
     let cloud: Vec<_> = (0..300).map(|_| random.point()).collect();
     for most in [4, 9, 20] {
         assert_eq!(Hull::of_at_most(&cloud, most).unwrap().vertices.len(), most);

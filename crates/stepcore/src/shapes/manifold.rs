@@ -1,9 +1,9 @@
-//! All points at which two shapes lie against each other, once their normal is known.
+//! All points at which two shapes lie against each other, given their normal.
 //!
-//! Seen along the normal, what meets (a face, an edge, or a point of each) overlaps in a polygon,
-//! a stretch or a point. Its corners are the contacts; each has the distance along the normal
-//! between the two shapes there, and is named by what crosses at it. The deepest place is always
-//! among them.
+//! In the projection along the normal, the features that meet (a face, an edge, or a point of each)
+//! overlap in a polygon, a stretch or a point. Its corners are the contacts. Each has the distance
+//! along the normal between the two shapes there, and is named by the features that cross at it. The
+//! deepest place is always among them.
 
 use super::contact_feature::{feature, Corner, Feature, Polygon, CORNERS};
 use super::separation::{Cause, Separation};
@@ -12,22 +12,22 @@ use super::spread::spread;
 use crate::real::Real;
 use crate::spatial::V3;
 
-/// Room for contacts: of a pair, and of a cell of a height field.
+/// Capacity for contacts: of a pair, and of a cell of a height field.
 pub const MOST: usize = 8;
 /// Corners of the overlap of two faces.
 const ROOM: usize = 2 * CORNERS;
-/// Over the size of the pair: what lies outside by so little lies on the border, and what is
-/// deeper by so little is not.
+/// Over the size of the pair: a point outside by no more than this lies on the border, and a difference
+/// in depth of no more than this does not count.
 const BORDER: f64 = 1e-10;
 /// Over the size of the pair: places whose depths differ by less may be equally deep.
 const EVEN: f64 = 1e-6;
-/// Sine of the angle below which two edges run side by side.
+/// Sine of the angle below which two edges count as parallel.
 const PARALLEL: f64 = 1e-3;
 
 /// A contact of the cores.
 #[derive(Clone, Copy)]
 pub struct Point<R: Real> {
-    /// Between the cores along the normal [m].
+    /// Distance between the cores along the normal [m].
     pub apart: R,
     /// Halfway between them, from the first shape's centre.
     pub at: V3<R>,
@@ -39,7 +39,7 @@ pub struct Manifold<R: Real> {
     pub count: usize,
 }
 
-/// What two shapes see of each other.
+/// The mutual contact of two shapes.
 pub struct ContactPatch<'a, R: Real> {
     pub one: Solid<'a, R>,
     pub two: Solid<'a, R>,
@@ -50,7 +50,7 @@ pub struct ContactPatch<'a, R: Real> {
     pub size: f64,
 }
 
-/// Lists that grow to `ROOM` and no further.
+/// Lists that grow to at most `ROOM`.
 struct Points<R: Real> {
     list: [Point<R>; ROOM],
     count: usize,
@@ -62,7 +62,7 @@ impl<R: Real> Points<R> {
         Self { list: [none; ROOM], count: 0 }
     }
 
-    /// Which is the deepest.
+    /// Returns the index of the deepest.
     fn low(&self) -> Option<usize> {
         let deeper = |low: usize, i: usize| {
             let lower = self.list[i].apart.lane(0) < self.list[low].apart.lane(0);
@@ -83,7 +83,7 @@ impl<R: Real> Points<R> {
     }
 }
 
-/// A number below 2²⁴ for what crosses: names on the first and on the second shape.
+/// Returns a number below 2²⁴ for a crossing: names on the first and on the second shape.
 fn name(kind: u32, one: usize, two: usize) -> u32 {
     let mixed = (one as u32).wrapping_mul(0x9E37_79B1) ^ (two as u32).wrapping_mul(0x85EB_CA77);
     let mixed = (mixed ^ mixed >> 15).wrapping_mul(0x2C1B_3C6D) ^ kind.wrapping_mul(0x27D4_EB2F);
@@ -91,7 +91,7 @@ fn name(kind: u32, one: usize, two: usize) -> u32 {
 }
 
 impl<R: Real> ContactPatch<'_, R> {
-    /// The contacts: at most `most`.
+    /// Returns the contacts: at most `most`.
     pub fn manifold(&self, found: &Separation, most: usize) -> Manifold<R> {
         let mut deepest = self.deepest(found);
         let mut points = Points::new();
@@ -126,7 +126,7 @@ impl<R: Real> ContactPatch<'_, R> {
         chosen(&mut points, deepest, BORDER * self.size, most)
     }
 
-    /// The one place where the cores are nearest or overlap most; of several, some one.
+    /// Returns the place where the cores are nearest or overlap most; if there are several, one of them.
     fn deepest(&self, found: &Separation) -> Point<R> {
         let n = &self.normal;
         let (p, i) = self.one.support(n);
@@ -134,7 +134,7 @@ impl<R: Real> ContactPatch<'_, R> {
         let q = self.between + q;
         let half = R::of(0.5);
         let (apart, at) = match found.cause {
-            // Two's own point; one's surface is as far along the normal everywhere nearby.
+            // Two's point; one's surface is as far along the normal everywhere nearby.
             Cause::FaceOne(_) | Cause::EdgeOne(_) => {
                 let apart = n.dot(&(q - p));
                 (apart, q - n * (half * apart))
@@ -156,8 +156,8 @@ impl<R: Real> ContactPatch<'_, R> {
         Point { apart, at, name: name(0, i, k) }
     }
 
-    /// A direction that no face or edge gives, as where the corners of a face are even but for
-    /// rounding, of which each core may show a corner of its own.
+    /// Checks for a direction that no face or edge gives, as when the corners of a face are even except
+    /// for rounding, and each core may return a different corner.
     fn strays(&self, found: &Separation) -> bool {
         if !matches!(found.cause, Cause::Free) {
             return false;
@@ -168,8 +168,8 @@ impl<R: Real> ContactPatch<'_, R> {
         sideways.dot(&sideways).lane(0) > (EVEN * self.size) * (EVEN * self.size)
     }
 
-    /// The deepest place of those that may be it, at either core's corner or where faces and edges
-    /// overlap: the one that lies on both cores. Where none does, sides of what meets may cross there.
+    /// Returns the candidate for the deepest place, at either core's corner or where faces and edges
+    /// overlap, that lies on both cores. If none does, sides of the features may cross there.
     #[inline(never)]
     fn on_both(
         &self,
@@ -196,8 +196,8 @@ impl<R: Real> ContactPatch<'_, R> {
         best.1
     }
 
-    /// Where sides of what meets cross, seen along the normal: of faces so narrow that no corner of
-    /// one lies over the other, as of two crossed bars. Or the best so far, if it lies less outside.
+    /// Returns the crossing of the features' sides in the projection along the normal, for faces so
+    /// narrow that no corner of one lies over the other, or the best so far, if it lies less outside.
     #[inline(never)]
     fn crossing(
         &self,
@@ -213,7 +213,7 @@ impl<R: Real> ContactPatch<'_, R> {
                 let s = (c - a).dot(&over) / e.dot(&over);
                 let t = (a - c).dot(&under) / f.dot(&under);
                 let within = |share: R| (share.lane(0) - 0.5).abs() <= 0.5 + EVEN;
-                // Sides that are parallel give numbers that are none, and are not within.
+                // Parallel sides give NaN or infinity, which is not within.
                 if !(within(s) && within(t)) {
                     continue;
                 }
@@ -227,7 +227,7 @@ impl<R: Real> ContactPatch<'_, R> {
         best
     }
 
-    /// How far a contact's places on the two cores lie outside of them.
+    /// Returns the distance of a contact's places on the two cores outside of them.
     #[inline(never)]
     fn outside(&self, point: &Point<R>) -> f64 {
         let plain = |v: V3<R>| v.map(|x| x.lane(0));
@@ -236,20 +236,20 @@ impl<R: Real> ContactPatch<'_, R> {
         self.one.outside(&plain(point.at - half)).max(self.two.outside(&plain(on_two)))
     }
 
-    /// A contact where the cores pass through p and q on one line along the normal.
+    /// Returns a contact where the cores pass through p and q on one line along the normal.
     fn contact(&self, p: &V3<R>, q: &V3<R>, name: u32) -> Point<R> {
         let apart = self.normal.dot(&(q - p));
         Point { apart, at: (p + q) * R::of(0.5), name }
     }
 
-    /// Where a line along the normal through a point meets a face's plane.
+    /// Returns the point where a line along the normal through a point meets a face's plane.
     fn onto(&self, point: &V3<R>, face: &Polygon<R>) -> V3<R> {
         let height = (face.offset - face.normal.dot(point)) / face.normal.dot(&self.normal);
         point + self.normal * height
     }
 
-    /// Inward sides of a polygon seen along the normal: side k runs from corner k, and is where
-    /// inward · x = offset.
+    /// Returns an inward side of a polygon in the projection along the normal: side k runs from corner
+    /// k, and is where inward · x = offset.
     fn side(&self, face: &Polygon<R>, k: usize, turn: R) -> (V3<R>, R) {
         let (a, b) = (&face.corners[k].at, &face.corners[(k + 1) % face.count].at);
         let across = self.normal.cross(&(b - a)) * turn;
@@ -257,7 +257,7 @@ impl<R: Real> ContactPatch<'_, R> {
         (inward, inward.dot(a))
     }
 
-    /// 1 where the corners run counter-clockwise about the normal, −1 where clockwise.
+    /// Returns 1 if the corners run counter-clockwise about the normal, −1 if clockwise.
     fn turn(&self, face: &Polygon<R>) -> R {
         let mut area = R::zero();
         let first = &face.corners[0].at;
@@ -268,8 +268,8 @@ impl<R: Real> ContactPatch<'_, R> {
         R::of(if area.lane(0) < 0.0 { -1.0 } else { 1.0 })
     }
 
-    /// A point of the first surface where a cap and a face or an edge meet that overlap so little
-    /// that the cap's corners miss it: the other one's point nearest to the cap's centre.
+    /// Returns a point of the first surface where a cap and a face or an edge meet that overlap so
+    /// little that the cap's corners miss it: the other one's point nearest to the cap's centre.
     fn under_cap(&self, one: &Feature<R>, two: &Feature<R>) -> Option<V3<R>> {
         let centre = |feature: &Feature<R>| match feature {
             Feature::Face(face) => face.circle.map(|(centre, _)| centre),
@@ -286,7 +286,7 @@ impl<R: Real> ContactPatch<'_, R> {
         Some(point + self.normal * (first - height(&point)))
     }
 
-    /// The point of a face or an edge nearest to a point, seen along the normal.
+    /// Returns the point of a face or an edge nearest to a point, in the projection along the normal.
     fn nearest(&self, feature: &Feature<R>, to: &V3<R>) -> Option<V3<R>> {
         let flat = |v: V3<R>| v - self.normal * self.normal.dot(&v);
         match feature {
@@ -322,7 +322,7 @@ impl<R: Real> ContactPatch<'_, R> {
         }
     }
 
-    /// The overlap of two faces: the second cut by each side of the first (Sutherland and Hodgman
+    /// Finds the overlap of two faces: the second cut by each side of the first (Sutherland and Hodgman
     /// 1974). A corner is named by the sides that cross there.
     #[inline(never)]
     fn faces(&self, one: &Polygon<R>, two: &Polygon<R>, out: &mut Points<R>) {
@@ -368,7 +368,7 @@ impl<R: Real> ContactPatch<'_, R> {
                 }
                 if inside != inside_next {
                     let at = here.at + (there.at - here.at) * (a / (a - b));
-                    // Leaving, the new side runs along one's; entering, on along two's.
+                    // At an exit the new side runs along one's; at an entry, on along two's.
                     push(Cut { at, side: if inside { (true, k) } else { here.side } });
                 }
             }
@@ -380,7 +380,7 @@ impl<R: Real> ContactPatch<'_, R> {
             let after = list[i].side;
             let q = list[i].at;
             let p = self.onto(&q, one);
-            // A point of one's own border is carried to two's plane.
+            // A point of one's border is projected to two's plane.
             let q = self.onto(&q, two);
             let corner = |face: &Polygon<R>, k: usize| face.corners[k].name;
             let label = match (before.0, after.0) {
@@ -393,7 +393,7 @@ impl<R: Real> ContactPatch<'_, R> {
         }
     }
 
-    /// The corner between two sides of a polygon.
+    /// Returns the corner between two sides of a polygon.
     fn shared(&self, face: &Polygon<R>, j: usize, k: usize) -> usize {
         if (j + 1) % face.count == k {
             k
@@ -402,14 +402,14 @@ impl<R: Real> ContactPatch<'_, R> {
         }
     }
 
-    /// The part of an edge that lies over a face.
+    /// Finds the part of an edge that lies over a face.
     fn stretch(&self, face: &Polygon<R>, edge: &[Corner<R>; 2], swap: bool, out: &mut Points<R>) {
         let border = -BORDER * self.size;
         let [a, b] = edge;
         let along = b.at - a.at;
         let (mut from, mut to) = ((R::zero(), usize::MAX), (R::one(), usize::MAX));
         if let Some((centre, radius)) = face.circle {
-            // The chord: |a + t (b − a) − c|² = r², both ends dropped onto the cap's plane.
+            // The chord: |a + t (b − a) − c|² = r², both ends projected onto the cap's plane.
             let (first, last) = (self.onto(&a.at, face), self.onto(&b.at, face));
             let (way, start) = (last - first, first - centre);
             let (square, foot) = (way.dot(&way), way.dot(&start));
@@ -462,9 +462,9 @@ impl<R: Real> ContactPatch<'_, R> {
         }
     }
 
-    /// The stretch over which two parallel edges run side by side.
+    /// Finds the stretch that two parallel edges have in common.
     fn side_by_side(&self, one: &[Corner<R>; 2], two: &[Corner<R>; 2], out: &mut Points<R>) {
-        // Seen along the normal.
+        // In the projection along the normal.
         let flat = |edge: &[Corner<R>; 2]| {
             let along = edge[1].at - edge[0].at;
             along - self.normal * self.normal.dot(&along)
@@ -493,7 +493,7 @@ impl<R: Real> ContactPatch<'_, R> {
     }
 }
 
-/// The sides of a face, or an edge.
+/// Returns the sides of a face, or an edge.
 fn sides<R: Real>(feature: &Feature<R>) -> impl Iterator<Item = [V3<R>; 2]> + '_ {
     let (corners, count): (&[Corner<R>], usize) = match feature {
         Feature::Point => (&[], 0),
@@ -503,8 +503,8 @@ fn sides<R: Real>(feature: &Feature<R>) -> impl Iterator<Item = [V3<R>; 2]> + '_
     (0..count).map(move |k| [corners[k].at, corners[(k + 1) % corners.len()].at])
 }
 
-/// At most `most` of the points: the deepest, and then each time the one furthest from those
-/// chosen. Points that coincide count once. In the order of the list.
+/// Chooses at most `most` of the points: the deepest, and then each time the one furthest from the
+/// chosen ones. Points that coincide count once. In the order of the list.
 fn chosen<R: Real>(
     points: &mut Points<R>,
     deepest: Point<R>,
@@ -517,8 +517,8 @@ fn chosen<R: Real>(
         way.dot(&way).lane(0)
     };
     let Some(mut low) = points.low() else { return out };
-    // The deepest place is none of the corners: it replaces the one nearest to it, which would
-    // otherwise hold what it holds.
+    // If the deepest place is not a corner, it replaces the nearest corner, which would otherwise carry
+    // its load.
     if points.list[low].apart.lane(0) > deepest.apart.lane(0) + border {
         low = 0;
         for i in 1..points.count {
@@ -528,7 +528,7 @@ fn chosen<R: Real>(
         }
         points.list[low] = Point { name: points.list[low].name, ..deepest };
     }
-    // Of places that are even but for rounding the first.
+    // Among places that are even except for rounding, the first.
     let even = points.list[low].apart.lane(0) + border;
     low = (0..low).find(|i| points.list[*i].apart.lane(0) <= even).unwrap_or(low);
     let mut places = [low; MOST];

@@ -1,7 +1,7 @@
-//! Shapes: where two of them touch, from their poses and sizes.
+//! Shapes: the contacts of two of them, from their poses and sizes.
 //!
-//! One file a family of pairs. A pair's test is a pure function of two shapes; which one a pair of
-//! geoms has is decided when the model is compiled (`ShapeTest`), and `meet` runs it.
+//! One file for each family of pairs. A pair's test is a pure function of two shapes. The test of a
+//! pair of geoms is chosen when the model is compiled (`ShapeTest`), and `meet` runs it.
 
 pub(crate) mod boxes;
 pub(crate) mod by_lane;
@@ -67,21 +67,21 @@ use core::cell::Cell;
 #[derive(Clone, Copy)]
 pub struct Shape<'a, R: Real> {
     pub pose: &'a Pose<R>,
-    /// As a geom's: see `scene::Geom::size`.
+    /// As for a geom: see `scene::Geom::size`.
     pub size: &'a [R::Value; 3],
-    /// Of a mesh, and of a height field.
+    /// Present for a mesh, and for a height field.
     pub hull: Option<&'a Hull>,
     pub field: Option<&'a HeightField>,
 }
 
 impl<'a, R: Real> Shape<'a, R> {
-    /// The same shape at another pose, in other numbers.
+    /// Returns the same shape at another pose, in another number type.
     #[inline(always)]
     pub fn at<S: Real>(&self, pose: &'a Pose<S>, size: &'a [S::Value; 3]) -> Shape<'a, S> {
         Shape { pose, size, hull: self.hull, field: self.field }
     }
 
-    /// The size in this number.
+    /// Returns the size in this number type.
     #[inline(always)]
     pub fn sizes(&self) -> V3<R> {
         V3::from(value::get(self.size))
@@ -91,8 +91,8 @@ impl<'a, R: Real> Shape<'a, R> {
 /// By lane; or empty.
 pub type Hints<'a> = &'a [Cell<Hint>];
 
-/// Tests a pair exactly: `take(slot, touch)` gets what is in each of its slots. Of shapes that are
-/// `within` [m] apart or more, which is by lane, a slot may tell nothing.
+/// Tests a pair exactly: `take(slot, touch)` gets the touch of each of its slots. If the shapes are
+/// `within` [m] apart or more, by lane, a slot may be empty.
 #[inline(always)]
 pub fn meet<R: Real>(
     test: ShapeTest,

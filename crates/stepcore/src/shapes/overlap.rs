@@ -1,4 +1,4 @@
-//! The shortest way out of each other of two shapes that overlap.
+//! The shortest way to separate two shapes that overlap.
 
 use super::epa::Polytope;
 use super::gjk::Vertex;
@@ -7,28 +7,28 @@ use super::separation::{Cause, Pairing, Separation};
 use crate::spatial::V3;
 use core::cell::RefCell;
 
-/// Rounds of the search, and room for points of the polytope; of shapes with corners alone more, because
-/// meshes of many faces may lie deep in others.
+/// Rounds of the search, and capacity for points of the polytope; larger for shapes with corners alone,
+/// because meshes of many faces may lie deep in others.
 const ROUNDS: usize = 90;
 const POINTS: usize = 72;
 const MANY: usize = 2000;
 const MANY_POINTS: usize = 600;
-/// The most corners of a shell that is kept: from step to step it gathers more, while a search from anew
-/// ends with 10 to 20.
+/// The largest number of corners of a shell that is kept: it grows from step to step, while a new
+/// search ends with 10 to 20.
 const SHELL: usize = 24;
-/// Over the size of the pair: how near a search must have come for a first answer.
+/// Over the size of the pair: accuracy of a search at its first answer.
 const FIRST: f64 = 0.05;
-/// Over the height of a face: how near one must have come that has no better answer behind it. Of 9,600
-/// pairs of bent shapes at random 8 have one with 1e-3, less deep by 3e-4 of their depth at most; with
-/// 1e-4 none has.
+/// Over the height of a face: accuracy that shows that no better answer is behind it. Of 9,600 random
+/// pairs of bent shapes 8 have one with 1e-3, less deep by 3e-4 of their depth at most; with 1e-4 none
+/// has.
 const NEXT: f64 = 1e-5;
 
-/// Over the size of the pair: a way out that is longer by less may be the shortest but for rounding.
+/// Over the size of the pair: a way out that is longer by less may be the shortest, within rounding.
 const CLEAR: f64 = 1e-9;
 /// Cosine of the angle between directions of one facet.
 const SAME: f64 = 1.0 - 1e-9;
 
-/// What a search came to.
+/// The result of a search.
 #[derive(Default)]
 struct Found {
     best: Option<Separation>,
@@ -43,8 +43,8 @@ thread_local! {
 }
 
 impl Pairing<'_> {
-    /// The shortest way out, from a simplex that may hold the origin; of polytopes `shell` gets the one
-    /// that proves it.
+    /// Finds the shortest way out, from a simplex that may hold the origin; for polytopes `shell`
+    /// receives the polytope that proves it.
     pub(super) fn overlap(&self, simplex: &[Vertex], shell: Kept) -> Separation {
         POLYTOPE.with_borrow_mut(|polytope| {
             let most = if self.smooth { POINTS } else { MANY_POINTS };
@@ -58,7 +58,7 @@ impl Pairing<'_> {
                 polytope.keep(shell.get_or_insert_default(), SHELL);
             }
             match best {
-                // Nothing is much better, and nothing nearby is.
+                // Nothing is much better, and nothing nearby is better.
                 Some(best) if self.smooth && self.holds(&best) => best,
                 Some(best) => self.topped(self.settled(best)),
                 None => self.topped(self.refine(&-polytope.best)),
@@ -66,8 +66,8 @@ impl Pairing<'_> {
         })
     }
 
-    /// The shortest way out of polytopes, from the shell of the step before; where that proves none it is
-    /// forgotten.
+    /// Finds the shortest way out of polytopes from the shell of the step before; if the shell proves
+    /// none it is cleared.
     pub(super) fn overlap_again(&self, shell: &mut Shell) -> Option<Separation> {
         if shell.is_empty() {
             return None;
@@ -79,7 +79,7 @@ impl Pairing<'_> {
             let inside = polytope.start_from(shell, &at, POINTS);
             let Found { best, proven, tied } =
                 if inside { self.expand(polytope, CLEAR) } else { Found::default() };
-            // A direction that neither faces nor edges fix, or as good as another, is the search's own.
+            // A direction that neither faces nor edges fix, or a tied one, is left to the search.
             let fixed = |best: &Separation| best.apart < 0.0 && !matches!(best.cause, Cause::Free);
             let found = best.filter(|best| fixed(best) && proven && !tied && !polytope.torn);
             if found.is_none() {
@@ -91,8 +91,8 @@ impl Pairing<'_> {
         })
     }
 
-    /// The best of what refining finds as the polytope grows, until nothing is left that is better, or by
-    /// less than `clear` of the size worse.
+    /// Returns the best result of refining while the polytope grows, until no remaining face is better,
+    /// or worse by less than `clear` of the size.
     fn expand(&self, polytope: &mut Polytope, clear: f64) -> Found {
         let support = |way: &V3<f64>| self.vertex(way);
         let next = |height: f64| NEXT * (height.max(0.0) + 1e-3 * self.size);
@@ -107,7 +107,8 @@ impl Pairing<'_> {
                 out.proven = !polytope.full;
                 break;
             };
-            // As long as the way out is short beside what bends, faces near an answer settle at once.
+            // While the way out is short relative to the bent surfaces, faces near an answer settle at
+            // once.
             if let (true, Some(best)) = (self.smooth && depth < FIRST * self.size, out.best) {
                 if polytope.grow_beside(face, &-best.normal, &support) {
                     continue;

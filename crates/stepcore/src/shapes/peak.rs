@@ -1,21 +1,20 @@
-//! The largest separation near a direction, whatever meets there.
+//! The largest separation near a direction, for any features.
 //!
-//! A shape is the hull of pieces that do not bend sharply: a polytope of its corners, a cylinder of
-//! its two end discs. With a piece of each shape pinned, the separation s_k(n) = n·w_k(n) is smooth,
-//! and s is the least of them. Near its maximum few pairs of pieces matter; they are found as cutting
-//! planes are (Kelley 1960): the best direction for those that are known is tried, and the pair that
-//! is less apart there joins them. As the pieces of a shape bend alike, all s_k have one second
-//! derivative, and a step is the best of the maxima of one, on the ridge of two, and in the corner
-//! of three.
+//! A shape is the hull of pieces that do not bend sharply: a polytope of its corners, a cylinder of its
+//! two end discs. With a fixed piece of each shape, the separation s_k(n) = n·w_k(n) is smooth, and s
+//! is the least of them. Near its maximum few pairs of pieces matter. They are found as cutting planes
+//! are (Kelley 1960): the best direction for the pairs found so far is tried, and the pair that is less
+//! apart there joins them. As the pieces of a shape bend equally, all s_k have one second derivative,
+//! and a step is the best of the maxima of one, on the ridge of two, and in the corner of three.
 
 use super::separation::{across_both, Pairing};
 use super::touch::unit;
 use crate::spatial::V3;
 
-/// Pairs of pieces that are kept, and the rounds.
+/// Largest number of pairs of pieces, and of rounds.
 const KEPT: usize = 8;
 const ROUNDS: usize = 40;
-/// The first steps are no longer than this, and none is tried below the other.
+/// Largest length of the first steps, and smallest length of any step.
 const FIRST: f64 = 0.01;
 const LEAST: f64 = 1e-12;
 /// Over the size of the pair: a gain that is only rounding.
@@ -24,14 +23,14 @@ const ROUNDING: f64 = 1e-15;
 /// A step in the plane across the direction.
 type Step = [f64; 2];
 
-/// Of a pair of pieces, at the direction: its separation and the slope.
+/// The separation of a pair of pieces at the direction, and its slope.
 #[derive(Clone, Copy, Default)]
 struct Side {
     apart: f64,
     slope: Step,
 }
 
-/// Where a search from a direction ends.
+/// Returns the direction where a search from a direction ends.
 pub fn peak(pairing: &Pairing, from: &V3<f64>) -> V3<f64> {
     let mut normal = *from;
     let mut pieces = [(0, 0); KEPT];
@@ -67,7 +66,7 @@ pub fn peak(pairing: &Pairing, from: &V3<f64>) -> V3<f64> {
     normal
 }
 
-/// The step to the largest least separation of these pieces, no longer than `most`; None where
+/// Returns the step to the largest least separation of these pieces, no longer than `most`; None if
 /// nothing is gained.
 fn best_step(
     pairing: &Pairing,
@@ -92,7 +91,7 @@ fn best_step(
 /// Separations near a direction: least of apart + slope·d, minus dᵀ curve d / 2.
 struct Model<'a> {
     sides: &'a [Side],
-    /// Of the two axes: first with first, with second, second with second.
+    /// By axes: first with first, first with second, second with second.
     curve: [f64; 3],
 }
 
@@ -111,7 +110,7 @@ impl Model<'_> {
         least.fold(f64::INFINITY, f64::min) - 0.5 * dot(d, self.curved(d))
     }
 
-    /// The best step of those that one, two or three of the sides suggest.
+    /// Returns the best step of those that one, two or three of the sides suggest.
     fn best(&self, most: f64) -> Option<Step> {
         let mut best: Option<(Step, f64)> = None;
         let mut offer = |d: Step| {
@@ -133,7 +132,7 @@ impl Model<'_> {
         best.map(|best| best.0)
     }
 
-    /// The maximum of one; up its slope where it has none.
+    /// Returns the maximum of one; a step up its slope if it has none.
     fn summit(&self, one: &Side, most: f64) -> Step {
         let ([a, b, c], [x, y]) = (self.curve, one.slope);
         let det = a * c - b * b;
@@ -144,7 +143,7 @@ impl Model<'_> {
         [x * share, y * share]
     }
 
-    /// The maximum of two where they are equal.
+    /// Returns the maximum of two where they are equal.
     fn ridge(&self, one: &Side, two: &Side, most: f64) -> Step {
         let across = [one.slope[0] - two.slope[0], one.slope[1] - two.slope[1]];
         let back = (two.apart - one.apart) / dot(across, across);
@@ -158,7 +157,7 @@ impl Model<'_> {
     }
 }
 
-/// Where three are equal.
+/// Returns the point where three are equal.
 fn corner(one: &Side, two: &Side, three: &Side) -> Step {
     let [p, q] = [two, three].map(|side| {
         [side.slope[0] - one.slope[0], side.slope[1] - one.slope[1], one.apart - side.apart]

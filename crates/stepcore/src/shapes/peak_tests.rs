@@ -1,5 +1,5 @@
-//! Rims, plates and small shapes at large ones: where a search over directions may end beside
-//! the answer.
+//! Rims, plates and small shapes at large ones: cases in which a search over directions may miss the
+//! answer.
 
 use super::by_lane::by_lane;
 use super::convex::{solid, Convex};
@@ -22,8 +22,8 @@ fn touches(kinds: [GeomType; 2], shapes: [Shape<f64>; 2]) -> Touches<f64, 8> {
     by_lane(|_| test, &shapes[0], &shapes[1])
 }
 
-/// The deepest contact is as deep as its normal says, its points belong to both shapes, and no
-/// direction shows a larger separation, near the normal or far from it.
+/// The deepest contact is as deep along its normal as its distance, its points belong to both shapes,
+/// and no direction has a larger separation, near the normal or far from it.
 fn check(kinds: [GeomType; 2], shapes: [Shape<f64>; 2]) -> f64 {
     let found = touches(kinds, shapes);
     let there = found.iter().filter(|touch| touch.exists);
@@ -79,8 +79,8 @@ fn a_small_box_at_the_rim_of_a_large_cylinder() {
     assert!((dist + 0.001_025_58).abs() < 1e-8, "{dist}");
 }
 
-/// Plates of 4 mm: facets of a mesh as near to one another as the ellipsoid bends. In whatever axes
-/// the mesh is written.
+/// Plates of 4 mm: facets of a mesh as near to one another as the ellipsoid bends, for any axes of the
+/// mesh.
 #[test]
 fn a_plate_ellipsoid_in_a_plate_mesh() {
     let plate = [0.002, 0.233, 0.202];
@@ -115,7 +115,7 @@ fn a_plate_ellipsoid_in_a_plate_mesh() {
     }
 }
 
-/// Two cylinders with parallel axes, one beside and above the other: rim to rim, a closed form.
+/// Two cylinders with parallel axes, one next to and above the other: rim to rim, a closed form.
 #[test]
 fn the_rims_of_upright_cylinders() {
     let mut random = Random(7);
@@ -136,7 +136,7 @@ fn the_rims_of_upright_cylinders() {
     }
 }
 
-/// A tile, nearly flat on a cap but between the corners that stand for the rim and the rim.
+/// A tile, nearly flat on a cap but between the rim and the corners that represent it.
 #[test]
 fn a_small_tile_over_the_edge_of_a_cap() {
     let (can, tile) = ([0.95, 0.4, 0.0], [1e-3, 2e-3, 5e-4]);
@@ -155,7 +155,7 @@ fn a_small_tile_over_the_edge_of_a_cap() {
 }
 
 /// The difference of two crossed needles: along the axes it reaches furthest at four corners of one
-/// plane. It is flat only where it is as thin along that plane's own normal.
+/// plane. It is flat only if it is as thin along the plane's normal.
 #[test]
 fn a_plate_askew_has_a_volume() {
     let (a, b) = (V3::new(0.4, 0.12, 0.08), V3::new(0.08, 0.3, 0.27));

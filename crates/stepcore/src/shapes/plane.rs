@@ -1,10 +1,10 @@
 //! A plane against a sphere, a capsule, an ellipsoid, a cylinder or a box.
 //!
-//! The plane is infinite, its normal the z axis of its pose. The height of a shape's points above
-//! it gives the contacts: of a sphere and an ellipsoid the lowest point; of a capsule the balls at
-//! both ends, so that one lying flat rests on both; of a box the four corners below its centre; of
-//! a cylinder the lowest point of either rim and two more points of the lower one, so that it can
-//! stand. Points, and the order of them, are MuJoCo's.
+//! The plane is infinite, its normal the z axis of its pose. The height of a shape's points above it
+//! gives the contacts: for a sphere and an ellipsoid the lowest point; for a capsule the balls at both
+//! ends, so that one lying flat rests on both; for a box the four corners below its centre; for a
+//! cylinder the lowest point of either rim and two more points of the lower one, so that it can stand
+//! upright. Points and their order are MuJoCo's.
 
 use super::touch::{select3, unit, Touch, Touches};
 use crate::real::{Mask, Real};
@@ -14,8 +14,8 @@ pub fn plane_sphere<R: Real>(plane: &Pose<R>, sphere: &Pose<R>, radius: R) -> To
     [plane_ball(plane, &sphere.pos, radius)]
 }
 
-/// Slot 0 is the end along the capsule's +z, slot 1 the other.
-/// `half` is half the distance between the end balls' centres.
+/// Slot 0 is the end along the capsule's +z, slot 1 the other. `half` is half the distance between the
+/// end balls' centres.
 pub fn plane_capsule<R: Real>(
     plane: &Pose<R>,
     capsule: &Pose<R>,
@@ -37,8 +37,8 @@ fn plane_ball<R: Real>(plane: &Pose<R>, centre: &V3<R>, radius: R) -> Touch<R> {
     Touch { dist, pos, normal, exists: R::Mask::of(true), feature: R::zero() }
 }
 
-/// `half` holds the half axes. With h the ellipsoid's support along the normal n, in its own axes
-/// h = |(aₖnₖ)|, the lowest point is −(aₖ²nₖ)/h.
+/// `half` holds the half axes. With h the ellipsoid's support along the normal n, in the ellipsoid's
+/// axes h = |(aₖnₖ)|, the lowest point is −(aₖ²nₖ)/h.
 pub fn plane_ellipsoid<R: Real>(
     plane: &Pose<R>,
     ellipsoid: &Pose<R>,
@@ -53,12 +53,12 @@ pub fn plane_ellipsoid<R: Real>(
     [Touch { dist, pos, normal, exists: R::Mask::of(true), feature: R::zero() }]
 }
 
-/// A corner of a box, seen from its centre.
+/// A corner of a box, relative to its centre.
 #[derive(Clone, Copy)]
 struct Corner<R: Real> {
     /// Its number: bit k is set where its coordinate k is positive.
     index: R,
-    /// Above the centre, along the plane's normal.
+    /// Height above the centre, along the plane's normal.
     height: R,
     at: V3<R>,
 }
@@ -77,8 +77,8 @@ impl<R: Real> Corner<R> {
 /// Comparisons that put four in order.
 const ORDER: [(usize, usize); 5] = [(0, 1), (2, 3), (0, 2), (1, 3), (1, 2)];
 
-/// The lower corner of each of the four diagonals, in the order of the corners' numbers, which are
-/// the features. `half` holds the box's half lengths.
+/// Returns the lower corner of each of the four diagonals, in the order of the corners' numbers, which
+/// are the features. `half` holds the box's half lengths.
 pub fn plane_box<R: Real>(plane: &Pose<R>, cuboid: &Pose<R>, half: V3<R>) -> Touches<R, 4> {
     let normal = plane.axis(2);
     let centre = normal.dot(&(cuboid.pos - plane.pos));
@@ -114,9 +114,9 @@ pub fn plane_box<R: Real>(plane: &Pose<R>, cuboid: &Pose<R>, half: V3<R>) -> Tou
 /// Sine of an angle that is only rounding.
 const NO_ANGLE: f64 = 1e-15;
 
-/// Slot 0 is the lowest point of the lower rim and slot 1 that of the upper; slots 2 and 3 make the
-/// first an equilateral triangle on the lower rim. Of a cylinder that stands upright the first lies
-/// along its own x axis. `half` is half its height.
+/// Slot 0 is the lowest point of the lower rim and slot 1 of the upper; slots 2 and 3 complete the
+/// first to an equilateral triangle on the lower rim. For an upright cylinder the first lies along the
+/// cylinder's x axis. `half` is half its height.
 pub fn plane_cylinder<R: Real>(
     plane: &Pose<R>,
     cylinder: &Pose<R>,
@@ -141,8 +141,8 @@ pub fn plane_cylinder<R: Real>(
     })
 }
 
-/// The unit vector along `raw`, which lies across the cylinder's axis but for rounding; where
-/// nothing but rounding is left of it, the cylinder's x axis.
+/// Returns the unit vector along `raw`, which lies across the cylinder's axis except for rounding; if
+/// only rounding is left of it, the cylinder's x axis.
 #[inline(always)]
 fn downhill<R: Real>(cylinder: &Pose<R>, raw: &V3<R>) -> V3<R> {
     let axis = cylinder.axis(2);

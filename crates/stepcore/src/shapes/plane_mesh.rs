@@ -1,9 +1,9 @@
 //! A plane and a convex hull: the hull's support polygon.
 //!
-//! Contacts are vertices: the corners of the face that looks most into the plane, whatever their
-//! distance, and all vertices below the plane or hardly higher than the lowest. Of more than `MOST`
-//! the lowest stays, and those that are far from it and from each other within the hull, which no
-//! motion changes, so that a mesh that rests keeps its contacts.
+//! Contacts are vertices: the corners of the face that points most into the plane, at any distance, and
+//! all vertices below the plane or hardly higher than the lowest. If there are more than `MOST`, the
+//! lowest stays, and others that are far from it and from each other within the hull, which no motion
+//! changes, so that a mesh that rests keeps its contacts.
 
 use super::by_lane::{empty, OneWorld};
 use super::hull::Hull;
@@ -14,22 +14,22 @@ use crate::bits::ones;
 use crate::real::{Constant, Mask, Real};
 use crate::spatial::V3;
 
-/// The most contacts.
+/// The largest number of contacts.
 pub const MOST: usize = super::convex::PATCH;
-/// Vertices that are chosen from, at most: see `List::thin_out`.
+/// Largest number of vertices in the choice: see `List::thin_out`.
 const ROOM: usize = 256;
-/// Words of 64 vertices each: of larger hulls every vertex is looked at.
+/// Words of 64 vertices each: for larger hulls every vertex is examined.
 const WORDS: usize = 128;
 /// Over the hull's size: vertices no higher than this above the lowest lie on its base.
 const LEVEL: f64 = 1e-5;
-/// The same: vertices whose heights differ by less are even but for rounding.
+/// The same: vertices whose heights differ by less count as equally high.
 const EVEN: f64 = 1e-10;
 
-/// Over the hull's size: by how much more than a distance a hull is apart for sure, whatever rounding
-/// does to its contacts.
+/// Over the hull's size: margin over a distance beyond which a hull is certainly apart, whatever the
+/// rounding of its contacts.
 const SURE: f64 = 1e-6;
 
-/// The test of a plane (`one`) and a mesh; contacts at this distance or farther [m] need not be told.
+/// The test of a plane (`one`) and a mesh; contacts at this distance or farther [m] may be left out.
 pub struct PlaneMesh {
     pub within: f64,
 }
@@ -65,8 +65,8 @@ impl OneWorld<MOST> for PlaneMesh {
     }
 }
 
-/// The vertices that are contacts, ascending, and how many: `up` is the plane's normal in the
-/// hull's frame, `centre` the height of that frame.
+/// Returns the vertices that are contacts, ascending, and their number: `up` is the plane's normal in
+/// the hull's frame, `centre` the height of this frame.
 fn polygon(
     hull: &Hull,
     lowest: usize,
@@ -79,7 +79,7 @@ fn polygon(
     let even = height(lowest) + EVEN * size;
     let low = |vertex: &usize| height(*vertex) <= limit;
     let mut list = List { vertices: [0; ROOM], count: 0 };
-    // Of even ones the first, whatever rounding says.
+    // The first of even ones, regardless of rounding.
     let (even, mut every) = (|vertex: &usize| height(*vertex) <= even, 0..hull.vertices.len());
     let first = if list.spread(hull, lowest, low) {
         list.all().find(even)
@@ -88,7 +88,7 @@ fn polygon(
         every.find(even)
     };
     list.begin_with(first.unwrap_or(lowest));
-    // What is not below acts only where nothing else does: it does not take the place of what is.
+    // A vertex that is not below acts only if no other does: it does not replace one that is.
     let must = list.count.min(MOST);
     if must < MOST {
         let corners = hull.faces.get(hull.face(&-up)).map_or(&[][..], |face| &face.corners);
@@ -98,7 +98,7 @@ fn polygon(
             }
         }
     }
-    // All that act if they fit, else the lowest; then what is furthest from these.
+    // All that act if they fit, else the lowest; then the furthest from these.
     let vertex = |place: usize| &hull.vertices[list.vertices[place] as usize];
     let mut places = core::array::from_fn::<usize, MOST, _>(|place| place);
     let mut kept = list.count.min(MOST);
@@ -119,14 +119,14 @@ struct List {
 }
 
 impl List {
-    /// Those below a height around the first, ascending, found one beside another: those of a convex
-    /// surface are in one piece. False: they are too many.
+    /// Lists the vertices below a height around the first, ascending, by walking over neighbours: on a
+    /// convex surface they are connected. Returns false if there are too many.
     fn spread(&mut self, hull: &Hull, first: usize, low: impl Fn(&usize) -> bool) -> bool {
         let vertices = hull.vertices.len();
         if vertices > 64 * WORDS {
             return false;
         }
-        // A bit for each vertex that was seen.
+        // A bit for each visited vertex.
         let mut seen = [0u64; WORDS];
         let bit = |vertex: usize| (vertex / 64, 1 << (vertex % 64));
         let (word, own) = bit(first);
@@ -152,10 +152,10 @@ impl List {
         true
     }
 
-    /// Of many every second, fourth, eighth …, so that there is room for them.
+    /// Keeps every second, fourth, eighth … of many vertices, so that there is room for them.
     fn thin_out(&mut self, vertices: impl Iterator<Item = usize>) {
         self.count = 0;
-        let mut others = 0; // Of so many, a power of two less one, one stays.
+        let mut others = 0; // A power of two minus one: one vertex stays of each others + 1.
         for (at, vertex) in vertices.enumerate() {
             if at & others == 0 && self.count == ROOM {
                 self.count /= 2;
@@ -179,7 +179,7 @@ impl List {
         }
     }
 
-    /// A vertex comes first, wherever it was.
+    /// Moves a vertex to the front, or inserts it there.
     fn begin_with(&mut self, vertex: usize) {
         let known = self.all().position(|own| own == vertex);
         self.count = ROOM.min(self.count + usize::from(known.is_none()));

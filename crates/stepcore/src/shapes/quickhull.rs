@@ -1,9 +1,9 @@
 //! Convex hull of points, by quickhull (Barber, Dobkin and Huhdanpaa, "The quickhull algorithm for
 //! convex hulls", ACM TOMS 22, 1996), on a grid of integers.
 //!
-//! Points are rounded to a grid of 2⁴⁰ steps over the largest extent, 1e-12 of it a step. There
-//! the side of a plane on which a point lies is an integer of less than 127 bits, so that every
-//! decision is exact: the hull is a closed convex surface whatever the input.
+//! Points are rounded to a grid of 2⁴⁰ steps over the largest extent, 1e-12 of it a step. There the
+//! side of a plane on which a point lies is an integer of less than 127 bits, so that every decision is
+//! exact: the hull is a closed convex surface for any input.
 
 use super::grid::{Plane, Point, NOISE};
 use crate::interrupt::{Meter, ROW};
@@ -16,7 +16,7 @@ pub(super) struct Surface {
     pub across: Vec<[usize; 3]>,
 }
 
-/// Why points have no hull with a volume.
+/// The reason why points have no hull with a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Flat {
     Point,
@@ -62,14 +62,14 @@ struct Growing<'a> {
     waiting: BinaryHeap<Waiting>,
     /// Triangles that are not replaced.
     alive: usize,
-    /// Of the point being added: the triangles that see it, the edges around them as (triangle
-    /// beyond, its edge), and the new triangle that starts at a vertex.
+    /// For the point being added: the triangles that see it, the edges around them as (triangle beyond,
+    /// its edge), and the new triangle that starts at a vertex.
     seen: Vec<usize>,
     horizon: Vec<(usize, usize)>,
     starts: Vec<usize>,
 }
 
-/// The hull of `points`, of at most `most` vertices.
+/// Computes the hull of `points`, of at most `most` vertices.
 pub(super) fn surface(points: &[Point], most: usize) -> Result<Surface, Flat> {
     let first = simplex(points)?;
     let mut hull = Growing {
@@ -91,8 +91,8 @@ pub(super) fn surface(points: &[Point], most: usize) -> Result<Surface, Flat> {
     Ok(hull.finish())
 }
 
-/// Four points of a tetrahedron as large as is easily found: the two ends of the longest axis, the
-/// point furthest from their line, and the one furthest from that plane. Its first three corners
+/// Returns four points of a tetrahedron as large as is easily found: the two ends of the longest axis,
+/// the point furthest from their line, and the one furthest from that plane. Its first three corners
 /// are counter-clockwise from outside.
 fn simplex(points: &[Point]) -> Result<[usize; 4], Flat> {
     let of_axis = |axis: usize| {
@@ -118,7 +118,7 @@ fn simplex(points: &[Point]) -> Result<[usize; 4], Flat> {
     Ok(if plane.above(&points[d]) { [a, c, b, d] } else { [a, b, c, d] })
 }
 
-/// The first of the indices at which `measure` is largest.
+/// Returns the first of the indices at which `measure` is largest.
 fn furthest(count: usize, measure: impl Fn(usize) -> f64) -> usize {
     let mut best = (0, f64::NEG_INFINITY);
     for i in 0..count {
@@ -179,7 +179,7 @@ impl Growing<'_> {
         self.waiting.push(Waiting { distance, triangle });
     }
 
-    /// Adds the furthest point of a triangle: a cone from it to the horizon replaces what sees it.
+    /// Adds the furthest point of a triangle: a cone from it to the horizon replaces what it sees.
     fn add(&mut self, triangle: usize) {
         let apex = self.triangles[triangle].furthest;
         self.look(triangle, apex);
@@ -209,8 +209,8 @@ impl Growing<'_> {
         (from..self.triangles.len()).for_each(|new| self.wait(new));
     }
 
-    /// A closed surface of n triangles has n/2 + 2 vertices (Euler). A point that is added can end
-    /// others' being one.
+    /// Returns the number of vertices: n/2 + 2 on a closed surface of n triangles (Euler). Adding a
+    /// point can remove other vertices.
     fn vertices(&self) -> usize {
         self.alive / 2 + 2
     }
@@ -234,7 +234,7 @@ impl Growing<'_> {
                     self.triangles[beyond].alive = false;
                     self.seen.push(beyond);
                 } else {
-                    // Its edge back: it starts where ours ends.
+                    // Its edge back: it starts where this one ends.
                     let end = self.triangles[here].corners[(edge + 1) % 3];
                     let corners = &self.triangles[beyond].corners;
                     let back = (0..3).find(|k| corners[*k] == end).unwrap_or(0);
@@ -245,7 +245,7 @@ impl Growing<'_> {
         }
     }
 
-    /// The triangles that are left, numbered anew.
+    /// Returns the remaining triangles, renumbered.
     fn finish(self) -> Surface {
         let mut number = vec![0; self.triangles.len()];
         let alive = || self.triangles.iter().enumerate().filter(|(_, t)| t.alive);

@@ -9,27 +9,27 @@ use crate::real::array::from_fn;
 use crate::real::Real;
 use crate::spatial::V3;
 
-/// Sines of the angle from a rough direction within which faces and edges are tried: of polytopes
-/// the search ends at rounding, of bent surfaces near the answer.
+/// Sines of the angle from a rough direction within which faces and edges are tried: for polytopes the
+/// search ends at rounding, for bent surfaces near the answer.
 const NEAR_EXACT: f64 = 0.02;
 const NEAR_ROUGH: f64 = 0.3;
 const NEAR_AGAIN: f64 = 0.1;
-/// Over the size of the pair: how far a point may lie outside of its shape.
+/// Over the size of the pair: largest distance of a point outside of its shape.
 const HOLDS: f64 = 1e-10;
-/// Steps of Newton's method, and how often it starts again from where it led.
+/// Steps of Newton's method, and the number of its restarts from its result.
 const STEPS: usize = 30;
 const AGAIN: usize = 4;
-/// Cosine of the angle to a cap up to which its rim gets a start of its own.
+/// Cosine of the angle to a cap up to which its rim gets a separate start.
 const CAP: f64 = 0.9;
 /// Steps of Newton's method whose gain rounding hides.
 const HIDDEN: usize = 3;
 /// Edges of a corner that are tried.
 const EDGES: usize = 16;
-/// Points that are kept of those that a search has seen last.
+/// Number of a search's last points that are kept.
 const KEPT: usize = 8;
 
 /// Points of two minus one. Along no direction are the two further apart than these are, so that
-/// directions that gain nothing are known without asking for their furthest points.
+/// directions that gain nothing are rejected without computing their furthest points.
 struct Seen {
     /// By coordinate, so that the products of all points are made at once.
     points: [[f64; KEPT]; 3],
@@ -63,7 +63,7 @@ impl Seen {
         self.least(|point| normal.dot(&point))
     }
 
-    /// The same along whatever direction, and along one across an edge: positive numbers.
+    /// Returns the same along any direction; `reach_across`: along any across an edge. Nonnegative.
     fn reach(&self) -> f64 {
         self.least(|point| point.dot(&point)).sqrt()
     }
@@ -74,8 +74,8 @@ impl Seen {
 }
 
 impl Pairing<'_> {
-    /// The largest separation near a rough direction. What meets there may be other corners than
-    /// those that the rough direction shows: with bent surfaces again from where it led.
+    /// Finds the largest separation near a rough direction. Other corners than the rough direction's
+    /// may meet there: for bent surfaces the search repeats from its result.
     pub(super) fn refine(&self, rough: &V3<f64>) -> Separation {
         self.settled(self.refine_once(rough, self.near()))
     }
@@ -88,7 +88,7 @@ impl Pairing<'_> {
         }
     }
 
-    /// The same again from where it led, until that is the best there is.
+    /// Repeats the search from its result, until it is the best there is.
     pub(super) fn settled(&self, mut best: Separation) -> Separation {
         for _ in 0..if self.smooth { AGAIN } else { 0 } {
             let next = self.refine_once(&best.normal, NEAR_AGAIN);
@@ -100,8 +100,8 @@ impl Pairing<'_> {
         best
     }
 
-    /// The same, and better where it is not the largest separation nearby: where one of the points
-    /// that it claims is none of its shape. Polytopes that overlap have no directions but exact ones.
+    /// Improves a separation that is not the largest nearby, as when one of its points is not on its
+    /// shape. Polytopes that overlap have only exact directions.
     pub(super) fn topped(&self, found: Separation) -> Separation {
         if !(self.smooth || found.apart > 0.0) || self.holds(&found) {
             return found;
@@ -111,7 +111,7 @@ impl Pairing<'_> {
         let (normal, apart) = self.climb(&top, None, &mut seen);
         let free = Separation { normal, apart, cause: Cause::Free };
         let mut best = found;
-        // Directions that differ by 1e-8 are as good but for rounding; their points are not.
+        // Directions that differ by 1e-8 are as good within rounding; their points are not.
         for next in [self.refine_once(&top, NEAR_AGAIN), free] {
             let gained = next.apart - best.apart;
             let even = gained.abs() <= ROUNDING * self.size;
@@ -122,7 +122,7 @@ impl Pairing<'_> {
         best
     }
 
-    /// The place along the normal at which the separation is taken belongs to both shapes.
+    /// Checks that the place along the normal at which the separation is taken belongs to both shapes.
     pub(super) fn holds(&self, found: &Separation) -> bool {
         let n = &found.normal;
         let (p, q) = (self.one.support(n).0, self.between + self.two.support(&-n).0);
@@ -187,7 +187,7 @@ impl Pairing<'_> {
                 }
             }
         }
-        // With corners alone these are places of least separation while the shapes overlap.
+        // For shapes with corners alone these are places of least separation while the shapes overlap.
         if self.smooth || start > 0.0 {
             let starts = [Some(*rough), self.over_rim_of_one(rough), self.over_rim_of_two(rough)];
             for from in starts.iter().flatten() {
@@ -215,9 +215,9 @@ impl Pairing<'_> {
         best
     }
 
-    /// Where what meets a cylinder's cap lies beyond its rim, a start for Newton's method: the cap's
-    /// normal leant that way. The rim's bend is infinite at the cap's own normal, and from another
-    /// side of it no step leads there.
+    /// Returns a start for Newton's method if the feature over a cylinder's cap lies beyond its rim:
+    /// the cap's normal tilted that way. The rim's bend is infinite at the cap's normal, and no step
+    /// leads there from another side of it.
     fn over_rim_of_one(&self, rough: &V3<f64>) -> Option<V3<f64>> {
         let (cap, ..) = self.one.face(rough).filter(|face| face.1 > CAP)?;
         let there = self.between + self.two.support(&-cap).0;
@@ -230,7 +230,7 @@ impl Pairing<'_> {
         self.two.over_rim(&cap, &there, self.size).map(|n| -n)
     }
 
-    /// Newton's method for the largest separation near a direction; with an edge, across it.
+    /// Runs Newton's method for the largest separation near a direction; with an edge, across it.
     fn climb(&self, rough: &V3<f64>, edge: Option<&V3<f64>>, seen: &mut Seen) -> (V3<f64>, f64) {
         let onto = |n: V3<f64>| edge.map_or(n, |e| n - e * e.dot(&n));
         let mut normal = unit(&onto(*rough));
@@ -272,8 +272,8 @@ impl Pairing<'_> {
         (normal, apart)
     }
 
-    /// The step of Newton's method. On the unit sphere the slope
-    /// of n·w(n) is what of w is across n, and its bend minus both shapes' bends minus n·w.
+    /// Returns the step of Newton's method. On the unit sphere the slope of n·w(n) is the part of w
+    /// across n, and its bend is minus both shapes' bends minus n·w.
     fn newton(
         &self,
         normal: &V3<f64>,
@@ -306,7 +306,7 @@ impl Pairing<'_> {
     }
 }
 
-/// Edges at the corner furthest along a unit direction that are nearly across it: unit vectors.
+/// Returns edges at the corner furthest along a unit direction that are nearly across it: unit vectors.
 fn edges(solid: &Solid<f64>, rough: &V3<f64>, near: f64) -> ([V3<f64>; EDGES], usize) {
     let mut list = [V3::zeros(); EDGES];
     let mut count = 0;

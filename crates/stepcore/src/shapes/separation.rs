@@ -1,13 +1,12 @@
 //! The signed distance of two convex shapes and the direction along which it is taken.
 //!
-//! Along a unit direction n from one to the other the shapes are apart by
-//! s(n) = min over two of n·x − max over one of n·x, and the signed distance is the largest s: the
-//! distance where it is positive, minus the shortest way out where it is negative (Cameron and
-//! Culley 1986). A search that knows the shapes by their support functions alone finds n roughly
-//! (`gjk` apart, `epa` overlapping). Where the maximum lies exactly is then a matter of what meets
-//! there: a face fixes n; two edges fix it as their cross product; a corner, a bent surface or an
-//! edge leave it two or one degrees of freedom, in which Newton's method ends at rounding. What
-//! s(n) says is exact whatever n came from, so the largest of these candidates is the answer.
+//! Along a unit direction n from one to the other the shapes are apart by s(n) = min over two of
+//! n·x − max over one of n·x, and the signed distance is the largest s: the distance if it is positive,
+//! minus the shortest way out if it is negative (Cameron and Culley 1986). A search with support
+//! functions alone finds n roughly (`gjk` apart, `epa` overlapping). The exact maximum then depends on
+//! the features that meet there: a face fixes n; two edges fix it as their cross product; a corner, a
+//! bent surface or an edge leave it two or one degrees of freedom, in which Newton's method ends at
+//! rounding. s(n) is exact for any n, so the largest of these candidates is the answer.
 
 use super::gjk::{beyond, gjk, Vertex};
 use super::hint::{Hint, Kept};
@@ -21,13 +20,13 @@ thread_local! {
     static SEARCHED: Cell<u64> = const { Cell::new(0) };
 }
 
-/// How often this thread has searched a distance: of a height field that is once a cell, so that what a
-/// step costs cannot be told by its pairs.
+/// Returns the number of distance searches of this thread: a height field has one for each cell, so
+/// that the number of pairs does not determine the cost of a step.
 pub(crate) fn searched() -> u64 {
     SEARCHED.get()
 }
 
-/// What fixes the direction. Vectors are in the axes of the shape that they belong to.
+/// The features that fix the direction. Vectors are in the axes of the shape that they belong to.
 #[derive(Clone, Copy, Debug)]
 pub enum Cause {
     /// A face of one or two: its outward normal.
@@ -35,7 +34,7 @@ pub enum Cause {
     FaceTwo(V3<f64>),
     /// An edge of each.
     Edges(V3<f64>, V3<f64>),
-    /// The normal is across an edge of one, or of two, and else free.
+    /// The normal is across an edge of one, or of two, and otherwise free.
     EdgeOne(V3<f64>),
     EdgeTwo(V3<f64>),
     /// Corners and bent surfaces.
@@ -46,7 +45,7 @@ pub enum Cause {
 pub struct Separation {
     /// Unit, from one to two.
     pub normal: V3<f64>,
-    /// Of the cores [m].
+    /// Separation of the cores [m].
     pub apart: f64,
     pub cause: Cause,
 }
@@ -58,16 +57,16 @@ pub struct Pairing<'a> {
     pub(super) between: V3<f64>,
     pub(super) size: f64,
     pub(super) smooth: bool,
-    /// How often a support function was asked.
+    /// Number of calls of support functions.
     asked: Cell<u64>,
 }
 
 /// Over the size of the pair: a gain that is only rounding.
 pub(super) const ROUNDING: f64 = 1e-14;
-/// Over the size of the pair: by how much more than a distance shapes are apart for sure, whatever
-/// rounding does to their contacts.
+/// Over the size of the pair: margin over a distance beyond which shapes are certainly apart, whatever
+/// the rounding of their contacts.
 const SURE: f64 = 1e-6;
-/// Cosine of the angle to a direction that rounding, in single precision too, leaves of a face's.
+/// Cosine of the angle to a face's direction that rounding leaves, in single precision too.
 const ALONG: f64 = 1.0 - 1e-6;
 
 impl<'a> Pairing<'a> {
@@ -78,35 +77,35 @@ impl<'a> Pairing<'a> {
         Self { one, two, between, size, smooth, asked: Cell::new(0) }
     }
 
-    /// Counts that a support function is asked.
+    /// Counts a call of a support function.
     pub(super) fn ask(&self) {
         self.asked.set(self.asked.get() + 1);
     }
 
-    /// How often a support function was asked.
+    /// Returns the number of calls of support functions.
     pub fn asked(&self) -> u64 {
         self.asked.get()
     }
 
-    /// The point of two minus one furthest along a direction.
+    /// Returns the point of two minus one furthest along a direction.
     pub(super) fn furthest(&self, way: &V3<f64>) -> V3<f64> {
         self.vertex(way).at
     }
 
-    /// The same, and of which pieces it is.
+    /// Returns the same, and its pieces.
     pub(super) fn vertex(&self, way: &V3<f64>) -> Vertex {
         let [(near, one), (far, two)] = self.ends(way);
         Vertex { at: self.between + (far - near), pieces: [one as u32, two as u32] }
     }
 
-    /// One's point furthest against a direction, and two's furthest along it, each from its own centre,
-    /// and which piece it is.
+    /// Returns one's point furthest against a direction, and two's furthest along it, each from its
+    /// shape's centre, and its piece.
     pub(super) fn ends(&self, way: &V3<f64>) -> [(V3<f64>, usize); 2] {
         self.ask();
         [self.one.support(&-way), self.two.support(way)]
     }
 
-    /// The point of two minus one furthest along a direction, from the pieces furthest along one near it.
+    /// Does as `furthest`, starting at the pieces that are furthest along a nearby direction.
     pub(super) fn furthest_from(&self, [one, two]: &mut [usize; 2], way: &V3<f64>) -> V3<f64> {
         self.ask();
         let (near, far);
@@ -115,19 +114,19 @@ impl<'a> Pairing<'a> {
         self.between + (far - near)
     }
 
-    /// Which pieces of the two are least apart along a unit direction.
+    /// Returns the pieces of the two that are least apart along a unit direction.
     pub(super) fn pieces(&self, normal: &V3<f64>) -> (usize, usize) {
         (self.one.piece(normal), self.two.piece(&-normal))
     }
 
-    /// The point of a piece of two minus one of one's furthest along a direction.
+    /// Returns the furthest point along a direction of a piece of two minus a piece of one.
     pub(super) fn pinned(&self, (one, two): (usize, usize), way: &V3<f64>) -> V3<f64> {
         self.ask();
         self.between + (self.two.pinned(two, way) - self.one.pinned(one, &-way))
     }
 
-    /// How both shapes bend: of the separation along a direction the second derivative, less the
-    /// separation itself, with the sign changed.
+    /// Returns the bend of both shapes: minus the second derivative of the separation along a
+    /// direction, without the term of the separation itself.
     pub(super) fn bend(&self, normal: &V3<f64>, turn: &V3<f64>) -> V3<f64> {
         self.one.bend(normal, turn) + self.two.bend(&-normal, turn)
     }
@@ -136,7 +135,7 @@ impl<'a> Pairing<'a> {
         normal.dot(&self.furthest(&-normal))
     }
 
-    /// None of shapes that are proven `within` [m] apart: no contact of theirs is nearer.
+    /// Returns None if the shapes are proven `within` [m] apart: no contact of theirs is nearer.
     pub fn separation(&self, within: f64, hint: Option<&Cell<Hint>>) -> Option<Separation> {
         SEARCHED.set(SEARCHED.get() + 1);
         let enough = (within + self.one.radius + self.two.radius + SURE * self.size).max(0.0);
@@ -156,8 +155,8 @@ impl<'a> Pairing<'a> {
         found.ok()
     }
 
-    /// Of cores that are `enough` apart the direction that proves it, as an error. What the step before
-    /// proved is tried first; a search may keep its own proof.
+    /// Returns the direction that proves it as an error, if the cores are `enough` apart. The proof of
+    /// the step before is tried first; a search may keep a new proof.
     fn found(&self, enough: f64, known: &mut Hint, keep: bool) -> Result<Separation, V3<f64>> {
         let again = known.shell.as_deref_mut().and_then(|shell| self.overlap_again(shell));
         if let Some(found) = again {
@@ -184,7 +183,7 @@ impl<'a> Pairing<'a> {
         self.search(enough, keep.then_some(&mut known.shell)).map(|found| self.or_face(found))
     }
 
-    /// Of a face the same numbers, however it was found.
+    /// Returns the same numbers for a face, however it was found.
     fn or_face(&self, found: Separation) -> Separation {
         if !self.smooth && matches!(found.cause, Cause::FaceOne(_) | Cause::FaceTwo(_)) {
             return found;
@@ -192,7 +191,7 @@ impl<'a> Pairing<'a> {
         self.on_face(&found.normal, ALONG, None).unwrap_or(found)
     }
 
-    /// From one's centre to two's; if they are in one place somewhere.
+    /// Returns the vector from one's centre to two's; if they coincide, any vector.
     fn toward(&self) -> V3<f64> {
         if self.between.dot(&self.between) > 0.0 {
             self.between
@@ -201,7 +200,7 @@ impl<'a> Pairing<'a> {
         }
     }
 
-    /// Of cores that are `enough` apart the direction that proves it, as an error.
+    /// Returns the direction that proves it as an error, if the cores are `enough` apart.
     pub(super) fn search(&self, enough: f64, mut shell: Kept) -> Result<Separation, V3<f64>> {
         let toward = self.toward();
         let support = |way: &V3<f64>| self.vertex(way);
@@ -227,7 +226,7 @@ impl<'a> Pairing<'a> {
     }
 }
 
-/// The unit vector across two, on the side of a third; None where they are parallel.
+/// Returns the unit vector across two, on the side of a third; None if they are parallel.
 pub(super) fn across<R: Real>(e: &V3<R>, f: &V3<R>, rough: &V3<f64>) -> Option<V3<R>> {
     let cross = e.cross(f);
     let square = cross.dot(&cross);
@@ -238,7 +237,7 @@ pub(super) fn across<R: Real>(e: &V3<R>, f: &V3<R>, rough: &V3<f64>) -> Option<V
     Some(if n.map(|x| x.lane(0)).dot(rough) < 0.0 { -n } else { n })
 }
 
-/// Two unit vectors across a third and each other.
+/// Returns two unit vectors across a third and each other.
 pub(super) fn across_both(n: &V3<f64>) -> (V3<f64>, V3<f64>) {
     let mut axis = V3::zeros();
     let least = if n.x.abs() <= n.y.abs() && n.x.abs() <= n.z.abs() {
@@ -253,7 +252,7 @@ pub(super) fn across_both(n: &V3<f64>) -> (V3<f64>, V3<f64>) {
     (t, n.cross(&t))
 }
 
-/// The direction in numbers that carry slopes, from what fixes it.
+/// Returns the direction in numbers that carry slopes, from the features that fix it.
 pub fn normal<R: Real>(
     found: &Separation,
     one: &Solid<R>,
@@ -274,7 +273,7 @@ pub fn normal<R: Real>(
     }
 }
 
-/// One Newton step from the direction found, which is where the step is 0.
+/// Takes one Newton step from the direction found, where the step is 0.
 fn free<R: Real>(
     found: &Separation,
     one: &Solid<R>,

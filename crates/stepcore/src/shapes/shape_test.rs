@@ -1,4 +1,4 @@
-//! Which exact test a pair of shapes has, chosen when a model is compiled.
+//! The exact test of a pair of shapes, chosen when a model is compiled.
 
 use super::boxes;
 use super::convex;
@@ -27,7 +27,7 @@ pub enum ShapeTest {
     OnField(GeomType),
 }
 
-/// Of two shapes in the order of their types: its test.
+/// The test of two shapes in the order of their types.
 const TESTS: &[(GeomType, GeomType, ShapeTest)] = &[
     (GeomType::Plane, GeomType::Sphere, ShapeTest::PlaneSphere),
     (GeomType::Plane, GeomType::Capsule, ShapeTest::PlaneCapsule),
@@ -73,12 +73,12 @@ const fn convex(one: GeomType, two: GeomType) -> (GeomType, GeomType, ShapeTest)
 }
 
 impl ShapeTest {
-    /// Of a capsule it reads where its axis is, and nothing else.
+    /// Checks that it reads only the position of a capsule's axis.
     pub fn by_axes(self) -> bool {
         matches!(self, Self::PlaneCapsule | Self::SphereCapsule | Self::CapsuleCapsule)
     }
 
-    /// It is made in one world after the other: see `by_lane.rs`.
+    /// Checks that it is made in one world after the other: see `by_lane.rs`.
     pub fn by_lane(self) -> bool {
         matches!(
             self,
@@ -86,18 +86,18 @@ impl ShapeTest {
         )
     }
 
-    /// Of two shapes in the order of their types; None: not built yet.
+    /// Returns the test of two shapes in the order of their types; None: not built yet.
     pub fn of(one: GeomType, two: GeomType) -> Option<Self> {
         TESTS.iter().find(|(a, b, _)| (*a, *b) == (one, two)).map(|(.., test)| *test)
     }
 
-    /// The pairs that are built, as a user reads them.
+    /// Returns the pairs that are built, as a user reads them.
     pub fn built() -> String {
         let pairs = TESTS.iter().map(|(a, b, _)| format!("{}-{}", a.word(), b.word()));
         pairs.collect::<Vec<_>>().join(", ")
     }
 
-    /// The most contacts of such a pair: its slots.
+    /// Returns the largest number of contacts of such a pair: its slots.
     pub fn most_touches(self) -> usize {
         match self {
             Self::PlaneSphere
@@ -115,12 +115,12 @@ impl ShapeTest {
         }
     }
 
-    /// Its contacts are known from step to step by feature: a slot has no meaning of its own.
+    /// Checks that its contacts are identified from step to step by feature, not by slot.
     pub fn by_feature(self) -> bool {
         self.most_touches() > 2 || self == Self::CapsuleBox
     }
 
-    /// The normal turns while one shape moves past the other.
+    /// Checks that the normal turns while one shape moves past the other.
     pub fn curved(self) -> bool {
         !matches!(
             self,

@@ -1,11 +1,11 @@
-//! The side of a cylinder fixes the direction, when that is certain without a search.
+//! The side of a cylinder as the direction of a separation, if certain without a search.
 //!
-//! Seen along its axis the cylinder is a disc, and the shape beside it a shadow with corners and
-//! edges. Along no direction across the axis are the two further apart than along the line from the
-//! axis to the place p of the shadow nearest to it, by |p| − r. Of shapes apart that is the distance
-//! if p lies between the caps. Of shapes that overlap it is the shortest way out if p lies deeper
-//! below the caps than below the side: two minus one holds the cylinder around p, and no way out of
-//! that is shorter.
+//! In the projection along its axis the cylinder is a disc, and the shape next to it a shadow with
+//! corners and edges. Along no direction across the axis are the two further apart than along the line
+//! from the axis to the place p of the shadow nearest to it, by |p| − r. For shapes apart this is the
+//! distance if p lies between the caps. For shapes that overlap it is the shortest way out if p lies
+//! deeper below the caps than below the side: two minus one holds the cylinder around p, which has no
+//! shorter way out.
 
 use super::gjk::{gjk, Vertex};
 use super::separation::{across, Cause, Pairing, Separation};
@@ -13,15 +13,15 @@ use super::solid::{Core, Solid};
 use super::touch::unit;
 use crate::spatial::V3;
 
-/// Over the size of the pair: by how much one place must be nearer than others than rounding takes.
+/// Over the size of the pair: margin over rounding by which one place must be nearer than others.
 const CLEAR: f64 = 1e-9;
 /// The relative error of the shadow's distance: rounding.
 const GAP: f64 = 1e-15;
 
 impl Pairing<'_> {
-    /// What the side of a cylinder beside a polytope says, sought from a rough direction, if no search can
-    /// find more.
-    #[inline(never)] // It is large, and rarely asked.
+    /// Returns the separation along the side of a cylinder next to a polytope, searched from a rough
+    /// direction, if no search can find more.
+    #[inline(never)] // It is large, and rarely called.
     pub(super) fn on_side(&self, rough: &V3<f64>) -> Option<Separation> {
         let (one, two) = (&self.one, &self.two);
         let (cylinder, other, sign) = match (one.core, two.core) {
@@ -73,8 +73,8 @@ impl Pairing<'_> {
     }
 }
 
-/// Against a direction a corner, or two with an edge that folds between them, are the furthest for sure: all
-/// corners beside them are less far.
+/// Checks that a corner, or two with an edge that folds between them, are certainly the furthest
+/// against a direction: all neighbouring corners are less far.
 fn alone(of: &Solid<f64>, outward: &V3<f64>, [a, b]: [usize; 2], clear: f64) -> bool {
     let height = |corner: usize| outward.dot(&of.corner(corner));
     let beside = |corner: usize| (0..).map_while(move |k| of.neighbour(corner, k));
@@ -97,8 +97,8 @@ mod tests {
     use core::cell::Cell;
     use nalgebra::Rotation3;
 
-    /// A cylinder that moves through polytopes has the contacts, bit for bit, of those who know nothing of
-    /// the step before; what its side says no search finds shorter, and it says so from wherever it is asked.
+    /// A cylinder that moves through polytopes has the same contacts, bit for bit, without the step
+    /// before. No search finds a shorter way than its side, whose result is the same from any start.
     #[test]
     fn what_a_side_says_the_search_finds() {
         let mut random = Random(7);

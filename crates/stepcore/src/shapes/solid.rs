@@ -1,10 +1,9 @@
-//! What the convex routine knows of a shape: where it reaches furthest along a direction, how that
-//! place moves as the direction turns, and its corners, edges and faces.
+//! A shape for the convex routine: its furthest point along a direction, the motion of this point as
+//! the direction turns, and its corners, edges and faces.
 //!
-//! A shape is a core and a radius around it: a sphere is a point and a radius, a capsule a segment
-//! and a radius, all others have radius 0. A radius lengthens the reach along every direction by
-//! the same length, so it changes distances and nothing else. Points are in world axes, from the
-//! shape's own centre.
+//! A shape is a core and a radius around it: a sphere is a point and a radius, a capsule a segment and
+//! a radius, all others have radius 0. A radius lengthens the reach along every direction by the same
+//! length, so it changes distances and nothing else. Points are in world axes, from the shape's centre.
 
 use super::hull::{Face, Hull};
 use crate::real::Real;
@@ -26,8 +25,8 @@ pub enum Core<'a> {
     Prism(&'a Prism),
 }
 
-/// Six corners: a triangle, and below or above each of its corners the other one's; and the outward
-/// normals of its faces.
+/// Six corners: a triangle, and below or above each of its corners the other triangle's; and the
+/// outward normals of its faces.
 #[derive(Clone, Copy)]
 pub struct Prism {
     pub corners: [V3<f64>; 6],
@@ -41,7 +40,7 @@ impl Prism {
     }
 }
 
-/// A shape and how it is turned.
+/// A shape and its orientation.
 #[derive(Clone, Copy)]
 pub struct Solid<'a, R: Real> {
     pub core: Core<'a>,
@@ -49,13 +48,13 @@ pub struct Solid<'a, R: Real> {
     pub pose: &'a Pose<R>,
 }
 
-/// Sine of an angle that is but rounding.
+/// Sine of an angle that is only rounding.
 const LEVEL: f64 = 1e-13;
 /// The two other corners of a prism's triangle, and the one across.
 const PRISM: [[usize; 3]; 6] = [[1, 2, 3], [2, 0, 4], [0, 1, 5], [5, 4, 0], [3, 5, 1], [4, 3, 2]];
 
 impl<'a, R: Real> Solid<'a, R> {
-    /// The largest half extent, for tolerances [m].
+    /// Returns the largest half extent, for tolerances [m].
     pub fn extent(&self) -> f64 {
         let core = match self.core {
             Core::Point => 0.0,
@@ -68,18 +67,18 @@ impl<'a, R: Real> Solid<'a, R> {
         core + self.radius
     }
 
-    /// Its surface bends: a search over directions ends near the answer and not at it.
+    /// Checks that its surface bends: a search over directions ends near the answer and not at it.
     pub fn smooth(&self) -> bool {
         matches!(self.core, Core::Ellipsoid(_) | Core::Cylinder(..))
     }
 
-    /// The furthest point of the core along a direction of any length, and which corner it is.
+    /// Returns the furthest point of the core along a direction of any length, and its corner.
     pub fn support(&self, direction: &V3<R>) -> (V3<R>, usize) {
         let (local, corner) = self.support_local(&self.pose.to_local(direction));
         (self.pose.to_world(&local), corner)
     }
 
-    /// The same, found from a corner that was the furthest along a direction near this one.
+    /// Does the same from a corner that was the furthest along a direction near this one.
     pub fn support_from(&self, corner: usize, direction: &V3<R>) -> (V3<R>, usize) {
         let Core::Hull(hull) = self.core else { return self.support(direction) };
         let local = self.pose.to_local(direction).map(|x| x.lane(0));
@@ -127,7 +126,7 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// Which of its pieces reaches furthest: a corner, or an end of a cylinder.
+    /// Returns its piece that reaches furthest: a corner, or an end of a cylinder.
     pub fn piece(&self, direction: &V3<R>) -> usize {
         match self.core {
             Core::Cylinder(..) => usize::from(self.pose.axis(2).dot(direction).lane(0) >= 0.0),
@@ -135,7 +134,7 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// The furthest point of one of its pieces.
+    /// Returns the furthest point of one of its pieces.
     pub fn pinned(&self, piece: usize, direction: &V3<R>) -> V3<R> {
         match self.core {
             Core::Cylinder(_, half) => {
@@ -153,7 +152,8 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// How far a point, from its centre, lies outside of the core, to first order; negative inside.
+    /// Returns the distance of a point (from the centre) outside of the core, to first order; or minus
+    /// its depth.
     pub fn outside(&self, point: &V3<f64>) -> f64 {
         let p = plain(self.pose).to_local(point);
         match self.core {
@@ -162,7 +162,7 @@ impl<'a, R: Real> Solid<'a, R> {
                 let z = p.z - p.z.clamp(-half, half);
                 (p.x * p.x + p.y * p.y + z * z).sqrt()
             }
-            // x over the half axes has length 1 on the surface: what is above 1 over its slope.
+            // x over the half axes has length 1 on the surface: the excess over 1, over its slope.
             Core::Ellipsoid(size) => {
                 let level = V3::from_fn(|i, _| p[i] / size[i]);
                 let slope = V3::from_fn(|i, _| level[i] / size[i]);
@@ -182,8 +182,8 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// How far a point, from the centre, is from the sides of a face, seen along the face's normal;
-    /// negative beside it, and over one that is not level.
+    /// Returns the distance of a point (from the centre) from the sides of a face, in the projection
+    /// along its normal; negative outside the face, and for a face that is not level.
     pub fn room(&self, face: usize, point: &V3<f64>) -> f64 {
         let p = plain(self.pose).to_local(point);
         match self.core {
@@ -210,7 +210,7 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// The middle of a level face, from the centre.
+    /// Returns the middle of a level face, from the centre.
     pub fn middle(&self, face: usize) -> Option<V3<f64>> {
         let local = match self.core {
             Core::Cylinder(_, half) => V3::z() * if face == 1 { half } else { -half },
@@ -225,8 +225,8 @@ impl<'a, R: Real> Solid<'a, R> {
         Some(plain(self.pose).to_world(&local))
     }
 
-    /// Of the places furthest along a unit direction, but for rounding, one as near to a point as there
-    /// is: a corner, and places of a face or of an edge.
+    /// Returns, of the places furthest along a unit direction within rounding, one that is nearest to a
+    /// point: a corner, or a place of a face or of an edge.
     #[inline(never)]
     pub fn furthest_near(&self, direction: &V3<R>, to: &V3<f64>) -> V3<f64> {
         let plain_of = |v: &V3<R>| v.map(|x| x.lane(0));
@@ -285,8 +285,8 @@ impl<'a, R: Real> Solid<'a, R> {
         Some(pose.to_world(&local))
     }
 
-    /// How the furthest point moves as the unit direction turns by a small `turn` across it: the
-    /// second derivative of the reach, times `turn`. 0 at a corner.
+    /// Returns the motion of the furthest point as the unit direction turns by a small `turn` across
+    /// it: the second derivative of the reach, times `turn`. 0 at a corner.
     pub fn bend(&self, direction: &V3<f64>, turn: &V3<f64>) -> V3<f64> {
         let pose = plain(self.pose);
         let (d, t) = (pose.to_local(direction), pose.to_local(turn));
@@ -299,7 +299,7 @@ impl<'a, R: Real> Solid<'a, R> {
                 let along = x.dot(&t);
                 V3::from_fn(|i, _| (size[i] * (size[i] * t[i]) - x[i] * along) * inverse)
             }
-            // The rim: r/|d_xy| times what is along the rim.
+            // The rim: r/|d_xy| times the part along the rim.
             Core::Cylinder(radius, _) => {
                 let inverse = (d.x * d.x + d.y * d.y).sqrt().recip_or_zero();
                 let rim = V3::new(-d.y * inverse, d.x * inverse, 0.0);
@@ -310,7 +310,7 @@ impl<'a, R: Real> Solid<'a, R> {
         pose.to_world(&local)
     }
 
-    /// A corner of a polytope or an end of a segment, from the centre.
+    /// Returns a corner of a polytope or an end of a segment, from the centre.
     pub fn corner(&self, corner: usize) -> V3<R> {
         let local = match self.core {
             Core::Box(size) => {
@@ -324,7 +324,7 @@ impl<'a, R: Real> Solid<'a, R> {
         self.pose.to_world(&local.map(R::of))
     }
 
-    /// The corner at the other end of a corner's k-th edge.
+    /// Returns the corner at the other end of a corner's k-th edge.
     pub fn neighbour(&self, corner: usize, k: usize) -> Option<usize> {
         match self.core {
             Core::Box(_) => (k < 3).then(|| corner ^ 1 << k),
@@ -335,7 +335,7 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// The same, of edges along which the surface folds.
+    /// Does the same for edges along which the surface folds.
     pub fn fold(&self, corner: usize, k: usize) -> Option<usize> {
         match self.core {
             Core::Hull(hull) => hull.folds(corner).get(k).copied(),
@@ -343,8 +343,8 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
-    /// The outward unit normal of the face that looks most along a unit direction, the cosine of
-    /// the angle between them, and which face it is.
+    /// Returns the outward unit normal nearest to a unit direction among the faces, the cosine of the
+    /// angle between them, and the face.
     pub fn face(&self, direction: &V3<R>) -> Option<(V3<R>, f64, usize)> {
         let d = plain(self.pose).to_local(&direction.map(|x| x.lane(0)));
         let (local, face) = match self.core {
@@ -385,7 +385,7 @@ impl<'a, R: Real> Solid<'a, R> {
 }
 
 impl Solid<'_, f64> {
-    /// Of a cylinder: its cap's normal leant towards a point, from its centre, beyond the rim.
+    /// For a cylinder, returns its cap's normal tilted towards a point, from its centre, beyond the rim.
     pub fn over_rim(&self, cap: &V3<f64>, point: &V3<f64>, size: f64) -> Option<V3<f64>> {
         let Core::Cylinder(radius, _) = self.core else { return None };
         let across = point - cap * cap.dot(point);
@@ -399,15 +399,15 @@ impl Solid<'_, f64> {
     }
 }
 
-/// The most that `over_rim` leans.
+/// The largest tilt of `over_rim`.
 const LEAN: f64 = 0.3;
 
-/// Faces of a prism: two triangles and three sides. A face turns either way, by the order of the
-/// corners; `normal_of` looks away from the other corners.
+/// Faces of a prism: two triangles and three sides. The order of the corners turns a face either way;
+/// `normal_of` points away from the other corners.
 pub const PRISM_FACES: [&[usize]; 5] =
     [&[0, 1, 2], &[3, 4, 5], &[0, 1, 4, 3], &[1, 2, 5, 4], &[2, 0, 3, 5]];
 
-/// The point of a box's face nearest to another one.
+/// Returns the point of a box's face nearest to another one.
 fn on_box_face(face: usize, size: &[f64; 3], to: V3<f64>) -> V3<f64> {
     V3::from_fn(|i, _| match (face / 2 == i, face % 2 == 1) {
         (true, true) => size[i],
@@ -416,14 +416,15 @@ fn on_box_face(face: usize, size: &[f64; 3], to: V3<f64>) -> V3<f64> {
     })
 }
 
-/// The point of a segment nearest to a point.
+/// Returns the point of a segment nearest to a point.
 pub fn on_segment<R: Real>(a: &V3<R>, b: &V3<R>, to: &V3<R>) -> V3<R> {
     let along = b - a;
     let share = along.dot(&(to - a)) * along.dot(&along).recip_or_zero();
     a + along * share.clamp(R::zero(), R::one())
 }
 
-/// How far a point is from the sides of a polygon whose corners run counter-clockwise about its normal.
+/// Returns the distance of a point from the sides of a polygon whose corners run counter-clockwise
+/// about its normal.
 fn within(p: &V3<f64>, normal: &V3<f64>, count: usize, corner: impl Fn(usize) -> V3<f64>) -> f64 {
     let mut least = f64::INFINITY;
     let mut from = corner(count - 1);
@@ -453,7 +454,7 @@ fn far(most: f64, x: &f64) -> f64 {
     most.max(x.abs())
 }
 
-/// A pose's numbers.
+/// Returns a pose in plain numbers.
 pub fn plain<R: Real>(pose: &Pose<R>) -> Pose<f64> {
     Pose { pos: pose.pos.map(|x| x.lane(0)), rot: pose.rot.map(|x| x.lane(0)) }
 }

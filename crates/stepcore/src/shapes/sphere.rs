@@ -1,8 +1,8 @@
 //! A sphere against a sphere, a capsule or a box.
 //!
-//! The other shape's point nearest to the sphere's centre gives the contact. Inside
-//! a box that point is the centre itself; there the nearest face is the way out,
-//! and of equally near faces the first in the order −x, +x, −y, +y, −z, +z.
+//! The other shape's point nearest to the sphere's centre gives the contact. Inside a box this point is
+//! the centre itself. There the nearest face is the way out, and among equally near faces the first in
+//! the order −x, +x, −y, +y, −z, +z.
 
 use super::touch::{balls, select3, Ball, Touch, Touches};
 use crate::real::{Mask, Real};
@@ -59,7 +59,7 @@ pub fn sphere_box<R: Real>(s: &Pose<R>, r: R, b: &Pose<R>, half: V3<R>) -> Touch
     }]
 }
 
-/// Depth below the nearest face of a point in the box, and that face's outward normal.
+/// Returns the depth below the nearest face of a point in the box, and this face's outward normal.
 #[inline(always)]
 fn nearest_face<R: Real>(point: &V3<R>, half: &V3<R>) -> (R, V3<R>) {
     let mut depth = point.x + half.x;

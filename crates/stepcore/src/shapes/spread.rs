@@ -1,8 +1,8 @@
 //! Places that are far from each other.
 
-/// Goes on from the first `kept` of `chosen` until all are chosen: each time with the one of `count`
-/// places (at most `ROOM`) that is furthest from those before, the first of even ones, while its squared
-/// distance is more than `least`. `square` gives that of two places. How many are chosen then.
+/// Chooses places after the first `kept` of `chosen` until all are chosen: each time the one of `count`
+/// (at most `ROOM`) that is furthest from the chosen ones, the first of even ones, while its squared
+/// distance is more than `least`. `square` gives squared distances. Returns the number chosen.
 pub fn spread<const ROOM: usize>(
     count: usize,
     chosen: &mut [usize],

@@ -216,7 +216,7 @@ fn closed_forms() {
     close(&over, 0, 0.25, [0.0, 0.0, 0.625], [0.0, 0.0, -1.0]);
     let corner = sphere_box(&at(4.0, 5.0, 0.5), 1.0, &ground, half);
     close(&corner, 0, 4.0, [2.2, 2.6, 0.5], [-0.6, -0.8, 0.0]);
-    // Centre inside: out through the nearest face; of equal ones −x comes first.
+    // Centre inside: out through the nearest face; among equal ones −x comes first.
     let inside = sphere_box(&at(0.0, 0.0, 0.25), 0.25, &ground, half);
     close(&inside, 0, -0.5, [0.0, 0.0, 0.25], [0.0, 0.0, -1.0]);
     let middle = sphere_box(&ground, 0.5, &ground, Vector3::new(1.0, 1.0, 1.0));

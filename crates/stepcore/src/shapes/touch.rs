@@ -1,4 +1,4 @@
-//! What a pair of shapes reports when they are near: contacts out of poses.
+//! Contacts of a pair of shapes that are near, from their poses.
 //!
 //! A contact is a signed distance, the point halfway between the surfaces and a
 //! unit normal from geom 1 to geom 2; `frame.rs` completes its frame. Distances
@@ -18,18 +18,17 @@ pub struct Touch<R: Real> {
     pub normal: V3<R>,
     /// The lanes that have this contact at all, whatever its distance.
     pub exists: R::Mask,
-    /// What touches (a corner, a pair of edges), as a whole number below 2²⁴: it keeps its meaning
-    /// from step to step. Where the slot has a meaning of its own it is 0.
+    /// The features that touch (a corner, a pair of edges), as a whole number below 2²⁴: it keeps its
+    /// meaning from step to step. It is 0 if the slot itself has a meaning.
     pub feature: R,
 }
 
-/// The contacts of a pair, by slot. Up to two slots keep their meaning from step to step; of a
-/// manifold with more it is their features that do. Either finds the impulse that starts the next
-/// solve.
+/// The contacts of a pair, by slot. Up to two slots keep their meaning from step to step; in a manifold
+/// with more, the features do. Either finds the impulse that starts the next solve.
 pub type Touches<R, const N: usize> = [Touch<R>; N];
 
 impl<R: Real> Touch<R> {
-    /// This one where the mask holds, the other elsewhere.
+    /// Returns this touch where the mask holds, the other elsewhere.
     #[inline(always)]
     pub fn or_else(&self, mask: R::Mask, other: &Self) -> Self {
         Self {
@@ -41,14 +40,14 @@ impl<R: Real> Touch<R> {
         }
     }
 
-    /// The same numbers, in no lane a contact.
+    /// Returns the same numbers without a contact in any lane.
     #[inline(always)]
     pub fn absent(self) -> Self {
         Self { exists: R::Mask::of(false), ..self }
     }
 }
 
-/// `yes` where the mask holds, `no` elsewhere.
+/// Returns `yes` where the mask holds, `no` elsewhere.
 #[inline(always)]
 pub fn select3<R: Real>(mask: R::Mask, yes: &V3<R>, no: &V3<R>) -> V3<R> {
     V3::new(
@@ -71,9 +70,9 @@ pub struct Ball<R: Real> {
     pub axis: V3<R>,
 }
 
-/// Two balls: every round pair ends here once its nearest points are known. With
-/// both centres in one place the normal is across both axes or, the axes being
-/// parallel, the world's x: MuJoCo's choice.
+/// Returns the contact of two balls: every round pair ends here with its nearest points. With both
+/// centres in one place the normal is across both axes or, if the axes are parallel, the world's x:
+/// MuJoCo's choice.
 #[inline(always)]
 pub fn balls<R: Real>(a: &Ball<R>, b: &Ball<R>) -> Touch<R> {
     let apart = b.centre - a.centre;

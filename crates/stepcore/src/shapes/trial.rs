@@ -1,4 +1,4 @@
-//! What the tests of shapes share: random poses and sizes, and slopes against differences.
+//! Helpers for the tests of shapes: random poses and sizes, and slopes against differences.
 
 use super::{Shape, Touch};
 use crate::real::{Constant, Dual, Real};
@@ -25,12 +25,12 @@ impl Random {
     }
 }
 
-/// At a place, unturned.
+/// A pose at a place, unturned.
 pub fn at(x: f64, y: f64, z: f64) -> Pose<f64> {
     Pose { pos: Vector3::new(x, y, z), rot: Matrix3::identity() }
 }
 
-/// A shape that its size alone describes.
+/// A shape that is given by its size alone.
 pub fn bare<'a, R: Real>(pose: &'a Pose<R>, size: &'a [R::Value; 3]) -> Shape<'a, R> {
     Shape { pose, size, hull: None, field: None }
 }
@@ -68,18 +68,18 @@ impl Moving {
     }
 }
 
-/// A pose that does not.
+/// A pose that does not move.
 pub fn still(pose: &Pose<f64>) -> Pose<Dual> {
     Pose { pos: pose.pos.map(Dual::of), rot: pose.rot.map(Dual::of) }
 }
 
-/// Of both sides of 0 the features are those of 0.
+/// The features on both sides of 0 equal the ones at 0.
 pub fn same_features(slopes: &[Touch<Dual>], sides: [&[Touch<f64>]; 2]) -> bool {
     let own = || slopes.iter().map(|touch| touch.feature.value);
     sides.iter().all(|side| side.iter().map(|touch| touch.feature).eq(own()))
 }
 
-/// Slopes equal the differences of what is at −h and h.
+/// Slopes equal the differences between −h and h.
 pub fn assert_slopes(slopes: &[Touch<Dual>], sides: [&[Touch<f64>]; 2], h: f64, tolerance: f64) {
     for (k, touch) in slopes.iter().enumerate() {
         let [lo, hi] = sides.map(|side| &side[k]);

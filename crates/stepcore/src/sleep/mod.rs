@@ -1,15 +1,15 @@
-//! Sleep: islands at rest, which a step leaves alone until something touches them.
+//! Sleep: islands at rest, which a step skips until something touches them.
 //!
-//! The rule is MuJoCo 4's ("Sleeping islands"). A tree is slow in a step that begins with every dof below
-//! `sleep_tolerance`, turning counted by a length of the body that turns. An island, that is trees which
-//! rows tie together now, falls asleep when all of its trees have been slow for `sleep_time` (MuJoCo:
-//! for 10 steps) and may sleep. It then stays where that step began, its velocities are 0, and it
-//! stands like a fixed body: it makes no rows, and meets nothing that does not move either.
+//! The rule is MuJoCo 4's ("Sleeping islands"). A tree is slow in a step that starts with every dof
+//! below `sleep_tolerance`, rotations times a length of the body. An island, the trees that rows
+//! tie together now, falls asleep when all its trees have been slow for `sleep_time` (MuJoCo: for
+//! 10 steps) and may sleep. It then stays where that step started, its velocities are 0, and it
+//! acts as a fixed body: it makes no rows, and meets nothing that does not move either.
 //!
-//! It wakes, as a whole, in the step in which it takes part in a row or in a push with what is awake,
-//! as mocap bodies always are, in which a force is applied to one of its trees, or in which one has a
-//! velocity or other positions than those in which it fell asleep. That step is made as if it had been
-//! awake: it starts from the impulses, and the slip of friction that holds, of its last step awake.
+//! It wakes, as a whole, in a step in which it takes part in a row or a push with something awake
+//! (mocap bodies always are), in which a force is applied to one of its trees, or in which one has
+//! a velocity or positions other than it fell asleep in. That step is made as if it had been awake:
+//! it starts from the impulses, and the slip of sticking friction, of its last step awake.
 
 mod trees;
 
@@ -26,7 +26,7 @@ use crate::warm::{Sleep, Warm};
 use std::sync::Arc;
 
 impl<R: Real> Sleep<R> {
-    /// By body: whether it sleeps.
+    /// For each body: whether it sleeps.
     pub fn bodies(&self, model: &Model<R::Value>) -> Vec<bool> {
         model.bodies.iter().map(|body| self.has(body.tree)).collect()
     }
@@ -40,7 +40,7 @@ impl<R: Real> Sleep<R> {
         }
     }
 
-    /// Wakes a tree's island, slow for so many steps; its impulses join `warm`.
+    /// Wakes a tree's island, slow for this many steps; its impulses join `warm`.
     fn wake(&mut self, tree: usize, steps: u64, warm: &mut Vec<Warm<R>>) {
         let woken = self.island[tree];
         for (slow, island) in self.slow.iter_mut().zip(&mut self.island) {
@@ -55,7 +55,7 @@ impl<R: Real> Sleep<R> {
 }
 
 impl<R: Real> State<R> {
-    /// Wakes everybody.
+    /// Wakes all trees.
     pub fn wake(&mut self) {
         self.warm.extend(self.sleep.kept.drain(..).map(|(_, warm)| warm));
         self.warm.sort_by_key(|warm| warm.slot);
@@ -64,20 +64,20 @@ impl<R: Real> State<R> {
 }
 
 impl<R: Real> Sim<R> {
-    /// By body: whether it sleeps.
+    /// For each body: whether it sleeps.
     pub fn asleep(&self) -> Vec<bool> {
         self.state.sleep.bodies(&self.model)
     }
 
-    /// Nobody sleeps under settings without sleep.
+    /// Wakes all trees under settings without sleep.
     pub(crate) fn wake_where_off(&mut self) {
         if !self.plan.sleeps && !self.state.sleep.slow.is_empty() {
             self.state.wake();
         }
     }
 
-    /// Who sleeps in a world that has just been made: the islands of trees that are to sleep from the
-    /// start. Those that touch others are awake.
+    /// Finds the trees that sleep in a new world: the islands of trees that are to sleep from the
+    /// start. Islands that touch others are awake.
     pub(crate) fn sleep_from_start(&mut self) -> Result<()> {
         let starts = |tree: &Tree<R::Value>| tree.sleep == SleepPolicy::Init;
         if !self.plan.sleeps || !self.model.trees.iter().any(starts) {
@@ -102,13 +102,13 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Who sleeps in a world that begins.
+    /// The sleeping trees of a new world.
     pub fn initial_sleep(&self) -> &Arc<Sleep<R>> {
         &self.sleeper.initial
     }
 
-    /// Whoever sleeps at the start of this step, into `next`: without those that the user moved, and
-    /// those that an equality ties to what is awake, or to others that sleep.
+    /// Writes the trees that sleep at the start of this step into `next`: without those that the
+    /// user moved, and those that an equality ties to awake trees, or to others that sleep.
     pub(crate) fn begin_sleep(&mut self) {
         self.next.woken.clear();
         let Self { model, state, next, inputs, sleeper, .. } = self;
@@ -148,7 +148,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// Trees that sleep where they slept when they were placed last need not be placed again.
+    /// Skips the placement of trees that slept in the same place at the last placement.
     pub(crate) fn rest_asleep(&mut self, at: At) {
         let Self { model, state, next, placed, sleeper, .. } = self;
         let (qpos, qvel) = at.of(state, next);
@@ -159,7 +159,7 @@ impl<R: Real> Sim<R> {
         placed.rest(model, qpos, trees);
     }
 
-    /// Sleeping trees do not move, whatever pulls at them.
+    /// Keeps sleeping trees at rest, whatever pulls at them.
     pub(crate) fn hold_asleep(&mut self) {
         for (tree, own) in self.model.trees.iter().enumerate() {
             if self.next.sleep.has(tree) {
@@ -172,8 +172,8 @@ impl<R: Real> Sim<R> {
         self.detected.asleep.extend(sleep.island.iter().map(|island| *island != NONE));
     }
 
-    /// Wakes whoever takes part in a row or push that was made, slow for as long as what it meets; says
-    /// whether anybody did.
+    /// Wakes the trees that take part in a new row or push, slow for as long as the trees they
+    /// meet. Returns whether any woke.
     pub(crate) fn wake_touched(&mut self) -> bool {
         let Self { model, state, next, detected, rows, .. } = self;
         let lists = detected.lists.of(model);
@@ -193,7 +193,7 @@ impl<R: Real> Sim<R> {
                     next.wake(tree, steps, &state.warm);
                     woke = true;
                 } else {
-                    // Others woke it, who may have been slow for longer.
+                    // It was woken by others, which may have been slow for longer.
                     next.sleep.slow[tree] = next.sleep.slow[tree].min(steps);
                 }
             }
@@ -201,8 +201,8 @@ impl<R: Real> Sim<R> {
         woke
     }
 
-    /// The end of a step that is to be committed: who sleeps stays, and who has been slow for long
-    /// enough when the step began falls asleep there.
+    /// Ends a step that is to be committed: sleeping trees stay, and trees that had been slow for
+    /// long enough at its start fall asleep there.
     pub(crate) fn settle(&mut self) {
         let Self { model, state, next, rows, detected, sleeper, settings, plan, inputs, .. } = self;
         let lists = detected.lists.of(model);
@@ -217,7 +217,7 @@ impl<R: Real> Sim<R> {
                 union.join(tree_of(two[0]), tree_of(two[1]));
             }
         }
-        // What pulls at one of its ends when the other moves.
+        // A tendon that pulls at one of its ends when the other moves.
         for tendon in
             model.tendons.iter().filter(|tendon| tendon.pulls() || !tendon.armature.vanishes())
         {
@@ -244,7 +244,7 @@ impl<R: Real> Sim<R> {
             *count = if slow { count.saturating_add(1) } else { 0 };
             ready[union.of(tree)] &= slow && *count as f64 * settings.dt >= settings.sleep_time;
         }
-        // Whoever of these falls asleep has no island yet.
+        // The trees among these that fall asleep have no island yet.
         for (tree, own) in model.trees.iter().enumerate() {
             let island = union.of(tree);
             if ready[island] && !next.sleep.has(tree) {
@@ -255,7 +255,7 @@ impl<R: Real> Sim<R> {
                 next.sleep.qpos[from..to].copy_from_slice(&state.qpos[from..to]);
             }
         }
-        // What pulls at nothing but trees that slept all along stands still with them.
+        // Elements that pull only at trees that slept all along are at rest with them.
         let slept = |dof: usize| detected.asleep[tree_of(dof)];
         if model.na > 0 && detected.asleep.contains(&true) {
             for (along, states) in model.along.iter().zip(&model.activations) {
@@ -284,7 +284,7 @@ impl<R: Real> Sim<R> {
 }
 
 impl<R: Real> Next<R> {
-    /// Wakes a tree's island, slow for so many steps; `warm`: the impulses of those who were awake.
+    /// Wakes a tree's island, slow for this many steps; `warm`: the impulses of the awake trees.
     fn wake(&mut self, tree: usize, steps: u64, warm: &[Warm<R>]) {
         if self.woken.is_empty() {
             self.woken.extend_from_slice(warm);
@@ -293,7 +293,7 @@ impl<R: Real> Next<R> {
     }
 }
 
-/// A force is applied to a tree.
+/// Whether a force is applied to a tree.
 fn pushed<R: Real>(model: &Model<R::Value>, inputs: &crate::state::Inputs<R>, tree: usize) -> bool {
     let (dofs, bodies) = (model.trees[tree].dofs.range(), model.trees[tree].bodies.range());
     let acts = |forces: &[R]| forces.iter().any(|force| !force.is_zero());

@@ -1,4 +1,4 @@
-//! What does not change of who may sleep: MuJoCo's policy of each tree, and its lengths of dofs.
+//! The constant data of sleep: MuJoCo's policy of each tree, and its lengths of dofs.
 
 use crate::model::{Model, Union, NONE};
 use crate::real::Real;
@@ -11,25 +11,25 @@ use std::sync::Arc;
 /// MuJoCo's least length of a body [m].
 const LEAST: f64 = 1e-5;
 
-/// What does not change of who may sleep, and working space.
+/// The constant data of sleep, and working space.
 pub(crate) struct Sleeper<R: Real> {
-    /// Who sleeps from the start.
+    /// The trees that sleep from the start.
     pub initial: Arc<Sleep<R>>,
-    /// By tree: it never sleeps.
+    /// For each tree: whether it never sleeps.
     pub never: Vec<bool>,
-    /// By dof: the speed of a point that a unit of its velocity moves.
+    /// For each dof: the speed of a point that a unit of its velocity moves.
     pub length: Vec<f64>,
-    /// By tree: its entries of qpos.
+    /// For each tree: its entries of qpos.
     pub qpos: Vec<[usize; 2]>,
     pub union: Union,
-    /// By island: all of it may sleep.
+    /// For each island: whether all of it may sleep.
     pub ready: Vec<bool>,
 }
 
 impl<R: Real> Room for Sleeper<R> {
     fn room(&self) -> usize {
         let lists = listed(&self.never) + listed(&self.length) + listed(&self.qpos);
-        // The two counts of an Arc, and what it holds.
+        // The two counts of an Arc, and its contents.
         let initial = 2 * size_of::<usize>() + size_of::<Sleep<R>>() + self.initial.room();
         lists + initial + self.union.room() + listed(&self.ready)
     }
@@ -46,7 +46,7 @@ impl<R: Real> Sleeper<R> {
         Self { never: never(model), length: lengths(model), qpos, ..Self::off() }
     }
 
-    /// Of settings without sleep.
+    /// For settings without sleep.
     pub fn off() -> Self {
         Self {
             initial: Arc::new(Sleep::new()),
@@ -59,14 +59,14 @@ impl<R: Real> Sleeper<R> {
     }
 }
 
-/// By tree: it never sleeps. Left to itself is a tree that no actuator drives, whose force may change
-/// at any time, and that shares no tendon that pulls, and none with two others. What hangs on a mocap
-/// body is never left: where that stood before is no part of the state.
+/// For each tree: whether it never sleeps. An automatic tree may sleep if no actuator drives it,
+/// whose force may change at any time, and if it shares no pulling tendon, and none with two
+/// others. A tree on a mocap body never sleeps: that body's earlier pose is not part of the state.
 fn never(model: &Model) -> Vec<bool> {
     let mut bound = vec![false; model.trees.len()];
     for (actuator, along) in model.actuators.iter().zip(&model.along) {
         match actuator.target {
-            // What it pulls at shares its contacts, and with them its island.
+            // The bodies that it pulls share its contacts, and with them its island.
             Target::Body(body) if model.bodies[body].tree != NONE => {
                 bound[model.bodies[body].tree] = true;
             }
@@ -92,8 +92,8 @@ fn never(model: &Model) -> Vec<bool> {
     model.trees.iter().zip(bound).map(never).collect()
 }
 
-/// MuJoCo's `dof_length`: 1 where it slides; where it turns, how far the body's own geoms and joints,
-/// and the joints of its children, reach from its centre of mass at the most [m].
+/// MuJoCo's `dof_length`: 1 for a sliding dof; for a rotation the largest distance of the body's
+/// geoms and joints, and of its children's joints, from its centre of mass [m].
 fn lengths(model: &Model) -> Vec<f64> {
     let mut reach = vec![LEAST; model.bodies.len()];
     let mut extend = |body: usize, distance: f64| reach[body] = reach[body].max(distance);
@@ -105,7 +105,7 @@ fn lengths(model: &Model) -> Vec<f64> {
     }
     for geom in &model.geoms {
         let [a, b, c] = geom.half;
-        // That of a mesh is the box that holds it.
+        // For a mesh, use the box that contains it.
         let radius = if geom.hull.is_some() { (a * a + b * b + c * c).sqrt() } else { geom.reach };
         if radius.is_finite() {
             extend(geom.body, (geom.pos - model.bodies[geom.body].ipos).norm() + radius);

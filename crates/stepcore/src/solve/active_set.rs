@@ -1,12 +1,11 @@
 //! Islands of few rows, solved exactly in the impulses instead of the velocities.
 //!
-//! Newton's method for (A + C)λ − b = w with each λ in its interval: guess which rows
-//! are free, solve for them with the others at their bounds, and guess again from
-//! λ − w/s (Hintermüller, Ito & Kunisch 2002: the primal-dual active set method is a
-//! semismooth Newton method). Where the guess repeats, λ is the solution. With fewer
-//! rows than dofs the matrix is smaller than the Hessian, and usually one guess does.
-//! Guesses can go round in a circle: lanes that a few did not solve are left to the
-//! primal method, whose line search cannot.
+//! Newton's method for (A + C)λ − b = w with each λ in its interval: guess which rows are free,
+//! solve for them with the others at their bounds, and guess again from λ − w/s (Hintermüller, Ito
+//! & Kunisch 2002: the primal-dual active set method is a semismooth Newton method). λ is the
+//! solution when the guess repeats. With fewer rows than dofs the matrix is smaller than the
+//! Hessian, and one guess usually suffices. Guesses can cycle: lanes that are unsolved after a few
+//! go to the primal method, whose line search prevents cycles.
 
 mod gather;
 mod table;
@@ -18,14 +17,14 @@ use crate::real::Real;
 use gather::Gathered;
 use table::Table;
 
-/// An island of so many rows has few; for the half of them, a table that is filled is half as wide.
-/// Were all islands Newton's, half_cheetah, hopper and ant would take a quarter longer.
+/// The most rows of an island with few rows; up to half as many, a table of half the width is filled.
+/// If Newton's method solved all islands, half_cheetah, hopper and ant would take a quarter longer.
 const MOST: usize = 16;
 const HALF: usize = MOST / 2;
-/// A pivot this small beside its diagonal would cost too many digits: rows that are nearly
-/// copies with a tiny regulariser go to the primal method, which sees each by itself.
+/// A smaller pivot relative to its diagonal would cost too many digits. Rows that are nearly copies
+/// with a tiny regulariser go to the primal method, which treats each by itself.
 const PIVOT: f64 = 1e-5;
-/// Guesses after which the island is left to the primal method.
+/// The number of guesses after which the island is left to the primal method.
 const GUESSES: u32 = 10;
 
 /// The method's memory.
@@ -37,7 +36,7 @@ pub(super) struct ActiveSet<R: Real> {
 
 room!(ActiveSet<R>: gathered, half, whole);
 
-/// What one solve reads.
+/// The input of one solve.
 #[derive(Clone, Copy)]
 pub(super) struct Island<'a, R: Real> {
     pub dof_lists: &'a [usize],
@@ -56,13 +55,13 @@ impl<R: Real> ActiveSet<R> {
         }
     }
 
-    /// Lanes in which all rows of these blocks are intervals, and few.
+    /// Return the lanes in which all rows of these blocks are intervals, and few.
     pub fn fits(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
         intervals_at_most(rows, blocks, MOST as u64)
     }
 
-    /// Solves an island from û in the lanes `mine`; writes impulses, and u with their effect. Returns the
-    /// lanes that it left unsolved.
+    /// Solve an island from û in the lanes `mine`: write impulses, and u with their effect. Return
+    /// the unsolved lanes.
     pub fn solve(
         &mut self,
         island: Island<R>,

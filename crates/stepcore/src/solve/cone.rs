@@ -1,22 +1,22 @@
-//! Round friction cones: projections onto them, and the exact solution of one block: a cone's
-//! impulses while all other rows hold theirs.
+//! Round friction cones: projections, and the exact solution of one block (a cone's impulses while
+//! all other rows keep theirs).
 //!
 //! Vectors are (normal, ways of friction): two tangents, or up to five ways with torsion and
-//! rolling, each in the measure that makes its bound that of the first (`elements/friction.rs`).
-//! A block with fewer is padded with zeros, which every function here leaves at zero.
+//! rolling, each scaled so that all have the first way's bound (`elements/friction.rs`). A block
+//! with fewer is padded with zeros, which every function here leaves at zero.
 //!
-//! A contact that holds is solved by a factor of Q. Where it slides for the first time in a solve,
-//! Q is made diagonal: for a convex cone in the unit measure (ways over μ, so that the cone is
-//! |x_t| ≤ x_n) by a basis V that keeps the cone: VᵀSV = S = diag(1, −1, …), VᵀQV = diag(d). V is a
-//! product of rotations among the ways and hyperbolic rotations of the normal with one of them,
-//! Jacobi's method for a definite pair (Veselić 1993), which exists because Q is positive definite.
-//! On the surface (Q − κS)x = −b with κ ≥ 0, in that basis yₙ = ξₙ/(dₙ − κ), yᵢ = ξᵢ/(dᵢ + κ),
-//! ξ = −Vᵀb: one equation for κ. For a Coulomb cone, whose normal is solved by itself, the ways
-//! alone are rotated.
+//! A contact that sticks is solved with a factor of Q. When it first slides in a solve, Q is made
+//! diagonal: for a convex cone in unit scale (ways over μ, so that the cone is |x_t| ≤ x_n) by a
+//! basis V that keeps the cone: VᵀSV = S = diag(1, −1, …), VᵀQV = diag(d). V is a product of
+//! rotations among the ways and hyperbolic rotations of the normal with one of them, Jacobi's
+//! method for a definite pair (Veselić 1993), which exists because Q is positive definite. On the
+//! surface (Q − κS)x = −b with κ ≥ 0, in that basis yₙ = ξₙ/(dₙ − κ), yᵢ = ξᵢ/(dᵢ + κ), ξ = −Vᵀb:
+//! one equation for κ. For a Coulomb cone, whose normal is solved by itself, the ways alone are
+//! rotated.
 //!
-//! A block is solved by iteration and through the axes of a matrix, and differentiated through
+//! A block is solved by iteration and through the axes of a matrix. It is differentiated through
 //! the conditions that its solution meets, by one Newton step on them (`Real::implicit`): an
-//! iteration stops when its numbers stand still; their derivatives follow later, or never.
+//! iteration stops when its values converge, and their derivatives converge later, or never.
 
 use super::rows::{CONE, NARROW};
 use crate::real::array::{from_fn, map};
@@ -26,12 +26,12 @@ use crate::real::{Mask, Real};
 const ROUNDS: usize = 16;
 /// Newton's limit for the two scalar equations here; four or five are usual.
 const STEPS: usize = 40;
-/// As many roundings off its bound is on it.
+/// A length within this many roundings of its bound is on it.
 const ROUNDINGS: f64 = 16.0;
 
 pub(super) type Matrix<R, const N: usize> = [[R; N]; N];
 
-/// The nearest point of the round cone |x_t| ≤ μ x_n.
+/// Return the nearest point of the round cone |x_t| ≤ μ x_n.
 pub fn project_round<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
     let a = across(&x);
     let inside = a.le(mu * x[0]);
@@ -40,14 +40,14 @@ pub fn project_round<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
     from_fn(|i| R::select(inside, x[i], if i == 0 { n } else { k * x[i] }))
 }
 
-/// The nearest point of the box cone |x_i| ≤ μ x_n.
+/// Return the nearest point of the box cone |x_i| ≤ μ x_n.
 ///
-/// n is the root of the increasing n − x_n − μ Σ (|x_i| − μ n)₊. It is the largest of the roots
-/// with the m largest ways at their bound, (x_n + μ Σ |x_i|)/(1 + m μ²), because what they are
-/// roots of is concave in m.
+/// n is the root of the increasing function n − x_n − μ Σ (|x_i| − μ n)₊. If the m largest ways are
+/// at their bound, the root is (x_n + μ Σ |x_i|)/(1 + m μ²); n is the largest of these, because the
+/// function is concave in m.
 pub fn project_box<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
     let mut size: [R; N] = x.map(R::abs);
-    // The largest first, by exchanges.
+    // Sort in descending order by exchanges.
     for end in (2..N).rev() {
         for i in 1..end {
             (size[i], size[i + 1]) = (size[i].max(size[i + 1]), size[i].min(size[i + 1]));
@@ -64,7 +64,7 @@ pub fn project_box<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
     from_fn(|i| if i == 0 { n } else { x[i].clamp(-bound, bound) })
 }
 
-/// The nearest point of the round cone, of vectors with `len` entries.
+/// Return the nearest point of the round cone for vectors with `len` entries.
 #[inline(always)]
 pub(super) fn project_some<R: Real>(mu: R, x: [R; CONE], len: usize) -> [R; CONE] {
     if len > NARROW {
@@ -94,14 +94,14 @@ pub(super) fn length<R: Real>(x: &[R]) -> R {
 pub(super) struct InCone<R: Real, const N: usize> {
     pub q: Matrix<R, N>,
     mu: R,
-    /// Of the unit measure.
+    /// In unit scale.
     factor: Factor<R, N>,
-    /// The same; made where a minimiser lies on the surface, or where Q has no sound factor.
+    /// In unit scale; computed when a minimiser lies on the surface, or when Q has no sound factor.
     axes: Option<Axes<R, N>>,
 }
 
 impl<R: Real, const N: usize> InCone<R, N> {
-    /// Of a positive definite Q, by its lower half.
+    /// Prepare a positive definite Q, read from its lower half.
     pub fn new(q: Matrix<R, N>, mu: R) -> Self {
         let q = symmetric(&q);
         Self { factor: Factor::of(&unit_measure(&q, mu)), q, mu, axes: None }
@@ -117,7 +117,7 @@ impl<R: Real, const N: usize> InCone<R, N> {
         from_fn(|i| if i == 0 { x[0] } else { self.mu * x[i] })
     }
 
-    /// The minimiser of ½ λᵀQλ + b·λ over |λ_t| ≤ μ λ_n.
+    /// Return the minimiser of ½ λᵀQλ + b·λ over |λ_t| ≤ μ λ_n.
     pub fn least(&mut self, b: &[R; N], mask: R::Mask) -> [R; N] {
         let x = self.minimiser(b, mask);
         R::implicit(x, |x| self.newton_step(b, &x))
@@ -136,8 +136,8 @@ impl<R: Real, const N: usize> InCone<R, N> {
         self.in_unit(&out)
     }
 
-    /// The minimiser in the unit measure, in lanes in which it is not at the tip.
-    #[inline(never)] // Of contacts that slide: copies of it in each caller would only be large.
+    /// Return the minimiser in unit scale, in lanes in which it is not at the tip.
+    #[inline(never)] // For sliding contacts: copies in each caller would only be large.
     fn along_axes(&mut self, b: &[R; N], open: R::Mask) -> [R; N] {
         let axes = self.axes();
         let along = back(&axes.v, b);
@@ -151,9 +151,9 @@ impl<R: Real, const N: usize> InCone<R, N> {
         select::<R, N>(inside, free, Self::surface(axes, &xi, todo))
     }
 
-    /// The minimiser on the surface: with N = |y_t|, for ξₙ ≥ 0 solved for κ in
-    /// κ − dₙ + ξₙ/N(κ) = 0, for ξₙ < 0 for 1/κ in the same equation over κ. Both are increasing
-    /// and concave in their unknown, and negative at 0, so Newton from there never overshoots.
+    /// The minimiser on the surface, with N = |y_t|: for ξₙ ≥ 0, solve κ − dₙ + ξₙ/N(κ) = 0 for κ;
+    /// for ξₙ < 0, solve the same equation over κ for 1/κ. Both are increasing and concave in the
+    /// unknown, and negative at 0, so Newton from there never overshoots.
     #[inline(always)]
     fn surface(axes: &Axes<R, N>, xi: &[R; N], mut todo: R::Mask) -> [R; N] {
         let (zero, one, d) = (R::zero(), R::one(), &axes.d);
@@ -192,9 +192,9 @@ impl<R: Real, const N: usize> InCone<R, N> {
         from_fn(|i| if i == 0 { n } else { fit * out[i] })
     }
 
-    /// One Newton step from x on the conditions that it meets. Outside: 0. Inside: Qx + b = 0. On
-    /// the surface, with r = Qx + b − κSx, which is 0: (Q − κS)dx − Sx dκ = −r and Sx·dx = 0,
-    /// which is diagonal in y but for dκ.
+    /// One Newton step from x on the conditions of the solution. Outside: 0. Inside: Qx + b = 0. On
+    /// the surface, with r = Qx + b − κSx, which is 0: (Q − κS)dx − Sx dκ = −r and Sx·dx = 0, which
+    /// is diagonal in y except for dκ.
     fn newton_step(&mut self, b: &[R; N], x: &[R; N]) -> [R; N] {
         let (zero, Axes { v, d, inv_d }) = (R::zero(), *self.axes());
         let w = times(&self.q, x);
@@ -225,13 +225,13 @@ impl<R: Real, const N: usize> InCone<R, N> {
     }
 }
 
-/// The quadratic ½ xᵀQx on a ball, prepared for many right-hand sides: what the ways of a Coulomb
-/// contact can do.
+/// The quadratic ½ xᵀQx on a ball, prepared for many right-hand sides: the friction of a Coulomb
+/// contact.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct InBall<R: Real, const N: usize> {
     pub q: Matrix<R, N>,
     factor: Factor<R, N>,
-    /// Made where a minimiser lies on the rim, or where Q has no sound factor.
+    /// Computed when a minimiser lies on the rim, or when Q has no sound factor.
     axes: Option<Axes<R, N>>,
 }
 
@@ -240,7 +240,7 @@ pub(super) struct InBall<R: Real, const N: usize> {
 struct Factor<R: Real, const N: usize> {
     l: Matrix<R, N>,
     inv_d: [R; N],
-    /// Lanes in which no pivot is rounding, but of ways that there are not.
+    /// Lanes in which no pivot is rounding; missing ways are ignored.
     sound: R::Mask,
 }
 
@@ -285,18 +285,18 @@ impl<R: Real, const N: usize> Factor<R, N> {
 }
 
 impl<R: Real, const N: usize> Axes<R, N> {
-    /// By a V that keeps the unit cone.
-    #[inline(never)] // Once a cone and solve, at most.
+    /// With a V that keeps the unit cone.
+    #[inline(never)] // At most once per cone and solve.
     fn of_cone(q: Matrix<R, N>) -> Self {
         let (v, d) = diagonal(q, true);
         Self { v, d, inv_d: map(d, R::recip_or_zero) }
     }
 
-    /// By rotations.
+    /// With rotations.
     #[inline(never)]
     fn of(q: Matrix<R, N>) -> Self {
         let (v, d) = diagonal(q, false);
-        // What rounding leaves of a zero eigenvalue is a direction that nothing moves.
+        // If an eigenvalue is zero up to rounding, nothing moves along its direction.
         let floor = R::of(ROUNDINGS * R::epsilon()) * largest(&d);
         let d = d.map(|d| R::select(d.gt(floor), d, R::zero()));
         Self { v, d, inv_d: d.map(R::recip_or_zero) }
@@ -304,7 +304,7 @@ impl<R: Real, const N: usize> Axes<R, N> {
 }
 
 impl<R: Real, const N: usize> InBall<R, N> {
-    /// Of a positive semi-definite Q, by its lower half.
+    /// Prepare a positive semi-definite Q, read from its lower half.
     pub fn new(q: Matrix<R, N>) -> Self {
         let q = symmetric(&q);
         Self { factor: Factor::of(&q), q, axes: None }
@@ -314,7 +314,7 @@ impl<R: Real, const N: usize> InBall<R, N> {
         *self.axes.get_or_insert_with(|| Axes::of(self.q))
     }
 
-    /// The minimiser of ½ xᵀQx + g·x over the ball |x| ≤ bound.
+    /// Return the minimiser of ½ xᵀQx + g·x over the ball |x| ≤ bound.
     pub fn least(&mut self, g: &[R; N], bound: R, mask: R::Mask) -> [R; N] {
         let mut x = self.factor.minimiser(g);
         let inside = self.factor.sound.and(length(&x).le(bound));
@@ -359,13 +359,13 @@ impl<R: Real, const N: usize> InBall<R, N> {
             m = R::select(todo, next, m);
         }
         let p: [R; N] = from_fn(|i| -g[i] * (d[i] + m).recip_or_zero());
-        // On the rim exactly.
+        // Exactly on the rim.
         let k = bound * length(&p).recip_or_zero();
         let rim = times(v, &p.map(|p| k * p));
         select::<R, N>(inside, free, rim)
     }
 
-    /// One Newton step from x: inside Qx + g = 0; on the rim (Q + m)x + g = 0 and |x| = bound.
+    /// Make one Newton step from x: inside Qx + g = 0; on the rim (Q + m)x + g = 0 and |x| = bound.
     fn newton_step(&mut self, g: &[R; N], bound: R, x: &[R; N]) -> [R; N] {
         let (zero, Axes { ref v, d, inv_d }) = (R::zero(), self.axes());
         let turned = times(&self.q, x);
@@ -408,7 +408,7 @@ fn back<R: Real, const N: usize>(m: &Matrix<R, N>, x: &[R; N]) -> [R; N] {
     from_fn(|i| sum::<R, N>(|k| m[k][i] * x[k]))
 }
 
-/// Σ y ρ / e and Σ y² / e from an entry on.
+/// Return Σ y ρ / e and Σ y² / e from an entry on.
 fn reach<R: Real, const N: usize>(y: &[R; N], rho: &[R; N], inv: &[R; N], first: usize) -> (R, R) {
     let (mut pull, mut give) = (R::zero(), R::zero());
     for i in first..N {
@@ -431,19 +431,19 @@ fn largest<R: Real>(x: &[R]) -> R {
     x.iter().fold(R::zero(), |most, x| most.max(*x))
 }
 
-/// Q where ways are over μ.
+/// Q with ways divided by μ.
 #[inline(always)]
 fn unit_measure<R: Real, const N: usize>(q: &Matrix<R, N>, mu: R) -> Matrix<R, N> {
     let scale = |i: usize| if i == 0 { R::one() } else { mu };
     from_fn(|i| from_fn(|j| q[i][j] * (scale(i) * scale(j))))
 }
 
-/// The lower half for both: the other one differs by rounding.
+/// Use the lower half for both halves: the upper one differs by rounding.
 fn symmetric<R: Real, const N: usize>(q: &Matrix<R, N>) -> Matrix<R, N> {
     from_fn(|i| from_fn(|j| q[i.max(j)][i.min(j)]))
 }
 
-/// V and d with VᵀQV = diag(d) and VᵀSV = S, where S is diag(1, −1, …) for a `cone`, and 1 without.
+/// V and d with VᵀQV = diag(d) and VᵀSV = S, where S is diag(1, −1, …) for a `cone`, and else 1.
 fn diagonal<R: Real, const N: usize>(mut q: Matrix<R, N>, cone: bool) -> (Matrix<R, N>, [R; N]) {
     let unit = |i: usize, j: usize| if i == j { R::one() } else { R::zero() };
     let mut v: Matrix<R, N> = from_fn(|i| from_fn(|j| unit(i, j)));
@@ -461,7 +461,7 @@ fn diagonal<R: Real, const N: usize>(mut q: Matrix<R, N>, cone: bool) -> (Matrix
     (v, from_fn(|i| q[i][i]))
 }
 
-/// Takes q_ij away where it is more than rounding; whether that was so in some lane.
+/// Eliminate q_ij where it is more than rounding; return whether some lane did.
 fn turn<R: Real, const N: usize>(
     q: &mut Matrix<R, N>,
     v: &mut Matrix<R, N>,
@@ -508,7 +508,7 @@ fn rotation<R: Real>(p: R, o: R, q: R) -> (R, R, R) {
     (c, t * c, t)
 }
 
-/// Cosh, sinh and tanh of the hyperbolic rotation that makes it diagonal.
+/// Cosh, sinh and tanh of the hyperbolic rotation that makes [[p, o], [o, q]] diagonal.
 fn boost<R: Real>(p: R, o: R, q: R) -> (R, R, R) {
     let (zero, one) = (R::zero(), R::one());
     let zeta = (p + q) / (o + o);

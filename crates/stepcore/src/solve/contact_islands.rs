@@ -1,8 +1,8 @@
-//! Islands of a heap: trees that rows tie together now.
+//! Islands of a pile: trees that rows connect in the current step.
 //!
-//! Where pairs are listed, islands are those that pairs could ever make, so that all lanes have the
-//! same. A heap would be one island; here it falls into as many as touch. An island is known by its
-//! lowest tree, so that it keeps its name while that stays.
+//! If pairs are listed, islands are the ones that pairs could ever form, so that all lanes have the
+//! same. A pile would be one such island; here it splits into those that touch. An island is
+//! identified by its lowest tree, so that its name stays while that tree stays.
 
 use super::rows::Rows;
 use crate::model::{Model, Span, Union};
@@ -12,14 +12,14 @@ use crate::real::Real;
 #[derive(Default)]
 pub(crate) struct ContactIslands {
     pub(super) union: Union,
-    /// By island: how many blocks it has so far.
+    /// Per island: the number of its blocks up to here.
     blocks: Vec<u32>,
 }
 
 room!(ContactIslands: union, blocks);
 
 impl<R: Real> Rows<R> {
-    /// Sets the island of every block, and its place there.
+    /// Set the island of every block, and the block's place in it.
     pub(crate) fn find_islands(&mut self, model: &Model<R::Value>, dof_lists: &[usize]) {
         let Some(ContactIslands { union, blocks: counts }) = &mut self.contact_islands else {
             return;
@@ -27,7 +27,7 @@ impl<R: Real> Rows<R> {
         union.reset(model.trees.len());
         counts.clear();
         counts.resize(model.trees.len(), 0);
-        // Blocks of two bodies stand together: their dofs are looked at once.
+        // Blocks of the same two bodies are adjacent: their dofs are examined once.
         let mut last = Span::default();
         for block in &self.blocks {
             let span = self.rows[block.rows.start].dofs;

@@ -1,18 +1,18 @@
 //! Slopes of impulses: the rows are solved in `f64`, then the solution is differentiated once.
 //!
-//! A solution (λ, u) meets F(λ, u, p) = 0: u = û + D⁻¹ Σ yλ, and every row its law with the
-//! slack w = y·u + cλ − t. Along a change of p the impulses move as the active rows let them
-//! (`active.rs`): dλ = P a, with one number aᵢ a free direction, and in each direction the law
-//! stays met, Sᵀdw + B a = 0. With the part of dw at constant λ called ẇ,
+//! A solution (λ, u) meets F(λ, u, p) = 0: u = û + D⁻¹ Σ yλ, and the law of every row with the
+//! slack w = y·u + cλ − t. Along a change of p the impulses move as the active rows permit
+//! (`active.rs`): dλ = P a, with one number aᵢ per free direction. In each direction the law
+//! remains met, Sᵀdw + B a = 0. With ẇ the part of dw at constant λ,
 //!
 //! ```text
 //! (Sᵀ(A + C)P + B) a = −Sᵀẇ        du = (du at constant λ) + D⁻¹ Σ y dλ
 //! ```
 //!
-//! That is the implicit function theorem, and the same for every solver that reached a
-//! solution. Sweeps that did not reach one are differentiated as what they are: in numbers
-//! that carry their slopes along. Where a change of p may leave the active rows as they are
-//! or not (`corners.rs`), these are the derivatives of one side, and `degenerate` says where.
+//! That is the implicit function theorem, and the same for every solver that reached a solution.
+//! Sweeps that did not reach one are differentiated as an algorithm: in numbers that carry their
+//! slopes. If a change of p may or may not change the active rows (`corners.rs`), these are
+//! one-sided derivatives, and `degenerate` lists the elements.
 
 mod active;
 mod corners;
@@ -33,28 +33,28 @@ use corners::{corners, Corner};
 use factor::Factors;
 use num_traits::Zero;
 
-/// Solutions that are remembered: a step is taken again for other directions, and solves the
-/// same rows each time.
+/// The number of remembered solutions: a step is repeated for other directions, and solves the same
+/// rows each time.
 const MOST_REMEMBERED: usize = 16;
 
-/// Solves in `f64` and gives the solution its slopes.
+/// Solve in `f64` and add the slopes of the solution.
 pub(crate) struct Differentiated {
     plain: Solvers<f64>,
     given: Given,
     solutions: Vec<Solution>,
-    /// Where the next solution goes.
+    /// The place of the next solution.
     next: usize,
     /// For sweeps that reach no solution.
     carried: Solvers<Dual>,
-    /// By dof.
+    /// Per dof.
     force: Vec<Dual>,
-    /// By direction.
+    /// Per direction.
     rhs: Vec<[f64; WAYS]>,
-    /// Elements whose rows had derivatives of one side; ascending.
+    /// Elements whose rows had one-sided derivatives; ascending.
     degenerate: Vec<Element>,
 }
 
-/// What is solved, without slopes.
+/// The problem, without slopes.
 #[derive(Clone, PartialEq)]
 struct Given {
     inv_d: Vec<f64>,
@@ -67,7 +67,7 @@ struct Given {
     heap: bool,
 }
 
-/// What was solved, and how its impulses may move.
+/// A problem, its solution, and the directions in which its impulses may move.
 struct Solution {
     given: Given,
     report: Report<f64>,
@@ -135,7 +135,7 @@ impl Differentiated {
         }
     }
 
-    /// Solves what is given; the place of its solution.
+    /// Solve the problem at hand; return the place of its solution.
     fn remember(&mut self, settings: &Settings, dof_lists: &[usize]) -> Result<usize> {
         let solution = self.given.solved(&mut self.plain, settings, dof_lists)?;
         let at = self.next;
@@ -148,7 +148,7 @@ impl Differentiated {
         Ok(at)
     }
 
-    /// Writes the impulses and u of a solution, with their slopes.
+    /// Write the impulses and u of a solution, with their slopes.
     fn differentiate(&mut self, at: usize, free: Unconstrained<Dual>, rows: &mut Rows<Dual>) {
         let Self { solutions, force, rhs, degenerate, .. } = self;
         let solution = &solutions[at];
@@ -189,7 +189,7 @@ impl Differentiated {
     }
 }
 
-/// Gives the rows these impulses, which move with their bounds alone, and u their effect.
+/// Set these impulses, which move only with their bounds, and the effect on u.
 fn hold(impulses: &[f64], free: Unconstrained<Dual>, rows: &mut Rows<Dual>, force: &mut Vec<Dual>) {
     force.clear();
     force.resize(rows.u.len(), Dual::zero());
@@ -213,7 +213,7 @@ fn hold(impulses: &[f64], free: Unconstrained<Dual>, rows: &mut Rows<Dual>, forc
     }
 }
 
-/// How the impulse of a row at a bound moves with it.
+/// The slopes of the impulse of a row at a bound, which moves with the bound.
 fn bound_slopes(row: &Row<Dual>, impulse: f64) -> [f64; WAYS] {
     match impulse {
         x if x <= row.lo.value => row.lo.slopes,
@@ -222,7 +222,7 @@ fn bound_slopes(row: &Row<Dual>, impulse: f64) -> [f64; WAYS] {
     }
 }
 
-/// How impulses of friction at their bound, μ times that of the normal, move with μ.
+/// The slopes of friction impulses at their bound (μ times the normal impulse) as μ changes.
 fn friction_slopes(block: &Block<Dual>, impulses: &[f64]) -> [[f64; WAYS]; CONE] {
     let mut slopes = [[0.0; WAYS]; CONE];
     let mu = block.mu;
@@ -285,7 +285,7 @@ impl Given {
         (rows.rows, rows.blocks, rows.y, rows.u) = (given.rows, given.blocks, given.y, given.u);
         (rows.start, rows.heap) = (given.start, given.heap);
         let free = Unconstrained { dof_lists, inv_d, guess };
-        // What is differentiated is Newton's solution, not where a step was content.
+        // Newton's converged solution is differentiated, not the one at which a step may stop early.
         let exact = Settings { cost_tolerance: 0.0, ..settings.clone() };
         let newton = settings.solver == Solver::Newton;
         let report = solvers.solve(if newton { &exact } else { settings }, free, &mut rows)?;

@@ -1,35 +1,35 @@
 //! Equalities alone, solved directly: (A + c) λ = t − J û by LDLᵀ in the order of the rows.
 //!
-//! A row that the rows before it fix already leaves a pivot of rounding, and takes no impulse: what
-//! holds twice holds. No order of rows is looked for, so that lanes do the same operations.
+//! A row that earlier rows already determine leaves a pivot of rounding, and takes no impulse:
+//! redundant constraints stay satisfied. Rows are not reordered, so that lanes do the same work.
 //!
-//! A row of L begins at the first row with which it has a dof in common, directly or through the
-//! rows between (the envelope of A, which elimination does not leave). A chain of loops that share
-//! bodies with their neighbours only costs what its loops cost, however many they are.
+//! A row of L starts at the first row with which it shares a dof, directly or through the rows
+//! between (the envelope of A, which elimination does not leave). If the loops of a chain share
+//! bodies with their neighbours only, the cost is linear in the number of loops.
 
 use super::rows::{Row, Rows};
 use crate::real::{Mask, Real};
 
-/// The most products of an elimination; of more the sweeps have to do. 384 rows that all touch each
-/// other are as many, and take 10 ms.
+/// The most products of an elimination; larger systems go to the sweeps. 384 rows that all touch
+/// each other reach this limit, and take 10 ms.
 const MOST: usize = 384 * 384 * 384 / 6;
-/// A pivot of no more than so many roundings of the largest A of its group is none.
+/// A pivot of at most this many roundings of the largest A of its group counts as zero.
 const ROUNDINGS: f64 = 4096.0;
-/// Nor one of no more than this share of it, where an iteration has to come to rest: close to a
-/// position in which rows say the same, the force is a quotient of two small numbers.
+/// If an iteration must converge, so does a pivot of at most this share of the largest A: near a
+/// position in which rows are redundant, the force is a quotient of two small numbers.
 const ITERATED: f64 = 1e-5;
 
-/// Rows of one block that have a unit in common: the three ways of a point, or of turning.
+/// The most rows of one block with the same unit: the three directions of a point, or of a rotation.
 pub(crate) const GROUP: usize = 3;
 
-/// How rows are chosen that others fix already.
+/// How the rows are chosen that others determine already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
-    /// By their pivots.
+    /// Chosen by their pivots.
     Now,
-    /// By their pivots, for an iteration.
+    /// By their pivots, at the start of an iteration.
     First,
-    /// As the last time.
+    /// The same as last time.
     Kept,
     /// No solution: the impulses of `recall`.
     Frozen,
@@ -41,10 +41,10 @@ pub struct Direct<R: Real> {
     /// L within the envelope, row by row, without its diagonal of ones.
     l: Vec<R>,
     inv: Vec<R>,
-    /// Rows that have a pivot.
+    /// Lanes in which the row has a pivot.
     counts: Vec<R::Mask>,
     x: Vec<R>,
-    /// The impulses where an iteration began.
+    /// The impulses at the start of an iteration.
     begun: Vec<R>,
     /// D⁻¹ y of one row, by dof.
     z: Vec<R>,
@@ -66,14 +66,14 @@ impl<R: Real> Direct<R> {
     }
 }
 
-/// Where the rows of L begin.
+/// The starts of the rows of L.
 struct Envelope {
-    /// By row: the first column of L that may not be zero, and where it stands.
+    /// Per row: the first column of L that may be nonzero, and its index in `l`.
     first: Vec<usize>,
     start: Vec<usize>,
-    /// By column: one past the last row that begins there or before.
+    /// Per column: one past the last row that starts there or before.
     ends: Vec<usize>,
-    /// By dof: the first row that touches it.
+    /// Per dof: the first row that touches it.
     touched: Vec<usize>,
 }
 
@@ -85,7 +85,7 @@ impl Envelope {
         Self { first: Vec::new(), start: Vec::new(), ends: Vec::new(), touched }
     }
 
-    /// For these rows; false if their elimination is of more than `MOST` products.
+    /// Find the envelope of these rows; return false if elimination needs more than `MOST` products.
     fn find<R: Real>(&mut self, rows: &[Row<R>], dof_lists: &[usize]) -> bool {
         self.first.clear();
         self.start.clear();
@@ -121,14 +121,14 @@ impl Envelope {
         self.start.last().copied().unwrap_or(0)
     }
 
-    /// Where a row stands.
+    /// Return the entries of a row.
     fn row(&self, i: usize) -> std::ops::Range<usize> {
         self.start[i]..self.start[i + 1]
     }
 }
 
 impl<R: Real> Rows<R> {
-    /// Whether all rows are equalities, and few enough. `u` must hold û.
+    /// Solve if all rows are equalities, and few enough; return whether they are. `u` must hold û.
     pub(crate) fn solve_direct(
         &mut self,
         dof_lists: &[usize],
@@ -184,7 +184,7 @@ impl<R: Real> Rows<R> {
                     sum -= *own * *other;
                 }
                 mine[j - first] = sum;
-                // Rows j keep L[j, k]; row i keeps L[i, k]·D[k] until it is done.
+                // Rows j hold L[j, k]; row i holds L[i, k]·D[k] until it is done.
             }
             for (j, own) in (first..i).zip(mine) {
                 let scaled = *own;
@@ -194,8 +194,8 @@ impl<R: Real> Rows<R> {
                 *own = share;
             }
             if choice != Choice::Kept {
-                // Beside the largest of its group: where nothing moves along one of its axes,
-                // that row's own A is small as well.
+                // Compared with the largest A of its group: if nothing moves along one of its axes,
+                // that row's A is small as well.
                 while blocks[block].rows.range().end <= i {
                     block += 1;
                 }
@@ -214,7 +214,7 @@ impl<R: Real> Rows<R> {
                     sum -= l[envelope.start[j] + column] * x[j];
                 }
             }
-            // A row without a pivot takes nothing, whatever those after it take.
+            // A row without a pivot takes no impulse, whatever later rows take.
             x[i] = R::select(counts[i], sum, R::zero());
         }
         if choice == Choice::First {
@@ -224,14 +224,14 @@ impl<R: Real> Rows<R> {
         true
     }
 
-    /// In the lanes of `open` an iteration goes on with the impulses of its beginning.
+    /// In the lanes of `open`, continue an iteration with its initial impulses.
     pub(crate) fn begin_again(&mut self, open: R::Mask) {
         for (x, begun) in self.direct.x.iter_mut().zip(&self.direct.begun) {
             *x = R::select(open, *begun, *x);
         }
     }
 
-    /// Gives every row its impulse.
+    /// Set the impulse of every row.
     fn kick_direct(&mut self, dof_lists: &[usize], inv_d: &[R]) {
         let Self { rows, y, direct, u, .. } = self;
         for (row, impulse) in rows.iter_mut().zip(&direct.x) {

@@ -1,9 +1,9 @@
-//! Which dofs belong together: those of lists, of islands, of heaps.
+//! Sets of dofs: of lists, of islands, of piles.
 
 use crate::model::MANY_TREES;
 
-/// The dofs that some of these lists have, ascending; `place` has the place of each, and `usize::MAX`
-/// for every other of the `nv` dofs.
+/// Collect the dofs in some of these lists, ascending; `place` gets the place of each, and
+/// `usize::MAX` for every other of the `nv` dofs.
 pub(super) fn distinct<'a>(
     lists: impl Iterator<Item = &'a [usize]>,
     nv: usize,
@@ -25,8 +25,8 @@ pub(super) fn distinct<'a>(
     }
 }
 
-/// Whether some island of these, by tree, is a heap to Newton's method. It follows from the model
-/// alone, so that a lane equals its world.
+/// Return whether Newton's method treats some of these islands, given by tree, as a pile. It
+/// follows from the model alone, so that a lane equals its world.
 pub(crate) fn any_heap(islands: &[usize]) -> bool {
     let mut trees = vec![0; islands.len()];
     islands.iter().any(|island| {

@@ -1,4 +1,4 @@
-//! y·u: how fast a row moves, in factored coordinates.
+//! y·u: the velocity along a row, in factored coordinates.
 
 use crate::real::Real;
 

@@ -1,9 +1,9 @@
-//! The edges of contacts that slide along two tangents, whose pyramids are made at once.
+//! The edges of contacts that slide along two tangents, with whole pyramids built at once.
 //!
-//! Normal and tangents are lifted side by side, and each dof's entries of the four edges made of
-//! them, so that no way of friction is stored. Contacts of two free bodies that have their directions
-//! in common, such as those of two boxes, are made number by number: an operation is on one number of
-//! each. The numbers are those of `push_relative` and `push_edges`, bit for bit.
+//! Normal and tangents are lifted side by side, and the four edges are computed from each dof's
+//! entries, so that no tangent is stored. Contacts of two free bodies with the same directions,
+//! such as the contacts of two boxes, are vectorised: an operation handles one number of each. The
+//! numbers equal the results of `push_relative` and `push_edges`, bit for bit.
 
 use super::relative::{is_free, SIX};
 use super::rows::Rows;
@@ -16,20 +16,20 @@ use crate::spatial::V3;
 
 /// The normal and two tangents.
 const WAYS: usize = 3;
-/// Two a tangent.
+/// Two per tangent.
 const EDGES: usize = 4;
 
 /// One of the two bodies of N contacts.
 struct Side<R: Real, const N: usize> {
     /// Its first dof.
     first: usize,
-    /// Where the contacts are, from the origin of its motion.
+    /// The contact points, from the origin of the body's motion.
     arm: [[R; N]; 3],
-    /// Which ways its motion counts.
+    /// The directions along which the body's motion counts.
     along: [V3<R>; WAYS],
 }
 
-/// The edges of N contacts: where their y begin, and A = J M⁻¹ Jᵀ and J v of ways and edges.
+/// The edges of N contacts: the starts of their y, and A = J M⁻¹ Jᵀ and J v of directions and edges.
 pub(crate) struct Pyramids<R: Real, const N: usize> {
     y: usize,
     ways: [[R; N]; WAYS],
@@ -38,9 +38,9 @@ pub(crate) struct Pyramids<R: Real, const N: usize> {
 }
 
 impl<R: Real> Rows<R> {
-    /// Makes the y of the edges J_n ± μ J_t of how two bodies' points `at` slide, `along` the normal
-    /// and two tangents. Makes nothing of several contacts where the bodies are not free, or where
-    /// a way may be rounding that is to be dropped: these are made one by one.
+    /// Compute the y of the edges J_n ± μ J_t for the relative velocity of two bodies at `at`,
+    /// `along` the normal and two tangents. Return None for several contacts if the bodies are not
+    /// free, or if a direction may be rounding to be dropped: such contacts are built one by one.
     pub(crate) fn lift_pyramids<const N: usize>(
         &mut self,
         now: &Situation<R>,
@@ -61,7 +61,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// The same of free bodies alone.
+    /// Compute the same for free bodies only.
     fn lift_free_pyramids<const N: usize>(
         &mut self,
         now: &Situation<R>,
@@ -104,7 +104,7 @@ impl<R: Real> Rows<R> {
         Some(made)
     }
 
-    /// Pushes the rows of one of the contacts.
+    /// Push the rows of one of the contacts.
     pub(crate) fn push_pyramid<const N: usize>(
         &mut self,
         made: &Pyramids<R, N>,
@@ -122,7 +122,7 @@ impl<R: Real> Rows<R> {
     }
 }
 
-/// One of two bodies, if it is free, Some(None) if nothing moves it; else None.
+/// Return one of two bodies if it is free, Some(None) if it cannot move; else None.
 #[inline(always)]
 fn side<R: Real, const N: usize>(
     now: &Situation<R>,
@@ -154,8 +154,8 @@ fn side<R: Real, const N: usize>(
 }
 
 impl<R: Real, const N: usize> Side<R, N> {
-    /// J of a way by dof, which moves along the world's axes and turns about the body's. What is
-    /// left out is products with 0, which are added to numbers that are no −0.
+    /// J of a direction by dof: a free body moves along the world's axes and turns about its axes.
+    /// The omitted terms are products with 0, added to numbers that are never −0.
     #[inline(always)]
     fn jacobian(&self, now: &Situation<R>, way: usize) -> [[R; N]; SIX] {
         let (d, [x, y, z]) = (&self.along[way], &self.arm);
@@ -179,7 +179,7 @@ impl<R: Real, const N: usize> Side<R, N> {
 }
 
 impl<R: Real, const N: usize> Side<R, N> {
-    /// `jacobian` of each way of the first contact, side by side; the last place is empty.
+    /// `jacobian` of each direction of the first contact, side by side; the last place is empty.
     #[inline(always)]
     fn jacobians(&self, now: &Situation<R>) -> [[R; EDGES]; SIX] {
         let [n, a, b] = &self.along;
@@ -205,7 +205,7 @@ impl<R: Real, const N: usize> Side<R, N> {
 }
 
 impl<R: Real, const N: usize> Pyramids<R, N> {
-    /// Adds what a body has of the sums, and sets its y of the edges.
+    /// Add a body's part of the sums, and set its y of the edges.
     #[inline(always)]
     fn add(
         &mut self,
@@ -214,7 +214,7 @@ impl<R: Real, const N: usize> Pyramids<R, N> {
         mu: R,
         lines: &mut [[[R; N]; SIX]; EDGES],
     ) {
-        // Lanes have vectors of their own.
+        // Lanes already fill vectors.
         if R::ALONE && N == 1 {
             return self.add_one(now, side, mu, lines);
         }
@@ -256,7 +256,7 @@ impl<R: Real, const N: usize> Pyramids<R, N> {
             edges[i] = a;
         }
     }
-    /// The same of one contact, its normal and tangents number by number, and its edges.
+    /// The same for one contact: its normal and tangents number by number, and its edges.
     #[inline(always)]
     fn add_one(
         &mut self,

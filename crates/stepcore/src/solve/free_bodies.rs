@@ -1,15 +1,15 @@
-//! Rows of free bodies: their dofs are one or two runs of six, and sums over them have a fixed
+//! Rows of free bodies: their dofs are one or two runs of six, so sums over them have a fixed
 //! length.
 //!
-//! Only heaps use this (`Rows::heap`): a sum is taken in another order than `dot`'s, by even and
-//! odd dofs, so that two partial sums advance side by side.
+//! Only piles use this (`Rows::heap`): a sum is taken in another order than in `dot`, by even and
+//! odd dofs, so that two partial sums advance in parallel.
 
 use crate::real::Real;
 
 /// Dofs of a free body.
 pub(super) const SIX: usize = 6;
 
-/// Where the dofs of a row's bodies begin.
+/// The first dofs of a row's bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct FreeBodies {
     first: [u32; 2],
@@ -17,7 +17,7 @@ pub(super) struct FreeBodies {
 }
 
 impl FreeBodies {
-    /// Of a list of dofs, if it is one run of six or two.
+    /// From a list of dofs, if it is one or two runs of six.
     pub fn of(list: &[usize]) -> Option<Self> {
         let run = |from: usize| {
             let own = list.get(from..from + SIX)?;
@@ -31,7 +31,7 @@ impl FreeBodies {
         }
     }
 
-    /// The same of an ascending list, whose ends tell.
+    /// The same for an ascending list, for which the ends suffice.
     pub fn ascending(list: &[usize]) -> Option<Self> {
         let run = |from: usize| (list[from + SIX - 1] - list[from] == SIX - 1).then(|| list[from]);
         let first = match list.len() {
@@ -43,7 +43,7 @@ impl FreeBodies {
         Some(Self { first: [one.ok()?, two.ok()?], two: list.len() > SIX })
     }
 
-    /// u += D⁻¹ Σ y x of four rows, each dof's sum in their order.
+    /// u += D⁻¹ Σ y x of four rows, with each dof's sum in their order.
     #[inline(always)]
     pub fn kick_four<R: Real>(&self, y: [&[R]; 4], x: [R; 4], inv_d: &[R], u: &mut [R]) {
         for which in 0..self.count() {
@@ -59,7 +59,7 @@ impl FreeBodies {
         }
     }
 
-    /// Entries of a row.
+    /// The number of entries of a row.
     pub fn len(&self) -> usize {
         if self.two {
             2 * SIX
@@ -68,20 +68,20 @@ impl FreeBodies {
         }
     }
 
-    /// How many bodies.
+    /// The number of bodies.
     #[inline(always)]
     pub fn count(&self) -> usize {
         1 + usize::from(self.two)
     }
 
-    /// The dofs of one of them.
+    /// Return the dofs of one of them.
     #[inline(always)]
     pub fn body(&self, which: usize) -> std::ops::Range<usize> {
         let first = self.first[which] as usize;
         first..first + SIX
     }
 
-    /// out = y·x of some rows, y one row after another.
+    /// out = y·x of some rows, with y stored row after row.
     #[inline(always)]
     pub fn dot_each<R: Real>(&self, y: &[R], x: &[R], out: &mut [R]) {
         let one = &six(&x[self.body(0)]);
@@ -101,7 +101,7 @@ impl FreeBodies {
         }
     }
 
-    /// out += k Σ y x over some rows, y one row after another.
+    /// out += k Σ y x over some rows, with y stored row after row.
     #[inline(always)]
     pub fn add_each<R: Real>(&self, y: &[R], x: &[R], k: R, out: &mut [R]) {
         let mut one = six(&out[self.body(0)]);
@@ -132,7 +132,7 @@ fn products<R: Real>(y: &[R], x: &[R]) -> [R; SIX] {
     products
 }
 
-/// The first six numbers.
+/// Return the first six numbers.
 #[inline(always)]
 pub(super) fn six<R: Real>(x: &[R]) -> [R; SIX] {
     let mut six = [R::zero(); SIX];

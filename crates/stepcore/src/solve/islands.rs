@@ -1,4 +1,4 @@
-//! The blocks of each island: what can be solved by itself.
+//! The blocks of each island, which can be solved by itself.
 
 use super::rows::{Block, Rows, Set};
 use crate::model::Model;
@@ -16,7 +16,7 @@ pub(super) struct Islands {
 room!(Islands: blocks, ends);
 
 impl Islands {
-    /// A counting sort: stable, and free of allocation once it has room.
+    /// A counting sort: stable, and without allocation once it has room.
     pub fn sort<R: Real>(&mut self, blocks: &[Block<R>]) {
         let islands = blocks.iter().map(|b| b.island + 1).max().unwrap_or(0);
         self.ends.clear();
@@ -39,7 +39,7 @@ impl Islands {
         }
     }
 
-    /// The block indices of one island.
+    /// Return the block indices of one island.
     pub fn of(&self, island: usize) -> &[usize] {
         let start = if island == 0 { 0 } else { self.ends[island - 1] };
         &self.blocks[start..self.ends[island]]
@@ -51,7 +51,7 @@ impl Islands {
 }
 
 impl<R: Real> Rows<R> {
-    /// Measures the islands of the rows at hand; `mass` in the layout of `Model::row_dofs`.
+    /// Measure the islands of the current rows; `mass` in the layout of `Model::row_dofs`.
     pub(crate) fn weigh_islands(&mut self, model: &Model<R::Value>, mass: &[R]) {
         let Self { islands, contact_islands: now, inertia, .. } = self;
         inertia.clear();
@@ -65,13 +65,13 @@ impl<R: Real> Rows<R> {
     }
 }
 
-/// Lanes in which an island has some block.
+/// Return the lanes in which an island has some block.
 pub(super) fn alive<R: Real>(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
     blocks.iter().fold(R::Mask::of(false), |mask, b| mask.or(rows.blocks[*b].mask))
 }
 
-/// Lanes in which all rows of these blocks are intervals, so many at most. A lane's own rows decide,
-/// whatever its neighbours have.
+/// Return the lanes in which all rows of these blocks are intervals, at most `most` of them. A
+/// lane's rows alone decide, whatever its neighbours have.
 pub(super) fn intervals_at_most<R: Real>(rows: &Rows<R>, blocks: &[usize], most: u64) -> R::Mask {
     let mut intervals = R::Mask::of(true);
     for block in blocks.iter().map(|b| &rows.blocks[*b]) {
@@ -82,7 +82,7 @@ pub(super) fn intervals_at_most<R: Real>(rows: &Rows<R>, blocks: &[usize], most:
     intervals.and(row_count(rows, blocks).at_most(most))
 }
 
-/// How many rows of these blocks each lane has.
+/// Return the number of rows of these blocks in each lane.
 pub(super) fn row_count<R: Real>(rows: &Rows<R>, blocks: &[usize]) -> Count {
     let mut count = Count::ZERO;
     for block in blocks.iter().map(|b| &rows.blocks[*b]) {

@@ -1,4 +1,4 @@
-//! Laws: what a violated constraint asks of the velocity after the step.
+//! Laws: the velocity after the step that a violated constraint requires.
 //!
 //! A law turns (violation φ, row velocity u before the step) into a target t and
 //! a regulariser c. `solref` is MuJoCo's: MuJoCo documentation, "Constraint model"
@@ -15,9 +15,9 @@ use crate::settings::{Law, Settings};
 /// MuJoCo's `mjMINIMP`, `mjMAXIMP`: dimensionless guards of the impedance.
 const IMPEDANCE: [f64; 2] = [0.0001, 0.9999];
 
-/// The least R beside A, in roundings.
+/// The least R relative to A, in roundings.
 const LEAST_SOFTNESS: f64 = 64.0;
-/// The least R of a contact without inverse weight beside A: 2⁻³⁵, and 2⁻¹⁵ in f32.
+/// The least R of a contact without inverse weight relative to A: 2⁻³⁵, and 2⁻¹⁵ in f32.
 const WEIGHTLESS: f64 = 1.0 / (1u64 << 35) as f64;
 const WEIGHTLESS_F32: f64 = 1.0 / (1u64 << 15) as f64;
 
@@ -27,11 +27,11 @@ pub struct SolRef<R: Real> {
     /// Damping b [1/s] and stiffness K·d [1/s²]: a_ref = −b u − K d r.
     pub b: R,
     pub kd: R,
-    /// (1 − d)/d: times the inverse weight it is R.
+    /// (1 − d)/d: R is this times the inverse weight.
     pub softness: R,
 }
 
-/// What `solref` and `solimp` say whatever the violation is.
+/// The part of `solref` and `solimp` that does not depend on the violation.
 #[derive(Clone, Copy)]
 pub struct Spring<'a, R: Real> {
     solimp: &'a [R::Value; 5],
@@ -44,7 +44,7 @@ impl<'a, R: Real> Spring<'a, R> {
         Self::of(soft.solref.each_ref(), &soft.solimp, dt, refsafe)
     }
 
-    /// The same of `solref` and `solimp`.
+    /// From `solref` and `solimp`.
     #[inline(always)]
     pub fn of([s0, s1]: [&R::Value; 2], solimp: &'a [R::Value; 5], dt: f64, refsafe: bool) -> Self {
         let dw = &solimp[1];
@@ -65,7 +65,7 @@ impl<'a, R: Real> Spring<'a, R> {
         Self { solimp, stiffness, b }
     }
 
-    /// Of a time constant alone: critically damped.
+    /// From a time constant alone: critically damped.
     pub fn critical(time: &R::Value, solimp: &'a [R::Value; 5], dt: f64, refsafe: bool) -> Self {
         let ratio = R::Value::by_lane(&[1.0]);
         Self::of([time, &ratio], solimp, dt, refsafe)
@@ -78,7 +78,7 @@ impl<'a, R: Real> Spring<'a, R> {
         SolRef { b: self.b, kd: self.stiffness * d, softness: (R::one() - d) / d }
     }
 
-    /// Of a row that restores no position: at no violation.
+    /// For a row that restores no position: at no violation.
     #[inline(always)]
     pub fn at_rest(&self) -> SolRef<R> {
         let d: R = impedance_at_rest(self.solimp);
@@ -92,8 +92,8 @@ impl<R: Real> SolRef<R> {
         Spring::new(soft, dt, refsafe).at(r)
     }
 
-    /// The same with a spring that asks for no more than `most` [m/s] of an overlap r whose speed is
-    /// u: u − dt·(b u + K d r) ≤ max(most, u).
+    /// Limit the spring to at most `most` [m/s] for an overlap r whose speed is u: u − dt·(b u + K
+    /// d r) ≤ max(most, u).
     pub fn at_most(self, u: R, r: R, most: R, dt: R) -> Self {
         let allowed = most.max(u) - u * (R::one() - dt * self.b);
         let over = (-(self.kd * r * dt)).gt(allowed).and(r.lt(R::zero()));
@@ -101,13 +101,13 @@ impl<R: Real> SolRef<R> {
         Self { kd: R::select(over, kd, self.kd), ..self }
     }
 
-    /// A row that restores no position: friction loss, and the tangents of a cone.
+    /// For a row that restores no position: friction loss, and the tangents of a cone.
     pub fn without_position(self) -> Self {
         Self { kd: R::zero(), ..self }
     }
 
-    /// The same for the tangents of a cone: without position, and with the damper of a `solref` of
-    /// their own where they have one.
+    /// For the tangents of a cone: without position, and with the damper of the friction's `solref`
+    /// if there is one.
     pub fn of_friction(
         self,
         own: &Option<[R::Value; 2]>,
@@ -119,8 +119,8 @@ impl<R: Real> SolRef<R> {
         Self { b, ..self.without_position() }
     }
 
-    /// Fills a row in: t = u + dt·a_ref at the violation `r`, c = R = softness × `weight`, and
-    /// no less than what `least_softness` says of its block.
+    /// Fill in a row: t = u + dt·a_ref at the violation `r`, c = R = softness × `weight`, at least
+    /// `least` (`least_softness` of its block).
     #[inline(always)]
     pub fn fill(&self, row: &mut Row<R>, r: R, weight: R, least: R, dt: R) {
         row.gap = r;
@@ -131,27 +131,27 @@ impl<R: Real> SolRef<R> {
 }
 
 /// The target with which a row of regulariser c, whose guess moves at `guess`, opens at `most` by
-/// itself: most + cλ. A soft row holds its load by what its target is more than its speed.
+/// itself: most + cλ. A soft row carries its load through the excess of its target over its speed.
 pub fn target_at<R: Real>(row: &Row<R>, c: R, guess: R, most: f64) -> R {
     let most = R::of(most);
     most + c * (most - guess).max(R::zero()) * row.a.recip_or_zero()
 }
 
-/// The least regulariser of a block's rows: an R that is only rounding beside A could not be told
-/// from zero, and would leave Newton's Hessian without digits.
+/// The least regulariser of a block's rows: an R that is only rounding relative to A would be
+/// indistinguishable from zero, and leave Newton's Hessian without digits.
 ///
-/// It goes by the row that is moved most, because the rows of a block need each other: a normal
-/// that nothing can move (A = 0), of bodies without inverse weight, carries the load t/R, and
-/// the friction on it is what holds a wheel with a fixed axle. MuJoCo's `mjMINVAL` does this for
-/// numbers near 1. Where nothing moves any row, `mass` stands for 1/A.
+/// It follows from the row that is moved most, because the rows of a block depend on each other: a
+/// normal that nothing can move (A = 0), of bodies without inverse weight, carries the load t/R,
+/// and its friction holds a wheel with a fixed axle. MuJoCo's `mjMINVAL` does this for numbers near
+/// 1. If nothing moves any row, `mass` replaces 1/A.
 #[inline(always)]
 pub fn least_softness<R: Real>(rows: &[Row<R>], mass: R) -> R {
     R::of(LEAST_SOFTNESS * R::epsilon()) * most_moved(rows, mass)
 }
 
-/// The same for the rows of a contact without inverse weight. Only this stands between them and
-/// loads without end, whose rounding moves what they press on by ε/R: R is ε^⅔ of A, so that
-/// neither that nor R itself shows.
+/// The same for the rows of a contact without inverse weight. Only this regulariser prevents
+/// unbounded loads, whose rounding moves the pressed bodies by ε/R. R is ε^⅔ of A, so that both
+/// that rounding and R itself are negligible.
 pub fn weightless_softness<R: Real>(rows: &[Row<R>], mass: R) -> R {
     let share = if R::epsilon() < 1e-10 { WEIGHTLESS } else { WEIGHTLESS_F32 };
     R::of(share) * most_moved(rows, mass)
@@ -166,8 +166,8 @@ fn impedance(d: f64) -> f64 {
     d.clamp(IMPEDANCE[0], IMPEDANCE[1])
 }
 
-/// How d(r) goes: not with r, or along curves of power 1, 2 or another. Worlds that stand side by side
-/// have one form.
+/// The form of d(r): constant, or along curves of power 1, 2 or another. Worlds in parallel lanes
+/// have the same form.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum ImpedanceForm {
     Flat,
@@ -223,21 +223,21 @@ fn impedance_at<R: Real>(solimp: &[R::Value; 5], r: R) -> R {
     R::Value::calc([d0], |[d0]| impedance(d0)) + y * rise
 }
 
-/// How near a row of an inequality is, under the laws on velocities.
+/// The proximity of a row of an inequality, under the laws on velocities.
 pub struct Near<R: Real> {
-    /// The distance that it holds.
+    /// The distance that the row keeps.
     pub phi: R,
-    /// The guess overlaps.
+    /// Whether the guess overlaps.
     pub closing: R::Mask,
-    /// What the guess adds to the row's velocity at the start.
+    /// The velocity that the guess adds to the row's velocity at the start.
     pub gained: R,
-    /// Where one comes to the other in this step, it still is in the next: not on its way past.
+    /// Whether a contact that is reached in this step lasts into the next, instead of being passed.
     pub arrives: R::Mask,
-    /// Still further away than the shapes are large.
+    /// Whether the distance exceeds the size of the shapes.
     pub far: R::Mask,
 }
 
-/// The laws on velocities: how a row that holds a distance is filled in.
+/// The laws on velocities: how a row that keeps a distance is filled in.
 #[derive(Clone, Copy)]
 pub struct OnGuess {
     pub law: Law,
@@ -245,7 +245,7 @@ pub struct OnGuess {
     pub beta: f64,
     pub softness: f64,
     pub slop: f64,
-    /// See `Situation::halves`: these rows have half of the impulse that softness goes by.
+    /// See `Situation::halves`: these rows have half of the impulse that softness refers to.
     pub halves: bool,
 }
 
@@ -260,8 +260,8 @@ impl OnGuess {
     /// An inequality: distance φ ≥ 0, recovered at the speed `push`. Limits do not bounce: their
     /// restitution is 0.
     ///
-    /// A row that only is near asks for what the guess does anyway: no overlap at the end of
-    /// the step. It has no impulse but what other rows make it pass on.
+    /// A row that is only near requires what the guess does anyway: no overlap at the end of the
+    /// step. Its impulse is zero unless other rows press on it.
     pub fn distance<R: Real>(&self, row: &mut Row<R>, near: &Near<R>, restitution: f64, push: R) {
         let (zero, inv_dt) = (R::zero(), R::of(1.0 / self.dt));
         let phi = near.phi;
@@ -269,7 +269,7 @@ impl OnGuess {
         let (arrive, open) = (-(phi * inv_dt), phi.gt(zero));
         let closing = if self.law == Law::Rigid {
             let bounce = R::of(-restitution) * row.velocity;
-            // An impact is at the start of the step: the smooth motion follows it.
+            // An impact is at the start of the step, before the smooth motion.
             let back = push.max(if self.halves { bounce + near.gained } else { bounce });
             let wait = open.and(near.arrives).and(R::Mask::of(restitution == 0.0));
             R::select(wait, arrive, back)
@@ -285,7 +285,7 @@ impl OnGuess {
         self.soften(row);
     }
 
-    /// The speed at which an overlap is to be undone, without a limit.
+    /// Return the speed at which an overlap is to be removed, without a limit.
     pub fn push<R: Real>(&self, phi: R) -> R {
         let push = R::of(-self.beta) * R::of(1.0 / self.dt);
         let phi = if self.law == Law::Rigid { phi + R::of(self.slop) } else { phi };
@@ -299,8 +299,8 @@ impl OnGuess {
         self.soften(row);
     }
 
-    /// A distance that nothing can open (A = 0) in a block whose other rows are moved: its load is
-    /// t over the least regulariser, so that it has friction.
+    /// A distance that nothing can open (A = 0) in a block whose other rows move: its load is t
+    /// over the least regulariser, so that it has friction.
     pub fn unmoved<R: Real>(&self, row: &mut Row<R>, least: R) {
         let least = if self.halves { least + least } else { least };
         let still = row.a.le(R::zero()).and(row.c.le(least));
@@ -316,7 +316,7 @@ impl OnGuess {
         row.inv_s = row.a.recip_or_zero();
     }
 
-    /// What softness adds to the denominator of an update.
+    /// The term that softness adds to the denominator of an update.
     fn denominator(&self) -> f64 {
         match self.law {
             Law::Rigid => 0.0,
@@ -324,7 +324,7 @@ impl OnGuess {
         }
     }
 
-    /// c of a row that holds a distance.
+    /// c of a row that keeps a distance.
     pub fn regulariser<R: Real>(&self) -> R {
         R::of(if self.law == Law::Lesson { self.softness } else { 0.0 })
     }

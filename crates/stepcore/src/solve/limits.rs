@@ -1,25 +1,25 @@
-//! How long a solver may run, and how far it came.
+//! Limits of a solver's run, and its report.
 
 use crate::real::{Count, Mask, Real};
 use crate::settings::{Acceleration, Law, Settings, Sweeps};
 
-/// How long to sweep.
+/// When to stop sweeping.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     pub sweeps: u32,
     /// On the scalar residual [m/s]; 0 runs every sweep.
     pub tolerance: f64,
-    /// A solve ends with the sweep or the Newton step that lowers what the rows minimise by less, as
-    /// a share of `Rows::inertia` [m²/s²]; 0: never. For laws whose rows are all convex.
+    /// A solve ends with the sweep or the Newton step that lowers the rows' objective by less than
+    /// this share of `Rows::inertia` [m²/s²]; 0: never. For laws whose rows are all convex.
     pub cost: f64,
-    /// Accelerate: see `momentum.rs`. For laws whose rows are all convex; an island
-    /// with a Coulomb block runs plain.
+    /// Accelerate: see `momentum.rs`. For laws whose rows are all convex; an island with a Coulomb
+    /// block runs without.
     pub momentum: bool,
-    /// One update solves a row that is alone.
+    /// Whether one update solves a row that is alone.
     pub solves_one: bool,
-    /// It does, and a solve may end there, as a tolerance is asked.
+    /// Whether it does, and a solve may end there because a tolerance is set.
     pub exact: bool,
-    /// A tolerance below what rounding leaves of a residual is raised to that.
+    /// Whether a tolerance below the rounding error of a residual is raised to that error.
     pub rounding: bool,
 }
 
@@ -33,7 +33,7 @@ impl Limits {
                 Sweeps::AtMost(_) => settings.cost_floor(settings.cost_tolerance),
                 Sweeps::Auto => 0.0,
             },
-            // By the law and not by the rows at hand, so that a lane equals its world alone.
+            // Decided by the law and not by the current rows, so that a lane equals its world alone.
             momentum: settings.acceleration == Acceleration::Momentum && !settings.law.on_guess(),
             solves_one: settings.law != Law::Relaxed,
             exact: sweeps > 0 && settings.tolerance > 0.0 && settings.law != Law::Relaxed,
@@ -42,14 +42,14 @@ impl Limits {
     }
 }
 
-/// What a solve did, lane by lane.
+/// The report of a solve, lane by lane.
 #[derive(Clone, Copy, Debug)]
 pub struct Report<R: Real> {
     /// Sweeps or iterations of the island that took the most.
     pub sweeps: Count,
     /// Row updates: rows × sweeps, summed over islands.
     pub updates: Count,
-    /// Newton's decrement where it stopped, √(gᵀH⁻¹g) relative to the motion; 0 under PGS.
+    /// Newton's decrement at the end, √(gᵀH⁻¹g) relative to the motion; 0 under PGS.
     pub decrement: R,
     /// Lanes in which some island used up its sweeps or iterations.
     pub open: R::Mask,
@@ -65,7 +65,7 @@ impl<R: Real> Report<R> {
         }
     }
 
-    /// With what was done on other islands.
+    /// Add the report of other islands.
     pub fn join(&mut self, other: &Self) {
         self.sweeps.raise(&other.sweeps);
         self.updates.add_each(R::Mask::of(true), &other.updates);
@@ -75,7 +75,7 @@ impl<R: Real> Report<R> {
 }
 
 impl Report<f64> {
-    /// The same in numbers that carry slopes.
+    /// Convert to numbers that carry slopes.
     pub fn in_numbers<R: Real<Mask = bool>>(self) -> Report<R> {
         let Self { sweeps, updates, decrement, open } = self;
         Report { sweeps, updates, decrement: R::of(decrement), open }

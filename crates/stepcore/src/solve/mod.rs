@@ -1,5 +1,5 @@
-//! Stage 3, solve: every contact, limit, friction loss and equality as rows of one
-//! system, and the impulses on which they all agree.
+//! Stage 3, solve: every contact, limit, friction loss and equality as rows of one system, and the
+//! impulses that satisfy all of them.
 
 mod active_set;
 mod cone;
@@ -44,23 +44,23 @@ use crate::real::{Mask, Real};
 use crate::spatial::{Motion, V3};
 use crate::warm::{Warm, ACCELERATIONS, SLIP, WARM_ROWS};
 
-/// A·m below this many squared roundings may be rounding; beside the squares of its terms, it is
-/// below this many.
+/// A·m below `SUSPECT` squared roundings may be rounding; relative to the squares of its terms, it
+/// is rounding below `ROUNDED`.
 const SUSPECT: f64 = 1e8;
 const ROUNDED: f64 = 1024.0;
 
-/// A = J M⁻¹ Jᵀ of a row may be rounding.
+/// Return where A = J M⁻¹ Jᵀ of a row may be rounding.
 #[inline(always)]
 fn suspect<R: Real>(a: R, mass: R) -> R::Mask {
     (a * mass).lt(R::of(SUSPECT * R::epsilon() * R::epsilon()))
 }
 
-/// The J of a row with this A, the relative velocity of two bodies' points at `at`, is but the
-/// rounding of what cancels in it.
+/// Return where the J of a row with this A, the relative velocity of two bodies' points at `at`, is
+/// only rounding from cancellation.
 ///
-/// `size` is how large the square of a dof's part could be, from its motion and the arm to `at`.
-/// 1/A of such a row is a number without meaning: where its regulariser is as small, it would ask for
-/// a motion at any speed.
+/// `size`: the largest possible square of a dof's part, from its motion and the arm to `at`. 1/A of
+/// such a row is meaningless: with an equally small regulariser, the row would require a motion at
+/// any speed.
 fn is_rounding<R: Real>(
     now: &Situation<R>,
     (bodies, at): ([usize; 2], &V3<R>),
@@ -71,7 +71,7 @@ fn is_rounding<R: Real>(
     if suspect.none() {
         return suspect;
     }
-    // What A would be if no term cancelled another.
+    // A if no term cancelled another.
     let mut terms = R::zero();
     for body in bodies.map(|body| &now.model.bodies[body]) {
         if body.tree == crate::model::NONE {
@@ -91,7 +91,7 @@ fn without<R: Real>(none: R::Mask, x: R) -> R {
 }
 
 impl<R: Real> Rows<R> {
-    /// The Jacobian of the next row is zero on these dofs.
+    /// Clear the Jacobian of the next row on these dofs.
     #[inline(always)]
     pub(crate) fn clear_scratch(&mut self, dofs: &[usize]) {
         for &k in dofs {
@@ -99,7 +99,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Makes a row one that nothing moves (J = 0) where its J is but rounding.
+    /// Turn a row into one that nothing moves (J = 0) where its J is only rounding.
     pub(crate) fn drop_rounding_of(
         &mut self,
         index: usize,
@@ -121,8 +121,8 @@ impl<R: Real> Rows<R> {
         row.velocity = without(none, row.velocity);
     }
 
-    /// Starts every impulse from the last step's, found by slot and feature; but for
-    /// equalities that the stages of the step held (`inside`). u is left as it is.
+    /// Start every impulse from last step's, matched by slot and feature, except equalities that
+    /// the stages of the step held (`inside`). u is unchanged.
     pub fn warm_start(&mut self, warm: &[Warm<R>], inside: bool) {
         let mut at = 0;
         let others = self.blocks.iter().filter(|block| !(inside && block.role == Role::Equality));
@@ -141,8 +141,8 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Newton starts where the velocities `before` (factored) come to under the accelerations kept in
-    /// `warm`; where there are none, or all are zero, at û. One row by itself needs no start.
+    /// Start Newton from the velocities that follow from `before` (factored) and the accelerations
+    /// in `warm`; if there are none, or all are zero, from û. A single row needs no start.
     pub(crate) fn start_along(&mut self, warm: &[Warm<R>], before: &[R], dt: R) {
         self.start.clear();
         if matches!(self.blocks[..], [Block { set: Set::Interval, .. }]) && self.rows.len() == 1 {
@@ -161,8 +161,8 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Keeps the accelerations since the velocities `before` (factored) after the impulses, in lanes
-    /// with rows.
+    /// Store the accelerations since the velocities `before` (factored) after the impulses, in
+    /// lanes with rows.
     pub(crate) fn store_accelerations(&self, warm: &mut Vec<Warm<R>>, before: &[R], rate: R) {
         let none = R::Mask::of(false);
         let solved = self.blocks.iter().fold(none, |some, block| some.or(block.mask));
@@ -180,13 +180,13 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// The impulse that the main solve gave a row.
+    /// Return the impulse of a row from the main solve.
     pub(crate) fn solved(&self, row: usize) -> R {
         self.main.get(row).copied().unwrap_or(self.rows[row].impulse)
     }
 
-    /// Keeps every impulse for the next step, but for what is no number; those of equalities
-    /// that the stages of the step held (`inside`), as they were there.
+    /// Store every finite impulse for the next step; for equalities that the stages of the step
+    /// held (`inside`), the impulses there.
     pub fn store_warm(&self, warm: &mut Vec<Warm<R>>, inside: bool) {
         warm.clear();
         let mut anchors = self.anchors.iter().peekable();

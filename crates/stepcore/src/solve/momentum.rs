@@ -1,26 +1,24 @@
 //! Acceleration of Gauss-Seidel for convex rows: momentum, with its coefficients
 //! chosen by exact minimisation instead of a formula.
 //!
-//! The rows minimise f(λ) = ½ λᵀ(A + C)λ + λ·(J v̂ − t) over their sets. After a
-//! sweep has moved λ by p₀, with p₁ … p₃ the whole moves of the last sweeps, take
-//! λ + Σ τₐpₐ with the τ that minimise f. Where the active rows stay the same this
-//! comes close to conjugate gradients with a sweep as their preconditioner. A step
-//! that leaves the sets is projected, and kept only if f falls.
+//! The rows minimise f(λ) = ½ λᵀ(A + C)λ + λ·(J v̂ − t) over their sets. After a sweep has moved λ
+//! by p₀, with p₁ … p₃ the whole moves of the last sweeps, take λ + Σ τₐpₐ with the τ that minimise
+//! f. While the active rows stay the same, this is close to conjugate gradients with a sweep as the
+//! preconditioner. A step that leaves the sets is projected, and kept only if f falls.
 //!
-//! That needs no pass over the rows' J. A move p changes u by δu = D⁻¹Yᵀp, which is
-//! remembered with it, so that pᵀ(A + C)q = Σ D δu_p δu_q + Σ c p q; u goes with λ by
-//! Σ τₐδuₐ, and only rows that the projection changed are kicked. The slope of f along
-//! the sweep's own move comes out of the sweep: with Δf, what the sweep gained, it is
-//! Δf + ½ p₀ᵀ(A + C)p₀. Along older moves it is carried on: a move e changes it by
-//! pᵀ(A + C)e. (∇f·p = Σ D δu_p u + … would do without, but not with rounding: δu holds
-//! errors as large as those of u, however small the move.)
+//! That needs no pass over the rows' J. A move p changes u by δu = D⁻¹Yᵀp, which is stored with it,
+//! so that pᵀ(A + C)q = Σ D δu_p δu_q + Σ c p q; u follows λ by Σ τₐδuₐ, and only rows that the
+//! projection changed are kicked. The slope of f along the sweep's move follows from the sweep:
+//! with Δf, the gain of the sweep, it is Δf + ½ p₀ᵀ(A + C)p₀. Along older moves it is updated: a
+//! move e changes it by pᵀ(A + C)e. (∇f·p = Σ D δu_p u + … would need no update, but δu has errors
+//! as large as the rounding of u, however small the move.)
 //!
-//! Each u-move so holds a few rounding errors of u, and a combination of moves inherits
-//! them. They are counted, and a step that would make them many kicks every row.
+//! So each u-move contains a few rounding errors of u, and a combination of moves inherits them.
+//! They are counted, and a step with too many kicks every row.
 //!
-//! Blocks are visited in a pseudo-random order that changes from sweep to sweep.
-//! Two blocks' order follows from their ranks alone, so that a lane's does not
-//! depend on which other blocks its neighbours have.
+//! Blocks are visited in a pseudo-random order that changes from sweep to sweep. The order of two
+//! blocks follows from their ranks alone, so that a lane does not depend on which other blocks its
+//! neighbours have.
 
 use super::cone::project_some;
 use super::dot::dot;
@@ -28,13 +26,13 @@ use super::rows::{Row, Rows, Set, CONE};
 use crate::real::{Mask, Real};
 use crate::room::{listed, Room};
 
-/// Directions of a step: this sweep's move and the moves before it.
+/// Directions of a step: the last sweep's move and the moves before it.
 const DEPTH: usize = 4;
-/// A move is real when it is this many times what rounding makes of its coordinates.
+/// A move counts if it exceeds this many times the rounding of its coordinates.
 const NOISE: f64 = 16.0;
 /// Rounding errors of u that a step may add.
 const ERRORS: f64 = 16.0;
-/// Blocks are dealt into 2^BITS buckets by their ranks' hashes.
+/// Blocks are distributed over 2^BITS buckets by the hashes of their ranks.
 const BITS: u32 = 4;
 
 /// Impulses by row of the island, and u by dof of the island.
@@ -49,31 +47,31 @@ impl<R> Room for Point<R> {
     }
 }
 
-/// The last moves, newest first, in the same layout; zero where there is none yet.
-/// A row's moves lie side by side: sums over rows keep their order, so that a lane
-/// equals its world, and are taken for all moves at once.
+/// The last moves, newest first, in the same layout; zero where there is none yet. A row's moves
+/// are adjacent: sums over rows keep their order, so that a lane equals its world, and sum all
+/// moves at once.
 type Moves<R> = Point<[R; DEPTH]>;
 
 /// Blocks of neighbouring hashes, visited together.
 struct Bucket {
     hash: u64,
-    /// Its turn in this sweep.
+    /// Its position in this sweep.
     key: u64,
     /// Into `Momentum::hashed`.
     start: usize,
     end: usize,
 }
 
-/// The method's memory for the island at hand.
+/// The method's memory for the current island.
 pub(super) struct Momentum<R: Real> {
     moves: Moves<R>,
     /// pₐᵀ(A + C)p_b of the moves at the last step, b ≤ a.
     gram: [[R; DEPTH]; DEPTH],
-    /// ∇f·pₐ where λ is now.
+    /// ∇f·pₐ at the current λ.
     slopes: [R; DEPTH],
     /// Rounding errors of u in each move.
     errors: [R; DEPTH],
-    /// Before the sweep; while a step is made, the proposed impulses.
+    /// Impulses before the sweep; during a step, the proposed impulses.
     before: Point<R>,
     /// After the sweep.
     after: Point<R>,
@@ -81,9 +79,9 @@ pub(super) struct Momentum<R: Real> {
     rows: Vec<usize>,
     dofs: Vec<usize>,
     d: Vec<R>,
-    /// By dof: already in `dofs`.
+    /// Per dof: whether it is in `dofs`.
     seen: Vec<bool>,
-    /// Blocks and their ranks, and the same by hash.
+    /// Blocks with their ranks, and the same by hash.
     ranked: Vec<(u32, usize)>,
     hashed: Vec<(u64, usize)>,
     buckets: Vec<Bucket>,
@@ -100,10 +98,10 @@ impl<R> Point<R> {
     }
 }
 
-/// What a step is.
+/// A step along the moves.
 struct Step<R: Real> {
     tau: [R; DEPTH],
-    /// Lanes in which u goes along the moves; in others every row is kicked.
+    /// Lanes in which u follows the moves; in others every row is kicked.
     linear: R::Mask,
 }
 
@@ -134,7 +132,7 @@ fn nonzero<R: Real>(x: R) -> R::Mask {
     x.lt(R::zero()).or(x.gt(R::zero()))
 }
 
-/// Puts the newest first; the oldest is forgotten.
+/// Insert the newest value at the front and drop the oldest.
 #[inline(always)]
 fn remember<R: Real>(p: &mut [R; DEPTH], newest: R) {
     *p = [newest, p[0], p[1], p[2]];
@@ -160,7 +158,7 @@ impl<R: Real> Momentum<R> {
         }
     }
 
-    /// Starts on an island.
+    /// Start an island.
     pub fn begin(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, blocks: &[usize]) {
         self.rows.clear();
         self.dofs.clear();
@@ -177,7 +175,7 @@ impl<R: Real> Momentum<R> {
                 }
             }
         }
-        // A sum's order must not depend on the blocks that other lanes have.
+        // A sum's order must not depend on the blocks of other lanes.
         self.dofs.sort_unstable();
         self.d.clear();
         for k in &self.dofs {
@@ -201,7 +199,7 @@ impl<R: Real> Momentum<R> {
         self.after.u.resize(dofs_len, R::zero());
     }
 
-    /// Deals blocks, given with their ranks, into buckets, unless they are those at hand.
+    /// Distribute blocks, given with their ranks, over buckets, unless they are unchanged.
     fn deal(&mut self, ranked: impl Iterator<Item = (u32, usize)> + Clone) {
         if ranked.clone().eq(self.ranked.iter().copied()) {
             return;
@@ -222,7 +220,7 @@ impl<R: Real> Momentum<R> {
         }
     }
 
-    /// The order of a sweep: the buckets in a new order, each forwards or backwards.
+    /// Return the order of a sweep: the buckets in a new order, each forwards or backwards.
     pub fn order(&mut self, sweep: u32) -> &[usize] {
         for bucket in &mut self.buckets {
             bucket.key = hash(bucket.hash << 32 | u64::from(sweep));
@@ -240,8 +238,8 @@ impl<R: Real> Momentum<R> {
         &self.visit
     }
 
-    /// After a sweep that made f fall by −`gain`: the best step along the remembered
-    /// moves, in lanes of `todo`.
+    /// After a sweep that made f fall by −`gain`, take the best step along the stored moves, in
+    /// lanes of `todo`.
     pub fn step(
         &mut self,
         dof_lists: &[usize],
@@ -263,8 +261,8 @@ impl<R: Real> Momentum<R> {
         self.errors[0] += R::select(keep, errors, zero);
     }
 
-    /// Remembers the sweep's own move: products, slopes and errors of all moves where λ
-    /// is now. The energy of a move that is only rounding.
+    /// Add the sweep's move: products, slopes and errors of all moves at the current λ. Return the
+    /// energy of a move that is only rounding.
     fn measure(&mut self, rows: &Rows<R>, blocks: &[usize], gain: R) -> R {
         let (mut newest, mut second) = (Products::new(), Products::new());
         let (zero, mut energy) = (R::zero(), R::zero());
@@ -296,7 +294,7 @@ impl<R: Real> Momentum<R> {
             }
         }
         let (newest, second, last) = (newest.0, second.0, &self.gram);
-        // The older moves' products are those of the last step, one move on.
+        // The older moves' products come from the last step, shifted by one move.
         self.gram = [
             [newest[0], zero, zero, zero],
             [newest[1], second[1], zero, zero],
@@ -311,8 +309,8 @@ impl<R: Real> Momentum<R> {
         R::of((NOISE * R::epsilon()).powi(2)) * energy
     }
 
-    /// The τ that minimise f, by LDLᵀ; a move that depends on newer ones gets 0, and so
-    /// does one of which rounding is all that is left.
+    /// Return the τ that minimise f, by LDLᵀ; a move that depends on newer ones, or of which only
+    /// rounding remains, gets 0.
     fn best(&self, noise: R) -> Step<R> {
         let zero = R::zero();
         let (mut h, mut rhs) = (self.gram, self.slopes.map(|slope| -slope));
@@ -337,15 +335,15 @@ impl<R: Real> Momentum<R> {
             for b in a + 1..DEPTH {
                 x -= h[a][b] * tau[b];
             }
-            // Products below all normal numbers have an inverse that is none.
+            // The inverse of a subnormal product is not finite.
             tau[a] = R::select(inv[a].gt(zero).and(x.is_finite()), x, zero);
         }
         let linear = along(&tau.map(R::abs), &self.errors).le(R::of(ERRORS));
         Step { tau, linear }
     }
 
-    /// Sets `before.impulse` to the projection of λ + Σ τ p, and u to its effect; the
-    /// change of f.
+    /// Set `before.impulse` to the projection of λ + Σ τ p, and u to its effect; return the change
+    /// of f.
     fn propose(
         &mut self,
         dof_lists: &[usize],
@@ -358,10 +356,10 @@ impl<R: Real> Momentum<R> {
         let (Rows { rows, blocks: all, y, u, .. }, tau) = (rows, &step.tau);
         for ((k, old), p) in self.dofs.iter().zip(&self.after.u).zip(&self.moves.u) {
             let way = along(tau, p);
-            // A lane without rows on this dof keeps it, even the sign of its zero.
+            // A lane without rows on this dof keeps its value, even the sign of a zero.
             u[*k] = R::select(step.linear.and(nonzero(way)), *old + way, *old);
         }
-        // Along the moves f falls by half its slope, as every quadratic.
+        // Along the moves f, a quadratic, falls by half its slope.
         let fall = R::of(0.5) * along(tau, &self.slopes);
         let change = R::select(step.linear, fall, R::zero());
         let mask = todo;
@@ -394,8 +392,8 @@ impl<R: Real> Momentum<R> {
         landing.change
     }
 
-    /// Lanes of `keep` move to the proposal, others back to after the sweep. The whole
-    /// move, sweep and step, is what the next sweeps remember. eᵀ(A + C)e of the step e.
+    /// Move lanes of `keep` to the proposal, others back to the end of the sweep. Store the whole
+    /// move, sweep and step, for the next sweeps. Return eᵀ(A + C)e of the step e.
     fn commit(&mut self, rows: &mut Rows<R>, blocks: &[usize], keep: R::Mask) -> R {
         let (mut products, mut own) = (Products::new(), R::zero());
         let mut start = 0;
@@ -434,7 +432,7 @@ impl<R: Real> Momentum<R> {
     }
 }
 
-/// Where rows end.
+/// The final impulses of rows.
 struct Landing<'a, R: Real> {
     dof_lists: &'a [usize],
     inv_d: &'a [R],
@@ -442,13 +440,13 @@ struct Landing<'a, R: Real> {
     u: &'a mut [R],
     linear: R::Mask,
     mask: R::Mask,
-    /// Of f so far.
+    /// Accumulated change of f.
     change: R,
 }
 
 impl<R: Real> Landing<'_, R> {
-    /// An impulse goes from `old` to `new`; u holds the effect of going to `free` where
-    /// the step is linear, and gets that of the rest. The impulse, `old` in lanes
+    /// Move an impulse from `old` to `new`; u contains the effect of moving to `free` where the
+    /// step is linear, and the remaining effect is added. Return the impulse, `old` in lanes
     /// without the row.
     #[inline(always)]
     fn at(&mut self, row: &Row<R>, old: R, free: R, new: R) -> R {
@@ -470,7 +468,7 @@ impl<R: Real> Landing<'_, R> {
     }
 }
 
-/// SplitMix64's mixing of one number.
+/// The SplitMix64 mixing function.
 fn hash(x: u64) -> u64 {
     let z = x.wrapping_add(0x9E37_79B9_7F4A_7C15);
     let z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

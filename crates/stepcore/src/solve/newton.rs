@@ -1,15 +1,14 @@
 //! Newton's method on the primal problem, island by island, in factored coordinates.
 //!
 //! Minimises ½ (u − û)ᵀD(u − û) + Σ s(y·u − t): each block's law as a penalty s
-//! (`newton/penalty.rs`), possible because every row has a regulariser c > 0. The
-//! gradient is D(u − û) − Σ yλ; the Hessian D + Σ y s″ yᵀ is factored sparsely; the
-//! line search is exact. Where no row changes its zone in a full step the problem
-//! was quadratic along it, and the step was the last. It starts from the last acceleration, where
-//! that costs less than none, and the first step goes by the zones of the step before
-//! (`newton/last_zones.rs`).
+//! (`newton/penalty.rs`), possible because every row has a regulariser c > 0. The gradient is
+//! D(u − û) − Σ yλ; the Hessian D + Σ y s″ yᵀ is factored sparsely; the line search is exact. If no
+//! row changes its zone in a full step, the cost was quadratic along it, and the step was the last.
+//! The method starts from the last acceleration if that costs less than û, and the first step uses
+//! the zones of the step before (`newton/last_zones.rs`).
 
-/// `$of` of so many registers a row as `$stride` has, a number known to the compiler; `$other` of
-/// more, and where a row has no whole number of them.
+/// Call `$of` with the number of registers per row that `$stride` has, as a compile-time constant;
+/// call `$other` if there are more, or if a row is not a whole number of registers.
 macro_rules! by_registers {
     ($stride:expr, $of:ident $arguments:tt, $other:expr) => {
         match $stride {
@@ -57,22 +56,22 @@ use pattern::Pattern;
 use std::sync::Mutex;
 use worker::{share, Task, Worker};
 
-/// The method's memory; one a world or pack of lanes.
+/// The method's memory; one per world or pack of lanes.
 pub struct Newton<R: Real> {
     islands: Islands,
-    /// By island.
+    /// Per island.
     patterns: Vec<Mutex<Pattern>>,
-    /// Of the caller's thread, and of each where they share the islands.
+    /// The worker of the caller's thread, and one per thread when threads share the islands.
     own: Worker<R>,
     workers: Vec<Mutex<Worker<R>>>,
-    /// Islands that threads are to share.
+    /// Islands to be shared by threads.
     queue: Vec<usize>,
     active_set: ActiveSet<R>,
-    /// Of heaps in lanes, and of few lanes.
+    /// For piles in lanes, and for few lanes.
     by_lane: Option<Box<ByLane<R>>>,
 }
 
-/// What the primal method solves of an island, in which lanes, and how long.
+/// The primal method's part of an island: its blocks, lanes and limits.
 #[derive(Clone, Copy)]
 struct Primal<'a, R: Real> {
     free: Unconstrained<'a, R>,
@@ -101,11 +100,11 @@ impl<R: Real> Newton<R> {
         }
     }
 
-    /// Solves `rows`, starting at `rows.start`, or else `rows.u`, where that is better than û (`guess`);
-    /// afterwards `rows.u` holds û and the effect of the impulses.
+    /// Solve `rows`, starting at `rows.start`, or else `rows.u`, if that is better than û
+    /// (`guess`); afterwards `rows.u` holds û plus the effect of the impulses.
     ///
-    /// Ends at rounding, or with a tolerance once the residual is certainly within
-    /// it, or after `limits.sweeps` iterations. Changes nothing when it refuses.
+    /// Stop at rounding, or with a tolerance once the residual is certainly within it, or after
+    /// `limits.sweeps` iterations. On an error nothing is changed.
     pub fn solve(
         &mut self,
         free: Unconstrained<R>,
@@ -175,7 +174,7 @@ impl<R: Real> Newton<R> {
 }
 
 impl<R: Real> Newton<R> {
-    /// Solves rows that all belong to one island, by the primal method.
+    /// Solve rows that all belong to one island, by the primal method.
     fn primal(
         &mut self,
         Primal { free, limits, todo }: Primal<R>,
@@ -195,7 +194,7 @@ impl<R: Real> Newton<R> {
     }
 }
 
-/// Every block has a penalty: it is convex, and what can move it has a regulariser.
+/// Check that every block has a penalty: it is convex, and has a regulariser if it can move.
 fn check<R: Real>(rows: &Rows<R>) -> Result<()> {
     for block in &rows.blocks {
         if matches!(block.set, Set::CoulombRound | Set::CoulombBox) {

@@ -22,10 +22,10 @@ use crate::real::{Count, Mask, Real};
 pub(crate) use noslip::Noslip;
 use sweep::Sweeps;
 
-/// What rounding leaves of a residual: this many units in the last place of its terms.
+/// The rounding error of a residual, in units in the last place of its terms.
 const UNITS: f64 = 32.0;
 
-/// The method's memory; one a world or pack of lanes.
+/// The method's memory; one per world or pack of lanes.
 pub struct Pgs<R: Real> {
     islands: Islands,
     sweeps: Sweeps<R>,
@@ -52,28 +52,28 @@ impl<R: Real> Pgs<R> {
         }
     }
 
-    /// The blocks of an island of the rows that were solved last.
+    /// Return the blocks of an island of the last solved rows.
     pub(super) fn blocks_of(&self, island: usize) -> &[usize] {
         self.islands.of(island)
     }
 
-    /// √(A/m) of these rows.
+    /// Return √(A/m) of these rows.
     pub(super) fn weight(&self) -> &[R] {
         &self.sweeps.weight
     }
 
-    /// The last island's contacts stood side by side.
+    /// Return whether the last island's contacts were side by side.
     #[cfg(test)]
     pub(super) fn side_by_side(&self) -> bool {
         self.sweeps.joined
     }
 
-    /// Sweeps over `rows` from the impulses they hold; `rows.u` must hold û and
-    /// the effect of these impulses, and does so again afterwards.
+    /// Sweep over `rows` from their impulses; `rows.u` must hold û and the effect of these
+    /// impulses, and does so again afterwards.
     ///
-    /// With a tolerance an island stops, lane by lane, after the first sweep whose
-    /// residual is within it. The residual costs as much as a sweep, so it is
-    /// computed only where the largest change of the sweep is within it already.
+    /// With a tolerance an island stops, lane by lane, after the first sweep whose residual is
+    /// within it. The residual costs as much as a sweep, so it is computed only if the largest
+    /// change of the sweep is already within the tolerance.
     pub fn solve(
         &mut self,
         free: Unconstrained<R>,
@@ -88,7 +88,7 @@ impl<R: Real> Pgs<R> {
         for island in 0..islands.count() {
             let blocks = islands.of(island);
             let mut todo = alive(rows, blocks);
-            // One update is all that is asked, or all that it takes.
+            // Cases in which one update is requested, or suffices.
             if limits.exact || limits.sweeps == 1 {
                 let single = rows.solve_one_row(free, blocks, limits.solves_one, &mut report);
                 report.open = report.open.or(todo.and(single).and(R::Mask::of(!limits.exact)));
@@ -102,9 +102,10 @@ impl<R: Real> Pgs<R> {
             }
             let convex = |b: &usize| matches!(rows.blocks[*b].set, Set::Interval | Set::Convex);
             let accelerated = limits.momentum && blocks.iter().all(convex);
-            // Lanes have no sides, and must do as each world alone: heaps found pair by pair have none.
+            // Lanes are not joined, and must match single worlds: piles with found pairs are not
+            // either.
             sweeps.join(inv_d, rows, blocks, !accelerated || rows.contact_islands.is_some());
-            // A sweep that lowers f by less is the last.
+            // The first sweep that lowers f by less is the last.
             let inertia = rows.inertia.get(island).filter(|_| limits.cost > 0.0);
             let floor = inertia.map(|inertia| R::of(limits.cost) * *inertia);
             let measured = accelerated || floor.is_some();
@@ -149,7 +150,7 @@ impl<R: Real> Pgs<R> {
                     todo = todo.and(close.and(residual.le(tolerance)).not());
                 }
                 meter.count(work);
-                // Whatever sweep is the last one ends within the sets.
+                // The last sweep, whichever it is, ends within the sets.
                 if todo.any() && sweep + 1 < limits.sweeps {
                     sweeps.go_on();
                 }
@@ -167,7 +168,7 @@ impl<R: Real> Pgs<R> {
     }
 }
 
-/// The tolerance, but no less than rounding lets any row reach.
+/// Return the tolerance, raised to the rounding error of any row.
 pub(super) fn reachable<R: Real>(
     dof_lists: &[usize],
     rows: &Rows<R>,

@@ -1,21 +1,21 @@
 //! Islands that the sweeps of `auto` leave unsolved: a proximal method on their impulses.
 //!
-//! Of what a light body under one a million times as heavy lacks, a sweep gives a millionth. Each
-//! round here solves a problem of which Newton's method (`newton.rs`) is sure, with what it took
-//! to make it so taken back by the next:
+//! If a light body is under one a million times heavier, each sweep corrects only a millionth of
+//! its missing impulse. Each round here solves a problem that Newton's method (`newton.rs`) is
+//! certain to solve; the next round removes the terms that make it so:
 //!
 //! ```text
 //! w = J v + cλ + r(λ − λₖ) + (μ|w_t|ₖ, 0, 0) − t,      λ ∈ K,  w ∈ K*,  λ·w = 0
 //! ```
 //!
-//! - r, a share of A, stands for the regulariser that rows of `rigid` have not. λₖ are the
-//!   impulses of the round before, so at a solution r does nothing (Rockafellar 1976). Impulses
-//!   that do nothing, as of four contacts where three would do, stay as the sweeps left them.
-//! - μ|w_t|ₖ is the sliding of the round before. It makes a Coulomb cone one that is convex, with
-//!   the same solution (De Saxcé & Feng 1998).
+//! - r, a share of A, replaces the regulariser that rows of `rigid` lack. λₖ are the impulses of
+//!   the round before, so r has no effect at a solution (Rockafellar 1976). Redundant impulses,
+//!   such as with four contacts where three suffice, stay as the sweeps left them.
+//! - μ|w_t|ₖ is the sliding of the round before. It makes a Coulomb cone convex, with the same
+//!   solution (De Saxcé & Feng 1998).
 //! - The box |λ_i| ≤ μ λ_n is the cone of its corners: rows J_n ± μ J_1 ± μ J_2 of impulses ≥ 0.
 //!
-//! What is kept is the round of the least residual, if that is less than what the sweeps left.
+//! The round with the least residual is kept, if that is less than the residual of the sweeps.
 
 use super::cone::across;
 use super::islands::row_count;
@@ -27,26 +27,26 @@ use super::solver::Unconstrained;
 use crate::model::Span;
 use crate::real::{Mask, Real};
 
-/// r beside A: 2⁻²³, and 2⁻¹¹ in f32. A smaller one converges in fewer rounds, of which each loses
-/// more digits: of r = 1e-5, 1e-7 and 1e-8 the second solved most stacks of 1 g under 1 t.
+/// r relative to A: 2⁻²³, and 2⁻¹¹ in f32. A smaller one converges in fewer rounds, each of which
+/// loses more digits: among r = 1e-5, 1e-7 and 1e-8 the second solved most stacks of 1 g under 1 t.
 const SHARE: f64 = 1.0 / (1u64 << 23) as f64;
 const SHARE_F32: f64 = 1.0 / (1u64 << 11) as f64;
-/// The most rounds, and how many of them may bring nothing.
+/// The most rounds, and the most that may bring no progress.
 const ROUNDS: usize = 64;
 const IDLE: f64 = 12.0;
-/// Newton's iterations of a round; most take less than ten.
+/// Newton's iterations per round; most rounds take less than ten.
 const ITERATIONS: u32 = 50;
-/// Islands of more rows are left as they are: their rounds would take as long as a hundred times the
-/// sweeps did.
+/// Larger islands are left as they are: their rounds would take a hundred times as long as the
+/// sweeps.
 const MOST: u64 = 512;
 
 /// The method's memory.
 pub(super) struct Proximal<R: Real> {
     /// The convex problem.
     convex: Rows<R>,
-    /// By its block: the block that it stands for.
+    /// Per block of the convex problem: the original block.
     of: Vec<usize>,
-    /// By row of the island: what the best round gave.
+    /// Per row of the island: the impulses of the best round.
     best: Vec<R>,
 }
 
@@ -57,7 +57,7 @@ impl<R: Real> Proximal<R> {
         Self { convex: Rows::bare(0), of: Vec::new(), best: Vec::new() }
     }
 
-    /// Solves the blocks of one island in the lanes `mine`; returns those that it left unsolved.
+    /// Solve the blocks of one island in the lanes `mine`; return the unsolved lanes.
     pub fn solve(
         &mut self,
         (newton, limits): (&mut Newton<R>, Limits),
@@ -100,7 +100,7 @@ impl<R: Real> Proximal<R> {
         large.or(mine.and(small).and(least.le(enough).not()))
     }
 
-    /// The convex problem's rows: their y, and impulses to begin with.
+    /// Build the convex problem's rows: their y, and the initial impulses.
     fn take(&mut self, free: Unconstrained<R>, rows: &Rows<R>, blocks: &[usize], mine: R::Mask) {
         let convex = &mut self.convex;
         convex.clear();
@@ -134,7 +134,7 @@ impl<R: Real> Proximal<R> {
         }
     }
 
-    /// Targets and regularisers of a round.
+    /// Set targets and regularisers of a round.
     fn pose(&mut self, free: Unconstrained<R>, rows: &Rows<R>, todo: R::Mask) {
         let share = R::of(if R::epsilon() < 1e-10 { SHARE } else { SHARE_F32 });
         let Self { convex, of, .. } = self;
@@ -166,7 +166,7 @@ impl<R: Real> Proximal<R> {
                 Set::Convex | Set::Interval => R::zero(),
             };
             if source.set == Set::CoulombBox {
-                // Corners that press alike have Σ cf = c of the normal.
+                // Corners with equal impulses have Σ cf = c of the normal.
                 let c = share * a + R::of(posed.len() as f64) * c;
                 for (corner, row) in posed.iter_mut().enumerate() {
                     let along = |x: &dyn Fn(usize) -> R| {
@@ -191,7 +191,7 @@ impl<R: Real> Proximal<R> {
         }
     }
 
-    /// A round's impulses, to the rows that they stand for.
+    /// Convert a round's impulses to the original rows.
     fn give(&self, rows: &mut Rows<R>, todo: R::Mask) {
         let Self { convex, of, .. } = self;
         for (block, at) in convex.blocks.iter().zip(of) {
@@ -211,7 +211,7 @@ impl<R: Real> Proximal<R> {
         }
     }
 
-    /// Remembers the impulses at hand as the best, in some lanes.
+    /// Store the current impulses as the best, in some lanes.
     fn keep(&mut self, rows: &Rows<R>, blocks: &[usize], better: R::Mask) {
         let all = blocks.iter().flat_map(|at| rows.blocks[*at].rows.range());
         let count = all.clone().count();
@@ -241,8 +241,8 @@ fn sum<R: Real>(w: &[R]) -> R {
     w.iter().fold(R::zero(), |sum, w| sum + w.abs())
 }
 
-/// The corners of a box, each with its share of the impulses: that of a way within ±1 of its bound, as
-/// between two weights.
+/// Return the corners of a box, each with its share of the impulses: a way within ±1 of its bound
+/// is divided between two weights.
 fn corners<R: Real>(
     free: Unconstrained<R>,
     convex: &mut Rows<R>,
@@ -271,7 +271,7 @@ fn corners<R: Real>(
     }
 }
 
-/// Makes u what it is by the impulses of an island in some lanes, from û.
+/// Set u to û plus the effect of an island's impulses in some lanes.
 fn follow<R: Real>(free: Unconstrained<R>, rows: &mut Rows<R>, blocks: &[usize], mine: R::Mask) {
     let Unconstrained { dof_lists, inv_d, guess } = free;
     let Rows { rows, blocks: all, y, u, .. } = rows;

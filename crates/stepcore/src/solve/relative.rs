@@ -1,8 +1,8 @@
-//! Rows of how two bodies move against each other, several directions at a time.
+//! Rows of the relative motion of two bodies, several directions at a time.
 //!
 //! A contact's normal and tangents share bodies, points and dofs: each dof's motion, each entry of
-//! the factors and each place in a list is read once for all of them. The numbers are those of one
-//! row after another (`Rows::push_scratch`), bit for bit.
+//! the factors and each place in a list is read once for all of them. The numbers equal the results
+//! of one row after another (`Rows::push_scratch`), bit for bit.
 
 use super::rows::Rows;
 use super::situation::Situation;
@@ -24,7 +24,7 @@ struct Side<'a, R: Real, const N: usize> {
 }
 
 impl<'a, R: Real, const N: usize> Side<'a, R, N> {
-    /// None: nothing moves the body.
+    /// None if nothing moves the body.
     pub fn of(now: &Situation<'a, R>, body: usize, at: &V3<R>, along: [V3<R>; N]) -> Option<Self> {
         let body = &now.model.bodies[body];
         if body.tree == NONE {
@@ -37,7 +37,7 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
         Some(Self { chain, ang: numbers(&torques), lin: numbers(&along) })
     }
 
-    /// The same where rows count how the body turns about some axes.
+    /// The same for the body's rotation about some axes.
     fn turning(now: &Situation<'a, R>, body: usize, about: [V3<R>; N]) -> Option<Self> {
         let body = &now.model.bodies[body];
         if body.tree == NONE {
@@ -48,7 +48,7 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
         Some(Self { chain, ang, lin: [[R::zero(); N]; 3] })
     }
 
-    /// J of one dof in each direction.
+    /// Return J of one dof in each direction.
     #[inline(always)]
     fn of_dof(&self, now: &Situation<R>, k: usize) -> [R; N] {
         let Motion { ang, lin } = &now.placed.motion[k];
@@ -61,8 +61,8 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
         j
     }
 
-    /// The same of all dofs of a free joint, which moves along the world's axes and turns about the
-    /// body's. What is left out is products with 0, which are added to numbers that are no −0.
+    /// The same for all dofs of a free joint, which moves along the world's axes and turns about
+    /// the body's. The omitted terms are products with 0, added to numbers that are never −0.
     #[inline(always)]
     fn of_free_joint(&self, now: &Situation<R>, first: usize) -> [[R; N]; SIX] {
         let mut x = [[R::zero(); N]; SIX];
@@ -77,12 +77,12 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
         x
     }
 
-    /// The dofs that move the body begin with this one.
+    /// Return whether the dofs that move the body start with this one.
     pub fn begins(&self, first: usize) -> bool {
         self.chain.first() == Some(&first)
     }
 
-    /// The same of six dofs one after another.
+    /// The same for six consecutive dofs.
     #[inline(always)]
     pub fn of_six(&self, now: &Situation<R>, first: usize) -> [[R; N]; SIX] {
         let joint = now.model.dofs[first].joint;
@@ -94,9 +94,9 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
 }
 
 impl<R: Real> Rows<R> {
-    /// Pushes the rows of the relative velocity of two body points, each at its `at` (body 2 minus
-    /// body 1), along up to three directions; where there is no `at`, of the angular velocity about
-    /// them. `dofs`: the union of the bodies' chains.
+    /// Push the rows of the relative velocity of two body points, each at its `at` (body 2 minus
+    /// body 1), along up to three directions; without `at`, of the angular velocity about them.
+    /// `dofs`: the union of the bodies' chains.
     pub(crate) fn push_relative(
         &mut self,
         now: &Situation<R>,
@@ -108,7 +108,7 @@ impl<R: Real> Rows<R> {
         match *along {
             [a] => self.push_some(now, own, at, ([a], 1)),
             [a, b] => self.push_some(now, own, at, ([a, b], 2)),
-            // Four numbers fill a register; lanes have registers of their own.
+            // Four numbers fill a register; lanes fill registers already.
             [a, b, c] if R::FILLS => self.push_some(now, own, at, ([a, b, c, V3::zeros()], 3)),
             [a, b, c] => self.push_some(now, own, at, ([a, b, c], 3)),
             _ => {}
@@ -142,7 +142,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// y of the first `count` directions from `start` on; A and J v of each.
+    /// Compute y of the first `count` directions from `start` on; return A and J v of each.
     fn lift_any<const N: usize>(
         &mut self,
         now: &Situation<R>,
@@ -164,8 +164,8 @@ impl<R: Real> Rows<R> {
         sums
     }
 
-    /// Sets the first of `scratch`, N numbers for each dof of the list, to y of all directions.
-    /// `together`: both points are the same, which no dof that moves both bodies parts.
+    /// Set the first of `scratch`, N numbers for each dof of the list, to y of all directions.
+    /// `together`: both points coincide, so that a dof that moves both bodies does not separate them.
     #[inline(always)]
     fn lift_sides<const N: usize>(
         &mut self,
@@ -176,7 +176,7 @@ impl<R: Real> Rows<R> {
     ) {
         let metric = &now.placed.metric;
         let chains = sides.each_ref().map(|side| side.as_ref().map_or(&[][..], |side| side.chain));
-        // The functions of other numbers would be large.
+        // These functions would be large for other numbers.
         let branches = if R::FILLS { Branches::of(list, chains) } else { None };
         match branches
             .filter(|_| chains.iter().all(|chain| chain.is_empty() || metric.is_path(chain)))
@@ -186,8 +186,8 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// The same of bodies whose dofs stand one chain after the other: number by number in the list's
-    /// order, without the dofs that both have where they move nothing.
+    /// The same for bodies whose dofs are one chain after the other: number by number in the list's
+    /// order, without the shared dofs if they move nothing.
     #[inline(always)]
     fn lift_branches<const N: usize>(
         &mut self,
@@ -217,7 +217,7 @@ impl<R: Real> Rows<R> {
         metric.lift_path::<N>(shared, both);
     }
 
-    /// The same of any list.
+    /// The same for any list.
     #[inline(always)]
     fn lift_listed<const N: usize>(
         &mut self,
@@ -244,8 +244,8 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Makes the y of the four edges J_n ± μ J_t of a contact: where they begin, A and J v of its
-    /// normal and two tangents, and A of the edges.
+    /// Compute the y of the four edges J_n ± μ J_t of a contact; return their start, A and J v of
+    /// the normal and two tangents, and A of the edges.
     pub(super) fn lift_pyramid(
         &mut self,
         now: &Situation<R>,
@@ -278,8 +278,8 @@ impl<R: Real> Rows<R> {
         (start, ways, edges)
     }
 
-    /// Writes edges from `start` on, of the normal and two tangents whose y stand side by side in
-    /// `scratch`; what these sum up to, and A of the edges.
+    /// Write edges from `start` on, from the normal and two tangents whose y are side by side in
+    /// `scratch`; return the sums of these, and A of the edges.
     #[inline(always)]
     fn edges_of_ways(
         &mut self,
@@ -306,7 +306,7 @@ impl<R: Real> Rows<R> {
         (ways, edges.a)
     }
 
-    /// The same of free bodies.
+    /// The same for free bodies.
     fn lift_free<const N: usize>(
         &mut self,
         now: &Situation<R>,
@@ -331,8 +331,8 @@ impl<R: Real> Rows<R> {
         sums
     }
 
-    /// Takes the rows from `first` on, which share their dofs and stand last, back; the edges that
-    /// are pushed next are made of their y.
+    /// Remove the rows from `first` on, which share their dofs and are last; the edges pushed next
+    /// are made of their y.
     pub(crate) fn take_ways(&mut self, first: usize) {
         let start = self.rows[first].y;
         self.ways.clear();
@@ -341,8 +341,8 @@ impl<R: Real> Rows<R> {
         self.rows.truncate(first);
     }
 
-    /// Pushes two rows whose y are y(0) ± k · y(way) of the rows that were taken back, whose J v
-    /// are `one` and `two`: edges of a pyramid.
+    /// Push two rows whose y are y(0) ± k · y(way) of the removed rows, whose J v are `one` and
+    /// `two`: edges of a pyramid.
     pub(crate) fn push_edges(
         &mut self,
         now: &Situation<R>,
@@ -369,7 +369,7 @@ impl<R: Real> Rows<R> {
         self.push_row(dofs, start + len, b, one - k * two);
     }
 
-    /// Pushes the first of the rows that were taken back again.
+    /// Push the first of the removed rows again.
     pub(crate) fn push_normal(&mut self, dofs: Span, a: R, velocity: R) {
         let start = self.y.len();
         self.y.extend_from_slice(&self.ways[..dofs.len]);
@@ -377,16 +377,16 @@ impl<R: Real> Rows<R> {
     }
 }
 
-/// The dofs of two chains, as a list has them that is no more than both.
+/// The dofs of two chains, from a list that contains no others.
 struct Branches<'a> {
-    /// Those with which both begin.
+    /// Dofs at the start of both chains.
     shared: &'a [usize],
-    /// What each has beyond, in the list's order, and which of the two it is.
+    /// The remaining dofs of each chain, in the list's order, and which of the two it is.
     ends: [(usize, &'a [usize]); 2],
 }
 
 impl<'a> Branches<'a> {
-    /// None where the list has other dofs too, or one chain's among the other's.
+    /// None if the list has other dofs too, or if the chains interleave.
     #[inline(always)]
     fn of(list: &'a [usize], [one, two]: [&'a [usize]; 2]) -> Option<Self> {
         let count = one.iter().zip(two).take_while(|(one, two)| one == two).count();
@@ -412,7 +412,7 @@ impl<R: Real, const N: usize> Sums<R, N> {
         Self { a: [R::zero(); N], velocity: [R::zero(); N] }
     }
 
-    /// Adds what a dof has of them.
+    /// Add a dof's part of the sums.
     #[inline(always)]
     fn add(&mut self, y: &[R; N], inv_d: R, u: R) {
         for i in 0..N {
@@ -422,7 +422,7 @@ impl<R: Real, const N: usize> Sums<R, N> {
     }
 }
 
-/// The list is that of one or two free bodies, whose inertias nothing ties together.
+/// Return whether the list is of one or two free bodies, whose inertias are independent.
 fn all_free<R: Real, const N: usize>(
     model: &Model<R::Value>,
     list: &[usize],
@@ -433,14 +433,14 @@ fn all_free<R: Real, const N: usize>(
     apart && bodies().all(|side| is_free(model, side.chain))
 }
 
-/// The dofs are those of one free body.
+/// Return whether one free body has these dofs.
 pub(super) fn is_free<N: Constant>(model: &Model<N>, chain: &[usize]) -> bool {
     let [first, .., last] = chain else { return false };
     chain.len() == SIX && *last == first + SIX - 1 && model.dofs[*first].row.len == 1
 }
 
 impl<R: Real> Metric<R> {
-    /// x ← L⁻ᵀ x of N vectors side by side, on an ancestor-closed, ascending list of dofs.
+    /// x ← L⁻ᵀ x for N vectors side by side, on an ancestor-closed, ascending list of dofs.
     #[inline(always)]
     fn lift_each<const N: usize>(&self, dofs: &[usize], x: &mut [R]) {
         for &k in dofs.iter().rev() {
@@ -479,7 +479,7 @@ mod tests {
     use crate::solve::tests::Random;
     use std::sync::Arc;
 
-    /// Two free bodies, whose mass is beside their origin.
+    /// Two free bodies whose centres of mass are off their origins.
     fn two_bodies() -> Sim<f64> {
         let mut scene = Scene::default();
         for k in 0..2 {
@@ -497,7 +497,7 @@ mod tests {
         sim
     }
 
-    /// Several vectors at once, over a list or over a free body's six dofs, are one after another.
+    /// Several vectors over a list, or over a free body's six dofs, are lifted as if one by one.
     #[test]
     fn vectors_are_lifted_as_one_is() {
         let sim = two_bodies();

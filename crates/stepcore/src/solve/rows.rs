@@ -1,9 +1,9 @@
 //! The system: rows, and the blocks in which they are solved.
 //!
-//! With w = J v⁺ + c λ − t, a block is (J, t, c, set): it asks that λ and w meet
-//! the set's law. A row keeps y = L⁻ᵀJᵀ instead of J (see `place/factor.rs`), so
-//! J v = y·u and an impulse changes u by D⁻¹ y λ. The solvers read this file's
-//! data and nothing else: they cannot know what a row came from.
+//! With w = J v⁺ + c λ − t, a block is (J, t, c, set): λ and w must meet the set's law. A row
+//! stores y = L⁻ᵀJᵀ instead of J (see `place/factor.rs`), so J v = y·u and an impulse changes u by
+//! D⁻¹ y λ. The solvers read this file's data and nothing else: they are independent of the rows'
+//! origin.
 
 use super::contact_islands::ContactIslands;
 use super::direct::Direct;
@@ -41,41 +41,41 @@ pub struct Row<R: Real> {
     pub lo: R,
     pub hi: R,
     pub impulse: R,
-    /// What the row gave beside `impulse`, which `t`, `c` and `Rows::u` belong to: under `midpoint`
-    /// and `rk4` in the stages of the step, and to the velocity at its end alone.
+    /// The impulse given in the stages of the step under `midpoint` and `rk4`. `impulse`, `t`, `c`
+    /// and `Rows::u` belong to the velocity at its end alone.
     pub beside: R,
     /// J v at the start of the step, for reports.
     pub velocity: R,
-    /// The distance that the row holds, its margin taken off [m or rad]; 0 of a row that
-    /// restores none.
+    /// The distance that the row keeps, minus its margin [m or rad]; 0 for a row that restores
+    /// none.
     pub gap: R,
 }
 
 impl<R: Real> Row<R> {
-    /// All that it gave in the step.
+    /// Return the total impulse of the step.
     pub fn total(&self) -> R {
         self.impulse + self.beside
     }
 
-    /// t − Jv − cλ.
+    /// Return t − Jv − cλ.
     #[inline(always)]
     pub(super) fn short(&self, dof_lists: &[usize], y: &[R], u: &[R]) -> R {
         let dofs = self.dofs.of(dof_lists);
         self.t - dot(dofs, &y[self.y..self.y + dofs.len()], u) - self.c * self.impulse
     }
 
-    /// λ + (t − Jv − cλ)/s within its bounds.
+    /// Return λ + (t − Jv − cλ)/s within its bounds.
     #[inline(always)]
     pub(super) fn updated(&self, short: R) -> R {
         (self.impulse + short * self.inv_s).clamp(self.lo, self.hi)
     }
 
-    /// The row of one lane; numbers without their slopes.
+    /// Return the row of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Row<S> {
         self.in_numbers(|x| S::of(x.lane(lane)))
     }
 
-    /// The same in other numbers.
+    /// Convert to other numbers.
     pub(crate) fn in_numbers<S: Real>(&self, of: impl Fn(&R) -> S) -> Row<S> {
         let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, beside, velocity, gap } = self;
         Row {
@@ -100,18 +100,18 @@ impl<R: Real> Row<R> {
 pub(crate) const CONE: usize = 6;
 /// In a plane: normal and tangent.
 pub(crate) const PLANAR: usize = 2;
-/// A cone of no more rows (normal and tangents) is solved by formulas of its own.
+/// A cone with at most this many rows (normal and tangents) has separate formulas.
 pub(crate) const NARROW: usize = 3;
 /// With torsion.
 pub(crate) const SPINNING: usize = 4;
 
-/// The law that ties a block's impulses to its residual velocities.
+/// The law between a block's impulses and its residual velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Set {
     /// Each row by itself: λ in [lo, hi].
     Interval,
-    /// Row 0 is the normal. λ ∈ K, w ∈ K*, λ·w = 0 with the round cone |λ_t| ≤ μ λ_n. Rows whose
-    /// coefficient is another come in a measure in which it is μ: see `elements/friction.rs`.
+    /// Row 0 is the normal. λ ∈ K, w ∈ K*, λ·w = 0 with the round cone |λ_t| ≤ μ λ_n. Rows with
+    /// another coefficient are scaled so that it is μ: see `elements/friction.rs`.
     Convex,
     /// Row 0 is the normal. λ ∈ K, w + (μ|w_t|, 0, 0) ∈ K*, complementary; round cone.
     CoulombRound,
@@ -130,22 +130,22 @@ pub struct Block<R: Real> {
     pub mu: R,
     /// Mass of the trees that the block touches, for its residual.
     pub mass: R,
-    /// What the block came from.
+    /// The element that the block came from.
     pub element: Element,
     pub role: Role,
-    /// Its number over time, for warm starts; ascending.
+    /// Its permanent number, for warm starts; ascending.
     pub slot: u64,
     /// The slots in which it may have been in the step before: see `feature`.
     pub kin: Range<u64>,
-    /// What touches, which is how a contact of many is known among its kin: see `Touch::feature`.
+    /// The touching features, which identify a contact among its kin: see `Touch::feature`.
     pub feature: R,
     pub island: usize,
-    /// The slot's place among those of its island: see `Model::ranks`.
+    /// The slot's place within its island: see `Model::ranks`.
     pub rank: u32,
 }
 
 impl<R: Real> Block<R> {
-    /// Entries of its curvature: of intervals one a row, of a cone a row each.
+    /// Return the entries of its curvature: one per row for intervals, n for a cone of n rows.
     pub(super) fn curves(&self) -> usize {
         if self.set == Set::Interval {
             self.rows.len
@@ -154,12 +154,12 @@ impl<R: Real> Block<R> {
         }
     }
 
-    /// The block of one lane; numbers without their slopes.
+    /// Return the block of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Block<S> {
         self.in_numbers(|mask| mask.lane(lane), |x| S::of(x.lane(lane)))
     }
 
-    /// The same in other numbers.
+    /// Convert to other numbers.
     pub(crate) fn in_numbers<S: Real>(
         &self,
         lanes: impl Fn(&R::Mask) -> S::Mask,
@@ -184,11 +184,11 @@ impl<R: Real> Block<R> {
     }
 }
 
-/// A contact's push without a row, which the guess has taken: see `elements/penalty.rs`.
+/// A contact's impulse without a row, already in the guess: see `elements/penalty.rs`.
 #[derive(Clone, Debug)]
 pub struct Push<R: Real> {
     pub element: Element,
-    /// As those of a row.
+    /// As in a row.
     pub dofs: Span,
     pub y: usize,
     /// [N·s]
@@ -198,11 +198,11 @@ pub struct Push<R: Real> {
 /// The slip of a contact in this step.
 #[derive(Clone, Debug)]
 pub(crate) struct Anchor<R: Real> {
-    /// Which block's.
+    /// The index of the block.
     pub block: usize,
     pub slide: V3<R>,
     pub turn: V3<R>,
-    /// By way, in the measure of its row.
+    /// Per way, in the scale of its row.
     pub along: [R; MOST_WAYS],
     /// dt K d: a row's t per slip.
     pub pull: R,
@@ -214,34 +214,34 @@ pub struct Rows<R: Real> {
     pub blocks: Vec<Block<R>>,
     pub pushes: Vec<Push<R>>,
     pub y: Vec<R>,
-    /// u = L v, by dof: the guess at first, then with every impulse so far.
+    /// u = L v, by dof: first the guess, then with the effect of every impulse up to now.
     pub u: Vec<R>,
-    /// The u that Newton's method tries first; empty: that with the impulses that the rows hold.
+    /// The u that Newton's method tries first; if empty, the u with the rows' impulses.
     pub(crate) start: Vec<R>,
-    /// What the main solve gave each row, where noslip has changed friction since; else empty.
+    /// Each row's impulse from the main solve, if noslip has changed friction since; else empty.
     pub(crate) main: Vec<R>,
-    /// Of contacts whose friction holds, by block.
+    /// Per block, for contacts whose friction sticks.
     pub(crate) anchors: Vec<Anchor<R>>,
-    /// The most of an overlap that `max_recovery_speed` kept from being undone in this step [m].
+    /// The largest overlap that `max_recovery_speed` left in this step [m].
     pub unrecovered: R,
     pub(crate) scratch: Vec<R>,
-    /// y of a contact's normal and ways of friction, of which its edges are made.
+    /// y of a contact's normal and ways of friction, from which its edges are made.
     pub(crate) ways: Vec<R>,
-    /// v̂, while rows are made.
+    /// v̂, while rows are built.
     pub(crate) guess: Vec<R>,
     pub(crate) direct: Direct<R>,
     pub(crate) saved_solve: SavedSolve<R>,
-    /// Some island may hold so many trees that the order of elimination matters.
+    /// Whether some island may hold so many trees that the order of elimination matters.
     pub(crate) heap: bool,
-    /// By tree: see `Model::islands`.
+    /// Per tree: see `Model::islands`.
     pub(super) islands: Vec<usize>,
-    /// By island: the trace of the mass matrix, where a tolerance is a share of it.
+    /// Per island: the trace of the mass matrix, if a tolerance is a share of it.
     pub(crate) inertia: Vec<R>,
-    /// By slot: see `Model::ranks`.
+    /// Per slot: see `Model::ranks`.
     ranks: Vec<u32>,
-    /// Islands of the rows at hand take the place of both.
+    /// Islands of the current rows, which replace both.
     pub(crate) contact_islands: Option<ContactIslands>,
-    /// Rows of parts of the contacts, where threads share the work.
+    /// Rows of parts of the contacts, if threads share the work.
     pub(crate) parts: Vec<Mutex<Rows<R>>>,
     pub(crate) pool: Option<Arc<Pool>>,
 }
@@ -250,11 +250,11 @@ room!(Rows<R>: rows, blocks, pushes, y, u, start, main, anchors, unrecovered, sc
     saved_solve, heap, islands, inertia, ranks, contact_islands, parts,
     pool);
 
-/// The guess, along a row.
+/// The guess along a row.
 pub(crate) struct Guessed<R: Real> {
-    /// φ + dt·J v̂ < 0: it goes where it may not.
+    /// φ + dt·J v̂ < 0: the guess violates the row.
     pub closing: R::Mask,
-    /// J v̂ less J v of the start.
+    /// J v̂ minus J v of the start.
     pub gained: R,
 }
 
@@ -287,7 +287,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Without a model, for rows made by hand.
+    /// Create rows without a model, for rows made by hand.
     pub(crate) fn bare(nv: usize) -> Self {
         let u = vec![R::zero(); nv];
         Self {
@@ -326,14 +326,14 @@ impl<R: Real> Rows<R> {
         self.unrecovered = R::zero();
     }
 
-    /// y·x over a row's dofs.
+    /// Return y·x over a row's dofs.
     #[inline(always)]
     pub fn dot(&self, dof_lists: &[usize], row: &Row<R>, x: &[R]) -> R {
         let dofs = row.dofs.of(dof_lists);
         dot(dofs, &self.y[row.y..row.y + dofs.len()], x)
     }
 
-    /// Takes J from `scratch` (set on `dofs`), lifts it to y, and measures it.
+    /// Take J from `scratch` (set on `dofs`), lift it to y, and compute A and J v.
     pub(crate) fn push_scratch(&mut self, now: &Situation<R>, dofs: Span) -> &mut Row<R> {
         let (list, metric) = (dofs.of(now.dof_lists), &now.placed.metric);
         let (start, path) = (self.y.len(), R::FILLS && metric.is_path(list));
@@ -347,7 +347,7 @@ impl<R: Real> Rows<R> {
         self.push_lifted(now, dofs, start)
     }
 
-    /// Sets `scratch` to y of forces of one on the last dofs of a path, `WIDE` at most, side by side.
+    /// Set `scratch` to y of unit forces on the last dofs of a path, `WIDE` at most, side by side.
     pub(crate) fn lift_last(&mut self, now: &Situation<R>, path: &[usize], count: usize) {
         let own = &mut self.scratch[..WIDE * path.len()];
         own.fill(R::zero());
@@ -357,14 +357,14 @@ impl<R: Real> Rows<R> {
         now.placed.metric.lift_path::<WIDE>(path, own);
     }
 
-    /// Pushes the row of one of them.
+    /// Push the row of one of them.
     pub(crate) fn push_last(&mut self, now: &Situation<R>, dofs: Span, which: usize) {
         let start = self.y.len();
         self.y.extend(self.scratch.chunks_exact(WIDE).map(|y| y[which]).take(dofs.len));
         self.push_lifted(now, dofs, start);
     }
 
-    /// Pushes the row whose y stands last, and measures it.
+    /// Push the row whose y is last, and compute A and J v.
     #[inline(always)]
     fn push_lifted(&mut self, now: &Situation<R>, dofs: Span, start: usize) -> &mut Row<R> {
         let (mut a, mut velocity) = (R::zero(), R::zero());
@@ -395,7 +395,7 @@ impl<R: Real> Rows<R> {
         &mut self.rows[at]
     }
 
-    /// Closes the rows from `first` on into one block.
+    /// Close the rows from `first` on into one block.
     pub(crate) fn push_block(
         &mut self,
         first: usize,
@@ -430,7 +430,7 @@ impl<R: Real> Rows<R> {
         &mut self.blocks[at]
     }
 
-    /// What the guess does along a row at distance φ.
+    /// Return the guess along a row at distance φ.
     pub(crate) fn guessed(&self, now: &Situation<R>, row: usize, phi: R) -> Guessed<R> {
         let row = &self.rows[row];
         let velocity = self.dot(now.dof_lists, row, &now.placed.guess);
@@ -438,7 +438,7 @@ impl<R: Real> Rows<R> {
         Guessed { closing, gained: velocity - row.velocity }
     }
 
-    /// Takes back the row pushed last.
+    /// Remove the row pushed last.
     pub(crate) fn pop_row(&mut self) {
         if let Some(row) = self.rows.pop() {
             self.y.truncate(row.y);
@@ -454,7 +454,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Adds the impulses that the rows hold now to u.
+    /// Add the effect of the rows' current impulses to u.
     pub fn apply_impulses(&mut self, dof_lists: &[usize], inv_d: &[R]) {
         for block in &self.blocks {
             let mut own = &self.rows[block.rows.range()];
@@ -485,7 +485,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Some block exists in some lane.
+    /// Return whether some block exists in some lane.
     pub fn any(&self) -> bool {
         self.blocks.iter().any(|block| block.mask.any())
     }

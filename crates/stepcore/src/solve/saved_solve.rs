@@ -1,4 +1,4 @@
-//! Two solves of one step's rows: what the first left is kept while the second runs.
+//! Two solves of one step's rows: the result of the first is kept during the second.
 
 use super::rows::Rows;
 use crate::real::Real;
@@ -8,7 +8,7 @@ struct Held<R: Real> {
     t: R,
     c: R,
     inv_s: R,
-    /// Where it started, and where it ended.
+    /// The initial and the final impulse.
     start: R,
     impulse: R,
 }
@@ -29,7 +29,7 @@ impl<R: Real> SavedSolve<R> {
 }
 
 impl<R: Real> Rows<R> {
-    /// Before the first solve, with the impulses that it starts from.
+    /// Before the first solve: save the initial impulses.
     pub(crate) fn begin_first(&mut self) {
         self.saved_solve.rows.clear();
         self.saved_solve.rows.extend(self.rows.iter().map(|row| Held {
@@ -43,8 +43,8 @@ impl<R: Real> Rows<R> {
         self.saved_solve.masks.extend(self.blocks.iter().map(|block| block.mask));
     }
 
-    /// After the first solve: every row starts again, from û = `guess` and from what of its
-    /// impulse lasted from the step before; an impact's did not.
+    /// After the first solve: every row restarts, from û = `guess` and from the lasting part of its
+    /// impulse of the step before, which excludes impacts.
     pub(crate) fn begin_second(&mut self, dof_lists: &[usize], inv_d: &[R], guess: &[R]) {
         self.saved_solve.u.copy_from_slice(&self.u);
         self.u.copy_from_slice(guess);
@@ -65,12 +65,12 @@ impl<R: Real> Rows<R> {
         self.apply_impulses(dof_lists, inv_d);
     }
 
-    /// What a row gave in the first solve.
+    /// Return a row's impulse from the first solve.
     pub(crate) fn first_impulse(&self, row: usize) -> R {
         self.saved_solve.rows[row].impulse
     }
 
-    /// A regulariser goes by the sum of both impulses: J v + c (λ₁ + λ₂) = t. The first solve had
+    /// The regulariser acts on the sum of both impulses: J v + c (λ₁ + λ₂) = t. The first solve had
     /// 2c, as both halves of a lasting force are equal.
     pub(crate) fn soften_second(&mut self, row: usize) {
         let given = self.saved_solve.rows[row].impulse;
@@ -82,7 +82,7 @@ impl<R: Real> Rows<R> {
         row.c = R::select(soft, c, row.c);
     }
 
-    /// After the second solve: rows are the first's again, and keep the second's impulse beside.
+    /// After the second solve: restore the first's rows, with the second's impulse in `beside`.
     pub(crate) fn end_second(&mut self) {
         for (block, mask) in self.blocks.iter_mut().zip(&self.saved_solve.masks) {
             for row in &mut self.rows[block.rows.range()] {

@@ -1,4 +1,4 @@
-//! Which solver the settings ask for.
+//! The choice of the solver by the settings.
 
 use super::limits::{Limits, Report};
 use super::newton::Newton;
@@ -21,11 +21,11 @@ pub(crate) struct Unconstrained<'a, R: Real> {
     pub guess: &'a [R],
 }
 
-/// Finds the impulses of rows. A `Sim` holds one: `Solvers`, or in numbers that carry slopes
-/// `Differentiated`.
+/// A method that finds the impulses of rows. A `Sim` holds one: `Solvers`, or in numbers that carry
+/// slopes `Differentiated`.
 pub(crate) trait Solve<R: Real>: Room + Send + Sync {
-    /// Starts from the impulses that `rows` hold. `rows.u` must hold û and their effect, or where
-    /// `rows.start` says where to begin û alone; afterwards it holds û and the effect of the new ones.
+    /// Solve from the impulses of `rows`. `rows.u` must hold û and their effect, or only û if
+    /// `rows.start` gives the start; afterwards it holds û and the effect of the new impulses.
     fn solve(
         &mut self,
         settings: &Settings,
@@ -33,10 +33,10 @@ pub(crate) trait Solve<R: Real>: Room + Send + Sync {
         rows: &mut Rows<R>,
     ) -> Result<Report<R>>;
 
-    /// Makes its memory anew, which an interrupted solve has left half made.
+    /// Reset the memory that an interrupted solve has left inconsistent.
     fn renew(&mut self);
 
-    /// Elements at which the slopes were those of one side since this was last asked; ascending.
+    /// Return the elements with one-sided slopes since the last call; ascending.
     fn take_degenerate(&mut self) -> Vec<Element> {
         Vec::new()
     }
@@ -86,8 +86,8 @@ impl<R: Real> Solve<R> for Solvers<R> {
 }
 
 impl<R: Real> Solvers<R> {
-    /// By sweeps, and what these leave open by `proximal.rs`. Whoever asks for a number of sweeps
-    /// has that many, and under `solref` Newton's method is there to be asked for.
+    /// Solve by sweeps, then by `proximal.rs` if unsolved. For `auto` sweeps: a requested number
+    /// stays fixed, and under `solref` Newton's method is available.
     pub(super) fn solve_for_sure(
         &mut self,
         limits: Limits,

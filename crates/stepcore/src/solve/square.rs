@@ -1,28 +1,28 @@
-//! A small quadratic over a box: what the friction of a pyramid's ways is.
+//! A small quadratic over a box: the friction ways of a pyramid.
 //!
-//! Of two ways in closed form; of more by active sets: from a point of the box to the minimiser of
-//! the face that it is on, or as far as the box allows; there one more way is held. At a face's
-//! minimiser the way whose slope leads most inwards is let go, until none does (Nocedal & Wright,
-//! Numerical Optimization, 16.5). The cost falls with every step, so no face comes twice.
+//! Two ways have a closed form; more use active sets: from a point of the box to the minimiser of
+//! its face, or as far as the box allows, where one more way is held. At a face's minimiser the way
+//! with the slope most inwards is released, until none points inwards (Nocedal & Wright, Numerical
+//! Optimization, 16.5). The cost falls with every step, so no face is visited twice.
 
 use super::cone::Matrix;
 use crate::real::array::from_fn;
 use crate::real::{Mask, Real};
 
-/// Steps after which what is left is rounding: five ways seldom need ten.
+/// After this many steps only rounding remains: five ways seldom need ten.
 const STEPS: usize = 40;
-/// A slope inwards of so many roundings of its terms is none.
+/// An inward slope of at most this many roundings of its terms counts as zero.
 const ROUNDINGS: f64 = 16.0;
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Square<R: Real, const N: usize> {
     pub q: Matrix<R, N>,
-    /// Of two ways: the inverses of q₁₁, q₂₂, and of q₁₁ with x₂ at its best.
+    /// For two ways: the inverses of q₁₁, q₂₂, and of q₁₁ with x₂ minimised out.
     inv: [R; 3],
 }
 
 impl<R: Real, const N: usize> Square<R, N> {
-    /// Of a positive semi-definite Q.
+    /// Prepare a positive semi-definite Q.
     pub fn new(q: Matrix<R, N>) -> Self {
         let (i1, i2) = (q[0][0].recip_or_zero(), q[1][1].recip_or_zero());
         let schur = q[0][0] - q[1][0] * q[1][0] * i2;
@@ -31,7 +31,7 @@ impl<R: Real, const N: usize> Square<R, N> {
         Self { q, inv: [i1, i2, schur.recip_or_zero()] }
     }
 
-    /// The minimiser of ½ xᵀQx + g·x over |x_i| ≤ bound, looked for from x.
+    /// Return the minimiser of ½ xᵀQx + g·x over |x_i| ≤ bound, searched from x.
     pub fn least(&self, g: &[R; N], bound: R, x: &[R; N], mask: R::Mask) -> [R; N] {
         if N == 2 {
             let both = self.of_two(g, bound);
@@ -40,9 +40,9 @@ impl<R: Real, const N: usize> Square<R, N> {
         self.by_active_sets(g, bound, x, mask)
     }
 
-    /// With x₂ at its best for a given x₁ the cost is convex in x₁ with three quadratic pieces
-    /// (x₂ free, at one bound, at the other); x₂ at the root of the free piece tells which piece
-    /// holds the minimum.
+    /// With x₂ optimal for a given x₁ the cost is convex in x₁ with three quadratic pieces (x₂
+    /// free, at one bound, at the other); x₂ at the root of the free piece shows which piece holds
+    /// the minimum.
     #[inline(always)]
     fn of_two(&self, g: &[R; N], bound: R) -> [R; 2] {
         let (q12, [i1, i2, inv]) = (self.q[1][0], self.inv);
@@ -58,7 +58,7 @@ impl<R: Real, const N: usize> Square<R, N> {
         let (zero, one, bound) = (R::zero(), R::one(), bound.max(R::zero()));
         let mut x: [R; N] =
             from_fn(|i| R::select(self.q[i][i].gt(zero), x[i].clamp(-bound, bound), zero));
-        // Every way is let go at first; those that lead outwards come back at once.
+        // Every way is released at first; ways that lead outwards are held again at once.
         let mut held = [R::Mask::of(false); N];
         let mut todo = mask.and(bound.gt(zero));
         for _ in 0..STEPS {
@@ -66,7 +66,7 @@ impl<R: Real, const N: usize> Square<R, N> {
                 break;
             }
             let aim = self.on_face(g, &x, &held);
-            // How far the box allows, and which way ends there.
+            // The largest step within the box, and the way that ends it.
             let mut share = one;
             let mut stop = [one; N];
             for i in 0..N {
@@ -86,7 +86,7 @@ impl<R: Real, const N: usize> Square<R, N> {
                 x[i] = R::select(todo.and(held[i].not()), new, x[i]);
                 held[i] = held[i].or(ends);
             }
-            // At the face's minimiser: the way that leads most inwards.
+            // At the face's minimiser: the way with the slope most inwards.
             let (mut worst, mut inwards) = (zero, [zero; N]);
             for i in 0..N {
                 let (slope, terms) = self.slope(g, &x, i);
@@ -106,7 +106,7 @@ impl<R: Real, const N: usize> Square<R, N> {
         from_fn(|i| R::select(bound.gt(zero), x[i], zero))
     }
 
-    /// (Qx + g)ᵢ, and the size of its terms.
+    /// Return (Qx + g)ᵢ, and the size of its terms.
     fn slope(&self, g: &[R; N], x: &[R; N], i: usize) -> (R, R) {
         let (mut sum, mut terms) = (g[i], g[i].abs());
         for j in 0..N {
@@ -117,7 +117,7 @@ impl<R: Real, const N: usize> Square<R, N> {
         (sum, terms)
     }
 
-    /// The minimiser with the held ways where they are; a way that nothing moves stays.
+    /// Return the minimiser with the held ways fixed; a way that nothing moves stays.
     fn on_face(&self, g: &[R; N], x: &[R; N], held: &[R::Mask; N]) -> [R; N] {
         let zero = R::zero();
         let mut m = self.q;

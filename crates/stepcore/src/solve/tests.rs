@@ -1,4 +1,4 @@
-//! The solvers against closed forms, enumeration and brute force, on matrices fed by hand.
+//! The solvers against closed forms, enumeration and brute force, on hand-made matrices.
 
 mod active_set;
 mod cones;
@@ -43,13 +43,13 @@ pub(super) type Line = (Vec<f64>, f64, f64, f64, f64);
 pub(super) struct Problem {
     pub inv_d: Vec<f64>,
     pub guess: Vec<f64>,
-    /// By block: set, μ, rows.
+    /// Per block: set, μ, rows.
     pub blocks: Vec<(Set, f64, Vec<Line>)>,
 }
 
 const INF: f64 = f64::INFINITY;
 
-/// Sweeps from û, which `rows.u` holds.
+/// Sweep from û, which `rows.u` holds.
 pub fn by_sweeps<R: Real>(
     pgs: &mut Pgs<R>,
     dof_lists: &[usize],
@@ -75,7 +75,7 @@ impl Problem {
     pub fn free<'a>(&'a self, dof_lists: &'a [usize]) -> Unconstrained<'a, f64> {
         Unconstrained { dof_lists, inv_d: &self.inv_d, guess: &self.guess }
     }
-    /// The same problem with random changes of guess, target and y.
+    /// Return the same problem with random changes of guess, target and y.
     pub fn shaken(&self, random: &mut Random) -> Self {
         let mut new = self.clone();
         new.guess.iter_mut().for_each(|g| *g += 0.3 * random.next());
@@ -90,7 +90,7 @@ impl Problem {
     }
 }
 
-/// Problems of one shape, one a lane (the last repeats).
+/// Pack problems of one shape, one per lane (the last repeats).
 pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
     let first = &worlds[0];
     let of = |get: &dyn Fn(&Problem) -> f64| {
@@ -171,7 +171,7 @@ pub(super) fn close(a: f64, b: f64, tolerance: f64) {
     assert!((a - b).abs() <= tolerance, "{a} against {b}");
 }
 
-/// A round cone contact with random y in front of a random body.
+/// Make a round cone contact with random y in front of a random body.
 pub(super) fn contacts(set: Set, count: usize, c: f64, random: &mut Random) -> Problem {
     let nv = 6;
     let inv_d: Vec<f64> = (0..nv).map(|_| (2.0 * random.next()).exp()).collect();
@@ -217,7 +217,7 @@ fn no_rows_no_sweeps() {
     assert_eq!((report.sweeps.lane(0), report.updates.lane(0), rows.u[0]), (0, 0, -1.0));
 }
 
-/// Solves A x = b by Gauss-Jordan with pivoting; None when singular.
+/// Solve A x = b by Gauss-Jordan with pivoting; None when singular.
 fn dense_solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
     let n = b.len();
     for i in 0..n {
@@ -240,7 +240,7 @@ fn dense_solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
     Some((0..n).map(|i| b[i] / a[i][i]).collect())
 }
 
-/// 0 ≤ λ ⟂ Kλ + q ≥ 0 by trying every active set.
+/// Solve 0 ≤ λ ⟂ Kλ + q ≥ 0 by trying every active set.
 fn enumerate(k: &[Vec<f64>], q: &[f64]) -> Option<Vec<f64>> {
     let n = q.len();
     (0..1usize << n).find_map(|set| {
@@ -301,8 +301,8 @@ fn stack(masses: &[f64]) -> Problem {
     problem
 }
 
-/// cases.md C6: a stack of N equal balls on the floor loses cos²(π/2N) a sweep,
-/// two balls m_top/(m_top + m_bottom).
+/// cases.md C6: a stack of N equal balls on the floor loses cos²(π/2N) per sweep, two balls
+/// m_top/(m_top + m_bottom).
 #[test]
 fn c6_contraction_of_a_stack() {
     let law = |n: f64| (std::f64::consts::PI / (2.0 * n)).cos().powi(2);
@@ -327,9 +327,8 @@ fn c6_contraction_of_a_stack() {
     }
 }
 
-/// Plain sweeps lose cos²(π/20) each on ten balls: 25 of them a factor of two.
-/// Momentum, close to conjugate gradients with four moves remembered, loses a
-/// thousand times more.
+/// On ten balls plain sweeps lose cos²(π/20) each: a factor of two in 25. Momentum, close to
+/// conjugate gradients with four stored moves, loses a thousand times more.
 #[test]
 fn momentum_beats_the_contraction_of_a_stack() {
     let problem = stack(&[1.0; 10]);
@@ -365,8 +364,8 @@ fn degenerate_rows_change_nothing() {
     }
 }
 
-/// Momentum moves u along remembered moves instead of row by row: that must not let u
-/// drift away from what the impulses do, however many sweeps follow the last digit.
+/// Momentum moves u along stored moves instead of row by row: u must not drift away from the effect
+/// of the impulses, however many sweeps follow convergence.
 #[test]
 fn momentum_keeps_u_and_impulses_together() {
     let mut random = Random::new(6);

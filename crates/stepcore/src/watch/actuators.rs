@@ -1,4 +1,4 @@
-//! What can be read of actuators, at the positions that were last placed.
+//! Quantities of actuators, at the positions that were placed last.
 
 use crate::model::transmission::Transmission;
 use crate::real::Real;

@@ -1,5 +1,5 @@
-//! Where the bodies of one world are and how they move, as MuJoCo writes it: about the centre of
-//! mass of the tree that each hangs on (`subtree_com`, `cinert`, `cvel`).
+//! Poses and velocities of the bodies of one world, as MuJoCo has them: about the centre of mass of
+//! the tree that each hangs on (`subtree_com`, `cinert`, `cvel`).
 
 use crate::model::{Model, NONE};
 use crate::real::Real;
@@ -7,7 +7,7 @@ use crate::sim::Sim;
 use crate::spatial::{Inertia, Motion, Pose, Quat, M3, V3};
 use nalgebra::Vector3;
 
-/// Below this mass [kg] MuJoCo takes a body's own centre for that of its subtree (`mjMINVAL`).
+/// Below this mass [kg] MuJoCo uses a body's centre as the centre of its subtree (`mjMINVAL`).
 const NO_MASS: f64 = 1e-15;
 
 /// The bodies of one world, in doubles. Lists are by body.
@@ -20,11 +20,11 @@ pub struct Bodies {
     /// Mass [kg] and centre of mass [m] of the body and all that hangs on it.
     pub subtree_mass: Vec<f64>,
     pub subtree_com: Vec<V3<f64>>,
-    /// The body between it and the world, and its own index for one on the world.
+    /// The body between it and the world, or its index if it is on the world.
     pub root: Vec<usize>,
-    /// About the centre of mass of the root's subtree, and zero of the world.
+    /// About the centre of mass of the root's subtree, and zero for the world.
     pub cinert: Vec<Inertia<f64>>,
-    /// Of the point of the body at that centre.
+    /// Velocity of the point of the body at that centre.
     pub cvel: Vec<Motion<f64>>,
 }
 
@@ -76,7 +76,7 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// By body: see `Bodies::root`.
+/// For each body: see `Bodies::root`.
 fn roots(model: &Model) -> Vec<usize> {
     let mut roots: Vec<usize> = vec![0];
     for (index, body) in model.bodies.iter().enumerate().skip(1) {
@@ -112,12 +112,12 @@ impl Bodies {
         }
     }
 
-    /// The point about which a body's spatial quantities are written.
+    /// The point about which a body's spatial quantities are expressed.
     pub fn about(&self, body: usize) -> V3<f64> {
         self.subtree_com[self.root[body]]
     }
 
-    /// Where something fixed to a body is.
+    /// The pose of something fixed to a body.
     pub fn pose(&self, body: usize, pos: &Vector3<f64>, quat: &[f64; 4]) -> Pose<f64> {
         let rot = self.xquat[body].mul(&Quat::splat(quat)).matrix();
         Pose { pos: self.xpos[body] + self.xmat[body] * pos, rot }

@@ -13,14 +13,14 @@ use crate::spatial::{splat, Force, Motion, Quat, V3};
 pub struct BodyForces {
     /// Acceleration of the body's point there, gravity counted as an upward acceleration.
     pub cacc: Vec<Motion<f64>>,
-    /// Applied forces, contacts, connections and spatial tendons. Nothing of the world's is counted.
+    /// Applied forces, contacts, connections and spatial tendons. The world's are not counted.
     pub external: Vec<Force<f64>>,
-    /// What the parent exerts on the body, of everything that hangs on it.
+    /// The force of the parent on the body, including everything that hangs on it.
     pub internal: Vec<Force<f64>>,
 }
 
 impl<R: Real> Sim<R> {
-    /// Of the last solve, whose state the bodies must be of.
+    /// The forces of the last solve; the bodies must be at its state.
     pub fn body_forces(&self, bodies: &Bodies, lane: usize) -> BodyForces {
         let cacc = self.accelerations(bodies, lane);
         let external = self.external_forces(bodies, lane);

@@ -1,8 +1,8 @@
-//! Where laws have a corner: states at which derivatives are those of one side.
+//! States at a corner of a law, at which derivatives are one-sided.
 //!
-//! Corners of rows are the solve's to find (`solve/derivative.rs`). These are of what no solve sees: a
-//! control, an activation or a force at its bound, a muscle that is as active as it is asked, a tendon at
-//! an end of its slack, and a limit or a contact at the distance from which it has a row.
+//! The solve finds the corners of rows (`solve/derivative.rs`). Here are the others: a control, an
+//! activation or a force at its bound, a muscle whose activation equals its control, a tendon at an
+//! end of its slack, and a limit or a contact at the distance from which it has a row.
 
 use crate::detect::almost;
 use crate::elements::{actuator, Element, Kind};
@@ -11,7 +11,7 @@ use crate::model::transmission::Limited;
 use crate::real::{same, Constant, Dual, Real, ROUNDED};
 use crate::sim::{At, Sim};
 
-/// Contacts that are farther from having a row are not looked at [m].
+/// Contacts that are farther from having a row are not examined [m].
 const SOON: f64 = 1e-9;
 
 type Number = <Dual as Real>::Value;
@@ -101,7 +101,7 @@ impl Sim<Dual> {
         self.model.limited.iter().flat_map(sides).collect()
     }
 
-    /// Pairs of a heap are not looked at.
+    /// Pairs of a pile are not examined.
     fn contacts_reached(&self) -> Vec<Element> {
         let (model, mut all) = (&self.model, vec![]);
         if !(model.features.contact && model.features.constraint) {

@@ -1,4 +1,4 @@
-//! What the next steps cost, in operations and in bytes.
+//! The cost of the next steps, in operations and in bytes.
 
 use super::watched::{explained, Explain};
 use crate::arrays::Plain;
@@ -9,13 +9,13 @@ use crate::sim::Sim;
 /// Steps of a copy whose operations are counted.
 pub struct Counter {
     sim: Sim<Counted>,
-    /// Operations so far, in the order of `Stage::ALL`.
+    /// Operations until now, in the order of `Stage::ALL`.
     pub counts: [u64; Stage::ALL.len()],
     explain: Explain,
 }
 
 impl Counter {
-    /// From the present state and inputs of a world, with its settings, computed in `f64`.
+    /// Starts at the present state and inputs of a world, with its settings, computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
         Self::of(&from.plain(), explained::<R::One>)
     }

@@ -1,10 +1,10 @@
 //! Stiffness and damping of every element at one state.
 //!
 //! An element's stiffness is minus the derivative of its generalised force by the positions, its
-//! damping that by the velocities, in the coordinates of `linearize.rs`, found like there by
-//! forces in numbers that carry derivatives. So all of it is there: how a force changes, how the
-//! directions along which it acts turn, and how rows answer each other. Rows act as they act at
-//! the state; where one opens or closes exactly there, its derivatives are those of that side.
+//! damping minus the derivative by the velocities, in the coordinates of `linearize.rs`. As there,
+//! they come from forces in numbers that carry derivatives. So everything is included: the changes
+//! of a force, the rotation of its directions, and the reactions of rows. Rows act as they act at
+//! the state; if one opens or closes exactly there, its derivatives are one-sided.
 
 use std::collections::BTreeMap;
 
@@ -26,12 +26,12 @@ pub struct ElementSlopes {
     explain: Explain,
 }
 
-/// What one element does.
+/// The effect of one element.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Acts {
     /// By dof [N or N·m].
     pub force: BTreeMap<usize, f64>,
-    /// What it stores [J].
+    /// Its stored energy [J].
     pub energy: f64,
     /// By two dofs: stiffness and damping, minus the derivatives of the force on the first by the
     /// position and the velocity of the second.
@@ -39,19 +39,19 @@ pub struct Acts {
 }
 
 impl ElementSlopes {
-    /// At the present state and inputs of a world, with its settings, computed in `f64`.
+    /// Starts at the present state and inputs of a world, with its settings, computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
         let sim = differentiated(&from.plain())?;
         let (start, explain) = (sim.state.clone(), explained::<R::One> as Explain);
         Ok(Self { start, sim, done: 0, elements: BTreeMap::new(), explain })
     }
 
-    /// Evaluations that it takes in all.
+    /// The total number of evaluations.
     pub fn steps(&self) -> u64 {
         (2 * self.sim.model.nv).div_ceil(WAYS) as u64
     }
 
-    /// Makes the next `n` of them.
+    /// Makes the next `n` evaluations.
     pub fn advance(&mut self, n: u64) -> Result<()> {
         for _ in 0..n {
             self.evaluate().map_err(|error| (self.explain)(&self.sim.plain(), error))?;

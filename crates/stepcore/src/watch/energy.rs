@@ -28,8 +28,8 @@ impl<R: Real> Sim<R> {
         Energy { kinetic, potential }
     }
 
-    /// What springs and weight hold [J]: the potential without that of gravity compensation, which
-    /// MuJoCo's sensor leaves out; of the forces at hand.
+    /// Energy of springs and weight [J]: the potential without gravity compensation, which MuJoCo's
+    /// sensor leaves out; for the present forces.
     pub(crate) fn potential_of_springs_and_weight(&self) -> R {
         let now = self.moment(At::State);
         let mut potential = R::zero();
@@ -43,7 +43,7 @@ impl<R: Real> Sim<R> {
         potential
     }
 
-    /// ½ vᵀMv, M the one at hand [J].
+    /// ½ vᵀMv with the present M [J].
     pub(crate) fn kinetic(&self) -> R {
         let model = &*self.model;
         let mut kinetic = R::zero();
@@ -90,14 +90,14 @@ impl<R: Real> Sim<R> {
         sum
     }
 
-    /// Poses of bodies and geoms at the present state.
+    /// Places bodies and geoms at the present state.
     pub(crate) fn place_poses(&mut self) {
         self.placed.carry(&self.inputs);
         self.placed.positions(&self.model, &self.state.qpos);
     }
 
-    /// Poses, inertias, the mass matrix and the forces at the present state, but for those that act
-    /// through contacts.
+    /// Computes poses, inertias, the mass matrix and the forces at the present state, except the
+    /// forces that act through contacts.
     pub fn refresh(&mut self) {
         self.place_poses();
         let (qpos, qvel) = At::State.of(&self.state, &self.next);

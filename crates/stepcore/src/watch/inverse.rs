@@ -8,7 +8,7 @@ use crate::sim::Sim;
 impl<R: Real> Sim<R> {
     /// The generalised forces that must be applied, in all, for the acceleration `qacc` at the
     /// present state: M qacc + bias − passive − Jᵀf, where f are the constraint forces of a motion
-    /// with that acceleration. `forward` was just called. MuJoCo's `mj_inverse`.
+    /// with that acceleration. Call `forward` first. MuJoCo's `mj_inverse`.
     pub fn inverse(&self, qacc: &[f64], lane: usize) -> Result<Vec<f64>> {
         if self.settings.law != Law::SolRef {
             let limit = "'solref' for inverse dynamics: the rows of other laws have no force that \

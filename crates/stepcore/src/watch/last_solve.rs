@@ -1,11 +1,11 @@
-//! The last solve, for what is read of it.
+//! The last solve, kept for reading.
 //!
-//! Body forces and sensors belong to the state at which forces were computed: MuJoCo computes them in
-//! `mj_forward`, before it integrates. A step leaves its placement, its rows and its impulses in the
-//! `Sim`, and the state that it started from in `next`: while both stand they are read there, with
-//! that state put back as long as it takes. Where they do not stand, a second `Sim` makes the solve
-//! again: where several were made in the step (`midpoint`, `rk4`), where somebody may sleep (what rests
-//! on something presses on it, asleep or not), and where something else was computed since.
+//! Body forces and sensors belong to the state at which forces were computed: MuJoCo computes them
+//! in `mj_forward`, before it integrates. A step leaves its placement, its rows and its impulses in
+//! the `Sim`, and its initial state in `next`. While both are valid they are read there, with that
+//! state put back meanwhile. Otherwise a second `Sim` repeats the solve: if there were several in
+//! the step (`midpoint`, `rk4`), if a body may sleep (a body resting on another presses on it,
+//! asleep or not), and if something else was computed since.
 
 use crate::arrays::{ArraySet, Given};
 use crate::error::Result;
@@ -14,23 +14,23 @@ use crate::settings::Settings;
 use crate::sim::{Effort, Sim};
 use crate::state::{Inputs, State};
 
-/// The state and the inputs at which a `Sim` last solved, and a second `Sim`, which makes solves again.
+/// The state and the inputs at which a `Sim` last solved, and a second `Sim`, which repeats solves.
 pub struct LastSolve<R: Real> {
     at: At,
-    /// Where it was, once it is `Kept`.
+    /// The initial state, once it is `Kept`.
     start: State<R>,
     inputs: Inputs<R>,
     second: Option<Box<Sim<R>>>,
-    /// Where the second one stands.
+    /// The position of the second `Sim`.
     there: There,
 }
 
-/// Where the last solve is found.
+/// The place of the last solve.
 #[derive(Clone, Copy, PartialEq)]
 enum At {
     /// There is none.
     Nowhere,
-    /// In the `Sim`, whose state has gone on from it.
+    /// In the `Sim`, whose state has moved on from it.
     Before,
     /// In the `Sim`, at its state.
     Here,
@@ -38,7 +38,7 @@ enum At {
 }
 
 impl At {
-    /// Copies the state and the inputs of a solve that stands in `sim`.
+    /// Copies the state and the inputs of a solve that is in `sim`.
     fn copy_to<R: Real>(self, sim: &Sim<R>, state: &mut State<R>, inputs: &mut Inputs<R>) {
         match self {
             Self::Nowhere | Self::Kept => return,
@@ -58,7 +58,7 @@ impl At {
     }
 }
 
-/// Where the second `Sim` stands.
+/// The position of the second `Sim`.
 #[derive(Clone, Copy, PartialEq)]
 enum There {
     Elsewhere,
@@ -81,29 +81,29 @@ impl<R: Real> LastSolve<R> {
         }
     }
 
-    /// A step has just been taken, and nothing was computed after it.
+    /// Records that a step has just been taken, and nothing was computed after it.
     #[inline]
     pub fn stepped(&mut self) {
         (self.at, self.there) = (At::Before, There::Elsewhere);
     }
 
-    /// `forward` was called, and nothing was computed after it.
+    /// Records that `forward` was called, and nothing was computed after it.
     pub fn solved(&mut self) {
         (self.at, self.there) = (At::Here, There::Elsewhere);
     }
 
-    /// What is read of it is read at the state at hand, where it is made when that happens.
+    /// Makes the present state the place of the last solve, which is made there when it is read.
     pub fn stayed(&mut self, sim: &Sim<R>) {
         self.solved();
         self.keep(sim);
     }
 
-    /// The state at hand came from elsewhere.
+    /// Records that the present state came from elsewhere.
     pub fn forget(&mut self) {
         (self.at, self.there) = (At::Nowhere, There::Elsewhere);
     }
 
-    /// Keeps the state and the inputs of a solve that stands in `sim`, which will do something else.
+    /// Keeps the state and the inputs of a solve that is in `sim`, which will do something else.
     pub fn keep(&mut self, sim: &Sim<R>) {
         if matches!(self.at, At::Before | At::Here) {
             self.at.copy_to(sim, &mut self.start, &mut self.inputs);
@@ -111,7 +111,7 @@ impl<R: Real> LastSolve<R> {
         }
     }
 
-    /// The state and the inputs with which the last solve began.
+    /// The state and the inputs at the start of the last solve.
     pub fn begun(&self, sim: &Sim<R>) -> Option<(State<R>, Inputs<R>)> {
         if self.at == At::Nowhere {
             return None;
@@ -121,7 +121,7 @@ impl<R: Real> LastSolve<R> {
         Some((state, inputs))
     }
 
-    /// The last solve began with these arrays, and with what `put` adds to the state.
+    /// Sets the start of the last solve: these arrays, and the additions of `put` to the state.
     pub fn begin(&mut self, given: &Given, put: impl FnOnce(&mut State<R>)) {
         self.start.put(0, given);
         self.inputs.put(0, given, ArraySet::ALL);
@@ -129,7 +129,7 @@ impl<R: Real> LastSolve<R> {
         (self.at, self.there) = (At::Kept, There::Elsewhere);
     }
 
-    /// Makes the solve that is kept again in `sim`, whose state and inputs stay; step: it was a step's.
+    /// Repeats the kept solve in `sim`, whose state and inputs stay; step: it was a step's.
     pub fn make_again(&mut self, sim: &mut Sim<R>, step: bool) {
         let (state, inputs, qacc) = (sim.state.clone(), sim.inputs.clone(), sim.qacc.clone());
         let effort = sim.effort;
@@ -140,13 +140,13 @@ impl<R: Real> LastSolve<R> {
             sim.clear_solve();
         }
         (sim.state, sim.inputs, sim.qacc) = (state, inputs, qacc);
-        // It was counted when it was made first.
+        // It was already counted the first time.
         let Effort { sweeps, decrement, .. } = sim.effort;
         sim.effort = Effort { sweeps, decrement, ..effort };
     }
 
-    /// Lets `read` see a `Sim` at the state of the last solve, with that solve if `solve`. While there
-    /// was none, at the state and inputs that are given.
+    /// Lets `read` see a `Sim` at the state of the last solve, with that solve if `solve`. If there
+    /// was none, at the given state and inputs.
     pub fn read<T>(
         &mut self,
         sim: &mut Sim<R>,
@@ -188,7 +188,7 @@ impl<R: Real> LastSolve<R> {
         Ok(read(second))
     }
 
-    /// A `Sim` placed at the state and inputs that are given, which were checked.
+    /// A `Sim` placed at the given state and inputs, which were checked.
     pub fn present(&mut self, sim: &Sim<R>, given: &Given) -> Result<&mut Sim<R>> {
         self.there = There::Elsewhere;
         let second = second_sim(&mut self.second, sim)?;
@@ -198,7 +198,7 @@ impl<R: Real> LastSolve<R> {
     }
 }
 
-/// The second `Sim`, in which nobody sleeps.
+/// The second `Sim`, in which no body sleeps.
 pub(super) fn second_sim<'a, R: Real>(
     second: &'a mut Option<Box<Sim<R>>>,
     sim: &Sim<R>,

@@ -1,10 +1,10 @@
-//! The step as a linear map: how the state after it moves with the state before it.
+//! The step as a linear map: the change of the state after it with the state before it.
 //!
-//! One step of a `Sim<Dual>`, from the same state and inputs, as often as there are
-//! directions, a few at a time. Tangent coordinates x = (dq, dv, dw, dc) have nv, nv, na and nhistory
-//! entries: dq moves positions as a velocity of that size moves them in a unit of time (`advance`), so
-//! that a turn is a rotation vector in the body's own axes; dw are activations, dc past controls. The
-//! impulses that the solver starts from are held.
+//! A `Sim<Dual>` repeats one step from the same state and inputs until all directions are done, a
+//! few at a time. Tangent coordinates x = (dq, dv, dw, dc) have nv, nv, na and nhistory entries: dq
+//! moves positions as a velocity of that size moves them in a unit of time (`advance`), so that a
+//! rotation is a rotation vector in the body's axes; dw are activations, dc past controls. The
+//! solver's initial impulses are held constant.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -23,10 +23,10 @@ use crate::sim::Sim;
 use crate::solve::Differentiated;
 use crate::state::State;
 
-/// The models around that of a parameter's own value; see `AROUND`.
+/// The models around a parameter's value; see `AROUND`.
 pub type Around = [Arc<Model>; AROUND];
 
-/// A model, and those around the value of each parameter by which its steps are differentiated.
+/// A model, and the models around the value of each parameter of the derivatives.
 pub struct Neighbourhood {
     pub model: Arc<Model>,
     pub parameters: Vec<Around>,
@@ -42,9 +42,9 @@ impl Neighbourhood {
             && own.iter().zip(&others).all(|(a, b)| Arc::ptr_eq(a, b))
     }
 
-    /// The first of the ways of parameters, behind `own` others: these share a step with the last of
-    /// those where that makes a step less, and else have steps of their own, as models of many numbers
-    /// take longer.
+    /// The first way of the parameters, behind `own` other ways. Parameters share a step with the
+    /// last of those if that saves a step; else they have separate steps, because models of many
+    /// numbers take longer.
     fn first(&self, own: usize) -> usize {
         let apart = own.next_multiple_of(WAYS);
         let count = self.parameters.len();
@@ -55,8 +55,8 @@ impl Neighbourhood {
         }
     }
 
-    /// The model; then for each step with ways of parameters, from the first on, the model with those
-    /// around these. Refuses a parameter around which models differ in more than numbers.
+    /// The model; then, for each step with ways of parameters from `first` on, the model with the
+    /// models around them. Refuses a parameter around which models differ in more than numbers.
     fn side_by_side(&self, first: usize) -> Result<Vec<SideBySide<Dual>>> {
         let mut all = vec![SideBySide::new(vec![self.model.clone()])?];
         let (mut left, mut taken) = (self.parameters.as_slice(), first % WAYS);
@@ -71,7 +71,7 @@ impl Neighbourhood {
         Ok(all)
     }
 
-    /// The parameter that changes more than numbers.
+    /// The error that names the parameter that changes more than numbers.
     fn different(&self) -> Option<Error> {
         let alike = |around: &Around| around.iter().all(|m| differ_in_numbers(&self.model, m));
         let nth = self.parameters.iter().position(|around| !alike(around))?;
@@ -82,18 +82,18 @@ impl Neighbourhood {
     }
 }
 
-/// States of worlds, as many of each, to be linearised at.
+/// States of worlds, equally many of each, at which to linearise.
 pub struct Asked<'a> {
     pub states: Givens<'a>,
     pub count: usize,
-    /// Of each world, with the same number of parameters.
+    /// The models of each world, with the same number of parameters.
     pub worlds: &'a [Arc<Neighbourhood>],
     /// The first world's number, in errors.
     pub first: usize,
 }
 
 impl Asked<'_> {
-    /// That of the nth state.
+    /// The world of the nth state.
     pub(super) fn world(&self, nth: usize) -> usize {
         nth * self.worlds.len() / self.count.max(1)
     }
@@ -105,17 +105,17 @@ pub struct Linearizer {
     start: State<Dual>,
     ctrl: Vec<Dual>,
     of: Arc<Neighbourhood>,
-    /// Those of it.
+    /// The models of its steps.
     models: Vec<SideBySide<Dual>>,
-    /// Columns before those of parameters.
+    /// The number of columns before the parameters'.
     own: usize,
-    /// The linearisations that are asked for, the one under way, and its ways that are done.
+    /// The requested linearisations, the one under way, and its completed ways.
     asked: Range<usize>,
     nth: usize,
     done: usize,
     /// The last step was from here too, and in no direction that moves positions.
     still: bool,
-    /// Elements at which the derivatives of the nth linearisation are those of one side: a row of theirs
+    /// Elements at which the derivatives of the nth linearisation are one-sided: one of their rows
     /// is exactly where it becomes active.
     pub degenerate: Vec<(usize, Element)>,
     explain: Explain,
@@ -123,7 +123,7 @@ pub struct Linearizer {
 
 room!(Linearizer: sim, start, ctrl, of, models, degenerate; own, asked, nth, done, still, explain);
 
-/// Derivatives start and end here; every one is found by its place.
+/// A direction of the derivatives, which start and end here; each is found by its place.
 #[derive(Clone, Copy)]
 pub(super) enum Direction {
     Position(usize),
@@ -134,7 +134,7 @@ pub(super) enum Direction {
 }
 
 impl Linearizer {
-    /// Of worlds with the settings of this one, and models that differ from its own in numbers;
+    /// For worlds with the settings of this one, and models that differ from its model in numbers;
     /// computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
         from.settings.check_fixed("linearize")?;
@@ -160,7 +160,7 @@ impl Linearizer {
         })
     }
 
-    /// Steps are of these models from now on.
+    /// Uses these models for the following steps.
     fn take(&mut self, of: &Arc<Neighbourhood>) -> Result<()> {
         if !self.of.is(of) {
             self.models = of.side_by_side(of.first(self.own))?;
@@ -169,7 +169,7 @@ impl Linearizer {
         Ok(())
     }
 
-    /// The next linearisation is at the present state, inputs and impulses of a world.
+    /// Starts the next linearisation at the present state, inputs and impulses of a world.
     pub fn begin<R: Real>(&mut self, from: &Sim<R>, of: &Arc<Neighbourhood>) -> Result<()> {
         self.begin_at(&from.plain(), of)
     }
@@ -182,7 +182,7 @@ impl Linearizer {
         Ok(())
     }
 
-    /// Linearisations of these numbers come next, the first of them of this model.
+    /// Starts linearisations of these numbers, the first of them of this model.
     pub(super) fn begin_of(&mut self, asked: Range<usize>, of: &Arc<Neighbourhood>) -> Result<()> {
         self.take(of)?;
         (self.nth, self.done) = (asked.start, 0);
@@ -191,7 +191,7 @@ impl Linearizer {
         Ok(())
     }
 
-    /// The next linearisation is of a step from there, whose impulses nobody knows.
+    /// Starts the next linearisation at a given state, whose impulses are unknown.
     fn go_to(&mut self, given: &Given) {
         self.restore();
         self.sim.put(0, given);
@@ -199,49 +199,50 @@ impl Linearizer {
         self.stand();
     }
 
-    /// Without derivatives, where the linearisation is.
+    /// Goes back to the linearised state, without derivatives.
     fn restore(&mut self) {
         self.sim.state.clone_from(&self.start);
         self.sim.inputs.ctrl.copy_from_slice(&self.ctrl);
     }
 
-    /// The linearisation is here.
+    /// Makes the present state the linearised one.
     fn stand(&mut self) {
-        // Asleep nothing answers: what is differentiated is the world awake.
+        // A sleeping world does not respond, so the world is differentiated awake.
         self.sim.state.wake();
         self.start.clone_from(&self.sim.state);
         self.ctrl.copy_from_slice(&self.sim.inputs.ctrl);
         self.still = false;
     }
 
-    /// Of a matrix.
+    /// The rows of a matrix.
     pub fn rows(&self) -> usize {
         self.own - self.ctrl.len()
     }
 
-    /// Of a matrix.
+    /// The columns of a matrix.
     pub fn width(&self) -> usize {
         self.own + self.of.parameters.len()
     }
 
-    /// Of all matrices that are asked for.
+    /// The number of entries of all requested matrices.
     pub fn numbers(&self) -> usize {
         self.asked.len() * self.rows() * self.width()
     }
 
-    /// So many matrices of zeros, one after the other. Each has 2 nv + na + nhistory rows of as many
-    /// numbers, nu and one a parameter: A, B and P beside each other, P by the distance of the models around.
+    /// This many matrices of zeros. Each has 2 nv + na + nhistory rows of as many columns, then nu,
+    /// then one for each parameter: A, B and P side by side, P by the distance of the models
+    /// around.
     pub fn matrices(&self, count: usize) -> Result<Vec<f64>> {
         zeros("linearize", count.saturating_mul(self.rows()), self.width())
     }
 
-    /// Steps that it still takes.
+    /// Steps that are left.
     pub fn steps(&self) -> u64 {
         let each = self.end().div_ceil(WAYS);
         ((self.asked.end - self.nth) * each - self.done.div_ceil(WAYS)) as u64
     }
 
-    /// Takes the next `n` of them, or all that are left. `to`: the matrices of those it was asked for.
+    /// Takes the next `n` steps, or all that are left. `to`: the matrices of the requested states.
     pub fn advance(&mut self, n: u64, asked: Option<&Asked>, to: &mut [f64]) -> Result<()> {
         for _ in 0..n.min(self.steps()) {
             self.advance_once(asked, to).map_err(|error| match asked {
@@ -267,7 +268,7 @@ impl Linearizer {
         size_of::<Self>() + self.room()
     }
 
-    /// Of all ways.
+    /// The number of all ways.
     fn end(&self) -> usize {
         match self.of.parameters.len() {
             0 => self.own,
@@ -275,12 +276,12 @@ impl Linearizer {
         }
     }
 
-    /// Those of the next step.
+    /// The ways of the next step.
     fn ways(&self) -> Range<usize> {
         self.done..(self.done + WAYS).min(self.end())
     }
 
-    /// That of a way, if it has one.
+    /// The column of a way, if it has one.
     fn column(&self, way: usize) -> Option<usize> {
         match way.checked_sub(self.of.first(self.own)) {
             Some(parameter) => Some(self.own + parameter),
@@ -380,15 +381,15 @@ impl Linearizer {
 
 /// The same world in numbers that carry derivatives, its rows solved and differentiated.
 pub(super) fn differentiated(from: &Plain) -> Result<Sim<Dual>> {
-    // Asleep nothing answers: what is differentiated is the world awake.
+    // A sleeping world does not respond, so the world is differentiated awake.
     let mut sim = from.awake::<Dual>()?;
     sim.solver = Box::new(Differentiated::new());
     Ok(sim)
 }
 
 impl Direction {
-    /// They are numbered as the columns of A and B: positions, velocities, activations, past controls,
-    /// controls.
+    /// The nth direction, in the order of the columns of A and B: positions, velocities,
+    /// activations, past controls, controls.
     pub(super) fn nth(model: &Model, way: usize) -> Self {
         let (nv, na, past) = (model.nv, model.na, 2 * model.nv + model.na);
         if way < nv {
@@ -404,7 +405,7 @@ impl Direction {
         }
     }
 
-    /// Lets the derivatives in a slot be those in this direction.
+    /// Sets the derivatives in a slot to this direction.
     pub(super) fn seed(self, sim: &mut Sim<Dual>, slot: usize) {
         match self {
             Self::Velocity(dof) => sim.state.qvel[dof].slopes[slot] = 1.0,
@@ -429,7 +430,7 @@ impl Direction {
     }
 }
 
-/// Where a dof's position is in qpos, or its quaternion and the axis of that.
+/// The place of a dof's position in qpos, or of its quaternion, with the dof's axis.
 fn coordinate(model: &Model, dof: usize) -> (usize, Option<usize>) {
     let joint = &model.joints[model.dofs[dof].joint];
     let within = dof - joint.dof;
@@ -462,7 +463,7 @@ mod tests {
         Arc::new(Model::compile(&scene).unwrap())
     }
 
-    /// Where positions are held between two steps, derivatives are those of steps that place anew.
+    /// Derivatives with held positions equal derivatives of steps that place anew.
     #[test]
     fn what_is_held_is_what_is_placed_again() {
         for integrator in Integrator::ALL {

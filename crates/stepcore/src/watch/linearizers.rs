@@ -10,7 +10,7 @@ use crate::real::Real;
 use crate::room::Room;
 use crate::sim::Sim;
 
-/// One for each thread, with its share of the states.
+/// One linearizer for each thread, with its share of the states.
 pub struct Linearizers {
     each: Vec<Linearizer>,
     pool: Option<Arc<Pool>>,
@@ -19,7 +19,7 @@ pub struct Linearizers {
 room!(Linearizers: each; pool);
 
 impl Linearizers {
-    /// Of worlds like this one; see `Linearizer::new`.
+    /// For worlds like this one; see `Linearizer::new`.
     pub fn new<R: Real>(from: &Sim<R>, threads: usize) -> Result<Self> {
         let pool = Pool::new(threads)?;
         let each = (0..threads).map(|_| Linearizer::new(from)).collect::<Result<_>>()?;
@@ -30,7 +30,7 @@ impl Linearizers {
         self.each.len()
     }
 
-    /// Linearisations at these states come next. Returns room for their matrices; see
+    /// Starts linearisations at these states. Returns room for their matrices; see
     /// `Linearizer::matrices`.
     pub fn begin(&mut self, asked: &Asked) -> Result<Vec<f64>> {
         let (count, threads) = (asked.count, self.each.len());
@@ -47,12 +47,12 @@ impl Linearizers {
         [self.each[0].rows(), self.each[0].width()]
     }
 
-    /// Steps that the thread with the most takes.
+    /// The largest number of steps of a thread.
     pub fn steps(&self) -> u64 {
         self.each.iter().map(Linearizer::steps).max().unwrap_or(0)
     }
 
-    /// Takes the next `n` steps of each thread. Of several errors, the first state's is returned.
+    /// Takes the next `n` steps of each thread. Of several errors it returns the first state's.
     pub fn advance(&mut self, n: u64, asked: &Asked, mut matrices: &mut [f64]) -> Result<()> {
         let Some(pool) = &self.pool else {
             return self.each[0].advance(n, Some(asked), matrices);
@@ -70,7 +70,7 @@ impl Linearizers {
         parts.into_iter().try_for_each(|part| lock(&part).2.clone())
     }
 
-    /// Elements at which the derivatives of the nth linearisation are those of one side.
+    /// Elements at which the derivatives of the nth linearisation are one-sided.
     pub fn degenerate(&self) -> impl Iterator<Item = (usize, Element)> + '_ {
         self.each.iter().flat_map(|linearizer| linearizer.degenerate.iter().copied())
     }

@@ -1,9 +1,9 @@
 //! The watchers: energy, the ledger, post-mortems, linearisation and counts, around a `Sim`.
 //!
-//! A [`Watched`] is a `Sim` with its recent past, a ledger if the settings ask for one, and an
-//! explanation of every failure. `Bodies` and `BodyForces` are what MuJoCo tells of bodies, rays
-//! what they meet, and a [`LastSolve`] has what is read of the last solve. A [`Linearizer`] and a
-//! [`Counter`] step a copy in other numbers.
+//! A [`Watched`] is a `Sim` with its recent past, a ledger if the settings request one, and an
+//! explanation of every failure. `Bodies` and `BodyForces` hold MuJoCo's quantities of bodies, rays
+//! find the geoms they meet, and a [`LastSolve`] holds the last solve for reading. A [`Linearizer`]
+//! and a [`Counter`] step a copy in other numbers.
 
 mod actuators;
 mod bodies;
@@ -45,7 +45,7 @@ pub use tape::StepGains;
 pub use tendon_path::{tendon_path, Way};
 pub use watched::Watched;
 
-/// A matrix of zeros, whose size a model decides; refuses one that the memory does not hold.
+/// A matrix of zeros, whose size depends on a model; refuses one that does not fit in memory.
 fn zeros(what: &str, rows: usize, columns: usize) -> Result<Vec<f64>> {
     let mut all = Vec::new();
     match rows.checked_mul(columns) {

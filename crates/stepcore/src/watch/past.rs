@@ -1,7 +1,7 @@
-//! Where a run came from: the states of its last steps, and of some long before.
+//! The origin of a run: the states before its last steps, and some much earlier.
 //!
-//! Every world has a past of its own, in a `Sim` and in a batch, however its steps are divided into calls: its
-//! failure is explained by the same states.
+//! Every world has its own past, in a `Sim` and in a batch, however its steps are divided into
+//! calls: the same states explain its failure.
 
 use crate::model::Model;
 use crate::observer::Observer;
@@ -15,16 +15,16 @@ const RECENT: usize = 16;
 const MILESTONES: usize = 4;
 const STRIDE: u64 = 64;
 
-/// States before each of the last steps, and at every 64th step before: the lists of each, one after
-/// the other.
+/// States before each of the last steps, and at every 64th step before: the lists of each, one
+/// after the other.
 pub(crate) struct Past<R: Real> {
     recent: Vec<R>,
     milestones: Vec<R>,
     /// Numbers of a state.
     size: usize,
-    /// Where the next of `recent` comes.
+    /// The place of the next of `recent`.
     at: usize,
-    /// By lane: steps since its world was put where it was.
+    /// For each lane: steps since its world was placed there.
     steps: Vec<u64>,
 }
 
@@ -45,12 +45,12 @@ impl<R: Real> Past<R> {
         Self { recent, milestones, size, at: 0, steps: vec![0; R::LANES] }
     }
 
-    /// A lane's state did not come from a step.
+    /// Records that a lane's state did not come from a step.
     pub fn forget(&mut self, lane: usize) {
         self.steps[lane] = 0;
     }
 
-    /// As many steps of all lanes are about to be done again.
+    /// Prepares for repeating this many steps of all lanes.
     pub fn rewind(&mut self, steps: u64) {
         let back = (steps % RECENT as u64) as usize;
         self.at = (self.at + RECENT - back) % RECENT;
@@ -64,7 +64,7 @@ impl<R: Real> Past<R> {
         old.chain(recent.map(|nth| &self.recent[nth * self.size..][..self.size]))
     }
 
-    /// Where these are in either list.
+    /// The places of these in either list.
     fn places(&self, lane: usize) -> (impl Iterator<Item = usize>, impl Iterator<Item = usize>) {
         let (at, steps) = (self.at, self.steps[lane]);
         let end = steps.div_ceil(STRIDE) as usize;
@@ -73,13 +73,13 @@ impl<R: Real> Past<R> {
         (milestones, (0..known).map(move |nth| (at + RECENT - known + nth) % RECENT))
     }
 
-    /// What a batch that goes on with a lane's world has to know.
+    /// The past that a batch needs to continue with a lane's world.
     pub fn of(&self, lane: usize) -> WorldPast {
         let numbers = self.states(lane).flatten().map(|x| x.lane(lane)).collect();
         WorldPast { steps: self.steps[lane], numbers }
     }
 
-    /// A lane goes on with a world.
+    /// Continues a lane with a world.
     pub fn take(&mut self, lane: usize, world: &WorldPast) {
         self.steps[lane] = world.steps;
         let (milestones, recent) = self.places(lane);

@@ -1,16 +1,16 @@
-//! Rays through a world: which geom each meets first.
+//! Rays through a world: the geom that each meets first.
 
 use super::bodies::Bodies;
 use crate::model::{Geom, Model};
 use crate::shapes::ray::{height_field, primitive, Hit, Ray};
 use crate::spatial::V3;
 
-/// Which geoms rays can meet: MuJoCo's arguments of `mj_ray`.
+/// The geoms that rays can meet: MuJoCo's arguments of `mj_ray`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RayFilter {
     /// Geoms of this body are not seen.
     pub excluded: Option<usize>,
-    /// By group, those below 0 counting as 0 and those above 5 as 5; None sees all.
+    /// For each group, those below 0 counting as 0 and those above 5 as 5; None sees all.
     pub groups: Option<[bool; 6]>,
     /// Geoms of bodies that are fixed to the world are not seen.
     pub moving: bool,

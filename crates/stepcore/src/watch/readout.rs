@@ -1,7 +1,7 @@
-//! What a user reads of a simulation beside its state, one lane (world) at a time.
+//! Quantities of a simulation that a user reads besides its state, one lane (world) at a time.
 //!
-//! Poses and matrices are those of the last `refresh` or solve; rows, contacts and
-//! constraint forces those of the last solve.
+//! Poses and matrices belong to the last `refresh` or solve; rows, contacts and constraint forces
+//! to the last solve.
 
 use super::zeros;
 use crate::detect::Contact;
@@ -17,8 +17,8 @@ use crate::spatial::{rotate, splat, Quat, M3, V3};
 use nalgebra::Vector3;
 
 impl<R: Real> Sim<R> {
-    /// The mass matrix, armature included, row by row (nv × nv).
-    /// Refuses one that the memory does not hold.
+    /// The mass matrix, armature included, row by row (nv × nv). Refuses one that does not fit in
+    /// memory.
     pub fn mass_matrix(&self, lane: usize) -> Result<Vec<f64>> {
         let model = &*self.model;
         let mut full = zeros("mass_matrix", model.nv, model.nv)?;
@@ -33,13 +33,13 @@ impl<R: Real> Sim<R> {
         Ok(full)
     }
 
-    /// How a body's frame moves with every dof: linear velocity of its origin in 3 rows
-    /// of nv numbers, then its angular velocity in 3.
+    /// The motion of a body's frame with every dof: linear velocity of its origin in 3 rows of nv
+    /// numbers, then its angular velocity in 3.
     pub fn jacobian(&self, body: usize, lane: usize) -> Vec<f64> {
         self.jacobian_at(body, &self.placed.xpos[body], lane)
     }
 
-    /// The same of the point of the body that is at `point`.
+    /// The same for the point of the body that is at `point`.
     pub fn jacobian_at(&self, body: usize, point: &V3<R>, lane: usize) -> Vec<f64> {
         let model = &*self.model;
         let mut rows = vec![0.0; 6 * model.nv];
@@ -59,7 +59,7 @@ impl<R: Real> Sim<R> {
         rows
     }
 
-    /// Where something fixed to a body is.
+    /// The pose of something fixed to a body.
     pub fn attached(&self, body: usize, pos: &Vector3<f64>, quat: &[f64; 4]) -> (V3<R>, M3<R>) {
         let placed = &self.placed;
         let turn = placed.xquat[body].mul(&Quat::splat(quat)).matrix();
@@ -70,7 +70,7 @@ impl<R: Real> Sim<R> {
     pub fn constraint_force(&self, lane: usize) -> Vec<f64> {
         let model = &*self.model;
         let mut force = vec![R::zero(); model.nv];
-        // What adhesion pulls beside rows is a passive force, as MuJoCo counts it.
+        // Adhesion beyond the rows is a passive force, as MuJoCo counts it.
         let penalty = self.settings.law == Law::Penalty;
         let pushes = self.rows.pushes.iter().filter(|_| penalty);
         let pushes = pushes.map(|push| (push.dofs, push.y, push.impulse));
@@ -102,15 +102,15 @@ impl<R: Real> Sim<R> {
             .filter(move |(_, contact)| contact.mask.lane(lane))
     }
 
-    /// Force [N] and torque [N·m] of a contact on geom 2 where they touch, in world axes. The torque
-    /// is that of torsion and rolling.
+    /// Force [N] and torque [N·m] of a contact on geom 2 where they touch, in world axes. The
+    /// torque is due to torsion and rolling.
     pub fn contact_wrench(&self, contact: &Contact<R>, lane: usize) -> [f64; 6] {
         let pair = &contact.pair;
         let element = contact.element();
         let law = self.settings.law;
         let ways = Ways::under(law, pair.still, self.model.material(pair));
         let mut parts = [0.0; 1 + MOST_WAYS];
-        // Blocks stand in the order of their slots.
+        // Blocks are in the order of their slots.
         let (slot, blocks) = (self.model.slot(element), &self.rows.blocks);
         if let Ok(at) = blocks.binary_search_by_key(&slot, |block| block.slot) {
             self.parts_of_block(&blocks[at], &ways, lane, &mut parts);
@@ -118,7 +118,7 @@ impl<R: Real> Sim<R> {
                 parts[0] += self.pull_of(contact, lane);
                 let margin = self.model.material(pair).margin.lane(lane);
                 if contact.dist.lane(lane) >= margin {
-                    // Beyond it the normal alone pulls, with the first row.
+                    // Beyond it only the normal pulls, with the first row.
                     parts[1..].fill(0.0);
                 }
             }
@@ -146,8 +146,8 @@ impl<R: Real> Sim<R> {
         wrench
     }
 
-    /// What the adhesion of a contact gave beside its rows, along the normal. Without passive forces
-    /// MuJoCo counts it all the same.
+    /// The pull of a contact's adhesion beyond its rows, along the normal. Without passive forces
+    /// MuJoCo still counts it.
     fn pull_of(&self, contact: &Contact<R>, lane: usize) -> f64 {
         let material = self.model.material(&contact.pair);
         if !self.model.features.passive() && contact.dist.lane(lane) < material.listed_in(lane) {
@@ -157,7 +157,7 @@ impl<R: Real> Sim<R> {
         pushes.map(|push| push.impulse.lane(lane)).sum()
     }
 
-    /// The pushes of a contact, which stand in the order of slots as blocks do.
+    /// The pushes of a contact, which are in the order of slots as blocks are.
     fn pushes_of(&self, element: Element) -> &[Push<R>] {
         let (slot, pushes) = (self.model.slot(element), &self.rows.pushes);
         let first = pushes.partition_point(|push| self.model.slot(push.element) < slot);
@@ -165,7 +165,7 @@ impl<R: Real> Sim<R> {
         &pushes[first..first + own.count()]
     }
 
-    /// Impulse along the normal, then in each way, in its own unit.
+    /// Impulse along the normal, then in each way, in its unit.
     fn parts_of_block(
         &self,
         block: &Block<R>,
@@ -194,8 +194,8 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// What one unit of a row's impulse is of its own: torsion and rolling in a cone come in the
-    /// measure of sliding (`elements/friction.rs`). Velocities of the row are the inverse of it.
+    /// The physical impulse of one unit of a row's impulse: torsion and rolling in a cone are in
+    /// the measure of sliding (`elements/friction.rs`). For velocities of the row divide instead.
     pub fn scale_of_row(&self, block: &Block<R>, row: usize, lane: usize) -> f64 {
         if block.set == Set::Interval || block.element.kind != Kind::Contact {
             return 1.0;
@@ -205,7 +205,7 @@ impl<R: Real> Sim<R> {
         Ways::<R>::under(self.settings.law, pair.still, material).scale_of_row(row).lane(lane)
     }
 
-    /// How the rows that exist in a lane push each other, at the last solve.
+    /// The coupling of the rows that exist in a lane, at the last solve.
     pub fn coupling(&self, lane: usize) -> Coupling {
         let dof_lists = self.detected.dof_lists(&self.model);
         let live: Vec<(usize, &Row<R>)> = self.live_rows(lane).collect();
@@ -238,8 +238,8 @@ impl<R: Real> Sim<R> {
         coupling
     }
 
-    /// How far each row of a block is from its law at the impulses it holds: s·|δ|, in
-    /// the row's own unit of velocity (see `solve/residual.rs`).
+    /// The distance of each row of a block from its law at its present impulses: s·|δ|, in the
+    /// row's unit of velocity (see `solve/residual.rs`).
     pub fn row_residuals(&self, block: &Block<R>, lane: usize) -> Vec<f64> {
         let mut residuals = Vec::new();
         self.rows.natural_map(self.detected.dof_lists(&self.model), block, |_, delta, s| {
@@ -249,14 +249,14 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// What the sweeps see of the rows: how they push each other, and each row's own part.
+/// The rows as the sweeps see them: their coupling, and the constants of each row.
 #[derive(Clone, Debug, Default)]
 pub struct Coupling {
     /// J H⁻¹ Jᵀ, row by row (rows × rows).
     pub a: Vec<f64>,
-    /// By row: one over the denominator of its update; the mass of the trees that it touches;
-    /// the friction of its cone; and 0 for an interval, 1 for a row of a convex cone, 2 and 3
-    /// for one of a Coulomb cone, round or box; and what one unit of its impulse is of its own,
+    /// For each row: one over the denominator of its update; the mass of the trees that it touches;
+    /// the friction of its cone; and 0 for an interval, 1 for a row of a convex cone, 2 and 3 for
+    /// one of a Coulomb cone, round or box; and the physical impulse of one unit of its impulse,
     /// because torsion and rolling in a cone are solved in the measure of sliding, as `a` has them.
     pub rows: Vec<[f64; 5]>,
 }

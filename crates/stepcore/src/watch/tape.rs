@@ -1,11 +1,11 @@
-//! What each element did in one step: its impulse, the work of that impulse, and what it
-//! stored meanwhile. Written only when a step is gone through again after a failure.
+//! The effect of each element in one step: its impulse, the work of that impulse, and the change of
+//! its stored energy. Recorded only when a step is repeated after a failure.
 //!
-//! With v̄ = (v + v⁺)/2 and an impulse P = M (v⁺ − v) made of the parts P_e, the change of
-//! ½ vᵀMv is exactly Σ v̄ᵀP_e where M does not move. An element's *gain* is v̄ᵀP_e plus the
-//! change of what it stores (½ k s² of a spring, −m g·c of gravity, ½ k φ² of a penalty
-//! contact): zero in an exact motion, negative where it dissipates. What is left of ΔE in a
-//! tree is the integrator's own, charged to the tree's inertial forces, which exactly do none.
+//! With v̄ = (v + v⁺)/2 and an impulse P = M (v⁺ − v) made of the parts P_e, the change of ½ vᵀMv
+//! is exactly Σ v̄ᵀP_e where M does not move. An element's *gain* is v̄ᵀP_e plus the change of its
+//! stored energy (½ k s² of a spring, −m g·c of gravity, ½ k φ² of a penalty contact): zero in an
+//! exact motion, negative where it dissipates. The rest of ΔE in a tree is due to the integrator,
+//! charged to the tree's inertial forces, which exactly do no work.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,11 +20,11 @@ use crate::real::{Mask, Real};
 use crate::settings::Law;
 use crate::sim::{At, Sim};
 
-/// Generalised impulses by element, while a step is written down.
+/// Generalised impulses by element, while a step is recorded.
 pub struct Tape {
     lane: usize,
     impulses: BTreeMap<Element, Vec<f64>>,
-    /// Of the bias forces, by dof.
+    /// Impulses of the bias forces, by dof.
     bias: Vec<f64>,
     /// Servos whose force was at its bound.
     saturated: BTreeSet<Element>,
@@ -34,23 +34,23 @@ pub struct Tape {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepGains {
     pub gains: BTreeMap<Element, f64>,
-    /// Kinetic and stored energy, gravity's left out [J].
+    /// Kinetic and stored energy, without gravity's [J].
     pub before: f64,
     pub after: f64,
     /// Servos whose force was at its bound.
     pub saturated: BTreeSet<Element>,
 }
 
-/// Of an element, and two dofs: a stiffness and a damping.
+/// For an element and two dofs: a stiffness and a damping.
 type LateSlope = (Element, [usize; 2], [f64; 2]);
 
-/// Energies at a state: kinetic by tree, stored by element, and what gravity has.
+/// Energies at a state: kinetic by tree, stored by element, and gravity's.
 struct Levels {
     kinetic: Vec<f64>,
     stored: BTreeMap<Element, f64>,
 }
 
-/// Of sums of a few hundred terms, and what f32 adds is left as it is.
+/// Rounding of sums of a few hundred terms; additional f32 rounding is not removed.
 const ROUNDING: f64 = 1e-13;
 
 impl Levels {
@@ -78,8 +78,8 @@ impl Tape {
     }
 }
 
-/// Lets `step` take one step of `sim` under a tape, which writes down what each element did in
-/// it, in one lane.
+/// Lets `step` take one step of `sim` under a tape, which records the effect of each element in it,
+/// in one lane.
 pub(crate) fn taped<R: Real>(
     sim: &mut Sim<R>,
     lane: usize,
@@ -94,7 +94,7 @@ pub(crate) fn taped<R: Real>(
     let v1: Vec<f64> = sim.state.qvel.iter().map(|v| v.lane(lane)).collect();
     let dt = sim.clock.seconds;
     for (element, [i, j], [stiffness, damping]) in late {
-        // Forces as they are at the end of the step: what their slopes add to those before.
+        // Forces at the end of the step: the addition of their slopes to the earlier forces.
         let more = damping * (v1[j] - v0[j]) + stiffness * dt * v1[j];
         tape.add(element, i, -dt * more);
     }
@@ -117,8 +117,8 @@ impl<R: Real> Sim<R> {
         tape.impulses
     }
 
-    /// Stiffness and damping that the integrator takes at the end of a step from the state of which
-    /// the levels were taken.
+    /// Stiffness and damping that the integrator takes at the end of a step from the state at which
+    /// the levels were measured.
     fn late_slopes(&self, lane: usize) -> Vec<LateSlope> {
         let (now, mut list) = (self.moment(At::State), Vec::new());
         let scheme = self.settings.integrator.scheme();
@@ -153,7 +153,7 @@ impl<R: Real> Sim<R> {
         Levels { kinetic, stored: self.stored_by_element(lane) }
     }
 
-    /// What each element stores at the present state, which `refresh` placed, in one lane [J].
+    /// The stored energy of each element, placed by `refresh`, in one lane [J].
     pub(super) fn stored_by_element(&mut self, lane: usize) -> BTreeMap<Element, f64> {
         let model = self.model.clone();
         let mut energies = BTreeMap::new();
@@ -229,7 +229,7 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// Gains out of impulses and levels; what is left in a tree goes to its inertial forces.
+/// Computes gains from impulses and levels; the rest in a tree goes to its inertial forces.
 fn gains(
     model: &Model,
     impulses: &BTreeMap<Element, Vec<f64>>,
@@ -239,7 +239,7 @@ fn gains(
     after: &Levels,
 ) -> StepGains {
     let mut gains: BTreeMap<Element, f64> = BTreeMap::new();
-    // What was taken off, in size: a difference that is only rounding beside it is none.
+    // The size of the subtracted terms: a difference that is their rounding counts as zero.
     let mut size: Vec<f64> =
         after.kinetic.iter().zip(&before.kinetic).map(|(after, before)| after + before).collect();
     let mut left: Vec<f64> =
@@ -262,7 +262,7 @@ fn gains(
         if left.abs() <= ROUNDING * size {
             continue;
         }
-        // Named by the joint on which they worked most.
+        // Named by the joint on which they did most work.
         let weight = |k: usize| impulses.get(&Element::GRAVITY).map_or(0.0, |gravity| gravity[k]);
         let worked = |k: &usize| ((bias[*k] - weight(*k)) * mean[*k]).abs();
         let most = tree.dofs.range().max_by(|a, b| worked(a).total_cmp(&worked(b)));

@@ -1,4 +1,4 @@
-//! The way of a spatial tendon in the world, for whoever draws it.
+//! The path of a spatial tendon in the world, for drawing.
 
 use super::Bodies;
 use crate::model::{Course, Model, Point, Round, Tendon};
@@ -8,11 +8,11 @@ use crate::spatial::{Pose, Quat, V3};
 /// Straight pieces of an arc.
 const PIECES: usize = 8;
 
-/// A part of the way from a site to the next: two points; where it may touch a geom `PIECES + 3`,
+/// A part of the path from a site to the next: two points; where it may touch a geom `PIECES + 3`,
 /// which are on one line while it does not.
 pub type Way = Vec<V3<f64>>;
 
-/// The stretches of a tendon in their order; none of a fixed one.
+/// The stretches of a tendon in their order; none for a fixed one.
 pub fn tendon_path(model: &Model, bodies: &Bodies, tendon: &Tendon) -> Vec<Way> {
     let Course::Spatial(stretches) = &tendon.course else { return vec![] };
     let way = |stretch: &crate::model::Stretch| {
@@ -49,8 +49,8 @@ fn around(model: &Model, bodies: &Bodies, ends: [V3<f64>; 2], round: &Round) -> 
     [vec![ends[0]], middle, vec![ends[1]]].concat()
 }
 
-/// A point of the screw line about an axis through the origin from one point to another, which is so
-/// long, at a part of the way.
+/// A point of the screw line about an axis through the origin from one point to another, of this
+/// length, at a part of the way.
 fn on_arc([one, two]: [V3<f64>; 2], axis: V3<f64>, length: f64, part: f64) -> V3<f64> {
     let Some(axis) = axis.try_normalize(0.0) else { return one + (two - one) * part };
     let rise = (two - one).dot(&axis);
@@ -61,7 +61,7 @@ fn on_arc([one, two]: [V3<f64>; 2], axis: V3<f64>, length: f64, part: f64) -> V3
     }
     let angle = (length * length - rise * rise).max(0.0).sqrt() / radius;
     let turned = |angle: f64| start * angle.cos() + axis.cross(&start) * angle.sin();
-    // It is told by where it ends which way round it goes.
+    // The end point decides which way round it goes.
     let miss = |sign: f64| (one + turned(sign * angle) - start + axis * rise - two).norm();
     let sign = if miss(1.0) <= miss(-1.0) { 1.0 } else { -1.0 };
     one - start + turned(sign * angle * part) + axis * (rise * part)

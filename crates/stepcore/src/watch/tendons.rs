@@ -1,4 +1,4 @@
-//! What can be read of tendons, at the positions that were last placed.
+//! Quantities of tendons, at the positions that were placed last.
 
 use super::zeros;
 use crate::elements::tendon_spring::tendon_force;
@@ -20,8 +20,7 @@ impl<R: Real> Sim<R> {
         (0..self.model.tendons.len()).map(rate).collect()
     }
 
-    /// Arms of each tendon by dof, in a lane: tendons × nv.
-    /// Refuses them if the memory does not hold them.
+    /// Arms of each tendon by dof, in a lane: tendons × nv. Refuses them without enough memory.
     pub fn tendon_jacobian(&self, lane: usize) -> Result<Vec<f64>> {
         let mut all = zeros("ten_J", self.model.tendons.len(), self.model.nv)?;
         for (row, tendon) in all.chunks_mut(self.model.nv.max(1)).zip(&self.model.tendons) {
@@ -39,9 +38,9 @@ impl<R: Real> Sim<R> {
         (0..self.model.tendons.len()).map(|index| tendon_force(&now, index)).collect()
     }
 
-    /// All forces along each spatial tendon in the last solve, in a lane, positive where they lengthen
-    /// it [N]: of its spring and damper, actuators, limit, friction loss, equalities and armature. 0 of
-    /// fixed tendons, which pull at no point.
+    /// All forces along each spatial tendon in the last solve, in a lane, positive where they
+    /// lengthen it [N]: of its spring and damper, actuators, limit, friction loss, equalities and
+    /// armature. 0 for fixed tendons, which pull at no point.
     pub(crate) fn tension_of_tendons(&self, lane: usize) -> Vec<f64> {
         let (model, placed) = (&*self.model, &self.placed);
         let now = self.moment(At::State);
@@ -70,7 +69,7 @@ impl<R: Real> Sim<R> {
         sums
     }
 
-    /// Calls `add(tendon, force)` for what the rows of tendons exert along them.
+    /// Calls `add(tendon, force)` for the forces that the rows of tendons exert along them.
     fn tension_of_rows(&self, lane: usize, mut add: impl FnMut(usize, f64)) {
         let model = &*self.model;
         for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {

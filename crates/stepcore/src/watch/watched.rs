@@ -1,4 +1,4 @@
-//! A `Sim` and those who watch it: its recent past, its ledger, and the post-mortem of a failure.
+//! A `Sim` with its observers: its recent past, its ledger, and the post-mortem of a failure.
 
 use std::sync::Arc;
 
@@ -17,20 +17,20 @@ use crate::settings::Settings;
 use crate::sim::Sim;
 use crate::warm::Warm;
 
-/// A `Sim` whose failures say which element they came from, and which keeps a ledger of its
-/// energy if the settings ask for one.
+/// A `Sim` whose failures name the element that caused them. It keeps a ledger of its energy if the
+/// settings request one.
 pub struct Watched<R: Real> {
     pub sim: Sim<R>,
     past: Past<R>,
     ledger: Option<Box<Ledger<R>>>,
     others: Others,
-    /// Computes what is asked and leaves the last solve of the first as it is.
+    /// Used for further computations, so that the last solve of the first stays.
     second: Option<Box<Sim<R>>>,
-    /// The last step failed: its impulses are no start for another state.
+    /// The last step failed: its impulses must not start another state.
     failed: bool,
 }
 
-/// The worlds beside one.
+/// The other worlds.
 #[derive(Clone, Copy)]
 struct Others {
     /// Lanes (bits) that only repeat another, whose failures are reported there.
@@ -52,7 +52,7 @@ impl<R: Real> Watched<R> {
 
     pub fn around(sim: Sim<R>) -> Self {
         let care = if sim.settings.ledger { Care::Full } else { Care::Least };
-        // Steps within an accuracy watch themselves.
+        // Adaptive steps do their own checks.
         let fixed = sim.settings.accuracy.0.is_none();
         Self {
             past: Past::new(&sim.model),
@@ -64,14 +64,14 @@ impl<R: Real> Watched<R> {
         }
     }
 
-    /// One among so many, which share what explaining their failures may cost.
+    /// Makes it one of this many worlds, which share the cost of explaining their failures.
     pub(crate) fn among(mut self, worlds: usize) -> Self {
         self.others.worlds = worlds;
         self
     }
 
-    /// Takes one world's arrays, which were checked, where they may differ from those at hand. Lane 0
-    /// comes first.
+    /// Takes one world's arrays, already checked, where they may differ from the present ones. Lane
+    /// 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given, some: ArraySet) {
         if self.sim.put_some(lane, given, some) {
             if std::mem::take(&mut self.failed) {
@@ -82,7 +82,7 @@ impl<R: Real> Watched<R> {
         }
     }
 
-    /// The state at hand did not come from a step: a new account is opened.
+    /// Opens a new account: the present state did not come from a step.
     pub fn forget(&mut self) {
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
@@ -99,7 +99,7 @@ impl<R: Real> Watched<R> {
         outcome.map_err(|error| self.failed(error))
     }
 
-    /// Balances the account of energies of worlds that go on elsewhere.
+    /// Balances the account of energies of worlds that continue elsewhere.
     pub(crate) fn end_account(&mut self) -> Result<()> {
         let Self { sim, past, ledger, others, .. } = self;
         let Some(ledger) = ledger else { return Ok(()) };
@@ -107,7 +107,7 @@ impl<R: Real> Watched<R> {
             .end(sim, |ledger, sim, lane, gained| suspect(*others, ledger, sim, past, lane, gained))
     }
 
-    /// Takes one step and writes down what each element did in it, in one lane.
+    /// Takes one step and records the effect of each element in it, in one lane.
     pub fn taped_step(&mut self, lane: usize) -> Result<StepGains> {
         let Self { sim, past, ledger, others, .. } = self;
         let taped = |sim: &mut Sim<R>| {
@@ -130,7 +130,7 @@ impl<R: Real> Watched<R> {
         outcome.map_err(|error| self.failed(error))
     }
 
-    /// Place, detect and solve at the present state. Nothing is committed.
+    /// Runs place, detect and solve at the present state. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
         let outcome = self.sim.whole(Sim::forward).map_err(|error| self.explained(error));
         if outcome.is_err() {
@@ -144,9 +144,8 @@ impl<R: Real> Watched<R> {
         self.sim.whole(Sim::go_to_last_stage).map_err(|error| self.explained(error))
     }
 
-    /// At the end of a call of `n` steps, in however many portions these were made: balances
-    /// the ledger if the call was long, or it never was balanced. Nothing that can be read
-    /// changes.
+    /// Ends a call of `n` steps, in however many portions it was made: balances the ledger if the
+    /// call was long, or if the ledger never was balanced. Nothing that can be read changes.
     pub fn balance_at_end(&mut self, n: u64) -> Result<()> {
         let Self { sim, past, ledger, others, .. } = self;
         let Some(ledger) = ledger else { return Ok(()) };
@@ -158,33 +157,33 @@ impl<R: Real> Watched<R> {
         outcome.map_err(|error| self.failed(error))
     }
 
-    /// Without `Settings::ledger`: that more energy was gained than can be, and where from. It is
-    /// said once, and nothing is looked for after that.
+    /// Without `Settings::ledger`: the warning that more energy was gained than possible, and its
+    /// source. It is given once, and nothing is checked after that.
     pub fn take_warning(&mut self) -> Option<String> {
         let said = self.ledger.as_mut()?.take_said()?;
         self.unwatch();
         Some(said.warning())
     }
 
-    /// Without `Settings::ledger`, energies are not looked at any more.
+    /// Without `Settings::ledger`, stops checking energies.
     pub fn unwatch(&mut self) {
         if !self.sim.settings.ledger {
             self.ledger = None;
         }
     }
 
-    /// A step failed.
+    /// Handles a failed step.
     fn failed(&mut self, error: Error) -> Error {
         if error == Error::Interrupted {
-            // Where the account of energies was interrupted is not known.
+            // The account of energies was interrupted at an unknown point.
             self.forget();
             return error;
         }
         self.failed = true;
-        // The error says more than a warning of the same run.
+        // The error contains more than a warning of the same run.
         self.ledger.iter_mut().for_each(|ledger| drop(ledger.take_said()));
         let error = self.explained(error);
-        // What was solved last led nowhere: what can be read is that of the last finite state.
+        // The last solve led nowhere: the readable one is at the last finite state.
         let effort = self.sim.effort;
         if self.sim.whole(Sim::forward).is_err() {
             self.sim.clear_solve();
@@ -193,7 +192,7 @@ impl<R: Real> Watched<R> {
         error
     }
 
-    /// These are the impulses of the last step that went well.
+    /// Puts back the impulses of the last successful step.
     pub fn put_impulses(&mut self, warm: impl Iterator<Item = Warm<R>>) {
         let (warm, kept): (Vec<_>, _) = (warm.collect(), &self.sim.state.warm);
         if !kept.iter().filter(|w| w.acts()).eq(warm.iter().filter(|w| w.acts())) {
@@ -203,11 +202,11 @@ impl<R: Real> Watched<R> {
         self.forget();
     }
 
-    /// An error with what can be found out about it.
+    /// Adds to an error everything that can be found out about it.
     fn explained(&self, error: Error) -> Error {
         let Error::Diverged(mut divergence) = error else { return error };
         if divergence.post.is_none() {
-            // A copy fails with the world that it repeats, which is the first.
+            // A copy fails together with the world that it repeats, which comes first.
             if !self.is_world(divergence.world) {
                 let first = (0..R::LANES).find(|lane| self.is_world(*lane));
                 divergence.world = first.unwrap_or(divergence.world);
@@ -219,18 +218,17 @@ impl<R: Real> Watched<R> {
         Error::Diverged(divergence)
     }
 
-    /// Memory of the state, of all working space and of what is kept of the past [bytes]; the
-    /// model is not in it.
+    /// Memory of the state, of all working space and of the stored past [bytes]; without the model.
     pub fn bytes(&self) -> usize {
         let ledger = self.ledger.as_ref().map_or(0, Room::room);
         size_of::<Self>() + self.sim.room() + self.second.room() + self.past.room() + ledger
     }
 }
 
-/// For batches, whose groups of worlds take turns in one working space.
+/// For batches, whose groups of worlds share one working space.
 impl<R: Real> Watched<R> {
-    /// Another group's worlds, of which `copies` (bits) repeat another, with their past and ledger;
-    /// those that were here are left in their place.
+    /// Swaps in another group's worlds, of which `copies` (bits) repeat another, with their past
+    /// and ledger; the previous ones are stored in their place.
     pub(crate) fn swap(
         &mut self,
         past: &mut Past<R>,
@@ -242,7 +240,7 @@ impl<R: Real> Watched<R> {
         self.others.copies = copies;
     }
 
-    /// Some lanes (bits) repeat lane `from` from now on: their worlds have failed.
+    /// Makes some lanes (bits) repeat lane `from` from now on: their worlds have failed.
     pub(crate) fn repeat(&mut self, from: usize, copies: u64) {
         self.others.copies = copies;
         if let Some(ledger) = &mut self.ledger {
@@ -253,8 +251,8 @@ impl<R: Real> Watched<R> {
         }
     }
 
-    /// A second `Sim`, with the state and the inputs at hand: what is computed there leaves what was
-    /// solved last as it is.
+    /// A second `Sim`, with the present state and inputs: computing there leaves the last solve as
+    /// it is.
     pub(crate) fn second(&mut self) -> Result<&mut Sim<R>> {
         let second = second_sim(&mut self.second, &self.sim)?;
         self.sim.state.copy_to(&mut second.state);
@@ -262,18 +260,18 @@ impl<R: Real> Watched<R> {
         Ok(second)
     }
 
-    /// Where bodies were placed last in the second `Sim`; before that, where they are in steps.
+    /// The last placement of the second `Sim`; before there is one, the placement of the steps.
     pub(crate) fn placed(&self) -> &Placed<R> {
         self.second.as_ref().map_or(&self.sim.placed, |second| &second.placed)
     }
 
-    /// A lane that stands for a world of its own.
+    /// Whether a lane is a world rather than a copy.
     pub(crate) fn is_world(&self, lane: usize) -> bool {
         self.others.is_world(lane)
     }
 }
 
-/// A world gained more energy than it can have. A copy says nothing: its world does.
+/// Handles a world that gained more energy than possible. A copy reports nothing: its world does.
 fn suspect<R: Real>(
     others: Others,
     ledger: &mut Ledger<R>,
@@ -288,11 +286,11 @@ fn suspect<R: Real>(
     look_into(ledger, sim, past, others.worlds, lane, gained).or_else(|error| ledger.heard(error))
 }
 
-/// Why the next step of a world failed, which an accompanying copy found.
+/// Explains, in an accompanying copy, why the next step of a world failed.
 pub(super) type Explain = fn(&Plain, Error) -> Error;
 
-/// The same step in numbers `R` says. Whoever makes a copy knows these, so that their step is compiled
-/// with theirs, and not once more with the copy's.
+/// Explains the same step in the number type `R`. The code that makes a copy chooses `R`, so that
+/// this step is compiled with its step, and not once more with the copy's.
 pub(super) fn explained<R: Real>(copy: &Plain, error: Error) -> Error {
     let plain = copy.sim::<R>().and_then(|plain| Watched::around(plain).step(1));
     plain.err().unwrap_or(error)

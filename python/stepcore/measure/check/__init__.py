@@ -1,4 +1,4 @@
-"""`check`: finds what makes a scene misbehave, in seconds; the first thing to run."""
+"""`check`: find the problems of a scene in seconds; the first command to run."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ OF_KIND = {
 class Check(Result):
     """The problems of a scene; `stepcore.check` returns it.
 
-    settings: the scene's own settings, under which it ran.
+    settings: the settings as shipped, under which the scene ran.
     motion: the motion that was run.
     findings: the problems, most severe first.
     diagnosis: the `Diagnosis` of the time step; None if the diagnosis failed, and a note gives the
         reason.
     file: the file argument of the commands, with the options that change how the file is read.
     options: the options of the motion for the commands, by the field of `Motion`.
-    holding: those that only `run` has besides, for the motion of this run.
+    holding: the additional options of `run`, for the motion of this run.
     examined: what was examined, in words: parts of the scene and the motion that was run.
     """
 
@@ -140,12 +140,12 @@ class Check(Result):
 
     @property
     def endless(self) -> bool:
-        """Whether the motion grows at every time step, so that none is the cure."""
+        """Whether the motion grows at every time step, so that no step is a fix."""
         return any(finding.kind == ENDLESS for finding in self.findings)
 
     @property
     def mjcf(self) -> str:
-        """The elements to paste of findings that have several, an element a line."""
+        """The elements to paste, one per line, of findings that have several."""
         return "\n".join(line for finding in self.findings for line in finding.lines)
 
     @property
@@ -171,7 +171,7 @@ class Check(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """The problems with their cures, the diagnosis' answer, and the commands to run next."""
+        """The problems with their fixes, the diagnosis' answer, and the commands to run next."""
         fails = self.diagnosis and (
             self.diagnosis.fails or self.diagnosis.limit() < self.settings.dt
         )
@@ -191,12 +191,12 @@ class Check(Result):
             said = [f"No problems found in {examined}."]
         if unknown:
             said.insert(0, f"Not known yet: {' and '.join(unknown)}.")
-        # A motion that grows at every time step is not followed by the largest stable one.
+        # A motion that grows at every time step has no largest stable step.
         if self.diagnosis is not None and not self.endless:
             answers, fails = self.diagnosis.sentences, self.diagnosis.fails
             known = fails and math.isfinite(self.diagnosis.limit())
             if not known:
-                # A run that fails is not followed by how stable another part of the motion is.
+                # After a failed run, the stability of another part of the motion is left out.
                 answers = [f"{beginning(answers[0])}."] if fails or not self.failed else []
             # The failure has the answer already, and the motion is said once, below.
             told = bool(answers) and any(
@@ -237,13 +237,13 @@ def check(
     depth: float | str | None = None,
     **fields: Unpack[MeasurementFields],
 ) -> Check:
-    """Find what makes a scene misbehave, in seconds; the first thing to run.
+    """Find the problems of a scene in seconds; the first command to run.
 
     `check` reads the scene (implausible masses and inertias, units that look like mm or
     degrees, starts and keyframes outside of limits, saturated servos, loads that actuators cannot
     hold, limits that an actuator overpowers), monitors one run as shipped (overlaps, creep,
     gaps, depths, sag, saturation), and diagnoses the time step. Each finding is a sentence with its
-    cure, most severe first. The diagnosis' answer and the commands to run next follow.
+    fix, most severe first. The diagnosis' answer and the commands to run next follow.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: the `Motion` that is run; or write its fields as arguments, except `starts`, because
@@ -273,7 +273,7 @@ def check(
     start, held = home(compiled, motion.key)
     first = 0 if compiled.keys else None
     key = first if motion.key is None else compiled.index("key", motion.key)
-    # What the scene alone says comes first: it takes no run.
+    # The findings of the scene alone come first: they take no run.
     scene = Described(compiled, start, held, key)
     read = [*described(scene), *plausibility(scene)]
     deadline.so_far(_first(read, "the file alone"))
@@ -282,7 +282,7 @@ def check(
     holds = _held(compiled, motion)
     far, failure, seen, judged = Horizon(horizon), list[Finding](), list[Finding](), motion
     schedule = None
-    # Half of the time is the diagnosis'.
+    # Half of the time is left for the diagnosis.
     with deadline.stage(AS_SHIPPED, HALF):
         far = horizon_of(compiled, holds, horizon)
         schedule = _schedule(compiled, holds, far.length)
@@ -291,7 +291,7 @@ def check(
     if schedule is None:
         schedule = _schedule(compiled, holds, far.length)
     if failure:
-        # The step is judged on the very motion that failed.
+        # The step is judged on the motion that failed.
         judged, horizon = holds, schedule.horizon
     with deadline.stage("runs of the fixes that the scene alone suggests", HALF):
         read = verified(read, compiled)
@@ -301,7 +301,7 @@ def check(
     if diagnosis is not None and diagnosis.fails and not failure:
         found = [_unstable(diagnosis), *_unblamed(found)]
     if any(finding.kind == ENDLESS for finding in read):
-        # What grows at every time step is the cause, and no step is.
+        # The cause is the motion that grows at every time step, not the step.
         found = [*merged, *failure]
     return Check(
         name=setup.name,
@@ -323,7 +323,7 @@ def check(
 
 
 def _for_urdf(path: str, findings: Sequence[Finding]) -> Iterator[str]:
-    """Yield how a file can say what findings advise, if it is a URDF."""
+    """Yield how to write the advice of findings in a file that is a URDF."""
     advised = " ".join(finding.text for finding in findings)
     if not path.lower().endswith(".urdf"):
         return
@@ -335,7 +335,7 @@ def _for_urdf(path: str, findings: Sequence[Finding]) -> Iterator[str]:
 
 
 def _first(findings: list[Finding], where: str) -> str:
-    """Return the findings that stand whatever runs of their cures show."""
+    """Return the findings that do not depend on runs of their fixes, as text."""
     findings = [one for one in ordered(findings) if one.remedy is None or not one.remedy.needed]
     said = (f"\n- {finding.severity}: {finding.problem}" for finding in findings)
     what = counted(len(findings), "finding") if findings else "no problem"
@@ -345,7 +345,7 @@ def _first(findings: list[Finding], where: str) -> str:
 def _held(model: Model, motion: Motion) -> Motion:
     """Return the motion, with the keyframe's controls held constant if the user gives none.
 
-    Motors that were made, of which the file says no controls, hold the pose.
+    Motors that stepcore made have no controls in the file, and hold the pose.
     """
     if motion.is_users or motion.kind or not model.nu:
         return motion
@@ -386,7 +386,7 @@ def _monitored(
     seen, failure = monitored(model, schedule, depth, ran)
     if failure is None:
         return [], seen
-    # With an account of its energy a run knows what drove it.
+    # A run with an energy account reports what drove it.
     cause = monitored(model.with_settings(balanced(model.settings)), schedule, depth)[1] or ""
     replay = Next("run", "writes a replay of the failure for `stepcore replay`")
     why = beginning(cause, 2).removeprefix(beginning(cause))
@@ -432,10 +432,10 @@ def _unblamed(findings: list[Finding]) -> Iterator[Finding]:
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
     """Yield the findings of the scene and of the run without duplicates.
 
-    Of a duplicate, the scene's finding is kept; of limits and soft contacts, the run's.
+    The scene's finding is kept, except for limits and soft contacts: there the run's is kept.
     """
     limits = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
-    # With a control range in degrees, every limit is overpowered; the range is told only.
+    # A control range in degrees overpowers every limit; only the range is reported.
     degrees = any(finding.kind == "units" for finding in read)
     deep = any(finding.kind == "depth at rest" for finding in seen)
     known = set()
@@ -473,7 +473,7 @@ def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str
 
 
 def _file(source: Source, model: Model) -> str:
-    """Return the file argument of the commands; of a scene without some kinds, its own file."""
+    """Return the file argument of the commands, with options for kinds that were left out."""
     kinds = [line.partition(" ")[0] for line in model.scene.without]
     read = model.scene._source if kinds else None
     file = read.files[0] if read else "FILE"
@@ -490,7 +490,7 @@ def file_in_words(file: str, without: list[str], fuse: bool = True) -> str:
 
 
 def _options(motion: Motion) -> dict[str, str]:
-    """Return the motion as command options; placeholders stand for what is in no file."""
+    """Return the motion as command options, with placeholders for values in no file."""
     options = {}
     for name in MOTION:
         value, default = getattr(motion, name), getattr(Motion, name)

@@ -1,4 +1,4 @@
-"""What a scene shows as it is described: units, masses, ranges, keyframes and gains."""
+"""Findings on the description of a scene: units, masses, ranges, keyframes and gains."""
 
 from __future__ import annotations
 
@@ -62,19 +62,19 @@ LARGE = 10.0
 # Inertia below which units are too large [kg·m²]: ten times MuJoCo's mjMINVAL. A worm of 2e-15
 # fails there with a rank-deficient Hessian, one of 2e-13 trains well (MuJoCo's issue 1086).
 TINY = 1e-14
-# Densities [kg/m³] outside of which nothing is solid: below that of air, and above that of osmium.
+# Range of the densities of solids [kg/m³], from less than air to more than osmium.
 SOLID = (1.0, 25_000.0)
-# A keyframe is written on purpose: only the rounding of its numbers may be outside, relative to the
-# range. kitchen_env_model.xml has 0.19 %.
+# Largest excess of a keyframe, relative to the range: keyframes are written on purpose, and only
+# the rounding of their numbers may be outside. kitchen_env_model.xml has 0.19 %.
 KEYED = 1e-3
-# The kind of finding on a motion that grows at every time step.
+# The kind of a finding on a motion that grows at every time step.
 ENDLESS = "ball joint"
 LIST = (Next("plan", "every body, geom and row that a step computes", ("--all",)),)
 
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """A scene, the start of its motion and the controls at it; key: of the start's keyframe."""
+    """A scene, its start and the controls there; key: the index of the start's keyframe."""
 
     model: Model
     start: Start
@@ -121,7 +121,7 @@ class Described:
 
 
 def described(scene: Described) -> Iterator[Finding]:
-    """Yield the findings of a scene as it is described."""
+    """Yield the findings on the description of a scene."""
     for find in FINDINGS:
         if scene.model.scene.features.limit or find not in OF_LIMITS:
             yield from find(scene)
@@ -135,7 +135,7 @@ def _lengths(scene: Described) -> Iterator[Finding]:
     model = scene.model
     on_moving = np.isin(model.geom_body, scene.moving) & np.isfinite(scene.sizes.reach)
     gravity = float(np.linalg.norm(model.scene.gravity)) if model.scene.features.gravity else 0.0
-    # Of the Moon, of Jupiter: lengths are not scaled together with gravity.
+    # Gravity is as on the Moon to Jupiter, so it was not scaled together with lengths.
     if not on_moving.any() or not 1 < gravity < 50:
         return
     typical = float(np.median(np.array(scene.sizes.reach)[on_moving]))
@@ -194,7 +194,7 @@ def _angles(scene: Described) -> Iterator[Finding]:
 
 
 def _degrees(scene: Described) -> Iterator[Finding]:
-    """Yield servos whose control range is the joint's range in degrees; MuJoCo keeps degrees."""
+    """Yield servos whose control range is the joint's range in degrees; MuJoCo converts none."""
     model, wrong = scene.model, []
     for of in actuators(model):
         if of.holds and of.joint is not None and model.jnt_type[of.joint] == "hinge":
@@ -219,7 +219,7 @@ def _degrees(scene: Described) -> Iterator[Finding]:
 
 
 def volume(model: Model, geom: Geom, index: int) -> float:
-    """Return the volume of a geom [m³]; a mesh's hull counts; inf for planes and height fields."""
+    """Return the volume of a geom [m³], for a mesh of its hull; inf for planes and hfields."""
     if geom.type == "mesh":
         vertices, triangles = model.geom_hull(index)
         if not len(triangles):
@@ -256,7 +256,7 @@ def _densities(scene: Described) -> Iterator[Finding]:
     for wrong, than in ((dense, "{} the density of water"), (light, "lighter than air")):
         if wrong:
             value, bodies = density[wrong[0]], named(model, "body", wrong)
-            # Of water, 1000 kg/m³.
+            # Relative to water, 1000 kg/m³.
             than = than.format(times(value / 1000))
             problem = (
                 f"{listed(bodies, 'body')} has {float(model.body_mass[wrong[0]]):.3g} kg in its "
@@ -295,11 +295,11 @@ def _beyond(scene: Described) -> Iterator[Finding]:
 def _outside(
     model: Model, kind: str, values: Floats, ranges: Floats, where: str, slack: float
 ) -> Finding | None:
-    """Return those of some joints or tendons that are outside of their ranges."""
+    """Return a finding on joints or tendons that are outside of their ranges, or None."""
     # Without a limit the range is infinite.
     limited = [k for k in range(len(values)) if np.isfinite(ranges[k]).all()]
     over = {k: max(ranges[k][0] - values[k], values[k] - ranges[k][1]) for k in limited}
-    # What its limits lock counts as 1 rad or 1 m wide.
+    # A locked joint or tendon counts as 1 rad or 1 m wide.
     share = {k: float(over[k] / (np.ptp(ranges[k]) or 1.0)) for k in limited}
     outside = worst(limited, lambda k: share[k] / slack)
     if not outside:
@@ -345,7 +345,7 @@ def _clamped(scene: Described) -> Iterator[Finding]:
 
 
 def _asked_beyond(scene: Described) -> Iterator[Finding]:
-    """Yield servos that a keyframe asks for a position beyond the range of their joint."""
+    """Yield servos whose target in a keyframe is beyond the range of their joint."""
     model = scene.model
     limited = np.isfinite(model.jnt_range).all(axis=1)
     servos = {of.index: of for of in scene.drives if of.holds and limited[of.joint]}
@@ -408,7 +408,7 @@ def _overpowered(scene: Described) -> Iterator[Finding]:
         """Run the actuator as it pushes its joint beyond the end of its range."""
         _, end, control = _outward(other, actuators(other)[k])
         qpos, ctrl = np.array(scene.start.qpos), np.zeros((1, 1, other.nu))
-        # A control without a range is asked for more than any force range.
+        # A control without a range exceeds any force range.
         qpos[of.qposadr], ctrl[0, 0, k] = end, np.clip(control, -1e6, 1e6)
         steps = max(1, min(round(HORIZON / other.settings.dt), STEPS))
         return followed(other, dataclasses.replace(scene.start, qpos=qpos), steps, ctrl=ctrl)
@@ -420,7 +420,7 @@ def _overpowered(scene: Described) -> Iterator[Finding]:
 def _outward(model: Model, of: Actuator) -> tuple[float, float, float]:
     """Return an actuator's largest force outwards of its joint's range, the end, and the control.
 
-    The force is 0 where nothing bounds it: a servo without a control range is not meant to push.
+    The force is 0 if it is unbounded: a servo without a control range is not meant to push.
     """
     controls, ends = of.ctrlrange, model.jnt_range[of.joint].tolist()
     if not np.isfinite(controls).all():
@@ -437,7 +437,7 @@ def _outward(model: Model, of: Actuator) -> tuple[float, float, float]:
 
 
 def _saturated(scene: Described) -> Iterator[Finding]:
-    """Yield servos whose wanted force exceeds their force range at the start."""
+    """Yield servos whose requested force exceeds their force range at the start."""
     model, start, asked = scene.model, scene.start, dict[int, tuple[float, float]]()
     for of in scene.drives:
         if of.holds:
@@ -460,8 +460,8 @@ def _saturated(scene: Described) -> Iterator[Finding]:
 def _balance(scene: Described) -> Iterator[Finding]:
     """Yield actuators that cannot carry the weight at the start, whatever their controls.
 
-    Forces are those of the engine at both ends of the controls, whether at joints, sites, tendons
-    or bodies. What touches something or hangs on an equality may be carried by that.
+    The engine computes the forces at both ends of the controls, at joints, sites, tendons and
+    bodies. Joints with a constraint force are left out: a contact or an equality may carry them.
     """
     model, sim = scene.model, Sim(scene.model)
     if not model.nu or sim.act.size or not model.scene.features.actuation:
@@ -504,7 +504,7 @@ def _balance(scene: Described) -> Iterator[Finding]:
 
 
 def _unlifted(scene: Described, body: int, each: Floats, need: float) -> Iterator[Finding]:
-    """Yield the actuators that push a body up with less than its weight; each: of these [N]."""
+    """Yield the actuators that push a body up with less than its weight; each: their forces [N]."""
     model, have = scene.model, float(each.sum())
     if not 0 < have < (1 - SEEN) * need:
         return
@@ -519,7 +519,7 @@ def _unlifted(scene: Described, body: int, each: Floats, need: float) -> Iterato
     words = f"{times(ratio * (1 + FEW))} the gear of each"
 
     def again(other: Model) -> Recording:
-        """Run with all controls that lift at their ends."""
+        """Run with all lifting controls at their upper ends."""
         ctrl = np.array(scene.ctrl)[None, None].copy()
         ctrl[..., lifting] = np.clip(model.actuator_ctrlrange[lifting, 1], -1e9, 1e9)
         return followed(other, scene.start, round(HORIZON / other.settings.dt), ctrl=ctrl)
@@ -535,10 +535,10 @@ def _unlifted(scene: Described, body: int, each: Floats, need: float) -> Iterato
 
 
 def _turning(scene: Described) -> Iterator[Finding]:
-    """Yield servos that drive a ball joint on and on, whatever the time step.
+    """Yield servos that keep turning a ball joint at every time step.
 
-    Torques that each follow one component of the rotation are not the gradient of an energy, so
-    that a motion through other angles may gain some on each round.
+    Torques that each follow one component of the rotation are not the gradient of an energy, so a
+    motion through other angles may gain energy on each round.
     """
     model, of_joint = scene.model, dict[int, list[Actuator]]()
     for of in actuators(model):
@@ -577,7 +577,7 @@ def _damped(scene: Described, joint: int, servos: list[Actuator]) -> Remedy:
         return followed(other, scene.start, steps, ctrl=scene.ctrl[None, None])
 
     def turns(run: Recording) -> float:
-        """Return the speed of the joint at the end over its largest; 1 of a run that fails."""
+        """Return the speed of the joint at the end over its largest; 1 for a run that fails."""
         speed = np.abs(run["qvel"][:, dof : dof + 3]).max(axis=1)
         end = float(speed[max(run.late, 0) :].max() / max(float(speed.max()), 1e-300))
         return end if run.failure is None else 1.0
@@ -613,7 +613,7 @@ def _unused(scene: Described) -> Iterator[Finding]:
         yield Finding("unused tendon", "remark", problem, cure, tendons)
 
 
-# Equally severe ones are told in this order; those of limits only where limits act.
+# Equally severe findings are reported in this order; OF_LIMITS only if limits are enabled.
 OF_LIMITS = (_beyond, _asked_beyond, _overpowered)
 FINDINGS = (
     *(_lengths, _tiny, _angles, _degrees, _densities, _beyond, _clamped),

@@ -1,4 +1,4 @@
-"""What a scene gives that no real thing has: inertias, centres of mass, mass matrix, softness."""
+"""Findings on implausible values: inertias, centres of mass, mass matrix, softness."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from stepcore.scene.elements import Geom
 from stepcore.viewing import surfaces
 
 # Largest and smallest radius of gyration over the reach of the geoms from the centre of mass. 25
-# files (12 models) with inertias of their own have 0.24 (a finger of Panda) to 2.4 (its link1).
+# files (12 models) with explicit inertias have 0.24 (a finger of Panda) to 2.4 (its link1).
 # Exceptions are 5.5 in dm_control's arm.xml, which is wrong, and 3.9 and 50 in parts whose meshes
 # were left out. In 58-finger3.urdf, whose inertias are 1000 times too small, it is 0.02.
 TOO_FAR, TOO_NEAR = 3.0, FEW
-# Smallest eigenvalue of the mass matrix of joints scaled to a unit diagonal. Of about 90 files the
-# least are 0.0029 and, for a worm that fails, 3.4e-4.
+# Smallest eigenvalue of the mass matrix of joints scaled to a unit diagonal. The smallest in about
+# 90 files are 0.0029 and, for a worm that fails, 3.4e-4.
 SINGULAR = 1e-6
 # Time constant of a solref [s]. In about 90 files none is above MuJoCo's default of 0.02.
 SOFT, DEFAULT = 0.1, 0.02
 
 
 def plausibility(scene: Described) -> Iterator[Finding]:
-    """Yield what a scene describes and no real thing has."""
+    """Yield the findings on values that no real object has."""
     bodies = _given(scene)
     yield from _inertias(scene, bodies)
     yield from _centres(scene, bodies)
@@ -42,10 +42,10 @@ def plausibility(scene: Described) -> Iterator[Finding]:
 
 
 class _Body(NamedTuple):
-    """A body with an inertia of its own: the radius of gyration, and where the body is [m].
+    """A body with an explicit inertia: the radius of gyration and the extent of the body [m].
 
-    points: on its geoms, from the centre of mass, in the body's frame, (n, 3). outline: these with
-    its joints and the frames of its children; a link reaches from joint to joint.
+    points: on its geoms, from the centre of mass, in the body's frame, (n, 3). outline: these, its
+    joints and the frames of its children; a link reaches from joint to joint.
     """
 
     gyration: float
@@ -59,7 +59,7 @@ class _Body(NamedTuple):
 
 
 def _given(scene: Described) -> dict[int, _Body]:
-    """Return the bodies with an explicit inertia and with geoms that have an end."""
+    """Return the bodies with an explicit inertia and with geoms of finite size."""
     model, sim, found = scene.model, Sim(scene.model), dict[int, _Body]()
     turns = np.reshape(sim.xmat, (-1, 3, 3))
     for body in scene.moving:
@@ -82,7 +82,7 @@ def _given(scene: Described) -> dict[int, _Body]:
 
 
 def _surface(model: Model, geom: Geom, index: int) -> Floats:
-    """Return points on a geom in its frame [m], (n, 3); those of an endless one are not finite."""
+    """Return points on a geom in its frame [m], (n, 3); not finite for an infinite geom."""
     if geom.type == "mesh":
         return model.geom_hull(index)[0]
     if geom.type in ("plane", "hfield"):
@@ -94,7 +94,7 @@ def _surface(model: Model, geom: Geom, index: int) -> Floats:
 def _inertias(scene: Described, bodies: dict[int, _Body]) -> Iterator[Finding]:
     """Yield explicit inertias that do not fit the mass and the extent of the body."""
     model = scene.model
-    # Meshes that only draw are not read, so that a body may reach further than is known.
+    # Visual meshes are not read, so a body may reach further than its geoms.
     whole = not any("only draws" in line for line in model.scene.ignored)
 
     def over(body: int) -> float:
@@ -137,10 +137,10 @@ def _centres(scene: Described, bodies: dict[int, _Body]) -> Iterator[Finding]:
 
 
 def outside(points: Floats) -> tuple[float, float]:
-    """Return how far the origin is outside of the convex hull of points, and half its size [m].
+    """Return the distance of the origin from the convex hull of points, and half its size [m].
 
-    The distance is a share of the half size. It is a lower bound by Gilbert's method: the hull lies
-    behind the plane through its furthest point towards the origin.
+    The unit of the distance is the half size. It is a lower bound by Gilbert's method: the hull
+    lies behind the plane through its furthest point towards the origin.
 
     >>> share, size = outside(np.array([[2.0, 1.0, 0.0], [2.0, -1.0, 0.0]]))
     >>> print(f"{share:.3f} {size:.3f}")
@@ -163,7 +163,7 @@ def outside(points: Floats) -> tuple[float, float]:
 
 
 def _singular(scene: Described) -> Iterator[Finding]:
-    """Yield joints that move the same masses alike, at the start or in a keyframe."""
+    """Yield joints that move the same masses in the same way, at the start or in a keyframe."""
     model, sim = scene.model, Sim(scene.model)
     states = [(f"{name[:1].lower()}{name[1:]}", qpos) for name, qpos, _ in scene.keys]
     if scene.key is None:

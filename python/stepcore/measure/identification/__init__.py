@@ -52,18 +52,19 @@ from stepcore.report.units import counted, rounded
 
 __all__ = ["Identification", "identify"]
 
-# A long log is fitted to its beginning first, which costs little and can be predicted from a poor
-# guess: this share of it, if that is as many steps.
+# The beginning of a long log is fitted first, which is cheap, and possible from a poor guess: this
+# share of the log, if it has at least this many steps.
 BEGINNING, ENOUGH = 1 / 8, 40
-# When iterations end: of the beginning, and of all. Errors are squared in each: after a step of
-# 1e-7 they are below 1e-13, of logs with noise a millionth of what that makes uncertain.
+# Tolerances that end the iterations, for the beginning and for the whole log. Each iteration
+# squares the error: after a step of 1e-7 it is below 1e-13, or with noise, a millionth of the
+# uncertainty from noise.
 ROUGH = {"xtol": 1e-3, "ftol": 1e-4, "gtol": 1e-8}
 FINE = {"xtol": 1e-7, "ftol": 1e-14, "gtol": 1e-14}
-# From a poor guess a fit may end far from the best one. So many pieces, spread over the logs, are
-# fitted then, each from a first state of its own: of half as many rows, and of ever twice as many
-# from the values of those. Of five logs (servos at the end of their force in turn) all were so led
-# to the hidden values; with twice as many rows at first none was to all digits, and one not at all.
-# As many iterations are enough for that.
+# From a poor guess a fit may end far from the best one. Then this many pieces, spread over the
+# logs, are fitted, each with a separate first state. They begin with half this number of rows, and
+# are doubled, each time from the values found before. All of five logs (servos that saturate one
+# after another) led to the hidden values; with twice as many rows at first none did to all digits,
+# and one did not at all. This is also the largest number of iterations of each such fit.
 PIECES = 20
 FROM = "the fit began with the values of fits of short pieces, because it was bad from those given"
 LINEAR = (
@@ -89,33 +90,33 @@ def identify(
     """Find values of a model from logs of its motion, with exact derivatives.
 
     model: a Model, a Scene, or any argument of `stepcore.load`; its values are the first guess.
-    logs: a log, or a list of several. A log is a `stepcore.Log` or what one is read from, such as a
-        file, a DataFrame or a `Trajectory`; or a dict of such sources by array, each with times of
-        its own: {"qpos": "log.mcap:/joint_states", "ctrl": "log.mcap:/commands"}. NaN is not
-        measured. Torques are played by motors, which are made where a model has no actuators.
+    logs: a log, or a list of several. A log is a `stepcore.Log` or a source of one, such as a file,
+        a DataFrame or a `Trajectory`; or a dict of such sources by array, each with separate times:
+        {"qpos": "log.mcap:/joint_states", "ctrl": "log.mcap:/commands"}. NaN marks a number that
+        was not measured. If a model has no actuators, motors are added that apply the torques.
     parameters: the range (low, high) of each value, without 0, by path as in `Sim.linearize`.
-        "joint/*/damping" gives the damping of each joint that is not free this range. A value that
-        is 0 in the model begins at √(low·high). "delay" is the time by which controls act later
-        than their rows say [s], negative if positions lead the commands. "delay/qpos",
-        "delay/qvel", "delay/sensordata" and "delay/NAME" of a sensor are how much later the log has
-        a measured number than it was true [s]. Delays begin at 0, or at the end of their range that
-        is next to it. Rows that may belong to times outside of the log are left out.
+        "joint/*/damping" sets this range for the damping of every joint that is not free. A value
+        that is 0 in the model starts at √(low·high). "delay" is the delay of controls after the
+        times of their rows [s], negative if positions lead the commands. "delay/qpos",
+        "delay/qvel", "delay/sensordata" and "delay/NAME" (a sensor) are the delays of measured
+        numbers in the log [s]. Delays start at 0, or at the end of their range nearest to 0. Rows
+        that may belong to times outside of the log are left out.
     pieces: cut each log into pieces of this length, a time [s] or a text such as "0.5s". Each piece
-        has a first state of its own, which keeps errors from growing over a long or unstable
-        motion. By default logs are cut only if the fit is bad without and not in pieces.
+        has a separate first state, which keeps errors from growing over a long or unstable motion.
+        By default logs are cut only if the fit is bad without pieces and good with them.
     interpolation: "held" (each row of controls until the next) or "linear" between rows. By default
-        rows are held, and interpolated if they then fit better, which is tried where positions lead
-        the commands by up to a row.
+        rows are held. Interpolation is tried if positions lead the commands by up to a row, and
+        used if it fits better.
     most: the largest number of iterations.
     threads: the number of steps that are linearised at the same time (default: one per core).
     progress: False for no progress bar, or a function of (label, done, total).
-    seconds: the longest time [s]. The result then has the best values so far, and `unfinished` says
-        what was not done.
+    seconds: the longest time [s]. The result then has the best values so far, and `unfinished`
+        lists the remaining work.
 
-    Each log is predicted from its first row, which is estimated too, under its controls; a step
-    has their mean. Predictions are interpolated where the log's times are
-    not those of steps. The method is scipy's `least_squares` within bounds, with exact derivatives
-    of each step (for sensors, differences of the fourth order). Needs scipy (the extra "identify").
+    Each log is predicted from its first row, which is estimated too, under its controls; each step
+    uses their mean. Predictions are interpolated to the times of the log. The method is scipy's
+    `least_squares` within bounds, with exact derivatives of each step (for sensors, differences of
+    the fourth order). Needs scipy (the extra "identify").
 
     Raises ValueError for unknown parameters and ranges without the present value, for logs that do
     not fit the model or have times in milliseconds, for sensors that do not change smoothly, and if
@@ -175,7 +176,7 @@ def identify(
         with suppress(SimulationError), workers.deadline.stage("a fit with interpolated controls"):
             between = fitted(length)
         lacks = None if between is None else between.quality.missing
-        # What interpolated rows leave half a row late was held.
+        # If a delay of half a row is left with interpolated rows, the rows were held.
         late = lacks is not None and lacks.delay > _row(held) / 4
         if between is None or late or not _explains(between.quality, result.quality):
             whole = held
@@ -184,7 +185,7 @@ def identify(
             result.notes.append(LINEAR)
     if length is not None or not all(len(log.begins) for log in whole):
         return result
-    # In a quarter of the time in which errors grow a thousand times, they grow six times.
+    # Errors grow six times in a quarter of the time in which they grow a thousand times.
     end, verdict = rounded(min(result.predictable) / 4, 1), result.quality.verdict
     again, note = None, FROM
     try:
@@ -197,7 +198,7 @@ def identify(
             with workers.deadline.stage(f"the fit of pieces of {units.seconds(end)}"):
                 again = fitted(end)
     except SimulationError:
-        # Pieces that cannot be run leave the fit of the whole.
+        # If the pieces cannot be run, return the fit of the whole logs.
         return result
     if again is None:
         return result
@@ -210,26 +211,26 @@ def identify(
 def _leads(result: Identification, logs: Sequence[MeasuredLog]) -> bool:
     """Return whether a fit may be bad because rows of controls were held, not interpolated.
 
-    A held row acts half a row later on average than one that is interpolated.
+    On average a held row acts half a row later than an interpolated one.
     """
     lacks, row = result.quality.missing, _row(logs)
     if result.quality.verdict not in ("bad", "unexplained") or row <= result.settings.dt:
         return False
     if DELAY in result.values:
-        # Of a delay that was found, half a row may be of rows that are held.
+        # Half a row of the estimated delay may come from held rows.
         return True
     return lacks is not None and -1.5 * row < lacks.delay < -row / 8
 
 
 def _row(logs: Sequence[MeasuredLog]) -> float:
-    """Return the usual time between two rows of controls [s]; 0 of a single row."""
+    """Return the median time between two rows of controls [s]; 0 for a single row."""
     rows = np.concatenate([np.diff(log.controls.times) for log in logs])
     return float(np.median(rows)) if len(rows) else 0.0
 
 
 def _explains(one: Quality, other: Quality) -> bool:
-    """Return whether one fit leaves less of what is more than noise in another, which is bad: less
-    than half, and less than the value that is missing there would; or any less, and is not bad.
+    """Return whether one fit leaves less residual beyond the noise than another, worse fit: less
+    than half, and less than with the other's missing value; or any less if only the other is bad.
     """
     lacks = other.missing
     rest = 0.5 if lacks is None or is_delay(lacks.label) else min(0.5, 1 - lacks.share)
@@ -245,9 +246,9 @@ def _from_pieces(
     workers: Workers,
     most: int,
 ) -> list[float] | None:
-    """Return values that fit pieces of the logs, of ever more rows.
+    """Return values that fit pieces of the logs, with the number of rows doubled each time.
 
-    bad: the fit of the whole. None if that of some pieces is as far off: the model is wrong then.
+    bad: the fit of the whole logs. None if the pieces fit no better: then the model is wrong.
     """
     values, rows = list(bad.start.values()), PIECES // 2
     while any(rows <= BEGINNING * len(log.measured["qpos"].times) for log in logs):
@@ -258,7 +259,7 @@ def _from_pieces(
         some = [within(model, part, bounds) for part in parts[:: math.ceil(len(parts) / PIECES)]]
         fit = Predictions(model, some, list(bounds), threads=workers.threads)
         x = Search(fit, bounds, values, workers, min(most, PIECES)).x
-        # What is seldom measured may be in no piece.
+        # A quantity that is seldom measured may be in no piece.
         off = fit.rms(fit.measured, fit.predicted(x))
         both = np.array([(off[q], bad.residuals[q]) for q in off]).T
         mine, its = np.linalg.norm(both / [fit.scales[q] for q in off], axis=1)
@@ -275,7 +276,7 @@ def _read(model: Model, logs: Sequence[Log], linear: bool) -> list[MeasuredLog]:
 def _bounds(
     model: Model, parameters: Mapping[str, tuple[float, float]]
 ) -> tuple[Model, dict[str, tuple[float, float]], dict[str, float]]:
-    """Return the model to begin with, and the checked ranges and the guess by label."""
+    """Return the initial model, and the checked ranges and the first guess by label."""
     if not isinstance(parameters, Mapping) or not parameters:
         limit = 'a dict of paths and ranges, such as {"joint/knee/damping": (0.01, 10)}'
         raise ValueError(f"parameters = {checks.shown(parameters)}: must be {limit}")
@@ -309,9 +310,9 @@ def _bounds(
 
 
 def _begun(model: Model, path: str, low: float, high: float) -> tuple[Model, dict[str, float]]:
-    """Return the model to begin with and the numbers of a path: √(low·high) for one that is zero.
+    """Return the initial model and the numbers of a path, with √(low·high) instead of zero.
 
-    A step leaves out what is zero, and so has no derivative by it.
+    A step leaves out terms that are zero, so it has no derivative by them.
     """
     middle = math.copysign(math.sqrt(abs(low)) * math.sqrt(abs(high)), low)
     changed = dict[str, np.ndarray]()
@@ -331,8 +332,8 @@ class Search:
     """The search for the values x that fit best, which ends early when its time is over.
 
     x, jacobian: the best values so far, and the derivatives of the residuals there. begun: the
-        first values.
-    settled: whether the values no longer change.
+        initial values.
+    settled: whether the values have converged.
     """
 
     def __init__(
@@ -346,7 +347,7 @@ class Search:
         self.fit, self.bounds = fit, bounds
         self.workers, self.most = workers, most
         low, high = np.array(list(bounds.values())).T
-        # Estimates in units of their range; then what the first states are off.
+        # Estimates in units of their range, then the corrections of the first states.
         self._units = np.concatenate([high - low, np.ones(fit.free)])
         self._origin = np.concatenate([low, np.zeros(fit.free)])
         free = np.full(fit.free, np.inf)
@@ -374,15 +375,15 @@ class Search:
             self.settled = self._solve(fit, x, FINE)
 
     def _solve(self, part: Predictions, begin: np.ndarray, when: Mapping[str, float]) -> bool:
-        """Find the values that fit a part of the logs best; return whether they are settled."""
+        """Find the values that fit a part of the logs best; return whether they have converged."""
         least_squares = need("scipy.optimize", "identify", "identify").least_squares
-        # A first run that fails is told as what it is.
+        # Raise the error of the first run itself if it fails.
         part.runs(begin)
         low, high = self._ends
         first = np.clip((begin - self._origin) / self._units, low + 1e-9, high - 1e-9)
 
         def at(y: np.ndarray) -> np.ndarray:
-            # The run of the first is known.
+            # Exactly the first values, whose run is cached.
             return begin if np.array_equal(y, first) else self._origin + y * self._units
 
         def slopes(y: np.ndarray) -> np.ndarray:
@@ -407,7 +408,7 @@ class Search:
 
 
 def _residual(fit: Predictions, x: np.ndarray) -> np.ndarray:
-    """Return the residuals; NaN, which the method steps back from, if a run fails."""
+    """Return the residuals, or NaN if a run fails; from NaN the method steps back."""
     try:
         return fit.residual(x)
     except SimulationError:
@@ -421,7 +422,7 @@ def _result(
     findings: Sequence[Finding],
     limit: Deadline,
 ) -> Identification:
-    """Return what is known after the search. first: the predictions with the first guess."""
+    """Return the result of a search. first: the predictions with the first guess."""
     fit, x, after = search.fit, search.x, search.fit.predicted(search.x)
     ends, finer = predictable(fit, x), np.full(len(after), np.nan)
     low, high = np.array(list(search.bounds.values())).T
@@ -433,10 +434,10 @@ def _result(
     rest, lacks = spare(search.jacobian), None
     half = need("scipy.special", "identify", "identify").stdtrit(max(1, rest), 0.975) * sure.errors
     shorter = fit.residual_of(finer) - fit.residual_of(after)
-    # One step of Gauss and Newton from the estimates, by what shorter steps change.
+    # A Gauss-Newton step from the estimates for the change of residuals with shorter steps.
     moved, refined = x - sure.inverse @ shorter, False
     moved[: len(low)] = np.clip(moved[: len(low)], low, high)
-    # Of an exact log nothing is left to explain.
+    # An exact log leaves no residual to explain.
     if rest > 0 and any(each.residual > WEAK * fit.scales[label] for label, each in found.items()):
         if np.isfinite(moved).all():
             with limit.stage("a run with shorter steps"):
@@ -451,7 +452,7 @@ def _result(
     elif quality.verdict == "step":
         half = half + np.abs(moved - x)[: len(half)]
     if not search.settled:
-        # What a further iteration would change, by more than half of the interval, is not known.
+        # A value is unknown if another iteration would change it by more than half of the interval.
         next_step = np.abs(sure.inverse @ fit.residual(x))[: len(half)]
         half = np.where((next_step > half) | (x[: len(half)] == search.begun), np.inf, half)
     whole = sum(log.duration for log in fit.logs)
@@ -469,7 +470,7 @@ def _result(
         start=dict(guess),
         bounds=dict(search.bounds),
         intervals=dict(zip(fit.labels, ranges, strict=True)),
-        # What has grown without measure hides all else from the derivatives.
+        # Derivatives of an unstable motion are dominated by its growth, and show nothing else.
         alike=sure.alike if min(ends) == np.inf else [],
         correlations=sure.correlations,
         quality=quality,

@@ -1,5 +1,5 @@
-"""What is doubtful: units and gaps of logs, motions that cannot be predicted to their end, and
-estimates: their errors, correlations, and what cannot be told apart."""
+"""Findings on logs (units, signs, delays, gaps, horizons), and the standard errors and correlations
+of estimates."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from stepcore.report.units import seconds
 from stepcore.report.units import times as times_said
 
 DEGREES = 180 / np.pi
-# A ratio is that of two units if it is this close to it.
+# A ratio matches the ratio of two units if their relative deviation is below this.
 NEAR = 0.2
-# A position that changes this many times more than its velocity says, and than usual, jumps.
+# A position jumps if it changes this many times more than by its velocity, and than usual.
 JUMP = 10.0
-# Scaled by a ratio of units, what is predicted is off by at most this share of what it was.
+# Scaling by a ratio of units must reduce a prediction's error to at most this share.
 BETTER = 0.5
 RATIOS = {
     DEGREES: "degrees",
@@ -34,31 +34,31 @@ RATIOS = {
     1e3: "mm",
     1e-3: "mm in the model",
 }
-# By how many times as fast the position changes as the velocity says, by the kind of joint.
+# The ratio of the change of position to the velocity, with its cause, by the kind of joint.
 SECONDS = "times must be in seconds"
 SCALES = {
     "hinge": {1 / DEGREES: "it looks like degrees", 1e-3: SECONDS, 1e3: SECONDS},
     "slide": {1e-3: SECONDS, 1e3: "it looks like mm"},
 }
-# Two columns that belong together are correlated by more than this, or those of a wrong pair.
+# Correlation above which two columns belong together, as a right or wrong pair.
 SIGN = 0.9
-# Estimates whose correlation is above this cannot be told apart.
+# Estimates whose correlation is above this cannot be distinguished.
 ALIKE = 0.99
-# Directions of which a log says less than this share of what it says of the best known.
+# Directions whose singular value is below this share of the largest are not observable.
 WEAK = 1e-6
 
 
 def log_findings(
     model: Model, logs: Sequence[MeasuredLog], searched: Sequence[str]
 ) -> list[Finding]:
-    """Return findings on units, signs, order and delays of columns that the logs alone show.
+    """Return findings on units, signs, order and delays of columns, from the logs alone.
 
-    searched: the parameters, among which a delay may be.
+    searched: the parameters, which may include a delay.
     """
     found = []
     for log in logs:
         joints = [k for k, kind in enumerate(model.jnt_type) if kind in ("hinge", "slide")]
-        # The same of several joints is said once.
+        # The same problem of several joints is one finding.
         alike = dict[tuple[str, str, str], tuple[list[int], str]]()
         for kind, own, problem, cure in [
             *_velocity_doubts(model, log, joints, searched),
@@ -75,7 +75,7 @@ def log_findings(
     return found
 
 
-# The kind of a finding, the joints, the problem and the cure.
+# The kind of a finding, the joints, the problem and the fix.
 Doubt = tuple[str, list[int], str, str]
 
 
@@ -109,7 +109,7 @@ def _velocity_doubts(
             at = f"{moved.max():.3g} within a row at {seconds(middle[int(moved.argmax())])}"
             yield "jump", [joint], f"its position jumps by {at}", "leave cells empty that are wrong"
             continue
-        # Rows so far apart that they miss the motion show nothing.
+        # Rows whose spacing is too large for the motion show nothing.
         if alike[k, k] <= math.sqrt(BETTER):
             continue
         ratio = float(alike[k, k] * lengths[k, k] / (speeds[:, k] @ speeds[:, k]))
@@ -121,11 +121,12 @@ def _velocity_doubts(
                 yield "units", [joint], what, cure
         off, slope = rates[:, k] - speeds[:, k], changes[:, k]
         late = float(off @ slope / (slope @ slope)) if slope.any() else 0.0
-        # Longer than a row, and five times what noise makes of it.
+        # The delay must exceed a row, and five times its error from noise.
         enough = 5 * math.sqrt(float(off @ off) / len(off) / max(float(slope @ slope), 1e-300))
         delays = any(label.startswith(f"{DELAY}/") for label in searched)
         if not delays and abs(late) > max(enough, float(np.median(np.diff(times)))):
-            # A shift by it takes at least half of what it should: rows that miss swings lose none.
+            # The shift must give at least half of the expected reduction; it gives none if the
+            # rows are too sparse for the motion.
             shifted = rates[:, k] - np.interp(middle + late, *told[k])
             less = float(off @ off - shifted @ shifted)
             if less < late * float(off @ slope) / 2:
@@ -136,7 +137,7 @@ def _velocity_doubts(
 
 
 def _servo_doubts(model: Model, log: MeasuredLog) -> Iterator[Doubt]:
-    """Yield hinges whose positions follow the targets of their servos in another unit."""
+    """Yield hinges whose positions follow their servos' targets in another unit."""
     times, qpos = log.measured["qpos"]
     for drive in actuators(model):
         if drive.kind != SERVO or drive.joint is None or model.jnt_type[drive.joint] != "hinge":
@@ -155,7 +156,7 @@ def _servo_doubts(model: Model, log: MeasuredLog) -> Iterator[Doubt]:
 
 
 def _control_doubts(model: Model, log: MeasuredLog, searched: Sequence[str]) -> Iterator[Doubt]:
-    """Yield joints whose actuators push otherwise, or at another time, than their motion needs."""
+    """Yield joints whose controls differ in sign, order, unit or time from the required ones."""
     times, qpos = log.measured["qpos"]
     drives = [each for each in actuators(model) if each.direct and each.gain and each.gear]
     known = np.isfinite(qpos).all() and len(times) > 8
@@ -183,7 +184,7 @@ def _control_doubts(model: Model, log: MeasuredLog, searched: Sequence[str]) -> 
     period = float(np.median(np.diff(at)))
 
     def given(late: float) -> np.ndarray:
-        """Return the controls that act so much later than their rows say [s]."""
+        """Return the controls when they act late after their rows [s]."""
         return np.array([log.controls.steps(float(at[k]) - late, step, 1)[0, own] for k in rows])
 
     alike = _correlations(needed, now := given(0.0))
@@ -198,7 +199,7 @@ def _control_doubts(model: Model, log: MeasuredLog, searched: Sequence[str]) -> 
             yield "units", [joints[k]], what, "it looks like another unit"
     if DELAY in searched:
         return
-    # What is wrong in a model moves a peak too, but not by rows in every joint alike.
+    # A wrong model moves a peak too, but not by several rows in all joints.
     lags = period * np.arange(-10, 11)
     better = np.array([np.diag(_correlations(needed, given(late))) for late in lags.tolist()])
     peaks, missed = lags[better.argmax(axis=0)], 1 - better.mean(axis=1)
@@ -213,7 +214,7 @@ def _control_doubts(model: Model, log: MeasuredLog, searched: Sequence[str]) -> 
 
 
 def _correlations(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the correlation of each column of one with each of the other."""
+    """Return the correlation of each column of one table with each column of the other."""
     one, other = (
         (each - each.mean(axis=0)) / np.maximum(each.std(axis=0), 1e-300) for each in (one, other)
     )
@@ -222,7 +223,7 @@ def _correlations(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _disordered(alike: np.ndarray, what: str, other: str) -> Iterator[tuple[str, list[int], str]]:
-    """Yield what is of another joint, or of the other sign: kind, numbers, problem.
+    """Yield joints with another joint's column, or with the other sign: kind, numbers, problem.
 
     alike: correlations of each joint's first number with each joint's second, near 1 on a diagonal.
     """
@@ -231,7 +232,7 @@ def _disordered(alike: np.ndarray, what: str, other: str) -> Iterator[tuple[str,
         yield "sign", [k], f"its {what} has the opposite sign of {other}"
     for j, k in itertools.combinations(range(len(own)), 2):
         crossed = min(alike[j, k], alike[k, j])
-        # Fingers that move together are as much alike as their own columns.
+        # Columns of fingers that move together correlate as strongly as right pairs.
         if crossed > SIGN and 1 - max(own[j], own[k]) > 4 * (1 - crossed):
             yield "swapped", [j, k], f"the {what} of each is {other} of the other"
 
@@ -241,9 +242,9 @@ def _near(ratio: float, unit: float) -> bool:
 
 
 def fit_findings(fit: Predictions, predicted: np.ndarray) -> list[Finding]:
-    """Return findings on quantities whose prediction fits when it is in another unit.
+    """Return findings on quantities whose prediction fits in another unit.
 
-    predicted: with the first guess, which the fit has not bent to these units.
+    predicted: with the first guess, which the fit has not adapted to these units.
     """
     found = []
     for kind, label in enumerate(fit.quantities):
@@ -262,7 +263,7 @@ def fit_findings(fit: Predictions, predicted: np.ndarray) -> list[Finding]:
 
 
 def gap_findings(logs: Sequence[MeasuredLog]) -> list[Finding]:
-    """Return findings on controls that are missing for ten times as long as their rows last."""
+    """Return findings on gaps in the controls that last ten times the usual row."""
     cure, found = "the last ones before it were held; split the log there if they were not", []
     for log in logs:
         times = log.controls.times
@@ -274,9 +275,9 @@ def gap_findings(logs: Sequence[MeasuredLog]) -> list[Finding]:
 
 
 def predictable(fit: Predictions, x: np.ndarray) -> list[float]:
-    """Return until when each log can be predicted [s]; inf to its end.
+    """Return the time until which each log can be predicted [s]; inf if to its end.
 
-    Until an error of the first positions has grown a thousand times in the positions, as in
+    It is the time at which an error of the first positions has grown a thousand times, as in
     `stepcore.predict`.
     """
     ends, nv, first = [], fit.base.nv, len(fit.labels)
@@ -303,13 +304,12 @@ def horizon_findings(logs: Sequence[MeasuredLog], ends: Sequence[float]) -> list
 
 @dataclass(frozen=True)
 class Certainty:
-    """What the logs say of the estimates.
+    """The certainty of the estimates.
 
-    errors: the standard error of each; inf where the logs say nothing.
-    correlations: between each two, shape (n, n).
-    alike: sets of parameters that cannot be told apart.
-    inverse: J⁺: times a residual, by how much all values are too large for it; 0 where nothing is
-        known.
+    errors: the standard error of each estimate; inf if the logs do not determine it.
+    correlations: between the estimates, shape (n, n).
+    alike: sets of parameters that cannot be distinguished.
+    inverse: J⁺; its product with a residual is the error of all values; 0 if unobservable.
     """
 
     errors: np.ndarray
@@ -319,7 +319,7 @@ class Certainty:
 
 
 def spare(jacobian: np.ndarray) -> int:
-    """Return the count of measured numbers less that of estimated ones that move them."""
+    """Return the number of measurements minus the number of estimates that affect them."""
     return len(jacobian) - int(jacobian.any(axis=0).sum())
 
 
@@ -332,11 +332,11 @@ def certainty(
 ) -> Certainty:
     """Return the certainty of estimates from the Jacobian of the residuals.
 
-    jacobian: shape (n, all), of which the first columns are of the parameters `labels`.
-    residual: shape (n,). kinds: the quantity of each residual, whose variance is its own.
-    spreads: of each quantity, how many times the variance of a mean is that of white noise.
+    jacobian: shape (n, all); its first columns belong to the parameters `labels`.
+    residual: shape (n,). kinds: the quantity of each residual; each quantity has its variance.
+    spreads: for each quantity, the variance of a mean relative to that of white noise.
 
-    The estimates are off by J⁺ e, whose covariance is J⁺ V J⁺ᵀ with the variances V of e.
+    The error of the estimates is J⁺ e, whose covariance is J⁺ V J⁺ᵀ with the variances V of e.
     """
     share = max(1, spare(jacobian)) / len(residual)
     variances = np.array(
@@ -354,7 +354,7 @@ def certainty(
     with np.errstate(divide="ignore", invalid="ignore"):
         related = np.nan_to_num(covariance / np.outer(spread, spread))
     np.fill_diagonal(related, 1.0)
-    # A part of this size leaves a correlation as large.
+    # A component of this size in a weak direction corresponds to a correlation of ALIKE.
     ways = np.abs(turns[weak][:, :count]) > math.sqrt(1 - ALIKE)
     sets = (tuple(labels[int(k)] for k in np.flatnonzero(way)) for way in ways if way.any())
     alike = list(dict.fromkeys(sets))
@@ -368,7 +368,7 @@ def certainty(
 
 
 def _inverse(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the pseudo-inverse; directions in units of the columns' sizes, and the weak ones."""
+    """Return the pseudo-inverse, directions in units of the columns' norms, and the weak ones."""
     sizes = np.linalg.norm(jacobian, axis=0)
     sizes = np.where(sizes > 0, sizes, 1.0)
     left, singular, turns = np.linalg.svd(jacobian / sizes, full_matrices=False)

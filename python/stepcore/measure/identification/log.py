@@ -1,4 +1,4 @@
-"""`MeasuredLog`: what was measured of a robot, with the controls that moved it."""
+"""`MeasuredLog`: the measured motion of a robot, with the controls that moved it."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from stepcore.experiment.log import Log as Log
 from stepcore.experiment.log import entries_of as entries_of
 from stepcore.experiment.schedule import home
 
-# What a log can tell of a state and of the sensors, and its controls.
+# The arrays that a log can contain: states, sensors and controls.
 MEASURED = ("qpos", "qvel", "sensordata")
 ARRAYS = (*MEASURED, "ctrl")
-# The time by which controls act later than their rows say [s]. Behind a slash follows what was
-# measured so much earlier than its rows say: an array or a sensor.
+# The delay of controls after the times of their rows [s]. With a slash and an array or a sensor:
+# the delay of the measurement's rows after the measurement.
 DELAY = "delay"
 KINDS = 'a Trajectory, a DataFrame, a file or a dict with a column "time"'
 
 
 class Series(NamedTuple):
-    """Numbers over time: times [s], shape (T,); values, shape (T, n), NaN where there are none."""
+    """Numbers over time: times [s], shape (T,); values, shape (T, n), NaN where missing."""
 
     times: np.ndarray
     values: np.ndarray
@@ -38,11 +38,11 @@ class Series(NamedTuple):
 
 @dataclass(frozen=True)
 class MeasuredLog:
-    """A log of a model's motion, in time from its first position on.
+    """A log of a model's motion; times count from its first position.
 
     name: such as "logs[0]". measured: series by array of `MEASURED`. controls: of all actuators.
-    start: the first qpos, and the qvel there; where they were not measured, the model's pose, and
-    the velocity of the positions. notes: what was read, and what is nothing of the model.
+    start: the first qpos and qvel; if they were not measured, the model's pose and the rate of
+    change of the positions. notes: the columns that were read, and those that match nothing.
     """
 
     name: str
@@ -61,11 +61,11 @@ class MeasuredLog:
         return float(max(times[-1] for times in known if len(times)))
 
     def steps(self, dt: float) -> int:
-        """Return how many steps of dt [s] the log lasts."""
+        """Return the number of steps of dt [s] that the log lasts."""
         return int(np.ceil(self.duration / dt - 1e-9))
 
     def between(self, begin: float, end: float) -> MeasuredLog:
-        """Return the rows of this log from one time to another [s], in time from the first on."""
+        """Return the rows of this log between two times [s]; new times count from the first."""
         cut = {}
         for name, (times, values) in self.measured.items():
             own = (times >= begin) & (times <= end)
@@ -76,13 +76,13 @@ class MeasuredLog:
 
     @property
     def begins(self) -> np.ndarray:
-        """The times of rows that have all positions that are measured at all [s]."""
+        """The times of rows with all positions that the log measures [s]."""
         times, qpos = self.measured["qpos"]
         known = np.isfinite(qpos)
         return times[known[:, known.any(axis=0)].all(axis=1)]
 
     def cut(self, model: Model, length: float) -> list[MeasuredLog]:
-        """Return pieces of a length [s], each from one of `begins` on.
+        """Return pieces of a length [s], each starting at one of `begins`.
 
         Raises ValueError if there is none.
         """
@@ -98,7 +98,7 @@ class MeasuredLog:
 
 
 def opened(logs: Any) -> list[Any]:
-    """Return what `read_log` reads: of each log its sources, each with its array or ""."""
+    """Return the sources of each log for `read_log`, each with its array or ""."""
     alone = isinstance(logs, (Trajectory, Mapping, str, os.PathLike, Log))
     several = [logs] if alone or hasattr(logs, "columns") else [*logs]
     if not several:
@@ -107,7 +107,7 @@ def opened(logs: Any) -> list[Any]:
 
 
 def _sources(log: Any, name: str) -> list[tuple[str, Log]]:
-    """Open a log of one source, or of several by array, each with times of its own."""
+    """Open a log of one source, or of several by array, each with separate times."""
     if isinstance(log, list):
         return log
     apart = isinstance(log, Mapping) and log and set(map(str, log)) <= set(ARRAYS)
@@ -125,11 +125,11 @@ def driven(model: Model, logs: Iterable[Any]) -> Model:
 
 
 def read_log(model: Model, log: Any, name: str, linear: bool = False) -> MeasuredLog:
-    """Return a log, opened or as a user gives it, as numbers of a model; see `identify`.
+    """Convert a log, opened or as a user gives it, to arrays of a model; see `identify`.
 
     linear: whether controls between rows are interpolated.
 
-    Raises ValueError for what is no log of this model, and OSError for a file.
+    Raises ValueError if it is no log of this model, and OSError for a file.
     """
     series, notes = dict[str, Series](), list[str]()
     for array, own in _sources(log, name):
@@ -164,9 +164,9 @@ def read_log(model: Model, log: Any, name: str, linear: bool = False) -> Measure
 
 
 def first_state(model: Model, measured: Mapping[str, Series]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first state: what was measured first, or else the model's pose.
+    """Return the first state: the first measured numbers, else the model's pose.
 
-    Velocities that were not measured are those between the first two positions.
+    Velocities that were not measured are computed from the first two positions.
     """
     times, poses = measured["qpos"]
     first = home(model, None)[0].qpos.copy()
@@ -183,14 +183,14 @@ def first_state(model: Model, measured: Mapping[str, Series]) -> tuple[np.ndarra
 
 
 def is_delay(label: str) -> bool:
-    """Whether a parameter is a time, and no value of the model."""
+    """Return whether a parameter is a delay, not a value of the model."""
     return label == DELAY or label.startswith(f"{DELAY}/")
 
 
 def late_entries(model: Model, label: str) -> tuple[str, Sequence[int]]:
-    """Return the array that is late by a delay such as "delay/qpos", and which of its entries.
+    """Return the array and its entries that a delay such as "delay/qpos" shifts.
 
-    Raises ValueError for what is neither an array of a log nor a sensor.
+    Raises ValueError for a name that is neither an array of a log nor a sensor.
     """
     name = label.partition("/")[2]
     if name not in MEASURED:
@@ -208,10 +208,10 @@ def late_entries(model: Model, label: str) -> tuple[str, Sequence[int]]:
 def within(
     model: Model, log: MeasuredLog, bounds: Mapping[str, tuple[float, float]]
 ) -> MeasuredLog:
-    """Return a log without the rows that, within these bounds of delays, may be from before its
-    first state or from after its end.
+    """Return a log without the rows that may be from before its first state or after its end, for
+    delays within their bounds.
 
-    Raises ValueError if of an array or a sensor nothing is left.
+    Raises ValueError if nothing of an array or a sensor is left.
     """
     measured = dict(log.measured)
     for label, (low, high) in bounds.items():
@@ -230,11 +230,11 @@ def within(
 def _known(
     model: Model, log: MeasuredLog, label: str, low: float, high: float
 ) -> Iterator[tuple[str, Sequence[int], float, float]]:
-    """Yield arrays and entries of a log that a delay moves, and between which times [s] its range
-    leaves them known.
+    """Yield arrays and entries of a log that a delay shifts, and the times [s] between which they
+    remain known over its range.
     """
     if label == DELAY and low < 0:
-        # Controls from after the end of the log would act on its last rows.
+        # Controls after the end of the log would act on its last rows.
         end = max(log.duration, float(log.controls.times[-1])) + low
         for array, series in log.measured.items():
             yield array, range(series.values.shape[1]), -np.inf, end

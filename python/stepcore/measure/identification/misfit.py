@@ -1,4 +1,4 @@
-"""`Misfit`: how much of the residuals is more than noise, and which value would explain it."""
+"""`Misfit`: the part of the residuals beyond the noise, and the value that would explain it."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from stepcore.measure.identification.doubts import WEAK
 from stepcore.measure.identification.log import DELAY, is_delay
 from stepcore.measure.identification.predictions import Predictions
 
-# Noise passes for more than noise once in ten thousand logs, of a hundred values and lags tried.
+# Noise is mistaken for a signal in one of ten thousand logs, with a hundred values and lags tried.
 SURE = NormalDist().inv_cdf(1 - 1e-6)
-# The lags over which autocorrelations are summed: of misfits that change quickly and slowly.
+# The lags over which autocorrelations are summed, for misfits that change quickly and slowly.
 LAGS = 4.0 ** np.arange(3)
 
 
@@ -33,8 +33,8 @@ class Misfit:
     residual: RMS. noise: RMS of the part that differs at random from row to row, by differences of
     neighbouring measured rows of up to the fourth order (Gasser, Sroka & Jennen-Steinmetz 1986), at
     most the residual. step: RMS change of the prediction with shorter steps; NaN if not computed.
-    white: whether the autocorrelation of the residual is that of noise. spread: how many times the
-    variance of a mean is that of white noise.
+    white: whether the residual's autocorrelation is consistent with white noise. spread: the
+    variance of a mean relative to white noise.
     """
 
     residual: float
@@ -45,17 +45,17 @@ class Misfit:
 
     @property
     def unexplained(self) -> float:
-        """RMS of what is no noise."""
+        """RMS of the residual beyond the noise."""
         return 0.0 if self.white else math.sqrt(max(0.0, self.residual**2 - self.noise**2))
 
     @property
     def severity(self) -> float:
-        """How many times the noise is unexplained."""
+        """The unexplained residual over the noise."""
         return self.unexplained / (self.noise or math.ulp(0.0))
 
     @property
     def ratio(self) -> float:
-        """How many times the noise the residual is."""
+        """The residual over the noise."""
         return self.residual / self.noise if self.noise else math.inf
 
 
@@ -77,7 +77,7 @@ def misfits(fit: Predictions, after: np.ndarray, steps: Mapping[str, float]) -> 
                 for order in range(1, 5)
             ),
         )
-        # Numbers that were rounded differ by their last digit, or not at all.
+        # Rounded numbers differ by at least their last digit, or not at all.
         values = [fit.parts[k].values for k in own]
         apart = np.concatenate([np.abs(np.diff(each[np.isfinite(each)])) for each in values])
         digit = np.min(apart[apart > 0], initial=np.inf)
@@ -96,9 +96,9 @@ def _mean(rows: Sequence[np.ndarray]) -> float:
 
 
 def _autocorrelation(rows: Sequence[np.ndarray], square: float) -> tuple[bool, float]:
-    """Return whether residuals are white, and how many times their means vary as if they were.
+    """Return whether residuals are white, and the variance of their means relative to white noise.
 
-    Of white noise the sum of the autocorrelations at m lags has a variance of m/n.
+    For white noise the sum of the autocorrelations at m lags has a variance of m/n.
     """
     known = sum(map(len, rows))
     most = min(max(map(len, rows)) // 4, int(LAGS[-1] ** 2))
@@ -116,7 +116,7 @@ def _autocorrelation(rows: Sequence[np.ndarray], square: float) -> tuple[bool, f
 
 
 def beyond(found: Mapping[str, Misfit], usual: Mapping[str, Misfit]) -> float:
-    """Return the squared residuals beyond the noise, in units of that of usual misfits."""
+    """Return the squared residuals beyond the noise, relative to the noise of `usual`."""
     noise = {key: max(each.noise, WEAK * each.residual) for key, each in usual.items()}
     ratios = [each.residual / (noise[key] or 1.0) for key, each in found.items()]
     return sum(max(0.0, ratio**2 - 1) for ratio in ratios)
@@ -127,8 +127,8 @@ def refines(
 ) -> bool:
     """Return whether shorter steps leave less than half of the squared residual beyond the noise.
 
-    finer: the predictions with shorter steps. moved: the values that these would give, which are
-    run too.
+    finer: the predictions with shorter steps. moved: the values estimated for these steps, which
+    are run too.
     """
     runs = [finer]
     with suppress(SimulationError):
@@ -141,7 +141,7 @@ def refines(
     return False
 
 
-# What a log may show of values that are not searched.
+# Values outside the search that a residual may point to, in words.
 LOOKS = {
     "joint": {"armature": "an inertia", "damping": "a damping", "frictionloss": "a friction"},
     "body": {"mass": "a mass"},
@@ -149,9 +149,9 @@ LOOKS = {
 }
 
 
-# The step whose integration error is looked at is this many times shorter.
+# The integration error is measured with steps this many times shorter.
 FINER = 4
-# What explains a residual if these steps do.
+# The label of the explanation by shorter steps.
 STEP = "the time step"
 
 
@@ -159,11 +159,11 @@ STEP = "the time step"
 class Missing:
     """The value whose addition to the search would explain most, to first order.
 
-    label: its path; STEP if it is the length of the steps. change: by how much it would change, to
-    first order; delay: the same of the delay of the controls, 0 if noise may look like it.
-    share: of what is more than noise.
-    absent: whether it is zero in the model. sure: whether noise would hardly look like it.
-    shift: how much the estimates would change, shape (n,).
+    label: its path; STEP if it is the length of the steps. change: its change, to first order.
+    delay: the change of the delay of the controls; 0 if noise could cause it.
+    share: the explained share of the squared residual beyond the noise.
+    absent: whether the value is zero in the model. sure: whether noise can hardly cause it.
+    shift: the change of the estimates, shape (n,).
     """
 
     label: str
@@ -176,7 +176,7 @@ class Missing:
 
     @property
     def looks(self) -> str:
-        """What the residual looks like."""
+        """The possible cause of the residual in words."""
         kind, field = self.label.split("/")[0], self.label.rpartition("/")[2]
         what = LOOKS.get(kind, {}).get(field, "a delay")
         return f"{what} that is {'missing' if self.absent else 'wrong'}"
@@ -184,12 +184,12 @@ class Missing:
 
 @dataclass(frozen=True)
 class Quality:
-    """How good a fit is.
+    """The quality of a fit.
 
-    misfits: how much of the residual of each quantity is noise. missing: the value whose addition
-    would explain most of the rest; None if there was no time to look for it. spare: measured
-    numbers less estimated ones, first states included. refined: whether steps four times shorter,
-    in a run, leave less than half of what is more than noise.
+    misfits: residual and noise by quantity. missing: the value whose addition would explain most of
+    the rest; None if there was no time to search for it. spare: the number of measurements minus
+    the number of estimates, first states included. refined: whether a run with four times shorter
+    steps leaves less than half of the squared residual beyond the noise.
     """
 
     misfits: Mapping[str, Misfit]
@@ -199,13 +199,13 @@ class Quality:
 
     @property
     def worst(self) -> str:
-        """The quantity of which most is unexplained, beside its noise."""
+        """The quantity with the largest unexplained residual relative to its noise."""
         return max(self.misfits, key=lambda label: self.misfits[label].severity)
 
     @property
     def verdict(self) -> str:
-        """What the residual is: "noise", "step", "unexplained", or "bad" if more than the noise;
-        "few" if there are as many values to estimate as measured numbers.
+        """The kind of residual: "noise", "step", "unexplained", or "bad" if above the noise; "few"
+        if there are at least as many values to estimate as measured numbers.
         """
         if self.spare <= 0:
             return "few"
@@ -228,14 +228,13 @@ def missing(
     finer: np.ndarray | None,
     found: Mapping[str, Misfit],
 ) -> Missing | None:
-    """Return which further value would explain most, from its derivatives at the estimates.
+    """Return the additional value that would explain most, from derivatives at the estimates.
 
-    own: the Jacobian at x. finer: what shorter steps change of the residuals, None if they do not
-    explain them. found: the misfit of
-    each quantity, whose noise is its weight.
+    own: the Jacobian at x. finer: the change of the residuals with shorter steps, None if it does
+    not explain them. found: the misfit of each quantity, whose noise is its weight.
 
-    Each value's column c, less what the estimates make of it, explains (cᵀr)²/cᵀc of the squared
-    residual, in units of the noise: of white noise a number of a χ² distribution.
+    Each value's column c, minus its projection on the estimates' columns, explains (cᵀr)²/cᵀc of
+    the squared residual, in units of the noise: for white noise a number of a χ² distribution.
     """
     count = len(fit.labels)
     least = [max(found[label].noise, WEAK * fit.scales[label]) for label in fit.quantities]
@@ -255,7 +254,7 @@ def missing(
     sizes = np.linalg.norm(added, axis=0)
     seen = sizes > WEAK * np.linalg.norm(columns, axis=0)
     change = np.where(seen, -(left @ added) / np.where(seen, sizes, 1.0) ** 2, 0.0)
-    # What the model does not have can only be added; but what was measured may be early or late.
+    # A value that is zero in the model can only increase; a measurement may be early or late.
     labels = [*values, *steps]
     absent = np.array([*(value in (0.0, WEAK) for value in values.values()), *map(bool, steps)])
     can = (change > 0) | ~absent | [is_delay(label) for label in labels]
@@ -275,7 +274,7 @@ def missing(
 
 
 def _candidates(fit: Predictions) -> tuple[Model, dict[str, float]]:
-    """Return a model with the values that a log may need besides those searched, and these."""
+    """Return a model with values outside the search that a log may need, and these values."""
     model, found, almost = fit.base, dict[str, float](), dict[str, float]()
     for kind, fields in LOOKS.items():
         for (k, name), field in itertools.product(enumerate(model.names[kind]), fields):
@@ -293,7 +292,7 @@ def _candidates(fit: Predictions) -> tuple[Model, dict[str, float]]:
     values = {label: value for label, value in found.items() if label not in fit.labels}
     model = Change({k: v for k, v in almost.items() if k in values}).of(model)
     sim, labels = Sim(model), [label for label in values if not label.startswith(DELAY)]
-    # Some change more than numbers, as the gear of a force at a site.
+    # Some values change more than numbers, such as the gear of a force at a site.
     while labels:
         try:
             sim.linearize(labels)
@@ -301,7 +300,7 @@ def _candidates(fit: Predictions) -> tuple[Model, dict[str, float]]:
         except (ValueError, SimulationError) as error:
             bad = [label for label in labels if f" {label}: " in str(error)]
             if not bad:
-                # The first pose itself has no derivative; those of the log may.
+                # The model's first pose has no derivative, but poses of the log may have one.
                 break
             labels = [label for label in labels if label not in bad]
             values = {label: value for label, value in values.items() if label not in bad}

@@ -1,4 +1,4 @@
-"""`Predictions`: what a model says of logs under values of its parameters, and the derivatives."""
+"""`Predictions`: a model's predictions of logs for values of its parameters, and derivatives."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from stepcore.measure.identification.readings import Readings
 class Part(NamedTuple):
     """A measured number of a log over time.
 
-    log: its number. array, entry: what it is. label: such as "qpos[knee]". times: of the rows [s].
-    values: NaN where it was not measured. late: the numbers of the parameters by which it is late.
+    log: its index. array, entry: the quantity. label: such as "qpos[knee]". times: of the rows [s].
+    values: NaN where it was not measured. late: the indices of the parameters that delay it.
     """
 
     log: int
@@ -44,13 +44,13 @@ class Part(NamedTuple):
 
 
 class Predictions:
-    """Runs of a model over logs, under values x: those of the parameters, then what the first state
-    of each log is off, a position and a velocity a dof.
+    """Runs of a model over logs for values x: the parameters, then the correction of each log's
+    first state, a position and a velocity per dof.
 
-    labels: the parameters, in this order. parts: what was measured. measured: all of its numbers,
-    one part after another, as predictions have them; known: which of them are no NaN. kinds: the
-    number in `quantities` of each. threads: of the linearisation. steps: time steps made in all.
-    linearised: of these, how many were linearised too.
+    labels: the parameters, in this order. parts: the measured quantities. measured: all measured
+    numbers, part after part, as in predictions; known: which of them are not NaN. kinds: the index
+    in `quantities` of each. threads: for the linearisation. steps: the number of time steps.
+    linearised: the number of these that were also linearised.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Predictions:
         self.measured = np.concatenate([part.values for part in self.parts])
         self.known = np.isfinite(self.measured)
         self._units = np.repeat([self.scales[part.label] for part in self.parts], counts)
-        # The first one, and the last, to which the method goes back from a step that is refused.
+        # Keep the first run, and the last one, to which the method returns from a refused step.
         self._runs = lru_cache(3)(lambda key: self._made(np.frombuffer(key)))
 
     def until(self, share: float) -> Predictions:
@@ -94,13 +94,13 @@ class Predictions:
         return Change({path: value.tolist() for path, value in changed.items()}).of(self.base)
 
     def runs(self, x: np.ndarray) -> list[Run]:
-        """Return the runs of all logs; the last ones are kept."""
+        """Return the runs of all logs; the last ones are cached."""
         return self._runs(np.asarray(x, float).tobytes())
 
     def _made(self, x: np.ndarray, finer: int = 1) -> list[Run]:
         model = self.model(x)
         short = Change(dt=model.settings.dt / finer).of(model)
-        # Its batches, one for each log, are of copies that share these models.
+        # The batches, one per log, use copies of the model that share these models.
         _ = short.around
         runs = []
         for nth in range(len(self.logs)):
@@ -109,12 +109,12 @@ class Predictions:
         return runs
 
     def predicted(self, x: np.ndarray, finer: int = 1) -> np.ndarray:
-        """Return the predictions of all parts; finer: by so many steps for one."""
+        """Return the predictions of all parts. finer: the number of steps that replace one."""
         runs = self.runs(x) if finer == 1 else self._made(x, finer)
         return np.concatenate([runs[part.log].shown(part) for part in self.parts])
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return prediction less measurement of all that was measured, in units of the scales."""
+        """Return prediction minus measurement for all measured numbers, in units of the scales."""
         return self.residual_of(self.predicted(x))
 
     def residual_of(self, predicted: np.ndarray) -> np.ndarray:
@@ -122,12 +122,12 @@ class Predictions:
         return ((predicted - self.measured) / self._units)[self.known]
 
     def in_units(self, sizes: Sequence[float]) -> np.ndarray:
-        """Return a size of each quantity, in its unit, as one of each residual in theirs."""
+        """Convert sizes of the quantities, in their units, to sizes of all residuals."""
         whole: np.ndarray = (np.asarray(sizes)[self.kinds] / self._units)[self.known]
         return whole
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivative of the residuals by x."""
+        """Return the derivative of the residuals with respect to x."""
         runs, count, nv, parts = self.runs(x), len(self.labels), self.base.nv, []
         for part in self.parts:
             own, place = runs[part.log].moved(part), count + 2 * nv * part.log
@@ -138,29 +138,29 @@ class Predictions:
         return whole
 
     def rms(self, first: np.ndarray, second: np.ndarray) -> dict[str, float]:
-        """Return the RMS difference of each quantity in two predictions, where it was measured."""
+        """Return the RMS difference of each quantity in two predictions at measured rows."""
         squares = np.where(self.known, (second - first) ** 2, 0.0)
         means = np.bincount(self.kinds, squares) / np.bincount(self.kinds, self.known)
         return dict(zip(self.quantities, np.sqrt(means).tolist(), strict=True))
 
 
 class Run:
-    """A log's run under values x of its `Predictions`, and the derivatives by these.
+    """The run of a log for values x of its `Predictions`, and its derivatives.
 
-    Derivatives are by the parameters and by the first state of this log: size parameters + 2 nv.
+    Derivatives are with respect to the parameters and this log's first state: parameters + 2 nv.
     """
 
     def __init__(self, fit: Predictions, model: Model, x: np.ndarray, nth: int) -> None:
         self.fit, self.x, self.log, self.model = fit, x, fit.logs[nth], model
         self.dt, nv = model.settings.dt, model.nv
-        # What the first position and velocity are off.
+        # The corrections of the first position and velocity.
         self.off = x[len(fit.labels) :].reshape(-1, 2, nv)[nth]
         self.delay = float(x[fit.labels.index(DELAY)]) if DELAY in fit.labels else 0.0
         batch = unwatched(Batch(model, 1, threads=fit.threads))
         batch.qpos = Coordinates(model).nudged(self.log.start[0], self.off[0])
         batch.qvel = self.log.start[1] + self.off[1]
         count = self.log.steps(self.dt)
-        # Those of one more step, which sensors at the end read.
+        # The controls of one more step, which sensors at the end read.
         self.ctrl = self.log.controls.steps(-self.delay, self.dt, count + 1)
         steps = Steps(batch, self.ctrl[None, :-1], fit.paths)
         # A long log ends at the deadline too.
@@ -169,7 +169,7 @@ class Run:
 
     @cached_property
     def _pushes(self) -> Floats:
-        """The derivatives of the controls, (steps + 1, nu, size): the delay moves them."""
+        """The derivatives of the controls, which the delay shifts; (steps + 1, nu, size)."""
         labels = self.fit.labels
         pushes = np.zeros((*self.ctrl.shape, len(labels) + 2 * self.model.nv))
         if DELAY in labels:
@@ -189,8 +189,8 @@ class Run:
         slopes = np.zeros((*found.shape[:2], count + 2 * nv))
         slopes[..., own] = found[..., : len(own)]
         slopes[..., count:] = found[..., len(own) : len(own) + 2 * nv]
-        # What the first position is off turns a quaternion from that of the log on, not from where
-        # it has come to.
+        # The correction of the first position turns a quaternion from its value in the log, not
+        # from the corrected one.
         turns, start = steps.tangents, np.tile(self.log.start[0], (nv, 1))
         here = start + turns.of_dofs(start, np.tile(self.off[0], (nv, 1)))
         turned = turns.changed(here, turns.of_dofs(start, np.eye(nv)))
@@ -198,9 +198,9 @@ class Run:
         return slopes
 
     def _between(self, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the states before and after each row of a part, and where between them it is.
+        """Return the states before and after each row of a part, and the row's place between them.
 
-        A row at a state needs no other one, if no parameter moves it.
+        A row at a state needs only that state, if no parameter shifts it.
         """
         times, late = (part.times - sum(self.x[k] for k in part.late)) / self.dt, bool(part.late)
         before = np.clip(np.floor(times + 1e-9).astype(int), 0, self.steps.count - late)
@@ -209,7 +209,7 @@ class Run:
         return before, np.minimum(after, self.steps.count), share
 
     def _interpolated(self, rows: np.ndarray, part: Part) -> np.ndarray:
-        """Return what is at the rows of a part, of what is at the states."""
+        """Interpolate values at the states to the rows of a part."""
         before, after, share = self._between(part)
         share = np.clip(share, 0.0, 1.0).reshape(-1, *[1] * (rows.ndim - 1))
         found: np.ndarray = rows[before] + share * (rows[after] - rows[before])
@@ -246,7 +246,7 @@ class Run:
 
     @cached_property
     def _near(self) -> np.ndarray:
-        """The states between which sensors were read."""
+        """The states next to the times at which sensors were read."""
         own = [part for part in self.fit.parts if self.fit.logs[part.log] is self.log]
         sensed = [self._between(part)[:2] for part in own if part.array == "sensordata"]
         return np.unique(np.concatenate([np.concatenate(each) for each in sensed]))
@@ -258,7 +258,7 @@ class Run:
 
     @cached_property
     def _sensed(self) -> Floats:
-        """What sensors read at the states near; NaN elsewhere."""
+        """The sensors' readings at the states in `_near`; NaN elsewhere."""
         values = self._readings.values()
         table = np.full((self.steps.count + 1, values.shape[1]), np.nan)
         table[self._near] = values
@@ -268,7 +268,7 @@ class Run:
     def _moved_sensed(self) -> Floats:
         labels, near = self.fit.labels, self._near
         by = [None if is_delay(label) else columns(self.model, [label])[0] for label in labels]
-        # Sensors do not read past controls.
+        # Sensors do not depend on past controls.
         ways = self.slopes[near, : 2 * self.model.nv + self.model.na]
         own = self._readings.slopes(ways, self._pushes[near], [*by, *[None] * 2 * self.model.nv])
         table = np.full((self.steps.count + 1, *own.shape[1:]), np.nan)
@@ -277,7 +277,7 @@ class Run:
 
 
 def _parts(model: Model, logs: Sequence[MeasuredLog], labels: Sequence[str]) -> list[Part]:
-    """Return what was measured, log by log."""
+    """Return the measured quantities, log by log."""
     late: dict[tuple[str, int], tuple[int, ...]] = {}
     for k, label in enumerate(labels):
         if is_delay(label) and label != DELAY:
@@ -296,7 +296,7 @@ def _parts(model: Model, logs: Sequence[MeasuredLog], labels: Sequence[str]) -> 
 
 
 def _scales(parts: Sequence[Part]) -> dict[str, float]:
-    """Return the unit of each quantity: how much it moves; of positions the one that moves most."""
+    """Return the unit of each quantity: the standard deviation, for qpos and qvel the largest."""
     spread: dict[str, float] = {}
     group = {part.label: part.label if part.array == "sensordata" else part.array for part in parts}
     for part in parts:

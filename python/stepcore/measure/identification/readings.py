@@ -1,6 +1,6 @@
-"""Readings of a model's sensors at many states, and their derivatives: differences.
+"""Readings of a model's sensors at many states, and their derivatives by finite differences.
 
-There are no formulas for each type of sensor; steps have `Sim.linearize`.
+Sensors have no analytic derivatives; for steps there is `Sim.linearize`.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from stepcore.engine.run_settings import converged_settings
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 
-# Readings that no change of state or of a parameter moves smoothly.
+# Sensors whose readings are not smooth functions of the state and the parameters.
 STEPPED = ("contact", "insidesite", "user", "clock")
-# Worlds that are read at once: as many as stay in a processor's cache.
+# The number of worlds that are read at once: they fit in a processor's cache.
 WORLDS = 256
 # Central differences of the fourth order at `AROUND` (Fornberg 1988).
 FOURTH = np.array([1 / 12, -2 / 3, 2 / 3, -1 / 12])
 
 
 class Readings:
-    """The sensors of a model, at states whose rows are solved to rounding, as in `Sim.linearize`.
+    """The sensors of a model, with rows solved to rounding error, as in `Sim.linearize`.
 
-    states: arrays by name ("qpos", "qvel", "act", "ctrl"), each with a row for each state.
+    states: arrays by name ("qpos", "qvel", "act", "ctrl"), one row per state.
     """
 
     def __init__(self, model: Model, states: Mapping[str, Floats]) -> None:
@@ -46,7 +46,7 @@ class Readings:
         return self._read(self.states, [self.model.core])
 
     def _read(self, states: Mapping[str, Floats], models: Sequence[object]) -> Floats:
-        """Return the readings at states, of which each has one of the models in turn."""
+        """Return the readings at states; state k has model k modulo their number."""
         worlds, count, parts = len(self.batch), len(states["qpos"]), []
         self.batch._core.set_models(list(models), [k % len(models) for k in range(worlds)])
         for first in range(0, count, worlds):
@@ -54,7 +54,7 @@ class Readings:
             rows = np.minimum(np.arange(first, first + worlds), count - 1)
             for name, table in states.items():
                 getattr(self.batch, name)[...] = table[rows]
-            # Without a memory of other states.
+            # Forget the previous states.
             self.batch._core.forget(list(range(worlds)))
             self.batch.forward()
             parts.append(np.array(self.batch.sensordata)[: count - first])
@@ -63,8 +63,8 @@ class Readings:
     def slopes(self, ways: Floats, pushes: Floats, by: Sequence[Column | None]) -> Floats:
         """Return the derivatives at each state by some numbers, shape (n, m, numbers).
 
-        ways: what each number changes of the states, (n, 2 nv + na, numbers). pushes: of the
-        controls, (n, nu, numbers). by: the number of the model that it is, or None.
+        ways: derivatives of the states by each number, (n, 2 nv + na, numbers). pushes: of the
+        controls, (n, nu, numbers). by: the parameter of the model for each number, or None.
         """
         moved, nv, found = Coordinates(self.model), self.model.nv, []
         for k, column in enumerate(by):

@@ -20,7 +20,7 @@ from stepcore.report.table import Table
 from stepcore.report.units import counted, seconds, times
 from stepcore.scene.value_paths import WHOLE
 
-# What explains a log, by the verdict on the fit.
+# The cause of the residual in words, by the verdict on the fit.
 LIMITS = {"noise": "its noise", "step": "the error of its time step"}
 # The columns of estimates that are numbers.
 NUMBERS = ("value", "low", "high", "before", "finer")
@@ -28,7 +28,7 @@ NUMBERS = ("value", "low", "high", "before", "finer")
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value that was found.
+    """An estimated value.
 
     parameter: its path. value: the estimate. low, high: the 95 % interval. before: the first guess.
     finer: the estimate with steps four times shorter, to first order.
@@ -46,8 +46,8 @@ class Estimate:
 class Curve:
     """A measured number over time.
 
-    log: its number. quantity: such as "qpos[knee]". time: [s], shape (T,). measured, before, after:
-    what was measured, NaN in gaps, and predicted with the values before and after, shape (T,).
+    log: its index. quantity: such as "qpos[knee]". time: [s], shape (T,). measured: NaN in gaps;
+    before, after: predicted with the values before and after the fit; shape (T,).
     """
 
     log: int
@@ -62,27 +62,28 @@ class Curve:
 class Identification(Result):
     """The values that `identify` found.
 
-    settings: of the runs. logs: how many there were. samples: measured numbers in all.
-    values: the estimates by path. start: the values before. bounds: the ranges given.
-    intervals: 95 % intervals by path, (low, high), widened by what is not noise in the residuals;
-        infinite where the logs say nothing, if more is unexplained than the noise, for values that
-        the search had no time to settle, and without more measured numbers than estimated ones.
+    settings: the settings of the runs. logs: the number of logs. samples: the number of measured
+        numbers.
+    values: the estimates by path. start: the values before. bounds: the requested ranges.
+    intervals: 95 % intervals by path, (low, high), widened by residuals that are not noise;
+        infinite for values that the logs do not determine or whose search had no time to converge,
+        if the unexplained residual exceeds the noise, and without more measurements than estimates.
     kept: parameters that the search had no time to change; they have their first values.
-    quality: how much of the residual of each quantity is noise, and the value that would explain
-        most of the rest.
-    alike: sets of parameters that the logs cannot tell apart.
+    quality: the noise in each quantity's residual, and the value that would explain most of the
+        rest.
+    alike: sets of parameters that the logs cannot distinguish.
     correlations: of the estimates, shape (n, n), in the order of `values`.
     residuals, before: RMS residual of each quantity after and before, such as "qpos[knee]" [m or
         rad], "qvel[knee]" [m/s or rad/s] and "sensordata[imu.0]".
-    integration: RMS change of each prediction when steps are four times shorter; NaN if there was
-        no time to compute it.
+    integration: RMS change of each prediction with steps four times shorter; NaN if there was no
+        time to compute it.
     finer: the estimates by path with these steps, to first order; NaN likewise.
-    predictable: until when each log can be predicted [s]; inf to its end.
-    findings: what is doubtful about the logs: units, gaps, horizons; see `Finding`.
-    curves: what was measured and predicted over time.
+    predictable: the time until which each log can be predicted [s]; inf if to its end.
+    findings: doubts about the logs: units, gaps, horizons; see `Finding`.
+    curves: measurements and predictions over time.
     model: the model with the estimates.
-    steps: time steps made in all. linearised: of these, those of derivatives. Each of these also
-        steps four models nearby for each parameter, in vector lanes.
+    steps: the number of time steps. linearised: the number of these with derivatives. Each of these
+        also steps four nearby models per parameter, in vector lanes.
 
     >>> import stepcore as sc
     >>> true = sc.lesson.spring().compile().with_values({"joint/spring/stiffness": 90.0})
@@ -122,7 +123,7 @@ class Identification(Result):
 
     @property
     def title(self) -> str:
-        """The scene, and how much was found from how much."""
+        """The scene, and the numbers of estimated values and of logs."""
         return f"{self.name}: {counted(len(self.values), 'value')} from {counted(self.logs, 'log')}"
 
     @property
@@ -141,13 +142,13 @@ class Identification(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """How good the fit is, what is doubtful about the logs, the estimates and the residuals."""
+        """The quality of the fit, findings on the logs, the estimates and the residuals."""
         found = [finding.text for finding in self.findings]
         return [self.fit, *found, *self._estimates(), *self._doubts(), *self._remains()]
 
     @property
     def fit(self) -> str:
-        """How good the fit is, in a sentence."""
+        """The quality of the fit in a sentence."""
         logs = "log" if self.logs == 1 else "logs"
         label, lacks, verdict = self.quality.worst, self.quality.missing, self.quality.verdict
         if verdict in LIMITS:
@@ -177,9 +178,7 @@ class Identification(Result):
         return f"{value:.2g} {unit} RMS at {name}" if unit else f"{value:.2g} RMS of {label}"
 
     def named(self, label: str) -> tuple[str, str, str]:
-        """Return of which entry a quantity is, such as "knee", what, such as "position", and its
-        unit or "".
-        """
+        """Return a quantity's entry and kind, such as "knee" and "position", and its unit or ""."""
         array, _, name = label.removesuffix("]").partition("[")
         units = units_of(self.model, array)
         unit = units[entries_of(self.model, array, len(units)).index(name)] if units else ""
@@ -214,7 +213,7 @@ class Identification(Result):
                 yield f"{path} is at the bound of its range."
 
     def _remains(self) -> Iterator[str]:
-        """Yield what is left unexplained, and how much of it the step makes."""
+        """Yield the residual that the time step affects most, and its effect on estimates."""
         worst = max(
             self.residuals, key=lambda key: self.integration[key] / (self.residuals[key] or 1.0)
         )
@@ -235,7 +234,7 @@ class Identification(Result):
         )
         for path, value in self.values.items():
             (low, high), finer = self.intervals[path], self.finer[path]
-            # Of noiseless logs, whose intervals are nothing, in four digits.
+            # Noiseless logs have intervals of almost zero: compare four digits.
             if abs(finer - value) > (high - low) / 2 and f"{finer:.4g}" != f"{value:.4g}":
                 yield (
                     f"With steps {FINER} times shorter the estimate of {path} is {finer:.6g}: "
@@ -244,9 +243,9 @@ class Identification(Result):
 
     @property
     def unknown(self) -> list[str]:
-        """The parameters of which the logs say little: the interval is half of the range.
+        """The parameters that the logs hardly determine: the interval is half of the range or more.
 
-        None of a fit that is bad or cannot be judged, which has no intervals.
+        Empty for a fit that is bad or cannot be judged, which has no intervals.
         """
         if self.quality.verdict in ("bad", "few"):
             return []
@@ -301,7 +300,7 @@ class Identification(Result):
         return Table(rows, formats=formats, heading="Correlations of the estimates, in this order")
 
     def tables(self, full: bool) -> list[Table]:
-        """Return the estimates, the residuals, and of several estimates the correlations."""
+        """Return the estimates, the residuals, and with several estimates the correlations."""
         several = [self.correlation_table] if len(self.values) > 1 else []
         return [self.table, self.residual_table, *several]
 
@@ -322,7 +321,7 @@ class Identification(Result):
 
 
 def shifted(path: str, change: float) -> str:
-    """Return what a delay says of a log, by its sign.
+    """Describe a delay in a log, by its sign.
 
     >>> shifted("delay", -0.005), shifted("delay/qpos", 0.02)
     ('positions in the log lead the commands by 5 ms', '`qpos` in the log is 20 ms late')

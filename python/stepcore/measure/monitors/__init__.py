@@ -1,7 +1,7 @@
 """Findings of a run: creep, gaps, contact depths, limits, servos that sag or are saturated, falls.
 
-They are measured on the run itself and need no reference. `run`, `trade`, `converge` and `check`
-look at a run of the scene as shipped.
+The findings are measured on the run itself and need no reference. `run`, `trade`, `converge` and
+`check` examine a run of the scene as shipped.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from stepcore.measure.monitors.tunnelling import tunnelling_findings
 
 __all__ = ["Finding", "Next", "Recording", "monitored", "ordered", "shown", "verified"]
 
-# What a run is looked at for; equally severe findings are told in this order.
+# The monitors of a run; equally severe findings are reported in this order.
 FINDINGS = (
     *(fall_findings, tunnelling_findings, grip_findings, creep_findings, contact_findings),
     *(joint_findings, noise_findings, actuator_findings, resting_findings),
@@ -34,11 +34,11 @@ FINDINGS = (
 
 
 def shown(run: Recording, depth: float | None = None) -> list[Finding]:
-    """Return the findings of a run, most severe first; their cures have not been tried.
+    """Return the findings of a run, most severe first; their fixes have not been tried.
 
     depth: the wanted depth of resting contacts [m]. By default a depth is a finding only if large
-    relative to the geoms. Of a run that failed, only what it began with is told; the rest would
-    describe the explosion.
+    relative to the geoms. A run that failed reports only its initial overlaps; other findings
+    would describe the explosion.
     """
     run.wanted = depth
     asked = FINDINGS if run.failure is None else (contact_findings,)
@@ -50,8 +50,8 @@ def monitored(
 ) -> tuple[list[Finding], str | None]:
     """Run a schedule from its first start, and return the findings and any failure.
 
-    Their cures are seen to hold in this motion. depth: see `shown`. ran: a run of the motion that
-    was made already, and may be longer.
+    Their fixes are tested in this motion. depth: see `shown`. ran: an existing run of the motion,
+    which may be longer.
     """
 
     def again(other: Model, share: float) -> Recording | None:
@@ -63,6 +63,6 @@ def monitored(
     plain = model.with_settings(model.settings.replace(ledger=False))
     steps = schedule.periods * schedule.steps(model.settings.dt)
     found = shown(run, depth)
-    # What pushes give a run is not known here, so that `shown` asks nothing of energies.
+    # `shown` leaves out energies, because the work of pushes on a run is unknown to it.
     found += energy_findings(run) if run.failure is None else ()
     return verified(ordered(found), plain, again, steps), run.failure

@@ -35,17 +35,17 @@ from stepcore.measure.monitors.soft_rows import hardest, stiffened
 from stepcore.report.units import metres, newtons, percent, speed
 
 # An initial overlap up to this many times the resting depth is the scene's resting state: the feet
-# of Go2 begin 1.7 and 2.6 times as deep as they rest (scene.xml and scene_mjx.xml). With twice as
-# much, h1's feet are missed, which begin in the floor.
+# of Go2 start 1.7 and 2.6 times as deep as they rest (scene.xml and scene_mjx.xml). Twice as much
+# misses h1's feet, which start in the floor.
 RESTS = 3.0
 
 
-# Readings further apart than this do not tell noise from motion [s]; particle_free.xml needs them.
+# Largest time between readings that separates noise from motion [s]; particle_free.xml needs it.
 APART = 0.01
-# Surfaces that move slower than this on each other stand still [m/s]; with twice as much, the foot
-# of dm_control's hopper does, which hops.
+# Surfaces in contact rest below this relative speed [m/s]; twice as much counts the foot of
+# dm_control's hopper as resting, which hops.
 STILL = 0.01
-# Sensors whose noise is watched.
+# Sensors whose noise is measured.
 SENSORS = ("force", "torque", "touch")
 # Noise and mean of a force, by pair or sensor.
 Noises = dict[int, tuple[float, float]]
@@ -55,7 +55,7 @@ class Contact(NamedTuple):
     """The behaviour of one contact of a pair of geoms.
 
     depth: the overlap at the start, or at rest [m]. force: the normal force at rest [N].
-    speed: at which it slides, or at which the geoms left their overlap [m/s].
+    speed: of sliding, or of the geoms when they leave their overlap [m/s].
     movable: whether some joint can separate the geoms. settled: whether it came to rest.
     """
 
@@ -68,7 +68,7 @@ class Contact(NamedTuple):
 
 
 def contact_findings(run: Recording) -> Iterator[Finding]:
-    """Yield the findings on contacts; of a run that failed, the overlaps that it began with."""
+    """Yield the findings on contacts; a run that failed has only its initial overlaps."""
     if not run.model.npair:
         return
     starts = overlaps(run)
@@ -77,14 +77,14 @@ def contact_findings(run: Recording) -> Iterator[Finding]:
         return
     late = list(resting(run))
     jammed = _jammed(run, starts, {at.pair: at for at in late if at.settled})
-    # What leaves out two bodies' contacts does so for all of their geoms that none can move apart.
+    # An exclude of two bodies covers all pairs of their geoms that no joint can move apart.
     apart = [set(_bodies(run.model, pair)) for pair in jammed]
     fixed = (at.pair for at in starts if not at.movable)
     held = {*jammed, *(pair for pair in fixed if set(_bodies(run.model, pair)) in apart)}
     if jammed:
         stuck = list(jammed.values())
         force = "no joint can move them apart"
-        # Across what moves, but for the rounding of a file, there is no end to a force.
+        # Across the directions of motion a force is unbounded, except for rounding in the file.
         if stuck[0].force < 1e9:
             force = f"push each other with {newtons(stuck[0].force)} all the time"
         becomes = f", as their joints hold them, and {force}"
@@ -101,7 +101,7 @@ def contact_findings(run: Recording) -> Iterator[Finding]:
 
 
 def resting(run: Recording) -> Iterator[Contact]:
-    """Yield contacts whose depth is constant to the end of the run, or that stay deep there."""
+    """Yield contacts whose depth is constant at the end of the run, or that stay deep there."""
     seen = run.contacts
     for (pair, _), late in seen.late():
         depth, force = seen.depth[late], float(seen.force[late].mean())
@@ -128,8 +128,8 @@ def overlaps(run: Recording) -> list[Contact]:
 def _overlap(run: Recording, contact: np.void) -> Contact:
     """Return an overlap at the start, with the speed along the normal at which the geoms leave it.
 
-    The speed is that of the centres of mass of free trees: a leg that straightens moves its foot,
-    and does not throw the robot. Only the first time counts: a later one follows another impact.
+    Free trees are represented by their centres of mass: a leg that straightens moves its foot, but
+    does not throw the robot. Only the first separation counts: later ones follow another impact.
     """
     model, sim, normal = run.model, run.at(0), contact["normal"]
     arms, moved, rose = np.zeros((3, model.nv)), *np.zeros((2, len(run)))
@@ -144,7 +144,7 @@ def _overlap(run: Recording, contact: np.void) -> Contact:
         rose += sign * (
             (run.centre_of_mass(root) if root in free_bodies(model) else place) @ normal
         )
-    # Not rounding, of what moves across the normal.
+    # The threshold excludes rounding of a motion across the normal.
     movable = np.abs(normal @ arms).max(initial=0.0) > 1e-9 * np.abs(arms).max(initial=0.0)
     out = int((moved - moved[0] >= -contact["dist"]).argmax())
     left = float(rose[out] - rose[out - 1]) / (run.spacing or 1.0) if out else 0.0
@@ -156,8 +156,8 @@ def _jammed(
 ) -> dict[int, Contact]:
     """Return pairs that overlap throughout because joints keep the geoms there.
 
-    They are of one tree, or, where they are deeper than their middle or its joint cannot part them,
-    of a machine that is fixed to the world and of the world.
+    Both geoms are in one tree; or they are in the world and in a machine fixed to it, and overlap
+    beyond the middle of the thinner geom or at all angles of a hinge.
     """
     jammed: dict[int, Contact] = {}
     for start in (start for start in starts if start.pair in at_rest):
@@ -174,7 +174,7 @@ def _jammed(
 def _meshed(run: Recording, pair: int) -> bool:
     """Return whether a link on the world overlaps it notably at all angles of its hinge.
 
-    The world is a machine's base then, unless it is a floor.
+    The geom of the world is then the machine's base, unless it is a floor.
     """
     model, link, deep = run.model, max(_bodies(run.model, pair)), DEEP * run.thick(pair)
     joints = np.flatnonzero(model.jnt_body == link)
@@ -221,7 +221,7 @@ def _overlaps(
 def _overlapping(
     run: Recording, kind: str, severity: str, found: list[Contact], by: str, becomes: str
 ) -> Finding:
-    """Return a finding on overlaps; its cure is other positions or poses, or no contact at all."""
+    """Return a finding on overlaps; its fix is another position or pose, or no contact at all."""
     model, of = run.model, found[0]
     contacts = named(model, "contact", (at.pair for at in found))
     geoms = model.contact_pair(of.pair).geoms
@@ -234,11 +234,11 @@ def _overlapping(
     bodies = _bodies(model, of.pair)
     roots = run.roots[bodies].tolist()
     free = {*roots} & free_bodies(model)
-    # A base that is part of the world is no floor.
+    # The base of a machine may be part of the world; a floor is no base.
     based = "world" in model.scene.fused.values() and not _floor(model, of.pair)
     machine = not free and (all(roots) or based)
     moved = 1 if roots[1] else 0
-    # The foot of a robot moves away with all of it.
+    # The foot of a robot is moved together with the whole robot.
     base = roots[moved] if roots[moved] in free else bodies[moved]
     mover = model.element_name("body", base)
     cure = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
@@ -262,7 +262,7 @@ def _floor(model: Model, pair: int) -> bool:
 
 
 def _excludes(model: Model, found: list[Contact]) -> tuple[str, ...]:
-    """Return what leaves out pairs of geoms, with all others of their bodies: one of two bodies."""
+    """Return one <exclude> for each two bodies, which leaves out all contacts between them."""
     apart = dict[frozenset[int], str]()
     for bodies in (_bodies(model, at.pair) for at in found):
         first, second = (model.body_names[body] or "…" for body in bodies)
@@ -274,7 +274,7 @@ def _excludes(model: Model, found: list[Contact]) -> tuple[str, ...]:
 
 
 def _depths(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
-    """Yield how deep contacts rest, with the solref that reduces the depth."""
+    """Yield a finding on contacts that rest deep, with the solref that reduces the depth."""
     model, asked = run.model, run.wanted
 
     def most(at: Contact) -> float:
@@ -295,11 +295,11 @@ def _depths(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
     solimp = next(of.value for of in contacts[0].fields(model) if of.name == "solimp")
     wanted = LEFT * most(of) if asked is None else asked
     harder = stiffened(model, contacts, pair.solref, solimp, of.depth, wanted)
-    # Steep friction pyramids are soft along the normal, too. And a stiff row that is not solved
-    # promises nothing.
+    # Steep friction pyramids are soft along the normal, too, and a stiff row that is not solved may
+    # not reduce the depth.
     steep = model.settings.cone == "pyramidal" and friction_of(model, of.pair) > 1
     ways = (harder, other_cone(model))[:: -1 if steep or run.unsolved else 1]
-    # A depth that was asked for is reached within a hundredth.
+    # A requested depth is met within 1 %.
     remedy = Remedy(ways, lambda other: depth_of(other, pairs), (1 + SEEN) * most(of), metres)
     severity = "warning" if of.depth > DEEP * thick else "remark"
     what = "depth at rest", severity, problem, "", contacts, of.depth, "m", TEST_CONTACTS
@@ -309,7 +309,7 @@ def _depths(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
 def depth_of(run: Recording, pairs: Collection[int]) -> float | None:
     """Return the mean depth of the deepest of some pairs over the end of the run [m].
 
-    Geoms that a margin holds apart are 0 deep. None if none is pressed there.
+    The depth of geoms held apart by a margin is 0. None if no pair has a contact there.
     """
     late = run.part(run.late).contacts
     depths = [late.depth[places].mean() for (of, _), places in late.groups.items() if of in pairs]
@@ -321,7 +321,7 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
     model, deepest = run.model, _deepest(run)
 
     def over(pair: int) -> float:
-        # What passed through is told already.
+        # A passage is reported as tunnelling.
         through = run.passed.intersection(model.contact_pair(pair).geoms)
         return 0.0 if through else deepest[pair] / (HALF * run.thick(pair))
 
@@ -339,7 +339,7 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
     ways = (other_cone(model), hard) if run.unsolved else (hard,)
 
     def pressed(other: Recording) -> float | None:
-        """Return how deep the pairs were pressed at most [m]; None if one does not touch."""
+        """Return the largest depth of the pairs [m]; None if one has no contact."""
         deep = _deepest(other)
         return max(deep[pair] for pair in pairs) if set(pairs) <= set(deep) else None
 
@@ -349,13 +349,13 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
 
 
 def other_cone(model: Model) -> tuple[Cure, ...]:
-    """Return the cure by the cone that a model does not have."""
+    """Return the fix that changes a model's cone to the other type."""
     cone = "elliptic" if model.settings.cone == "pyramidal" else "pyramidal"
     return (Cure(f'cone="{cone}"', Change(cone=cone)),)
 
 
 def _deepest(run: Recording) -> dict[int, float]:
-    """Return how deep each pair was pressed at most [m]."""
+    """Return the largest depth of each pair [m]."""
     pairs, each = np.unique(run.contacts.pair, return_inverse=True)
     deepest = np.zeros(len(pairs))
     np.maximum.at(deepest, each, run.contacts.depth)
@@ -366,7 +366,7 @@ def _deepest(run: Recording) -> dict[int, float]:
 
 
 def _slides(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
-    """Yield contacts that slide because they have no friction, or else stand without it."""
+    """Yield contacts that slide because they have no friction, or else rest without it."""
     model, seen, moving = run.model, run.contacts, []
     for (pair, _), places in seen.groups.items():
         if friction_of(model, pair) == 0 and len(places) >= max(FEWEST, STEADY * len(run)):
@@ -399,7 +399,7 @@ def _carries(run: Recording, at: Contact) -> bool:
     return roots[0] != roots[1] and any(at.force > DEEP * weight > 0 for weight in weights)
 
 
-# Noise: what changes from reading to reading.
+# Noise: changes from reading to reading.
 
 
 def noise_findings(run: Recording) -> Iterator[Finding]:
@@ -431,14 +431,14 @@ def _noisy(run: Recording, kind: str, noises: Callable[[Recording], Noises]) -> 
         found = noises(other).get(key)
         return None if found is None else found[0]
 
-    # What no knob lowers is the motion.
+    # Noise that no change lowers belongs to the motion.
     say = f"{{:.3g}} {unit}".format
     remedy = Remedy(tuple(_knobs(model, pairs)), left, FEW * mean, say, needed=True)
     yield Finding("force noise", "remark", problem, "", elements, rms, unit, remedy=remedy)
 
 
 def of_contacts(run: Recording) -> Noises:
-    """Return noise and mean of the normal force of each pair that stands still [N]."""
+    """Return noise and mean of the normal force of each pair at rest [N]."""
     seen, first, noises = run.contacts, run.late, Noises()
     late = np.flatnonzero(seen.reading >= first)
     moves = np.linalg.norm(seen.past[late], axis=1) + seen.rolls[late]
@@ -484,7 +484,7 @@ def noise(series: np.ndarray) -> tuple[float, float]:
     """Return the noise of a series of numbers or vectors, and the size of its mean.
 
     The noise is the RMS of f_k − (f_{k−1} + f_{k+1})/2, times √(2/3). For white noise this is its
-    RMS; of a motion that is resolved by the readings, the second difference is small.
+    RMS; if the readings resolve a motion, its second difference is small.
 
     >>> rms, mean = noise(np.array([1.0, 1.2] * 8))
     >>> print(f"{rms:.3f} {mean:.1f}")
@@ -498,7 +498,7 @@ def noise(series: np.ndarray) -> tuple[float, float]:
 
 
 def _lasts(series: np.ndarray) -> bool:
-    """Return whether both halves of a series have one mean, as of a thing at rest."""
+    """Return whether both halves of a series have about the same mean, as at rest."""
     half = len(series) // 2
     means = [np.atleast_1d(part.mean(axis=0)) for part in (series[:half], series[half:])]
     apart = float(np.linalg.norm(means[1] - means[0]))

@@ -49,28 +49,28 @@ from stepcore.report.units import (
 from stepcore.scene.elements import Joint
 from stepcore.scene.layout import Layout
 
-# Length of the window in which a slip is steady, in time constants: what it began with has decayed.
-# With half of it, op3 is said to creep while it settles.
+# Length of the window in which a slip is steady, in time constants: initial speeds have decayed.
+# With half of it, creep of op3 is reported while it settles.
 WINDOW = 10.0
-# Largest impratio that is advised: beyond it, the rows differ too much in scale to be solved. Go2
+# Largest advised impratio: beyond it, the rows differ too much in scale to be solved. Go2
 # needs all of it.
 IMPRATIO = 1e4
 # A contact sticks, and a friction loss holds, below this share of its friction.
 STICKS = 0.99
-# Slowest creep of a joint that is told [rad/s]; for slides, relative to the body's size [1/s].
-# People ask about arms that drift at 1.5 mrad/s (MuJoCo's issue 2082, frictionloss.xml), and a
-# tenth of a degree in a second is seen within a minute.
+# Slowest creep of a joint that is reported [rad/s]; for slides, relative to the body's size [1/s].
+# Users report arms that drift at 1.5 mrad/s (MuJoCo's issue 2082, frictionloss.xml), and a tenth of
+# a degree per second is visible within a minute.
 CREEPS = 1e-3
-# Impedances that are advised, softest first: the creep falls as (1 − d)/d. frictionloss.xml is
-# cured by the first, friceq.xml by the last.
+# Advised impedances, softest first: the creep falls as (1 − d)/d. The first fixes
+# frictionloss.xml, the last friceq.xml.
 IMPEDANCES = ((0.99, 0.999), (0.999, 0.9999), (0.9999, 0.9999))
 
 
 class Creep(NamedTuple):
     """A contact that slips, or a joint that drifts, although its friction holds it.
 
-    of: the contact's pair, or the joint. speed: the mean [m/s or rad/s]. share: of its friction.
-    begin, end: the times between which it was seen [s].
+    of: the contact's pair, or the joint. speed: the mean [m/s or rad/s]. share: of its friction
+    limit. begin, end: the times between which it creeps [s].
     """
 
     of: int
@@ -83,9 +83,9 @@ class Creep(NamedTuple):
 class Series(NamedTuple):
     """The motion of one contact, or of one joint with friction loss.
 
-    of: see `Creep`. constant: the time constant of its friction [s]. Then, at the readings at which
-    it is seen: velocity [m/s or rad/s], (m, k); share of its friction; held: whether that holds it;
-    rolls: the speed at which the surfaces turn on each other [m/s].
+    of: see `Creep`. constant: the time constant of its friction [s]. readings: the m readings with
+    this motion. Then at these: velocity [m/s or rad/s], (m, k); share of the friction limit; held:
+    whether friction holds; rolls: the speed at which the surfaces turn on each other [m/s].
     """
 
     of: int
@@ -130,10 +130,10 @@ def of_contacts(run: Recording) -> Iterator[Series]:
 
 
 def of_joints(run: Recording) -> Iterator[Series]:
-    """Yield the motions of joints with friction loss under less than that.
+    """Yield the motions of joints with friction loss that no actuator moves.
 
-    A joint whose own controls change is meant to move, and one with a servo ends at its target.
-    Nothing is told where an actuator drives no single joint.
+    A joint whose controls change is meant to move, and a joint with a servo ends at its target. If
+    such an actuator drives no single joint, nothing is yielded.
     """
     model, features = run.model, run.model.scene.features
     changing = np.ptp(run["ctrl"], axis=0) > 0
@@ -163,9 +163,9 @@ def _damping(model: Model, joint: int, of: Joint) -> float:
 def creeps(
     run: Recording, motions: Callable[[Recording], Iterator[Series]] = of_contacts
 ) -> Iterator[Creep]:
-    """Yield what should rest and moves steadily for a while although friction holds, by contact.
+    """Yield the fastest steady motion of each contact or joint that friction should hold.
 
-    It must be steady over a window of `WINDOW` time constants, or a tenth of the run: the initial
+    The motion must be steady over `WINDOW` time constants and over a tenth of the run: an initial
     speed decays within the time constant, and under a load a speed remains.
     """
     for of, constant, *columns in motions(run):
@@ -189,8 +189,8 @@ def creeps(
 def _left(
     found: Sequence[Creep], motions: Callable[[Recording], Iterator[Series]], run: Recording
 ) -> float | None:
-    """Return the largest mean velocity of what crept, each in its time; None if one is not seen."""
-    # Contacts are read in these times alone.
+    """Return the largest mean speed of what crept, each in its time; None if one has no data."""
+    # Contacts are read only between these times.
     begin, end = min(creep.begin for creep in found), max(creep.end for creep in found)
     first, last = np.searchsorted(run.times, (begin, end * (1 + 1e-9))).tolist()
     run, speeds, moved = run.part(first, last + 1), list[float](), dict[int, list[Series]]()
@@ -225,10 +225,10 @@ def _of_contacts(run: Recording, found: list[Creep]) -> Finding:
         (cures, (Cure("stiction=True", Change(stiction=True)),)),
         functools.partial(_left, found, of_contacts),
         most,
-        # Below a nanometre in a second it is rounding.
+        # Below a nanometre per second it is rounding.
         lambda left: speed(left) if left > 1e-9 else "none",
         most=2,
-        # A slip that harder friction does not end belongs to the motion.
+        # A slip that harder friction does not stop belongs to the motion.
         needed=True,
     )
     problem = (
@@ -253,7 +253,7 @@ def _of_joints(model: Model, found: list[Creep], most: float) -> Finding:
         words = f'solreffriction="{constant:g} 1" with solimpfriction="{low:g} {high:g}"'
         return Cure(words, Change(assigned(model, elements, values)))
 
-    # A motion that harder friction does not end is no creep.
+    # A motion that harder friction does not stop is no creep.
     way = tuple(harder(*ends) for ends in IMPEDANCES)
     left = functools.partial(_left, found, of_joints)
     remedy = Remedy((way,), left, most, rate, needed=True)

@@ -1,8 +1,8 @@
-"""`Finding`: a problem of a scene as data, the scale by which it is judged, and cures that are run.
+"""`Finding`: a problem of a scene as data, the scale by which it is judged, and fixes that are run.
 
-A finding proposes cures, and how to measure what is left of the problem (`Remedy`). `verified`
-makes each on a copy of the scene, runs the motion again until one holds, and writes into the
-finding what that run shows. A cure that was not run, or that did not help, promises nothing.
+A finding proposes fixes, and a measure of what remains of the problem (`Remedy`). `verified`
+applies each fix to a copy of the scene and repeats the motion, until one succeeds. The finding then
+reports the result of that run. No effect is claimed for a fix that was not run or did not help.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.report.units import counted, seconds
 
-# Shares of a size (the thinner geom, the smaller body, a joint's range), of a load or of a time;
-# and the scenes nearest to them.
-# A hundredth is seen within seconds, if one looks: contacts of dm_control's stacker and manipulator
-# creep by 1.7 and 1.9 of it in one; op3's servos sag by 1.4 of it. isaacfranka.xml has 0.7.
+# Fractions of a size (the thinner geom, the smaller body, a joint's range), of a load or of a time;
+# and the scenes closest to each fraction.
+# A hundredth is visible within seconds: contacts of dm_control's stacker and manipulator creep by
+# 1.7 and 1.9 times this in one second; op3's servos sag by 1.4 times this. isaacfranka.xml has 0.7.
 SEEN = 0.01
-# A twentieth is more than an impact does: 0.75 of it at a limit of decimation.xml, 1.3 of it in
-# humanoidstandup. A force of dm_control's hopper is noisy by 2.4 of it.
+# A twentieth is more than the effect of an impact: 0.75 times this at a limit of decimation.xml,
+# 1.3 times in humanoidstandup. The noise of a force in dm_control's hopper is 2.4 times this.
 FEW = 0.05
-# A tenth looks wrong: contacts rest 1.7 and 2 of it deep in cup.xml and worm02.xml, and only 0.91
-# and 0.96 of it under the feet of half_cheetah and h1.
+# A tenth looks wrong: contacts rest 1.7 and 2 times this deep in cup.xml and worm02.xml, and only
+# 0.91 and 0.96 times under the feet of half_cheetah and h1.
 DEEP = 0.1
-# Most of something: hopper's torso is pressed into the floor by just half of its thickness, things
-# of binpack.xml by 0.86 of theirs.
+# Most of a size: hopper's torso is pressed into the floor by just half of its thickness, objects in
+# binpack.xml by 0.86 of theirs.
 HALF = 0.5
-# The share of a threshold that a cure is made to leave.
+# Target residual of a fix, as a fraction of the threshold.
 LEFT = 0.1
 # Number of elements that a sentence names after the first.
 OTHERS = 3
-# The cost of all cures' runs, in steps × (dofs + 2). Go2 takes 0.35 s for 10⁵ of that, its findings
-# included; what cures cup.xml is known after 6e5.
+# Maximum cost of all runs of fixes, in steps × (dofs + 2). Go2 takes 0.35 s for 10⁵, its findings
+# included; the fix of cup.xml is found after 6e5.
 EFFORT = 1e6
-# By how much gravity is changed to see whether a run is chaotic: far below what a scene means, and
-# above the rounding by which two engines differ.
+# Relative change of gravity that shows whether a run is chaotic: far below the precision of a
+# scene, and above the rounding by which two engines differ.
 NUDGE = 1e-6
-# The parts of a time step that are tried.
+# Divisors of a time step, or factors of a gain, that are tried.
 PARTS = (1, 2, 4)
 
 # Most severe first: certainly wrong, will be noticed, may be intended.
@@ -69,7 +69,7 @@ TEST_CONTACTS = (
 
 
 class Cure(NamedTuple):
-    """A change that may cure a finding, and its words, such as 'solref="0.005 1"'."""
+    """A change that may fix a finding, and its description, such as 'solref="0.005 1"'."""
 
     words: str
     change: Change
@@ -77,20 +77,20 @@ class Cure(NamedTuple):
 
 @dataclass(frozen=True)
 class Remedy:
-    """The cures that are proposed for a finding, and how to measure their effect.
+    """The fixes that are proposed for a finding, and the measure of their effect.
 
-    ways: alternative cures, the preferred first. Each is a sequence of stronger and stronger
-        ones, of which the first that holds is named.
-    left: returns what is left of the problem in the `Recording` of a run; None if it cannot tell.
+    ways: alternative fixes, the preferred first. Each is a sequence of increasingly strong fixes,
+        of which the first that succeeds is named.
+    left: returns the remaining problem in the `Recording` of a run; None if that is unmeasurable.
     enough: the amount that is no longer a problem.
-    say: what is left, in words.
+    say: returns the remaining problem in words.
     most: the largest number of alternatives that are named.
     now: the problem itself, measured as by `left`; by default the finding's value.
-    needed: whether the finding stands only if a cure holds, which shows its cause.
-    by: the share of the run in which the problem is seen. A cure is first run so far, since most
-        that fail do so at once.
-    again: makes the run that `left` reads with another model; by default the motion of the finding.
-    compared: whether the alternatives that failed are named beside those that hold.
+    needed: whether the finding is reported only if a fix succeeds, which shows its cause.
+    by: the fraction of the run in which the problem appears. A fix is first run for this fraction,
+        since most that fail do so at once.
+    again: runs another model for `left`; by default the motion of the finding is repeated.
+    compared: whether alternatives that failed are named next to those that succeed.
     """
 
     ways: tuple[tuple[Cure, ...], ...]
@@ -112,14 +112,14 @@ class Finding:
     kind: the subject in a word or two, such as "overlap" or "creep".
     severity: "error" (certainly wrong), "warning" (will be noticed) or "remark" (may be intended).
     problem: the problem in words.
-    cure: the cure in words; "" if no cure is known.
+    cure: the fix in words; "" without one.
     elements: the elements with the problem, worst first; empty for the whole scene.
     value, unit: the number by which the finding is judged; None and "" without a number.
     commands: the commands to run next because of the finding.
-    settings: the settings that the cure changes, with their new values.
-    remedy: cures that have not been tried yet; `verified` tries them, and writes what they leave.
-    lines: MJCF elements to paste, where the cure is more than one.
-    ran: whether the cure's words say of each change whether it was run.
+    settings: the settings that the fix changes, with their new values.
+    remedy: fixes that have not been tried yet; `verified` tries them and adds the results.
+    lines: MJCF elements to paste, if the fix consists of several.
+    ran: whether `cure` states for each change if it was run.
     """
 
     kind: str
@@ -142,7 +142,7 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """The problem and the cure as a sentence."""
+        """The problem and the fix as a sentence."""
         # A problem without an element may begin with a file name, which keeps its case.
         begin = self.problem[:1].upper() if self.elements else self.problem[:1]
         problem = begin + self.problem[1:]
@@ -161,9 +161,9 @@ def ordered(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def worst(cases: Iterable[T], over: Callable[[T], float]) -> list[T]:
-    """Return the cases that are over their threshold, the furthest first.
+    """Return the cases that are above their threshold, the largest ratio first.
 
-    over: how often a case has its threshold.
+    over: returns the ratio of a case to its threshold.
     """
     return sorted((case for case in cases if over(case) > 1), key=over, reverse=True)
 
@@ -187,8 +187,8 @@ def others(elements: Sequence[Element], noun: str) -> str:
     return f" (and {', '.join(of.name for of in elements[:OTHERS])}{rest})"
 
 
-# Runs a share of the motion of a finding with another model, and returns the `Recording`; None if
-# that fails.
+# Runs a fraction of a finding's motion with another model; returns the `Recording`, or None if that
+# fails.
 Again = Callable[[Model, float], Any]
 
 
@@ -198,21 +198,21 @@ def verified(
     again: Again = lambda model, share: None,
     steps: int = 0,
 ) -> list[Finding]:
-    """Return findings with the cures that were seen to hold, and with what they leave.
+    """Return findings with the fixes that succeeded in a run, and with the results.
 
-    Cures whose runs would cost more than `EFFORT` are named without a promise.
+    Fixes whose runs would cost more than `EFFORT` are suggested without a result.
 
     model: the model of the run. again: runs the same motion with another model; by default only
-    cures with a motion of their own are run. steps: the number of time steps of the run.
+    fixes with `Remedy.again` are run. steps: the number of time steps of the run.
     """
     trials = _Trials(model, again, steps)
     return [cured for finding in findings if (cured := trials.cured(finding)) is not None]
 
 
 class _Held(NamedTuple):
-    """A cure that holds, what it leaves, the share of the run in which that was seen, and a doubt.
+    """A fix that helps, the remaining problem, the fraction of the run that was made, and a doubt.
 
-    doubt: why it may not hold elsewhere, in words; "" if nothing shows that.
+    doubt: why the fix may fail elsewhere, in words; "" without a reason.
     """
 
     left: float
@@ -223,9 +223,9 @@ class _Held(NamedTuple):
 
 @dataclass
 class _Trials:
-    """The runs of cures. steps: of one run.
+    """The runs of fixes. steps: of one run.
 
-    effort: what is left of `EFFORT` for cures. doubts: what is left for runs with another gravity.
+    effort: the rest of `EFFORT` for fixes. doubts: the rest for runs with another gravity.
     """
 
     model: Model
@@ -235,7 +235,7 @@ class _Trials:
     doubts: float = HALF * EFFORT
 
     def cured(self, finding: Finding) -> Finding | None:
-        """Return a finding with the best of its cures, or None if it needed one."""
+        """Return a finding with the best of its fixes, or None if it needs one and has none."""
         remedy = finding.remedy
         if remedy is None:
             return finding
@@ -270,9 +270,9 @@ class _Trials:
         return f"{held.cure.words} leaves {remedy.say(held.left)}{within}{held.doubt}"
 
     def _run(self, remedy: Remedy, value: float | None) -> tuple[list[_Held], list[str], str]:
-        """Return cures that hold, those without a doubt first, or else the one that helps most.
+        """Return fixes that succeed, those without a doubt first, or else the one that helps most.
 
-        Then the first cures of the ways that failed, and the first that there was no time for.
+        Then the first fix of each failed alternative, and the first fix that was not run in time.
         """
         now = value if remedy.now is None else remedy.now
         helps = math.inf if now is None else HALF * abs(now)
@@ -298,9 +298,9 @@ class _Trials:
         return best or sorted(helped)[:1], failed, untried
 
     def _tried(self, remedy: Remedy, cure: Cure) -> tuple[float, float | None, Any]:
-        """Run a cure: the share of the motion that there was time for, what it leaves, and the run.
+        """Run a fix; return the fraction of the motion that was run, what remains, and the run.
 
-        What it leaves is None if its run fails, or makes an error of its own.
+        The remaining problem is None if the run fails or raises an error.
         """
         ran, left, seen = 0.0, None, None
         for share in sorted({min(remedy.by, 1.0), 1.0}):
@@ -324,9 +324,9 @@ class _Trials:
     def _left(
         self, remedy: Remedy, change: Change, share: float, nudge: float = 0.0
     ) -> tuple[float | None, Any] | None:
-        """Run a change, and return what it leaves and the run; None if the time was over.
+        """Run a change, and return the remaining problem and the run; None if time ran out.
 
-        nudge: the change of gravity.
+        nudge: the relative change of gravity.
         """
         found = None
         with (deadline.current() or deadline.Deadline()).stage("runs of all fixes"):
@@ -341,7 +341,7 @@ class _Trials:
         return found
 
     def _doubt(self, remedy: Remedy, cure: Cure, seen: Any) -> str:
-        """Return why a cure that holds may not hold elsewhere; "" if nothing shows that."""
+        """Return why a fix that succeeds may fail elsewhere; "" without a reason."""
         if remedy.again is not None or not self.model.npair:
             return ""
         with (deadline.current() or deadline.Deadline()).stage("runs of all fixes"):
@@ -360,14 +360,14 @@ class _Trials:
 
 
 def _nudged(model: Model, nudge: float) -> Model:
-    """Return the model under a gravity that is changed by a share of itself."""
+    """Return the model with its gravity changed by a fraction."""
     scene = model.scene.with_settings(model.settings)
     scene.gravity = tuple((1 + nudge) * value for value in scene.gravity)
     return scene.compile()
 
 
 def _commands(change: Change) -> tuple[Next, ...]:
-    """Return the command that shows a cure; only settings can be given on a command line."""
+    """Return the command that shows a fix; a command line accepts settings only."""
     if change.size or not change.settings:
         return ()
     values = (
@@ -381,7 +381,7 @@ def _commands(change: Change) -> tuple[Next, ...]:
 def assigned(
     model: Model, elements: Iterable[Element], values: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the fields of elements with new values, by path; values: by the name of the field."""
+    """Return new values of fields of elements, by path; values: by the name of the field."""
     return {
         of.path or f"{of.kind}/#{of.index}/{of.name}": values[of.name]
         for element in elements
@@ -391,10 +391,10 @@ def assigned(
 
 
 def finer(settings: Settings, most: float) -> float:
-    """Return the largest whole part of the time step that is at most `most` [s]."""
+    """Return the time step over the smallest integer that makes it at most `most` [s]."""
     return settings.dt / max(1, math.ceil(settings.dt / most * (1 - 1e-9)))
 
 
 def shorter(dts: Iterable[float]) -> tuple[Cure, ...]:
-    """Return the cures by shorter time steps [s]."""
+    """Return fixes that shorten the time step to each of `dts` [s]."""
     return tuple(Cure(f"a dt of {seconds(dt)}", Change(dt=dt)) for dt in dict.fromkeys(dts))

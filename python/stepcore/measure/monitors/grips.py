@@ -1,4 +1,4 @@
-"""Things that slip out of a grip in a run: held by opposing forces that friction does not keep."""
+"""Bodies that slip out of a grip in a run: forces oppose each other, but friction fails."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from stepcore.measure.monitors.recording import Recording, free_bodies, friction
 from stepcore.report.units import rounded, seconds
 from stepcore.scene.layout import Layout
 
-# Turns a quaternion into that of the opposite rotation.
+# Factors that turn a quaternion into its inverse.
 BACK = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 class Slip(NamedTuple):
     """A body that slipped out of a grip, and fell by more than its size.
 
-    pairs: its contacts with what gripped it. pressed, held, weight: the forces on it in the grip,
-    on average, while it slipped if that was seen: along the normals, the friction that these allow,
-    and its weight [N].
-    last, fallen: the readings at which it was in the grip last, and at which it had fallen.
+    pairs: its contacts in the grip. pressed, held, weight: mean forces on it in the grip [N]: along
+    the normals, the friction that these allow, and its weight. The mean is over readings with slip,
+    if there are any.
+    last, fallen: the last reading in the grip, and the reading at which the body had fallen.
     """
 
     body: int
@@ -87,12 +87,12 @@ def _things(run: Recording) -> list[int]:
 
 
 class Grip:
-    """The readings at which machines hold a body between them, and what becomes of it then.
+    """The readings at which machines hold a body between them, and its motion afterwards.
 
-    A body is in a grip if only what moves by itself touches it, and if the forces along the normals
-    cancel for the most part: on a tray, or in a cup, they carry the body.
+    A body is in a grip if only machines touch it, and if most of the forces along the normals
+    cancel. On a tray or in a cup, these forces carry the body instead.
 
-    readings: those in the grip. places: of its contacts then, in the `Contacts` of the run.
+    readings: in the grip. places: indices of the contacts there, in the `Contacts` of the run.
     """
 
     def __init__(self, run: Recording, body: int, driven: set[int]) -> None:
@@ -116,14 +116,14 @@ class Grip:
     def fallen(self) -> int | None:
         """Return the reading at which the body has slipped and fallen by its size, or None.
 
-        A grip that opens lets its body fall on purpose.
+        A grip that opens drops its body on purpose, and does not count.
         """
         run, readings = self.run, self.readings
         if not len(readings):
             return None
         first, last, size = int(readings[0]), int(readings[-1]), run.sizes.bodies[self.body]
         height = self._height
-        # What falls into a hand and past it was never held.
+        # A body that falls into a hand and past it was never held.
         if height[0] - height[first] >= size:
             return None
         place = self._in_hand(run.centre_of_mass(self.body))
@@ -142,7 +142,7 @@ class Grip:
 
     @functools.cached_property
     def _palm(self) -> int:
-        """The nearest body that carries all that touched the body in the grip."""
+        """The nearest body that carries all bodies that touched the body in the grip."""
         parents, common = self.run.model.body_parent, list[int]()
         for hand in np.unique(self.hand).tolist():
             line = [hand]
@@ -157,9 +157,9 @@ class Grip:
         return rotated(quat, points - self.run["xpos"][:, self._palm])
 
     def _opens(self, last: int, size: float) -> bool:
-        """Return whether what pressed on the body last moves away while the body falls by its size.
+        """Return whether the hand moves away from the body while the body falls by its size.
 
-        That is whether the forces of then would take up work, seen from the palm.
+        It does if the last forces on the body would do negative work, in the frame of the palm.
         """
         run, seen, work = self.run, self.seen, 0.0
         time = math.sqrt(2 * size / _size(run.model.scene.gravity))
@@ -179,7 +179,7 @@ def _size(vector: Sequence[float] | Floats) -> float:
 
 
 def grip_findings(run: Recording) -> Iterator[Finding]:
-    """Yield a finding on what slips out of a grip."""
+    """Yield a finding on bodies that slip out of a grip."""
     found = sorted(slips(run), key=lambda slip: slip.last)
     if not found:
         return
@@ -195,7 +195,7 @@ def grip_findings(run: Recording) -> Iterator[Finding]:
     ) + ", which the grip would carry at rest" * (first.held >= first.weight)
 
     def left(other: Recording) -> float:
-        """Return how many are no longer in the grip when they had fallen, or slip later."""
+        """Return how many have left the grip by the time of their recorded fall, or slip."""
         lost = {slip.body for slip in slips(other)}
         driven = roots(model, actuators(model))
         for slip in found:
@@ -234,7 +234,7 @@ def _harder(run: Recording) -> Iterator[tuple[Cure, ...]]:
 
 
 def _rougher(run: Recording, found: list[Slip], friction: float) -> Iterator[tuple[Cure, ...]]:
-    """Yield a larger friction of what slips, where it has any."""
+    """Yield larger frictions of the bodies that slip, if they have any friction."""
     model, cures = run.model, list[Cure]()
     contacts = named(model, "contact", [pair for slip in found for pair in slip.pairs])
     more = max(1.0, found[0].weight / found[0].held) if found[0].held else 0.0

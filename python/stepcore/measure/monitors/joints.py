@@ -1,7 +1,7 @@
 """Findings on joints in a run: connections that gape, limits that a force overcomes, backlash.
 
 Backlash is a joint of small range in series with another: two joints of one body along one axis. An
-equality that holds such a joint within its range takes the backlash away.
+equality that holds such a joint within its range removes the backlash.
 """
 
 from __future__ import annotations
@@ -74,10 +74,10 @@ def chatter_findings(run: Recording) -> Iterator[Finding]:
 
 
 def _to_and_fro(run: Recording) -> dict[int, float]:
-    """Return joints whose velocities lead nowhere, each with its median speed [rad/s or m/s].
+    """Return joints that move back and forth in place, each with its median speed [rad/s or m/s].
 
-    run: of every step. Beside a steady motion, a vibration of four or more time steps leads at
-    least two median steps away.
+    run: with a reading at every step. Relative to a steady motion, a vibration of four or more time
+    steps moves by at least two median steps.
     """
     model = run.model
     joints = [k for k, kind in enumerate(model.jnt_type) if kind in ("hinge", "slide")]
@@ -87,9 +87,9 @@ def _to_and_fro(run: Recording) -> dict[int, float]:
     way = np.ptp(places - begin - slope * steps[:, None], axis=0)
     moves = np.abs(run["qvel"][:, dofs] * dt - slope)
     step = np.median(moves, axis=0)
-    # Below a tenth of a slow motion it is rounding, or noise.
+    # Below a tenth of a slow motion, the movement is rounding or noise.
     least = DEEP * dt * Coordinates(model).scaled(np.ones(model.nv), SPEED, SPIN)[dofs]
-    # What explodes grows, and a push comes once.
+    # An explosion grows, and a push comes once.
     found = (way <= 1.5 * step) & (step > least) & (moves.max(axis=0) < 2 * step)
     return {joints[k]: float(step[k]) / dt for k in np.flatnonzero(found)}
 
@@ -98,7 +98,7 @@ def _to_and_fro(run: Recording) -> dict[int, float]:
 
 
 class Gape(NamedTuple):
-    """A connection with a gap: the largest one [m], and that at rest; None if it did not settle."""
+    """A connection with its largest gap [m], and its gap at rest; None if it did not settle."""
 
     equality: int
     most: float
@@ -121,7 +121,7 @@ def gapes(run: Recording) -> Iterator[Gape]:
     for k, equality in tied:
         tie = equality.plain(layout)
         bodies, frames = (tie["first"], tie["second"]), (tie["frame1"], tie["frame2"])
-        # A point that is not given follows from the poses in which the scene is described.
+        # A point without coordinates follows from the poses in the scene's description.
         known = 0 if frames[0] is not None else 1
         point = place[bodies[known]] + turn[bodies[known]] @ np.array(frames[known]["pos"])
         ends = []
@@ -173,9 +173,9 @@ def _gaps(run: Recording) -> Iterator[Finding]:
 class Beyond(NamedTuple):
     """A joint beyond its range.
 
-    kept: the excess at rest, or that reached for a twentieth of the run or more [rad or m]. rest:
-    the excess at rest; None if the joint did not settle. forces: the elements that push outwards
-    [N·m or N], strongest first. limit: the limit's force.
+    kept: the excess at rest, or the excess reached for a twentieth of the run or more [rad or m].
+    rest: the excess at rest; None if the joint did not settle. forces: the elements that push
+    outwards [N·m or N], strongest first. limit: the limit's force.
     """
 
     joint: int
@@ -198,7 +198,7 @@ def excesses(run: Recording) -> Iterator[tuple[Beyond, Floats]]:
 
 
 def coordinate(model: Model, qpos: Floats, joint: int) -> Floats:
-    """Return what a joint's range limits, (n,): its coordinate, or the angle of a ball [rad or m].
+    """Return the quantity that a range limits, (n,): coordinate, or angle of a ball [rad or m].
 
     qpos: (n, nq).
     """
@@ -210,7 +210,7 @@ def coordinate(model: Model, qpos: Floats, joint: int) -> Floats:
 
 
 def excess_of(run: Recording, joint: int) -> float:
-    """Return how far a joint was beyond its range for a while [rad or m]."""
+    """Return the lasting excess of a joint over its range [rad or m]."""
     return max((at.kept for at, _ in excesses(run) if at.joint == joint), default=0.0)
 
 
@@ -225,9 +225,9 @@ def overpowered(run: Recording) -> list[Beyond]:
 
 
 def _pushed(run: Recording, at: Beyond, series: Floats) -> Beyond:
-    """Return what pushes a joint outwards, where its excess is about the one that is told."""
+    """Return a joint's excess with the forces that push outwards near the reported excess."""
     dof = int(run.model.jnt_dofadr[at.joint])
-    # A limit does not push on a joint that returns fast: the next reading may do.
+    # A limit does not push on a joint that returns fast; the next reading may have a force.
     for reading in np.argsort(np.abs(series - at.kept), kind="stable")[:4].tolist():
         sim = run.at(reading)
         acting = {of: float(force[dof]) for of, force in sim.element_forces().items()}
@@ -241,7 +241,7 @@ def _pushed(run: Recording, at: Beyond, series: Floats) -> Beyond:
 
 
 def _overpowered(run: Recording) -> Iterator[Finding]:
-    """Yield limits that a force overcomes: the worst with its cure, the others by name."""
+    """Yield limits that a force overcomes: the worst with its fix, the others by name."""
     model, pushed = run.model, overpowered(run)
     if not pushed:
         return
@@ -279,7 +279,7 @@ def unit_of(model: Model, joint: int) -> str:
 
 
 def width_of(model: Model, joint: int) -> float:
-    """Return the width of a joint's range [rad or m]; of an angle at most half a turn.
+    """Return the width of a joint's range [rad or m]; for angles, at most half a turn.
 
     A joint that its limits lock counts as 1 rad or 1 m wide.
     """
@@ -316,7 +316,7 @@ def _played(run: Recording) -> Iterator[Finding]:
             continue
         aim = float(model.qpos0[model.jnt_qposadr[joint]] + equality.polycoef[0])
         low, high = (float(bound) for bound in model.jnt_range[joint])
-        # A joint in free play falls onto an end of its range.
+        # A joint with free play falls to an end of its range.
         if low < aim < high and (now := share_used(run, joint)) <= 1 - DEEP:
             yield _backlash(model, joint, k, aim, now)
 

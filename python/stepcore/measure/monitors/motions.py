@@ -1,4 +1,4 @@
-"""Findings on what moves or holds a body: nothing to touch, force, no damping, coupling."""
+"""Findings on motions: nothing to touch, large contact forces, no damping, coupling."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ from stepcore.report.units import (
 from stepcore.scene.elements import Geom
 from stepcore.scene.layout import Layout
 
-# The force of a contact over the weight of what it holds. Objects in about 90 files are pressed
-# with up to 7.5 times their weight; the 235 N of a strong gripper hold 50 g with 480 times.
+# The force of a contact over the weight of the body that it holds. Objects in about 90 files are
+# pressed with up to 7.5 times their weight; a strong gripper holds 50 g with 235 N, 480 times.
 CRUSHED = 1000.0
 
 
 def motion_findings(run: Recording) -> Iterator[Finding]:
-    """Yield the findings on what moves or holds a body without need."""
+    """Yield the findings on free bodies and on passive joints."""
     yield from _untouched(run)
     yield from _crushed(run)
     yield from _undamped(run)
@@ -56,7 +56,7 @@ def motion_findings(run: Recording) -> Iterator[Finding]:
 
 
 def _fallen(run: Recording, root: int) -> float:
-    """Return how far a tree has fallen along gravity [m]."""
+    """Return the distance that a tree has fallen along gravity [m]."""
     gravity = np.asarray(run.model.scene.gravity, float)
     strength = float(np.linalg.norm(gravity)) if run.model.scene.features.gravity else 0.0
     path = run.centre_of_mass(root)
@@ -91,7 +91,7 @@ def _untouched(run: Recording) -> Iterator[Finding]:
 
 
 def _apart(run: Recording, root: int) -> tuple[str, Cure | None]:
-    """Return why no geom of a tree collides with another tree's, and a change that lets it.
+    """Return why no geom of a tree collides with other trees, and a change that enables it.
 
     The reason is empty if the scene has no other geom.
     """
@@ -128,7 +128,7 @@ def _meets(geom: Geom, other: Geom) -> bool:
 def pressing(run: Recording) -> dict[tuple[int, int], float]:
     """Return the normal force on free bodies that is reached for a twentieth of a run [N].
 
-    It is given by pair and root; bodies with actuators of their own are left out.
+    The keys are pair and root; bodies with actuators are left out.
     """
     model, forces = run.model, dict[tuple[int, int], float]()
     driven = {int(run.roots[model.jnt_body[of.joint]]) for of in _of_joints(model)}
@@ -174,7 +174,7 @@ def _crushed(run: Recording) -> Iterator[Finding]:
 
 
 def _presser(run: Recording, pair: int, root: int) -> int | None:
-    """Return the actuator with the largest force of those that move what presses a body."""
+    """Return the strongest of the actuators that move the bodies which press a body."""
     model, chain = run.model, set[int]()
     for body in model.geom_body[list(model.contact_pair(pair).geoms)].tolist():
         while body and run.roots[body] != root:
@@ -189,7 +189,7 @@ def _presser(run: Recording, pair: int, root: int) -> int | None:
 
 
 def _commanded(run: Recording) -> np.ndarray:
-    """Return which controls change; those of the first reading have led to no step."""
+    """Return which controls change; the first reading is left out, as no step has used it."""
     ctrl = run["ctrl"][1:]
     changes: np.ndarray = np.ptp(ctrl, axis=0) > 0 if len(ctrl) else np.zeros(run.model.nu, bool)
     return changes
@@ -198,10 +198,10 @@ def _commanded(run: Recording) -> np.ndarray:
 def _undamped(run: Recording) -> Iterator[Finding]:
     """Yield hinges of a machine that swing to the end of the run because nothing damps them.
 
-    Joints with an actuator are left out: servos without damping are found where they do not follow.
+    Joints with an actuator are left out: servos without damping are reported as not following.
     """
     model, late = run.model, run.late
-    # Without a machine, what swings is the scene.
+    # Without a machine, the swinging bodies are the scene itself.
     if not model.nu or late < 2 * FEWEST or _commanded(run).any():
         return
     driven = {at.joint for at in actuators(model)}
@@ -243,7 +243,7 @@ def _speed(run: Recording, joint: int, first: int, last: int) -> float:
 
 
 def _coupled(run: Recording) -> Iterator[Finding]:
-    """Yield the joint without a command that the acceleration of another moves most."""
+    """Yield the joint without a command that another joint's acceleration moves most."""
     model = run.model
     moved = _commanded(run)
     leads = {int(model.actuator_joint[of.index]) for of in _of_joints(model) if moved[of.index]}
@@ -271,7 +271,7 @@ def _coupled(run: Recording) -> Iterator[Finding]:
 
 
 def _fixed(run: Recording, joint: int) -> bool:
-    """Return whether a joint is no part of a base that moves about, nor carried by one."""
+    """Return whether a joint is neither part of a moving base nor carried by one."""
     model, body = run.model, int(run.model.jnt_body[joint])
     base = int(run.roots[body])
     planar = body == base and np.count_nonzero(model.jnt_body == body) > 1
@@ -281,8 +281,8 @@ def _fixed(run: Recording, joint: int) -> bool:
 def _leader(run: Recording, joint: int, leads: Sequence[int]) -> tuple[int | None, float]:
     """Return the joint whose acceleration drives another, with its largest force [N·m or N].
 
-    The force is −M_ij q̈_j. It counts if it is larger (RMS) than what contacts, limits and
-    equalities put on the joint, and than the change of its gravity and Coriolis forces.
+    The force is −M_ij q̈_j. It counts if it is larger (RMS) than the force of contacts,
+    limits and equalities on the joint, and than the change of its gravity and Coriolis forces.
     """
     dof, dofs = int(run.model.jnt_dofadr[joint]), run.model.jnt_dofadr[leads]
     some = np.unique(np.linspace(0, len(run) - 1, FEWEST**2).astype(int)).tolist()

@@ -1,7 +1,7 @@
-"""`Recording`: one run as findings see it: arrays over time, and the contacts at each reading.
+"""`Recording`: one run for the findings: arrays over time, and the contacts at each reading.
 
-The run is one call of the engine. What only a solve knows, such as contacts and their forces, is
-read afterwards, at a bounded number of recorded states.
+The run is one call of the engine. Results of a solve, such as contacts and their forces, are
+computed afterwards, at a bounded number of recorded states.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from stepcore.experiment.single_run import READINGS
 from stepcore.experiment.sizes import Sizes
 from stepcore.scene.softness import UNKNOWN
 
-# What is recorded of a run.
+# Names of the recorded arrays.
 RECORDED = ("qpos", "qvel", "act", "ctrl", "xpos", "xquat", "actuator_force")
-# The last share of a run, in which rest is judged: with half of it, the noise of dm_control's
-# hopper and of particle_free.xml is missed. The largest relative variation of a quantity at rest:
-# with twice as much, a foot of that hopper rests that does not. The fewest readings from which rest
-# or creep is judged.
+# REST: last fraction of a run, in which rest is judged; half of it misses the noise of dm_control's
+# hopper and of particle_free.xml. STEADY: largest relative variation of a quantity at rest; twice
+# as much counts a moving foot of that hopper as resting. FEWEST: smallest number of readings from
+# which rest or creep is judged.
 REST, STEADY, FEWEST = 0.25, 0.2, 8
 
 # A pair of geoms, and the index of one of its contacts.
@@ -49,13 +49,13 @@ Key = tuple[int, int]
 class Recording:
     """One run of a model under its settings.
 
-    driven: the model that was run: with servos of ours, if the controls need these.
+    driven: the model that was run, with the servos that stepcore adds if the controls need them.
     times: of the readings [s], (n,); the first is the start.
     data: the arrays of `RECORDED`, (n, …); readings after a failure are left out.
-    begin: sets a Sim to the start of the run, with all that is constant in it.
+    begin: sets a Sim to the start of the run, with all values that stay constant.
     failure: why the run ended early, or None.
     wanted: the wanted depth of contacts at rest [m], or None.
-    passed: geoms that are known to have passed through others.
+    passed: geoms that passed through others.
     """
 
     model: Model
@@ -82,7 +82,7 @@ class Recording:
 
     @property
     def late(self) -> int:
-        """The first reading of the end of the run, in which rest is judged; below 0 without one."""
+        """The first reading of the last part, in which rest is judged; negative if too few."""
         return len(self) - max(FEWEST, int(REST * len(self)))
 
     def part(self, first: int, last: int | None = None) -> Recording:
@@ -92,9 +92,9 @@ class Recording:
         return dataclasses.replace(self, times=self.times[some], data=data)
 
     def between(self, first: int, last: int) -> Recording:
-        """Return the run between two readings, made again with a reading at every step.
+        """Return the run between two readings, repeated with a reading at every step.
 
-        The controls are those of the readings, and pushes are left out.
+        The recorded controls are repeated, and pushes are left out.
         """
         sim, dt = self.at(first), self.model.settings.dt
         qpos, qvel, act = (np.array(self[name][first]) for name in ("qpos", "qvel", "act"))
@@ -128,7 +128,7 @@ class Recording:
 
     @functools.cached_property
     def contacts(self) -> Contacts:
-        """The contacts that push, at all readings."""
+        """The contacts with a positive force, at all readings."""
         return Contacts(self)
 
     @functools.cached_property
@@ -138,7 +138,7 @@ class Recording:
         return sim
 
     def at(self, reading: int) -> Sim:
-        """Return a Sim at a reading, with its contacts and forces. It is the same one each time."""
+        """Return the Sim at a reading, with contacts and forces; always the same object."""
         sim = self._sim
         if self._read != reading:
             for name in ("qpos", "qvel", "act", "ctrl"):
@@ -149,7 +149,7 @@ class Recording:
 
     @functools.cached_property
     def unsolved(self) -> bool:
-        """Whether most of some steps along the run leave rows unsolved; see `Residuals`."""
+        """Whether most of the sampled steps leave rows unsolved; see `Residuals`."""
         sim = unwatched(Sim(self.driven))
         self.begin(sim)
         residuals = Residuals(sim)
@@ -158,7 +158,7 @@ class Recording:
                 checkpoint()
                 for name in ("qpos", "qvel", "act", "ctrl"):
                     getattr(sim, name)[:] = self.data[name][reading]
-                # The first steps begin without the impulses of those before.
+                # The first steps lack the impulses of earlier steps.
                 sim.step(FEWEST)
                 residuals.look(sim)
         return residuals.typical > residuals.large
@@ -187,7 +187,7 @@ def recorded(model: Model, schedule: Schedule) -> Recording:
 
 
 def cut(model: Model, schedule: Schedule, ran: Followed | None) -> Recording | None:
-    """Return the recording of a longer run of the same motion; None if it has too few readings."""
+    """Return the motion's part of a longer run; None if it failed or has too few readings."""
     count = 0 if ran is None else int(np.searchsorted(ran.times, schedule.horizon * (1 + 1e-9)))
     if ran is None or ran.failures or count < READINGS / 2 or not set(RECORDED) <= set(ran.data):
         return None
@@ -197,7 +197,7 @@ def cut(model: Model, schedule: Schedule, ran: Followed | None) -> Recording | N
 
 
 def followed(model: Model, start: Start, steps: int, **controls: Any) -> Recording:
-    """Make steps from a start, and record them; controls: ctrl, hold and control of `follow`."""
+    """Run steps from a start, and record them; controls: ctrl, hold and control of `follow`."""
     every = max(1, steps // READINGS)
     ran = follow(model, [start], steps - steps % every, every, record=RECORDED, **controls)
     error = ran.failures.get(0)
@@ -212,7 +212,7 @@ def whole(
     begin: Callable[[Sim], object],
     failure: str | None = None,
 ) -> Recording:
-    """Return the recording of the readings that are finite."""
+    """Return the recording up to the first reading that is not finite."""
     finite = np.ones(len(times), bool)
     for values in data.values():
         finite &= np.isfinite(values).reshape(len(times), -1).all(axis=1)
@@ -221,7 +221,7 @@ def whole(
 
 
 def _solved(settings: Settings) -> Settings:
-    """Return the settings of a reading, whose rows are solved without those of the step before."""
+    """Return settings that solve the rows of a reading independently of earlier steps."""
     if settings.law == "solref" and settings.solver == "pgs":
         return converged_settings(settings, ledger=False)
     return settings.replace(ledger=False)
@@ -236,7 +236,7 @@ def settled(series: Floats) -> float | None:
 
 
 class Contacts:
-    """The contacts that push in one run, at its readings, ordered by reading.
+    """The contacts with a positive force in one run, ordered by reading.
 
     reading, pair, part: indices, (m,). geoms: indices of both, (m, 2). depth: the overlap [m].
     position, normal: of the contact, the normal from the first geom to the second, (m, 3).
@@ -263,12 +263,12 @@ class Contacts:
             self._slips(every, np.array(moves), np.array(centres))
 
     def _slips(self, every: np.ndarray, moves: Floats, centres: Floats) -> None:
-        """Judge the contacts that push; moves, centres: of the bodies at each reading."""
+        """Compute slip, friction and rolling; moves, centres: of the bodies at each reading."""
         self.pair, self.part = every["index"].astype(int), every["part"].astype(int)
         self.geoms = np.stack([every["geom1"], every["geom2"]], axis=1)
         self.depth, self.position, self.normal = -every["dist"], every["pos"], every["normal"]
         normal = self.normal
-        # Body velocities are those of the point at the tree's centre of mass.
+        # Body velocities refer to the point at the tree's centre of mass.
         spins, speeds = [], []
         for geom in ("geom1", "geom2"):
             at = self.reading, self.model.geom_body[every[geom]]
@@ -289,7 +289,7 @@ class Contacts:
 
     @functools.cached_property
     def groups(self) -> dict[Key, np.ndarray]:
-        """The places of each contact in the arrays, in order of time."""
+        """The indices of each contact in the arrays, in order of time."""
         keys = np.stack([self.pair, self.part], axis=1)
         each, which = np.unique(keys, axis=0, return_inverse=True)
         which = which.reshape(-1)
@@ -298,7 +298,7 @@ class Contacts:
         return {(int(a), int(b)): part for (a, b), part in zip(each, parts, strict=True)}
 
     def late(self) -> Iterator[tuple[Key, np.ndarray]]:
-        """Yield contacts with their places at the end of the run, where each lasts to the end."""
+        """Yield contacts that last through the end of the run, with their indices there."""
         first = self.run.late
         for key, places in self.groups.items():
             end = places[self.reading[places] >= first]
@@ -307,7 +307,7 @@ class Contacts:
 
 
 def friction_of(model: Model, pair: int) -> float:
-    """Return the sliding friction of a pair; 0 if it has a normal row alone."""
+    """Return the sliding friction of a pair; 0 if it has only a normal row."""
     of = model.contact_pair(pair)
     return of.friction if of.condim > 1 else 0.0
 

@@ -33,10 +33,10 @@ from stepcore.scene.layout import Layout
 
 
 def resting_findings(run: Recording) -> Iterator[Finding]:
-    """Yield the free bodies that stand still and cost most of a step, with a run without them."""
+    """Yield the free bodies that rest and take most of a step, with a run that fixes them."""
     model, size = run.model, scene_size(run.model.scene)
     still = [body for body in sorted(free_bodies(model)) if _rests(run, body)]
-    # Without a machine beside them, what rests is the scene.
+    # Without a machine, the resting bodies are the scene itself.
     if len(still) < 2 or not model.nu:
         return
     try:
@@ -54,13 +54,13 @@ def resting_findings(run: Recording) -> Iterator[Finding]:
     )
 
     def again(_: Model) -> Recording:
-        """Run the motion again, with the controls of the readings, where these bodies are fixed."""
+        """Repeat the motion with the recorded controls and with these bodies fixed."""
         hold = max(1, round(run.spacing / model.settings.dt))
         start, rows = _state(run, 0, still), run["ctrl"][None, :-1]
         return followed(welded, start, hold * (len(run) - 1), ctrl=rows, hold=hold)
 
     def moved(other: Recording) -> float | None:
-        """Return how far the other bodies are from the motion with all bodies [m]."""
+        """Return the largest distance of the other bodies from their recorded motion [m]."""
         now, before = (np.reshape(of["xpos"][:, moving], (len(of), -1)) for of in (other, run))
         at = other.times - other.times[0] + run.times[0]
         far = [np.interp(run.times, at, a) - b for a, b in zip(now.T, before.T, strict=True)]
@@ -76,7 +76,7 @@ def resting_findings(run: Recording) -> Iterator[Finding]:
 
 
 def _rests(run: Recording, body: int) -> bool:
-    """Return whether a body, a tree of its own, stands still during the whole run."""
+    """Return whether a body is a whole tree and rests during the whole run."""
     size = run.sizes.bodies[body]
     way, turn = (float(np.ptp(run[of][:, body], axis=0).max()) for of in ("xpos", "xquat"))
     return np.count_nonzero(run.roots == body) == 1 and way + 2 * turn * size < SEEN * size
@@ -117,9 +117,9 @@ def _operations(run: Recording, model: Model, still: Sequence[int] = ()) -> int:
 
 
 def gained(run: Recording) -> float | None:
-    """Return the energy gained over the largest energy of motion; None if something may give it.
+    """Return the energy gained over the largest kinetic energy; None if something may supply it.
 
-    That is an actuator, the wind, a moving surface, or a row that is pressed at the start.
+    Actuators, wind, moving or adhesive surfaces, and rows at the start may supply energy.
     """
     scene = run.model.scene
     drags = (any(geom.surfacevel) or geom.adhesion for geom in scene.geoms)
@@ -132,7 +132,7 @@ def gained(run: Recording) -> float | None:
 
 
 def energy_findings(run: Recording) -> Iterator[Finding]:
-    """Yield that the steps give energy, with an integrator or a dt that was seen to keep it."""
+    """Yield a finding if the steps add energy; its fix is an integrator or dt that does not."""
     gain, dt = gained(run), run.model.settings.dt
     if gain is None or gain < DEEP:
         return

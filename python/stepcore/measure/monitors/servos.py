@@ -37,14 +37,14 @@ from stepcore.measure.monitors.recording import FEWEST, Recording, free_bodies
 from stepcore.report.units import FORCES, TORQUES, percent, quantity, rounded, seconds
 from stepcore.scene.layout import Layout
 
-# The share of a run above which saturation is told: a servo that lost a quarter of a sine's
-# amplitude (fastsine.xml) was at its end for 38 % of the run. And the share of the least sag that a
-# cure leaves; a smaller one needs kps that isaacfranka.xml's step does not hold.
+# Fraction of a run above which saturation is reported: a servo that lost a quarter of a sine's
+# amplitude (fastsine.xml) was saturated for 38 % of the run. Also the fraction of the smallest
+# reported sag that a fix leaves; a smaller one needs a kp that is unstable in isaacfranka.xml.
 THIRD = 1 / 3
 
 
 def actuator_findings(run: Recording) -> Iterator[Finding]:
-    """Yield the findings on servos that sag under a load, or are saturated."""
+    """Yield the findings on servos that sag under a load, do not follow, or are saturated."""
     model = run.model
     if not (model.nu and model.scene.features.actuation):
         return
@@ -79,8 +79,8 @@ def _servos(model: Model) -> list[Actuator]:
 
 
 def _saturated(run: Recording) -> dict[int, float]:
-    """Return for which share of the run the forces of actuators are at an end of their ranges."""
-    # The first reading is the start, which no step has led to. A force of 0 is not saturated.
+    """Return the fraction of the run in which the force of each actuator is saturated."""
+    # The first reading is the start, before any step. A force of 0 is not saturated.
     force = run["actuator_force"][1:]
     low, high = (np.isclose(force, end, 1e-9, 0) for end in run.model.actuator_forcerange.T)
     shares = np.mean((low | high) & (force != 0), axis=0) if len(force) else np.zeros(run.model.nu)
@@ -88,14 +88,14 @@ def _saturated(run: Recording) -> dict[int, float]:
 
 
 class Following(NamedTuple):
-    """A servo on its way. Lengths are those before the gear.
+    """A servo and its target during a run. Lengths are measured before the gear.
 
-    error: RMS from its target. width: RMS of the target's motion, or, of one that is held, the sag
-    that is a warning. hertz: the frequency that has most of the motion; 0 without one. share, lag:
-    of its amplitude [1], and behind it [rad]. full: the share of the time at an end of its force.
-    load: the largest that it has to hold [N·m or N]. rows: what contacts, limits and dry friction
-    put on it, the median. need: the force of the motion asked for.
-    damping: at the joint, its own and the joint's [N·m·s/rad or N·s/m].
+    error: RMS distance from the target. width: RMS of the target's motion, or for a constant target
+    the sag that is a warning. hertz: the dominant frequency of the target; 0 without one.
+    share, lag: amplitude over the target's [1], and phase behind it [rad]. full: the fraction of
+    time in saturation. load: the largest load to hold [N·m or N]. rows: the median force of
+    contacts, limits and dry friction. need: the force for the requested motion.
+    damping: at the joint, of the servo and the joint [N·m·s/rad or N·s/m].
     """
 
     actuator: Actuator
@@ -112,38 +112,38 @@ class Following(NamedTuple):
 
     @property
     def omega(self) -> float:
-        """Its natural frequency [rad/s]."""
+        """The natural frequency [rad/s]."""
         return math.sqrt(self.actuator.stiffness / self.actuator.inertia)
 
     @property
     def rings(self) -> bool:
-        """Whether its damping takes less than a factor e of a swing in one second."""
+        """Whether an oscillation decays by less than a factor e in one second."""
         return self.damping / 2 / self.actuator.inertia < 1
 
     @property
     def passes(self) -> float:
-        """The frequency at which its gain falls to 1/√2, at small amplitudes [Hz]."""
+        """The frequency at which the gain falls to 1/√2, at small amplitudes [Hz]."""
         x = 1 - (self.damping / self.omega / self.actuator.inertia) ** 2 / 2
         return self.omega * math.sqrt(x + math.hypot(x, 1)) / (2 * math.pi)
 
     @property
     def weak(self) -> bool:
-        """Whether its load over its kp is most of its error."""
+        """Whether load / kp is most of the error."""
         return self.load / self.actuator.kp > HALF * self.error
 
     @property
     def late(self) -> bool:
-        """Whether it follows one frequency, with a delay."""
+        """Whether the servo follows one frequency, with a delay."""
         return self.hertz > 0 and self.lag >= 0 and not self.weak
 
     @property
     def fails(self) -> bool:
-        """Whether it is further off than one that stands still, or loses 3 dB of a frequency."""
+        """Whether the error exceeds the target's motion, or the amplitude falls by 3 dB."""
         return self.error > self.width or (self.hertz > 0 and self.share < 1 / math.sqrt(2))
 
 
 def _reason(model: Model, at: Following) -> str:
-    """Return why a servo is behind, in words; "" if none of these shows it."""
+    """Return why a servo does not follow, in words; "" if no reason is found."""
     of, said = at.actuator, ""
     say: Callable[[float], str] = functools.partial(strength, model, of.index)
     if at.full > THIRD and not at.rings:
@@ -163,8 +163,8 @@ def _reason(model: Model, at: Following) -> str:
 def following(
     run: Recording, rests: Collection[int], full: Mapping[int, float]
 ) -> Iterator[Following]:
-    """Yield servos whose targets move, and others that come to no rest where nothing holds them."""
-    # The controls of the first reading have led to no step.
+    """Yield servos with moving targets, and servos of fixed machines that do not come to rest."""
+    # No step has used the controls of the first reading.
     model, run = run.model, run.part(1)
     if run.late < 0:
         return
@@ -174,12 +174,12 @@ def following(
     joints = Layout(model.scene).joints
     for of in _servos(model):
         asked = of.target(np.clip(run["ctrl"][:, of.index], *of.ctrlrange))
-        # A target that moves by less than a sag that is told, if only by rounding, is held.
+        # A target that moves by less than the smallest reported sag counts as constant.
         moves, length = np.ptp(asked) > _notable(model, of), of.gear * run["qpos"][:, of.qposadr]
         still = of.index in rests or int(run.roots[model.jnt_body[of.joint]]) in free_bodies(model)
         if not moves and still:
             continue
-        # Of one that is held, a swing is seen in a period.
+        # With a constant target, one period shows an oscillation.
         period = 2 * np.pi / math.sqrt(of.stiffness / of.inertia)
         first = 0 if moves else min(run.late, len(run) - math.ceil(period / (run.spacing or 1.0)))
         if first < 0:
@@ -197,16 +197,16 @@ def following(
 def _wave(
     run: Recording, of: Actuator, asked: Floats, length: Floats
 ) -> tuple[float, float, float, float]:
-    """Return frequency [Hz], share, lag and amplitude of the motion asked for; zeros without one.
+    """Return frequency [Hz], share and lag of a servo, and the target's amplitude; or zeros.
 
-    A motion that readings do not resolve has none: its differences are slower than its speeds.
+    The result is zeros if the readings do not resolve the motion: differences are below speeds.
     """
     speeds = abs(of.gear) * np.abs(run["qvel"][:, of.dof])
     made = np.abs(np.diff(length)) / (run.spacing or 1.0)
     power = np.fft.rfft(asked - asked.mean())[1:]
     sizes = np.pad(np.abs(power) ** 2, 1)
     k = int(sizes.argmax())
-    # A sine between two of the frequencies shows in both, by its distance from them.
+    # A sine between two of the frequencies appears in both, by its distance from them.
     beside = k + 1 if k + 1 < len(sizes) and sizes[k + 1] >= sizes[k - 1] else k - 1
     most = sizes[k] + sizes[beside]
     if not most or most < HALF * sizes.sum() or made.mean() < HALF * speeds.mean():
@@ -218,7 +218,7 @@ def _wave(
 
 
 def _behind(run: Recording, found: list[Following]) -> Finding:
-    """Return a finding on servos that do not follow, with gains that were run."""
+    """Return a finding on servos that do not follow, with gains as fixes."""
     model, first = run.model, found[0]
     of, indices = first.actuator, [at.actuator.index for at in found]
     assert of.joint is not None
@@ -251,9 +251,9 @@ def _behind(run: Recording, found: list[Following]) -> Finding:
 
 
 def _gained(model: Model, found: Sequence[Following], part: int, bound: bool) -> Cure:
-    """Return gains that should follow, damped critically or more by the joints alone.
+    """Return gains that should follow, with critical damping, or more if the joints have more.
 
-    bound: with the forces that this needs.
+    bound: whether to include the forceranges that this needs.
     """
     values, words = dict[str, Any](), list[str]()
     for at in found:
@@ -276,7 +276,7 @@ class Servo(NamedTuple):
     """A position servo at rest under a constant control.
 
     error: commanded length minus length [rad or m], before the gear. force: [N·m or N].
-    loaded: whether it pushes against a weight, and not a limit or an object that it presses.
+    loaded: whether the servo pushes against a weight instead of a limit or an object.
     """
 
     actuator: Actuator
@@ -298,7 +298,7 @@ def at_rest(run: Recording) -> Iterator[Servo]:
 
 
 def _errors(run: Recording, of: Actuator) -> tuple[Floats, Floats]:
-    """Return the lengths that a servo is asked for at the end of the run, and its errors."""
+    """Return the target lengths of a servo at the end of the run, and its errors."""
     late = max(run.late, 0)
     asked = of.target(np.clip(run["ctrl"][late:, of.index], *of.ctrlrange))
     return asked, asked - of.gear * run["qpos"][late:, of.qposadr]
@@ -307,8 +307,8 @@ def _errors(run: Recording, of: Actuator) -> tuple[Floats, Floats]:
 def _loaded(run: Recording, of: Actuator, asked: float, force: float) -> bool:
     """Return whether a servo pushes against a weight at the end of the run.
 
-    The weight is that of the bodies that hang on the servo's joint, or, in a tree that rests on a
-    floor, that of the tree.
+    The bodies that hang on the servo's joint make up the weight, or the whole tree if it rests on
+    a floor.
     """
     model, sim = run.model, run.at(len(run) - 1)
     assert of.joint is not None
@@ -326,7 +326,7 @@ def _loaded(run: Recording, of: Actuator, asked: float, force: float) -> bool:
 
 
 def _notable(model: Model, of: Actuator) -> float:
-    """Return the least sag that is told, before the gear [rad or m]."""
+    """Return the smallest sag that is reported, before the gear [rad or m]."""
     assert of.joint is not None
     widest = math.inf if unit_of(model, of.joint) == "rad" else 1.0
     return SEEN * min(width_of(model, of.joint), widest) * abs(of.gear)
@@ -382,7 +382,7 @@ def _gains(elements: tuple[Element, ...], gains: list[float]) -> str:
 def stronger(model: Model, ratios: Mapping[int, float], damped: bool) -> dict[str, Any]:
     """Return the gains of servos, by path, with kp multiplied by a ratio each.
 
-    damped: whether kv grows, too, so that the damping ratio is kept.
+    damped: whether kv grows, too, to keep the damping ratio.
     """
     changes: dict[str, Any] = {}
     every = actuators(model)
@@ -414,10 +414,10 @@ def strength(model: Model, actuator: int, force: float) -> str:
 
 
 def fall_findings(run: Recording) -> Iterator[Finding]:
-    """Yield a robot on a free base, with servos, that falls over: nothing balances it.
+    """Yield the first robot with servos and a free base that falls over: nothing balances it.
 
-    Robots without servos are not watched: motors at zero hold nothing, and walkers that learn fall
-    by design.
+    Robots without servos are left out: motors at zero hold nothing, and learning walkers fall by
+    design.
     """
     model, drives = run.model, actuators(run.model)
     if not any(drive.kind == SERVO for drive in drives) or not moves_about(model, drives):
@@ -444,7 +444,7 @@ def fall_findings(run: Recording) -> Iterator[Finding]:
 
 
 def _firmer(model: Model, servos: Sequence[Actuator]) -> Iterator[tuple[Cure, ...]]:
-    """Yield twice and four times the kp of servos, with their kv or with kv in proportion."""
+    """Yield twice and four times the kp of servos, with kv constant or in proportion."""
     elements = named(model, "actuator", [of.index for of in servos])
     for damped in (False, True) if servos else ():
         cures = list[Cure]()
@@ -457,7 +457,7 @@ def _firmer(model: Model, servos: Sequence[Actuator]) -> Iterator[tuple[Cure, ..
 
 
 def _down(run: Recording, body: int) -> np.ndarray:
-    """Return at which readings a robot is no longer upright."""
+    """Return for each reading whether a robot is no longer upright."""
     axis = rotated(run["xquat"][:, body] * (1.0, -1.0, -1.0, -1.0), np.array([0.0, 0.0, 1.0]))
     down: np.ndarray = axis @ axis[0] < np.cos(TILT)
     geoms = np.flatnonzero(run.roots[run.model.geom_body] == body)

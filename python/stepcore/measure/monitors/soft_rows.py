@@ -63,7 +63,7 @@ def yielding(solref: Sequence[float], solimp: Sequence[float], load: float, dt: 
     else:
         square = 1 / -solref[0] if solref[0] < 0 else math.inf
 
-    # Of the two sides, one grows with the violation and the other falls.
+    # One of the two sides grows with the violation and the other falls.
     low, high = -12.0, 12.0
     for _ in range(80):
         middle = (low + high) / 2
@@ -99,9 +99,9 @@ def stiffened(
     now: float,
     wanted: float,
 ) -> tuple[Cure, ...]:
-    """Return the solref, with solimp and dt if needed, that should leave a wanted violation.
+    """Return the solref, with solimp and dt if needed, that should result in a wanted violation.
 
-    The closed form knows the load of the worst row alone, so stiffer ones follow; weldballs.xml
+    The closed form uses the load of the worst row alone, so stiffer values follow; weldballs.xml
     needs the last.
 
     elements: the rows, all of which get the same values.
@@ -132,7 +132,7 @@ def stiffened(
 
 
 def hardest(model: Model, pairs: Sequence[int], dt: float) -> Cure:
-    """Return the hardest solref that refsafe allows some pairs at a time step [s]."""
+    """Return the hardest solref that refsafe allows for some pairs at a time step [s]."""
     contacts, constant = named(model, "contact", pairs), float(f"{2 * dt:.3g}")
     words = f'solref="{constant:g} 1" with solimp="{WRITTEN}" on these geoms and what they touch'
     change = Change(assigned(model, contacts, {"solref": (constant, 1.0), "solimp": HARD}))

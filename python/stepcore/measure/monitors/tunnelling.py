@@ -2,8 +2,8 @@
 
 Contacts keep the centre of a geom outside of every geom that it collides with. A step that moves a
 geom by more than its thickness may carry the centre across, and so may a contact that sinks too
-deep. Seen from the other geom, the centre then goes from one side of its box to the opposite one,
-between two readings or through readings within; a ray along that way hits it.
+deep. In the other geom's frame, the centre then goes from one side of its box to the opposite one,
+between two readings or through readings inside; a ray along that path hits the geom.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from stepcore.report.units import metres, seconds, speed
 class Passage(NamedTuple):
     """A geom that passed through another one.
 
-    mover, wall: the geoms. pair: their index. speed: with which it arrived [m/s].
+    mover, wall: the geoms. pair: their index. speed: of the mover at arrival [m/s].
     room: half of both thicknesses [m]. time: [s].
     """
 
@@ -49,7 +49,7 @@ class Passage(NamedTuple):
 
 
 def passages(run: Recording) -> list[Passage]:
-    """Return the geoms that passed through others, in order of time; the smaller of two passed."""
+    """Return the geoms that passed through others, in order of time; the smaller is the mover."""
     model, features = run.model, run.model.scene.features
     if not (model.npair and features.contact and features.constraint) or model.is_heap:
         return []
@@ -63,7 +63,7 @@ def _near(run: Recording) -> list[tuple[int, int, int]]:
     first, second = model.pair_geoms.T
     swap = reach[first] > reach[second]
     mover, wall = np.where(swap, second, first), np.where(swap, first, second)
-    # A plane is left by nothing below it. Geoms of one tree are kept on their sides by its joints.
+    # No geom leaves a plane below it. Joints keep the geoms of one tree on their sides.
     flat = np.array([kind == "plane" for kind in model.geom_type], bool)
     roots = run.roots[model.geom_body]
     able = np.isfinite(reach[mover]) & ~flat[wall] & (roots[mover] != roots[wall])
@@ -82,28 +82,28 @@ def _near(run: Recording) -> list[tuple[int, int, int]]:
 def _passage(
     run: Recording, mover: int, wall: int, pair: int, whole: bool = True
 ) -> Passage | None:
-    """Return how a geom passed through another one; None if it did not.
+    """Return the passage of a geom through another one; None if there is none.
 
-    Between two readings a geom may go round a wall that is less wide than its way. The readings
-    there are then made again at every step; whole: whether these are not.
+    Between two readings a geom may go around a wall that is narrower than its path. This part of
+    the run is then repeated with readings at every step. whole: whether `run` is no such part.
     """
     centres, turns = run.geoms
     seen = np.einsum("nji,nj->ni", turns[:, wall], centres[:, mover] - centres[:, wall])
     halves = np.array(run.sizes.halves[wall])
     outside = np.flatnonzero((np.abs(seen) > halves).any(axis=1))
     firsts, lasts = outside[:-1], outside[1:]
-    # By which face it enters: that which a straight way crosses last.
+    # The geom enters by the face that a straight path crosses last.
     ways = seen[firsts + 1] - seen[firsts]
     with np.errstate(divide="ignore", invalid="ignore"):
         faces = np.stack([-halves - seen[firsts], halves - seen[firsts]]) / ways
     enters, leaves = faces.min(axis=0), faces.max(axis=0).min(axis=1)
     axes, each = enters.argmax(axis=1), np.arange(len(firsts))
     entry, sides = enters[each, axes], np.sign(seen[firsts, axes])
-    # A way that ends on the same side of the middle has not passed.
+    # A path that ends on the same side of the middle has not passed.
     passed = (entry >= 0) & (entry <= np.minimum(leaves, 1.0)) & (sides * seen[lasts, axes] <= 0)
     for k in np.flatnonzero(passed).tolist():
         first, last, axis, side, way = firsts[k], lasts[k], axes[k], sides[k], ways[k]
-        # Soft contact slows it down.
+        # Soft contact slows the geom down, so the speed before counts.
         arrival = -side * np.diff(seen[max(0, first - FEWEST) : first + 2, axis])
         fast, room = float(arrival.max() / run.spacing), run.sizes.thick[mover] + halves[axis]
         if whole and np.linalg.norm(way) > np.delete(halves, axis).min():
@@ -117,7 +117,7 @@ def _passage(
 
 
 def _hits(run: Recording, mover: int, wall: int, ends: Floats, reading: int) -> bool:
-    """Return whether a way, seen from the wall, meets it first."""
+    """Return whether a path, given in the frame of the wall, meets the wall first."""
     turn, origin = run.geoms[1][reading, wall], run.geoms[0][reading, wall]
     start, end = origin + ends @ turn.T
     body = int(run.model.geom_body[mover])
@@ -126,7 +126,7 @@ def _hits(run: Recording, mover: int, wall: int, ends: Floats, reading: int) -> 
 
 
 def tunnelling_findings(run: Recording) -> Iterator[Finding]:
-    """Yield a finding on what passed."""
+    """Yield a finding on the geoms that passed through others."""
     passed = passages(run)
     run.passed = frozenset(at.mover for at in passed)
     if not passed:
@@ -142,7 +142,7 @@ def tunnelling_findings(run: Recording) -> Iterator[Finding]:
     )
     contacts = named(model, "contact", [entry.pair for entry in passed])
     span = float(run.times[-1] - run.times[0])
-    # Once more as long as until the first passed.
+    # Twice the time until the first passage.
     seen = min(1.0, 2 * (first.time - float(run.times[0])) / span)
     remedy = Remedy(
         tuple(_cures(model, passed)),
@@ -158,12 +158,12 @@ def tunnelling_findings(run: Recording) -> Iterator[Finding]:
 
 
 def _steep(model: Model, pair: int) -> bool:
-    """Return whether the friction of a pair makes pyramids that are soft along the normal."""
+    """Return whether the friction pyramid of a pair is soft along the normal."""
     return model.settings.cone == "pyramidal" and friction_of(model, pair) > 1
 
 
 def _cures(model: Model, passed: Sequence[Passage]) -> Iterator[tuple[Cure, ...]]:
-    """Yield what may keep geoms from passing; what costs no shorter steps first."""
+    """Yield changes that may stop the passages; those without shorter steps come first."""
     dt, fast = model.settings.dt, max(passed, key=lambda entry: entry.speed / entry.room)
     if any(_steep(model, entry.pair) for entry in passed):
         yield (Cure('cone="elliptic"', Change(cone="elliptic")),)
@@ -172,10 +172,10 @@ def _cures(model: Model, passed: Sequence[Passage]) -> Iterator[tuple[Cure, ...]
         flat = (1.0, *fields["friction"][1:])
         words = "a friction of 1 on both geoms"
         yield (Cure(words, Change(assigned(model, contacts, {"friction": flat}))),)
-    # A step should go half of both thicknesses at most.
+    # A step should move the geom by half of `room` at most.
     most = min(dt / 2, HALF * fast.room / fast.speed)
     steps = list(dict.fromkeys(finer(model.settings, most / part) for part in PARTS))
-    # A geom's contacts with all that it can touch, because another wall is next.
+    # All possible contacts of the geoms, because another wall may be next.
     ids = {entry.mover for entry in passed}
     touching = np.flatnonzero(np.isin(model.pair_geoms, list(ids)).any(axis=1)).tolist()
     yield (hardest(model, touching, dt),)

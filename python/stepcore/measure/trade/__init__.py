@@ -26,10 +26,10 @@ from stepcore.report.units import counted, rounded
 
 __all__ = ["Trade", "trade"]
 
-# The largest error that replaces one which cannot be verified, as a share of the displacement, or
-# of the error of the shipped settings.
+# The largest error that may replace a target which cannot be verified, as a share of the
+# displacement, or of the error of the shipped settings.
 USEFUL = 0.5
-# Without a request: errors that a search looks for, relative to that of the shipped settings.
+# Tolerances of a search without a request, relative to the error of the shipped settings.
 LESS = (1.0, 0.5, 0.1)
 
 
@@ -56,37 +56,37 @@ def trade(
 ) -> Trade:
     """Measure accuracy against cost over many settings of a scene, and recommend settings.
 
-    Every setting runs the same motion and is compared with the scene's own converged motion, whose
-    error is reported; `stepcore.engine.norm` says how far two motions are apart, and
+    Every setting runs the same motion and is compared with the scene's converged motion, whose
+    uncertainty is reported. `stepcore.engine.norm` defines the distance between two motions, and
     `stepcore.measure.trade.search` describes the search. Settings are ranked by counted work, so
-    that the answer is the same on every machine; the times beside it are measured.
+    the answer is the same on every machine; the reported times are measured.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name", see
-        `stepcore.loading`). The model's own settings are the shipped settings.
+        `stepcore.loading`). The settings in the model are the shipped settings.
     motion: the `Motion` that every setting runs; or write its fields as arguments. By default
-        there are 8 starts, and the horizon is near 1 s; a motion that is not at rest then goes on;
+        there are 8 starts, and the horizon is near 1 s, longer if the motion is not at rest then;
         see `stepcore.experiment.horizon`. Recommended steps divide your control period; without one
         they are the shipped step times or divided by a whole number.
     error: the largest allowed error in every start (RMS position error over bodies and time):
-        metres, "1mm", or "0.1%" of the scene's size. The cheapest settings within this error are
-        recommended.
+        metres, "1mm", or "0.1%" of the scene's size. The cheapest settings that meet this tolerance
+        are recommended.
     budget: the largest allowed cost: "20us/step" (computing time per shipped time step simulated),
         "5ms/s" (per simulated second), "100x" (times real time), or µs per simulated second;
         "2kflop/step" and similar units if `by` is "flops". The most accurate settings within the
         budget are recommended.
-    further: the number of starts of the second set, on which a choice must hold before it is
-        recommended, and of the third, untouched one, on which it then runs once; 0 for neither.
+    further: the number of held-out starts in the second set, on which a choice must hold before it
+        is recommended, and in the third set, on which it is then validated once; 0 for neither.
     search: "frugal", or "grid" for every combination of the axes. The default is "frugal", unless
         an axis is given.
     dts [s], integrators, solvers, sweeps, precisions: the axes, with the values to try. The shipped
         settings are always tried too.
-    accuracies: the accuracies that steps are to keep: metres, "1mm", or "0.1%" of the scene's size;
-        each is tried beside the combinations of the axes. A search chooses its own.
-    by: "time" to print measured computing times beside the counted work; with "flops" nothing is
+    accuracies: tolerances of adaptive steps: metres, "1mm", or "0.1%" of the scene's size; each is
+        tried in addition to the combinations of the axes. A search chooses its tolerances itself.
+    by: "time" to print measured computing times next to the counted work; with "flops" nothing is
         timed.
-    effort: the most floating-point operations of the runs. What they do not reach stays less sure.
-    engine: "stepcore", or "mujoco" to ask the same of MuJoCo, whose settings are then the axes. It
-        also runs files that stepcore cannot load.
+    effort: the most floating-point operations of the runs; a small effort leaves more uncertainty.
+    engine: "stepcore", or "mujoco" to run MuJoCo, whose settings are then the axes. It also runs
+        files that stepcore cannot load.
     mujoco: whether to trade with MuJoCo on the same motion too, and compare; see `Trade.beside`.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
@@ -184,7 +184,7 @@ def _proven_and_timed(result: Trade, search: Search, further: int) -> None:
 
 
 def _searched(result: Trade, search: Search, further: int) -> None:
-    """Search for what was asked: an error, a budget, or what less error would cost."""
+    """Search for the requested error or budget, or for the cost of less error."""
     unsure, target = search.truth.error, result.target
     result.unsure = unsure
     if result.budget is not None:
@@ -195,7 +195,7 @@ def _searched(result: Trade, search: Search, further: int) -> None:
             search.cheapest(share * search.shipped.error)
         return
     if unsure > UNSURE * target:
-        # What the converged motion is known to, an error can be found within.
+        # The uncertainty of the converged motion sets the least error that can be verified.
         least = rounded(unsure / UNSURE, 2, up=True)
         most = search.moved if search.shipped.failure else max(search.moved, search.shipped.error)
         result.verified = least if least < math.inf and least <= USEFUL * most else None
@@ -203,7 +203,7 @@ def _searched(result: Trade, search: Search, further: int) -> None:
         result.chosen = settled(search, result.asked, further)
     rest = search.study.spent <= SEARCHING * search.study.effort
     if result.verified is not None and search.truth.error <= UNSURE * target and rest:
-        # The search itself has made the motion sure enough for what was asked.
+        # The search has refined the converged motion enough for the requested error.
         result.unsure = search.truth.error
         chosen = settled(search, target, further)
         if chosen is not None:
@@ -263,7 +263,7 @@ def grid(
 
 
 def within(study: Study, accuracies: Sequence[float | str] | None) -> list[Change]:
-    """Return steps that keep these accuracies over the horizon."""
+    """Return adaptive steps with these tolerances over the horizon."""
     kept = (units.length("trade", "accuracies", a, study.size) for a in accuracies or ())
     period, horizon = study.schedule.period, study.schedule.horizon
     return [Change(accuracy=a / horizon, dt=period) for a in kept]

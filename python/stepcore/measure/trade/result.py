@@ -47,9 +47,9 @@ if TYPE_CHECKING:
 
 # Default error of `Trade.best` [m].
 ERROR = 1e-3
-# How many cheaper settings that exceed the error are named in the answer.
+# The number of cheaper settings that exceed the error and are named in the answer.
 REFUSALS = 2
-# A slope of log error over log dt counts as an order if it is so near to 1, 2 or 4.
+# A slope of log error over log dt counts as an order if it deviates this little from 1, 2 or 4.
 CLOSE = 0.15
 UNITS = {
     "dt": "s",
@@ -70,25 +70,25 @@ class Trade(Result):
 
     motion: the motion that every setting ran; schedule: its starts and controls.
     engine: "stepcore" or "mujoco".
-    model: the scene as shipped; None for a file that MuJoCo alone can load.
-    reference: the converged motion, with its error.
-    rows: every setting that ran, with the errors from all starts that it ran from; coarsest step
-        first. `whole` are those that ran from all starts of the search.
-    shipped: the trial of the scene's own settings.
+    model: the scene as shipped; None for a file that only MuJoCo can load.
+    reference: the converged motion, with its uncertainty.
+    rows: every setting that ran, with the errors from all its starts; coarsest step first. `whole`
+        has the rows that ran from all starts of the search.
+    shipped: the trial of the settings as shipped.
     target, budget: the requested error [m] or the requested budget.
-    unsure: to what the converged motion was known when the settings were chosen [m].
+    unsure: the uncertainty of the converged motion when the settings were chosen [m].
     verified: if the target cannot be verified, the least round error that can [m].
     chosen: the settings for `target`, or for `verified`, or for `budget`.
-    proof: what these did on starts that no choice has seen; None if they did not run there.
+    proof: the validation of the chosen settings on held-out starts; None without one.
     by: "time" or "flops". times: measured computing times [µs per simulated second], by change.
     size: the size of the scene [m].
-    effort: the most operations of the runs. ended: whether they ended the search.
-    pace: how long an operation took here [s].
+    effort: the largest number of operations of the runs. ended: whether it ended the search.
+    pace: the measured time of an operation [s].
     runs: the number of runs that the trade made.
     findings: problems of the shipped settings in the first start, such as creep; see `Finding`.
-    chatter: joints that chatter there under the chosen ones.
-    beside: the same trade with MuJoCo, if it was asked for.
-    parted: how far both engines' converged motions are apart in the worst start [m].
+    chatter: joints that chatter there under the chosen settings.
+    beside: the same trade with MuJoCo, if it was requested.
+    parted: the distance of the two engines' converged motions in the worst start [m].
     """
 
     kind = "trade"
@@ -121,12 +121,12 @@ class Trade(Result):
     shipped: Trial = field(init=False)
 
     def take(self, search: Search) -> None:
-        """Take over what a search has tried, whose truth may be finer since it chose; no poses."""
+        """Copy the trials of a search without poses; the truth may be finer than at the choice."""
         self.reference = search.truth
         self.moved, self.ended, self.pace = search.moved, search.ended, search.study.lasts(1.0)
         self.score(search)
         if self.target is not None and (self.chosen is None or self.chosen.error > self.asked):
-            # Of rows from fewer starts, where the time was over before any ran from all.
+            # Use rows from fewer starts if the time was over before any ran from all.
             holds = [row for row in self.rows if row.error <= self.asked]
             by = (self.partial, lambda row: row.error > MARGIN * self.asked, COST)
             best = min(holds, key=lambda row: [rank(row) for rank in by], default=None)
@@ -142,7 +142,7 @@ class Trade(Result):
         self.chosen = self.chosen and rows[self.chosen.change]
 
     def compare(self, beside: Trade) -> None:
-        """Take over the same trade with a second engine."""
+        """Add the same trade with a second engine."""
         ours, theirs = self.reference, beside.reference
         both = [start for start in ours.starts if start in theirs.starts]
         ours, theirs = ours.part(both), theirs.part(both)
@@ -179,7 +179,7 @@ class Trade(Result):
 
     @property
     def settings(self) -> Settings:
-        """The scene's own settings."""
+        """The settings as shipped."""
         own: Settings = self.shipped.settings
         return own
 
@@ -190,7 +190,7 @@ class Trade(Result):
 
     @property
     def nearest(self) -> Trial | None:
-        """The settings for `verified`, where the requested error cannot be verified."""
+        """The settings for `verified`, if the requested error cannot be verified."""
         return None if self.verified is None else self.chosen
 
     @property
@@ -199,9 +199,9 @@ class Trade(Result):
         return set(self.reference.starts)
 
     def partial(self, row: Trial) -> bool:
-        """Return whether a row ran from some starts of the search only: its error is at least that.
+        """Return whether a row ran from some starts of the search only; its error is a lower bound.
 
-        It exceeded the error that was asked for there, or the effort did not last for the others.
+        The row exceeded the requested error there, or the effort did not suffice for the others.
         """
         return not self._searched <= set(row.starts)
 
@@ -212,22 +212,21 @@ class Trade(Result):
 
     @property
     def front(self) -> list[Trial]:
-        """The settings that no others beat in price and error, the cheapest first.
+        """The settings that no others beat in both price and error, the cheapest first.
 
         They ran from all starts of the search.
         """
         return frontier(self.whole, COST)
 
     def missed(self, row: Trial) -> int:
-        """Return from how many of its starts a row exceeds the error that was asked for."""
+        """Return the number of starts from which a row exceeds the requested error."""
         return int((~(row.errors <= self.asked)).sum())
 
     @property
     def refused(self) -> list[Trial]:
-        """The settings that cost less than the chosen ones and exceed the error asked for.
+        """The settings that cost less than the chosen ones and exceed the requested error.
 
-        Those that exceed it from the smallest share of their starts come first, and of these the
-        cheapest.
+        They are sorted by the share of their starts that exceed it, then by cost.
         """
         chosen = self.chosen
         if chosen is None or self.target is None:
@@ -260,7 +259,7 @@ class Trade(Result):
     def error(self, row: Trial) -> float:
         """Return the RMS position error of the worst start that a row ran from [m].
 
-        That of the chosen settings includes the untouched starts. It is inf if a run failed.
+        For the chosen settings it includes the held-out starts. It is inf if a run failed.
         """
         return row.error
 
@@ -291,7 +290,7 @@ class Trade(Result):
     def next_better(self, error: float | str | None = None) -> Trial | None:
         """Return the cheapest row with at most half of an error; None if there is none.
 
-        error: as in `best`; by default that of the chosen settings, or of the shipped ones.
+        error: as in `best`; by default the error of the chosen settings, or of the shipped ones.
         """
         own = self.chosen or self.shipped
         half = (own.error if error is None else length("best", "error", error, self.size)) / 2
@@ -307,9 +306,8 @@ class Trade(Result):
     def orders(self) -> dict[str, float]:
         """The observed order of accuracy of each integrator: the slope of log error over log dt.
 
-        It is that of three or more rows that differ in dt alone, where the truth is known to a
-        tenth of their errors, and these are below a tenth of the motion; only slopes near 1, 2 or 4
-        count.
+        It needs three or more rows that differ only in dt, with errors at least ten times the
+        truth's uncertainty and below a tenth of the motion; only slopes near 1, 2 or 4 count.
         """
         lines: dict[Change, list[tuple[float, float]]] = {}
         for row in (row.part(self.reference.starts) for row in self.whole):
@@ -332,12 +330,12 @@ class Trade(Result):
 
     @property
     def title(self) -> str:
-        """The quantity measured, in a few words."""
+        """The measured quantity in a few words."""
         return f"{self.name}: position error against cost"
 
     @property
     def setup(self) -> str:
-        """The settings tried and the truth, in one line."""
+        """The number of settings and runs, and the converged motion, in one line."""
         tried = f"{counted(len(self.rows), 'setting')} in {counted(self.runs, 'run')}"
         ended = "; more were not tried, because --effort was spent" if self.ended else ""
         return f"{tried}{ended}. {self.reference.words}"
@@ -354,13 +352,13 @@ class Trade(Result):
 
     def _answer(self) -> Iterator[str]:
         target, row = self.target, self.chosen
-        # Finer runs of the search may have shown that less is known.
+        # Finer runs of the search may have increased the uncertainty.
         unsure = float(np.fmax(self.unsure, self.reference.error))
         if target is not None and unsure > (UNSURE if self.verified else 1.0) * target:
             well = "" if unsure > target else " well"
             lost = self.reference.unsure > target
             if row is not None and self.unsure <= target and lost.any() and not lost.all():
-                # The choice holds where the motion is known: from starts that joined it may not be.
+                # The motion may be uncertain from joined starts only: report the number of these.
                 well = f" from {lost.sum()} of {counted(len(lost), 'start')}"
             verb = "was" if unsure > self.reference.error else "is"
             known = f"the uncertainty of the converged motion {verb} {metres(unsure)}"
@@ -418,7 +416,7 @@ class Trade(Result):
         )
 
     def _refusals(self) -> str:
-        """Name the cheaper settings that exceed the error asked for, and from how many starts."""
+        """Name the cheaper settings that exceed the requested error, and from how many starts."""
         some = self.refused[:REFUSALS]
         named = "; ".join(
             f"{self.label(row)} ({self._least(row)}, from {self.missed(row)} of "
@@ -430,19 +428,19 @@ class Trade(Result):
         return f"Cheaper settings that exceed {metres(self.asked)}: {named}{others}."
 
     def _least(self, row: Trial) -> str:
-        """Return the error of a row, of which a row from fewer starts is only a lower bound."""
+        """Return the error of a row in words, a lower bound if it ran from fewer starts."""
         if row.failure:
             return "fails"
         return f"at least {metres(row.error)}" if self.partial(row) else metres(row.error)
 
     def _surer(self) -> str:
-        """Say what it takes to verify the error that was asked for."""
+        """Describe what is needed to verify the requested error."""
         truth = self.reference
         if not (math.isfinite(truth.needs) or truth.error < self.unsure):
             given = self.motion is not None and self.motion.is_users
             other = "a shorter piece of this motion" if given else "your own motion"
             return f"Shorter steps do not make it surer: try {other}."
-        # The search may have made it surer than it was, and spent the effort.
+        # The search may have reduced the uncertainty since, and spent the effort.
         needs = truth.needs if math.isfinite(truth.needs) else 0.0
         effort = rounded(self.effort + max(needs / KNOWING, 0.01 * self.effort), 1, up=True)
         spent = rounded(max(1.0, self.pace * effort), 1)
@@ -500,7 +498,7 @@ class Trade(Result):
             )
 
     def _beside(self) -> Iterator[str]:
-        """Say whether MuJoCo converges to the same motion, and what its settings do."""
+        """Describe whether MuJoCo converges to the same motion, and its settings' errors."""
         other = self.beside
         if other is None:
             return
@@ -529,7 +527,7 @@ class Trade(Result):
             yield f"None of its settings has an error of at most {metres(other.asked)}."
 
     def _there(self, theirs: Trial) -> str:
-        """Return the shipped error from MuJoCo's starts, where further ones joined the search."""
+        """Return the shipped error from MuJoCo's starts, if other starts joined the search."""
         row = self.shipped
         errors = [e for s, e in zip(row.starts, row.errors, strict=True) if s in theirs.starts]
         if row.failure or len(errors) == len(row.starts):
@@ -539,7 +537,7 @@ class Trade(Result):
         )
 
     def _times(self, theirs: Change, ours: Change | None = None) -> str:
-        """Return how much longer MuJoCo computes than stepcore, as measured; "" if unknown."""
+        """Return the measured ratio of MuJoCo's to stepcore's time, in words; "" if unknown."""
         other = self.beside
         own = self.times.get(ours or SHIPPED)
         spent = None if other is None else other.times.get(theirs)
@@ -555,7 +553,7 @@ class Trade(Result):
     def _wrong(self, row: Trial) -> str:
         if math.isinf(row.error):
             return "infinite"
-        # A held-out start that is known less well counts by what it may be above the worst.
+        # A held-out start with more uncertainty counts by how far it may exceed the worst error.
         of_search = [u for s, u in zip(row.starts, row.unsure, strict=True) if s in self._searched]
         unsure = max(row.bound - row.error, *of_search, 0.0)
         sure = "" if unsure < 0.005 * row.error else f" (± {metres(unsure).removeprefix('< ')})"
@@ -608,7 +606,7 @@ class Trade(Result):
         }
 
     def tables(self, full: bool) -> list[Table]:
-        """Return the table of the main settings; `full`: of all."""
+        """Return the table of the main settings, or of all if `full`."""
         shown = self.rows if full else self._main_rows()
         front, records = self.front, []
         for row in shown:
@@ -690,7 +688,7 @@ class Trade(Result):
     def seen(self, row: Trial | None = None) -> list[Trajectory]:
         """Return the converged motion and the motion of a row, from the row's worst start.
 
-        row: by default the chosen row, or the shipped settings without one.
+        row: by default the chosen row, or the shipped settings if there is none.
 
         The runs are repeated. A run that fails ends at its failure.
         """
@@ -720,8 +718,8 @@ class Trade(Result):
     ) -> View:
         """Open a page with the motion of a row, the converged motion, and their distance.
 
-        row: by default the chosen row, or the shipped settings without one. The motion is that of
-            the row's worst start.
+        row: by default the chosen row, or the shipped settings if there is none. The motion begins
+            at the row's worst start.
         host, port, wait: see `stepcore.view`. Needs the extra "view".
         """
         from stepcore.viewing.live import view

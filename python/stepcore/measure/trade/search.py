@@ -1,9 +1,9 @@
-"""The search for the cheapest settings within an error.
+"""The search for the cheapest settings that meet the tolerance.
 
-A family is all settings but the time step. Each family climbs from the shipped step until it holds
-the error, and is given up as soon as the order at which its error falls says that it cannot beat
-the best one so far. The start that refused the last candidate goes alone before the others. All is
-ranked by counted work, so that two runs, and two machines, give the same answer.
+A family is all settings but the time step. In each family the step is refined from the shipped one
+until the error is within the tolerance, or until the observed order of accuracy shows that the
+family cannot beat the best candidate. The start that refused the last candidate is run first.
+Candidates are ranked by counted work, so the answer is the same in every run and on every machine.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import ROUNDING, SHARE, Truth
 from stepcore.report.units import metres, times
 
-# What settings are ranked by.
+# The quantity by which settings are ranked.
 COST = operator.attrgetter("cost")
-# The search keeps to this share of the error, because starts that were not run may be harder.
+# The search requires this share of the tolerance, because starts that were not run may be harder.
 MARGIN = 0.9
-# An error can be told if the converged motion is known to this share of it.
+# An error can be verified if the converged motion's uncertainty is at most this share of it.
 UNSURE = 0.3
-# The price relative to the best so far that another family must promise.
+# The largest expected price, relative to the best candidate, at which another family is tried.
 BETTER = 0.95
-# Accuracies to try for steps that choose their own length, relative to the error. The last one
-# holds 10 mm on the ant from every start; the one before misses it by 8 mm from some.
+# Tolerances to try for adaptive steps, relative to the error. On the ant the last one stays within
+# 10 mm from every start; the one before exceeds that by 8 mm from some.
 ACCURACIES = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03)
-# The shares of the effort that may be spent when the converged motion is known, when the first
-# choice is made, and when the last one is. Of 72 starts whose converged motion is computed, 8 are
-# those of the search, and 32 those of each test.
+# The shares of the effort that may be spent by the end of the first converged motion, of the first
+# choice and of the last choice. Converged motions of 72 starts are computed: 8 of the search, and
+# 32 of each test.
 KNOWING, SEARCHING, SETTLING = 0.3, 0.5, 0.75
-# Where the truth of further starts leaves open whether they hold, it is made finer so often.
+# The most refinements of a held-out start's truth if it does not show whether a candidate holds.
 CLEARER = 3
 
 
@@ -50,10 +50,10 @@ CLEARER = 3
 class Search:
     """The settings that were tried for one scene.
 
-    study: runs them. truth: the converged motion from the starts of the search.
+    study: runs the settings. truth: the converged motion from the starts of the search.
     steps: the numbers of time steps in a control period that may be recommended.
-    trials: by change; those from fewer starts were made before others joined, or were refused by
-    one start. hard: the start that goes alone first. ended: whether the effort ended it.
+    trials: by change; trials from fewer starts ran before other starts joined, or failed on one
+    start. hard: the start that is run first, alone. ended: whether the effort ended the search.
     """
 
     study: Study
@@ -67,7 +67,7 @@ class Search:
     def of(cls, study: Study, error: float | None, *, held: bool) -> Search:
         """Return a search in which only the shipped settings were tried.
 
-        error: the error in question [m], or None. held: whether the user gave the control period.
+        error: the tolerance [m], or None. held: whether the user gave the control period.
         """
         study.allowed = KNOWING * study.effort
         search = cls(study, study.truth(error), usable_steps(study, held))
@@ -80,9 +80,9 @@ class Search:
         return self.trials[SHIPPED]
 
     def allow(self, share: float, since: float) -> None:
-        """Allow a share of the effort, or as much more as there is since the share before.
+        """Allow a share of the effort, or if more, the spent effort and the increase of the share.
 
-        The converged motion may have taken more than its own, because it runs two rungs at least.
+        The converged motion may exceed its share, because at least two rungs are run.
         """
         study = self.study
         most = max(share * study.effort, study.spent + (share - since) * study.effort)
@@ -90,13 +90,13 @@ class Search:
 
     @property
     def moved(self) -> float:
-        """How far the motion moves the bodies from the first sample [m], in its stillest start."""
+        """The displacement of the bodies from the first sample [m], in the start with the least."""
         tracks = self.truth.tracks
         still = Tracks(tracks.com[:, :1], tracks.quat[:, :1])
         return float(rms(apart(tracks, still, self.study.engine.matter)).min())
 
     def at(self, family: Change, steps: int) -> Change:
-        """Return a family at so many steps in a control period."""
+        """Return a family at a number of steps in a control period."""
         shipped = float(self.study.engine.settings(SHIPPED).dt)
         dt = self.study.schedule.period / steps
         same = math.isclose(dt, shipped, rel_tol=1e-9)
@@ -105,7 +105,7 @@ class Search:
     def trial(self, change: Change, error: float | None = None) -> Trial:
         """Run a change from the starts of the search.
 
-        error: [m]; the truth is made finer where it does not tell whether the change holds it.
+        error: the tolerance [m]; the truth is refined if it does not show whether the change holds.
         """
         study, starts = self.study, self.truth.starts
         (tracks,) = study.tracks([change], starts)
@@ -117,23 +117,23 @@ class Search:
         return trial
 
     def join(self, starts: Sequence[int], error: float) -> None:
-        """Let further starts join; what was tried from fewer starts no longer holds an error."""
+        """Add starts to the search; trials from fewer starts no longer count."""
         self.truth = self.study.truth(error, [*self.truth.starts, *starts])
         self.trial(SHIPPED)
 
     def sharpen(self, error: float) -> None:
-        """Make the truth as fine as another error needs it, and score all trials again."""
+        """Refine the truth for another error [m], and score all trials again."""
         self.truth = self.study.truth(error, self.truth.starts)
         self.score_again()
 
     def score_again(self) -> None:
-        """Score all trials by the truth, which may be finer than when they ran."""
+        """Score all trials against the truth, which may be finer than when they ran."""
         for change, trial in self.trials.items():
             if trial.starts == self.truth.starts and trial.tracks is not None:
                 self.trials[change] = self.study.score(change, trial.tracks, self.truth)
 
     def grid(self, changes: Sequence[Change]) -> None:
-        """Try all of some changes, and refine the truth to a tenth of their smallest error."""
+        """Run all changes, and refine the truth to a tenth of their smallest error."""
         bar = "settings"
         for change, tracks in zip(
             changes, self.study.tracks(changes, self.truth.starts, bar), strict=True
@@ -147,7 +147,7 @@ class Search:
                 self.sharpen(least)
 
     def remember(self, error: float) -> None:
-        """Score what ran from all starts for the converged motion, where nothing holds an error."""
+        """Score the runs that were made for the converged motion, if no trial holds an error."""
         if self.held(error) is not None:
             return
         starts, finest = self.truth.starts, self.truth.change
@@ -171,15 +171,15 @@ class Search:
                 best = found
                 self.study.workers.deadline.so_far(self.so_far(best))
         if best is None:
-            # Nothing is there to be tested from further starts: that effort is free.
+            # No candidate needs validation, so the search may spend that effort.
             self.allow(SETTLING, since=SEARCHING)
         return self._adaptive(error, best)
 
     def row(self, change: Change, error: float) -> Trial:
-        """Score a change from every start that it ran from, those of the tests included.
+        """Score a change from every start that it ran from, including held-out ones.
 
-        error: [m]; a start of the tests whose converged motion does not tell whether the change
-        holds it is left out.
+        error: the tolerance [m]; a held-out start is left out if its converged motion does not show
+        whether the change holds.
         """
         trial = self.study.score_everywhere(change)
         known = max(UNSURE * error, self.truth.error)
@@ -188,10 +188,10 @@ class Search:
         return trial.part([s for s in trial.starts if told[s] or s in self.truth.starts])
 
     def complete(self, error: float) -> None:
-        """Run what may be on the frontier from all starts of the search.
+        """Run settings that may be on the frontier from all starts of the search.
 
-        What one start refused, or what ran before others joined, is at least as wrong as it was
-        there. Where nothing that ran from all starts beats that, it runs from the others too.
+        The error from some starts is a lower bound. Settings that ran from some starts only run
+        from the others too, unless settings that ran from all starts beat that bound.
         """
         rows, every = {c: self.row(c, error) for c in self.trials}, set(self.truth.starts)
         while part := [t for t in frontier(rows.values(), COST) if not every <= set(t.starts)]:
@@ -210,12 +210,12 @@ class Search:
         return sorted(every, key=lambda trial: trial.cost)
 
     def held(self, error: float) -> Trial | None:
-        """Return the cheapest trial from all starts that holds an error, with its margin first."""
+        """Return the cheapest trial from all starts within an error; one with the margin first."""
         holds = (trial for trial in self.whole if trial.error <= error)
         return min(holds, key=lambda t: (t.error > MARGIN * error, t.cost), default=None)
 
     def so_far(self, best: Trial | None = None) -> str:
-        """Return what is known of the shipped and of the best settings so far, in words."""
+        """Describe the errors of the shipped settings and of the best ones so far."""
         shipped = self.shipped
         known = metres(self.truth.error)
         said = f"error as shipped {metres(shipped.error)}, ± {known}"
@@ -229,11 +229,11 @@ class Search:
 
     @cached_property
     def families(self) -> list[Change]:
-        """All settings but the time step, of each method."""
+        """The settings of each method without the time step."""
         return self.study.engine.families(self.study.schedule)
 
     def rate(self, family: Change) -> float:
-        """Return the price of a family for each step in a control period."""
+        """Return the price of a family per step in a control period."""
         own = self.study.steps()
         return self.study.cost(self.at(family, own)) / own
 
@@ -249,7 +249,7 @@ class Search:
                 self.ended = True
                 return math.inf
             if len(self.truth.starts) > 1:
-                # One hard start refuses most of what does not hold.
+                # The hardest start refuses most candidates that fail.
                 (alone,) = self.study.tracks([change], [self.hard])
                 one = self.study.score(change, alone, self.truth.part([self.hard]))
                 if one.refuted(error):
@@ -264,12 +264,12 @@ class Search:
         return None if steps is None else found.get(steps)
 
     def _adaptive(self, error: float, best: Trial | None) -> Trial | None:
-        """Return the best one, or steps within an accuracy where these are cheaper."""
+        """Return the best trial, or one with adaptive steps if that is cheaper."""
         study, truth = self.study, self.truth
         if all(way.fixed for way in study.engine.ways(study.schedule, error)):
             return best
         most = BETTER * best.cost if best is not None else self.study.cost(truth.change)
-        # An accuracy that the motion itself is within asks for nothing.
+        # A tolerance above the motion's displacement requires nothing.
         for share in (share for share in ACCURACIES if share * error < self.moved):
             accuracy = share * error / study.schedule.horizon
             change = Change(accuracy=accuracy, dt=study.schedule.period)
@@ -287,11 +287,11 @@ class Search:
     def most_accurate(self, budget: float) -> Trial | None:
         """Return the settings with the smallest error within a budget, or None.
 
-        budget: as the study counts costs; computing time [µs per simulated second] is measured.
+        budget: in the study's unit of cost; computing time [µs per simulated second] is measured.
         """
         study, scale, tried = self.study, 1.0, list[Trial]()
         if study.by == "time":
-            # What counted work says of time is scaled by one measurement, and looked at in the end.
+            # Times from counted work are scaled by one measurement; the final choice is measured.
             scale = study.cost(SHIPPED) / study.times([SHIPPED]).get(SHIPPED, study.cost(SHIPPED))
         for family in [SHIPPED, *self.families]:
             ladder = [n for n in self.steps if n * self.rate(family) <= scale * budget]
@@ -308,8 +308,8 @@ class Search:
 def usable_steps(study: Study, held: bool) -> list[int]:
     """Return the numbers of steps in a control period whose length a user can write down.
 
-    The shipped step times or divided by a whole number; with a control period of the user's, any
-    step that divides it.
+    Such steps are the shipped step times or divided by a whole number; if the user gave the control
+    period, any step that divides it.
 
     held: whether the user gave the control period.
     """
@@ -325,10 +325,10 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
     """Choose the cheapest settings, test them on a second set of starts, and choose again.
 
     Starts of the second set on which a choice fails join the search, until a choice holds on all of
-    them. Where none is left, it is the cheapest that may hold, for all that is known of the motion;
-    without one, that which failed on the fewest. What halves its error is tried, and chosen where
-    it costs no more and fails on no more. What is told of the choice comes from a third set; see
-    `proven`.
+    them. Without such a choice, the cheapest trial whose error, apart from its uncertainty, is
+    within the tolerance is chosen, else the one that failed on the fewest starts. Settings that
+    halve the error replace it if they cost no more and fail on no more starts. The reported
+    performance comes from a third set; see `proven`.
     """
     study, chosen, fewest = search.study, None, math.inf
     best = search.cheapest(MARGIN * error)
@@ -341,7 +341,7 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
         over = tried.misses(error)
         if len(over) / len(tried.starts) < fewest:
             chosen, fewest = best, len(over) / len(tried.starts)
-        # A start whose converged motion is not known as well as the search's tells nothing.
+        # A start whose uncertainty is larger than the search's shows nothing.
         sure = tried.unsure <= max(UNSURE * error, search.truth.error)
         known = dict(zip(tried.starts, sure, strict=True))
         new = [s for s in over if known[s] and s not in search.truth.starts][:JOIN]
@@ -362,9 +362,9 @@ def settled(search: Search, error: float, further: int) -> Trial | None:
 def tested(
     study: Study, change: Change, starts: Sequence[int], error: float, *, early: bool = False
 ) -> Trial:
-    """Run a change from further starts.
+    """Run a change from held-out starts.
 
-    error: [m]. early: whether to stop at the first eight of which one misses the error.
+    error: the tolerance [m]. early: whether to stop at the first eight that exceed it anywhere.
     """
     parts = list[Trial]()
     for part in by_eight(study, change, starts, error):
@@ -375,7 +375,7 @@ def tested(
 
 
 def by_eight(study: Study, change: Change, starts: Sequence[int], error: float) -> Iterator[Trial]:
-    """Run a change from further starts, eight at a time; their truth is finer where it must be."""
+    """Run a change from held-out starts, eight at a time, and refine their truth if necessary."""
     coarse = UNSURE / SHARE * error
     for first in range(0, len(starts), TOGETHER):
         some = starts[first : first + TOGETHER]
@@ -389,10 +389,10 @@ def by_eight(study: Study, change: Change, starts: Sequence[int], error: float) 
 
 
 def cleared(study: Study, trial: Trial, error: float, finest: float) -> bool:
-    """Make the truth finer where it does not tell whether a trial holds an error [m].
+    """Refine the truth where it does not show whether a trial holds an error [m].
 
-    finest: the share of the error to which it is made sure, at most. Return whether that was
-    anywhere.
+    finest: the smallest uncertainty to aim for, as a share of the error. Return whether any start
+    needed it.
     """
     gap = np.abs(trial.errors - error)
     unclear = [s for s, far in zip(trial.starts, gap <= trial.unsure, strict=True) if far]
@@ -403,10 +403,10 @@ def cleared(study: Study, trial: Trial, error: float, finest: float) -> bool:
 
 
 def proven(study: Study, change: Change, error: float, further: int) -> Proof | None:
-    """Run a choice from starts that no choice has seen; None if the time is over before.
+    """Validate a choice on held-out starts; return None if the time is over before.
 
-    There are fewer of them where the time does not last for all, nor the effort: eight from which
-    nothing can be told end the test, and do not count.
+    Fewer starts are run if time or effort run out: eight starts that show nothing end the test, and
+    do not count.
     """
     study.allowed, parts = study.effort, list[Trial]()
     with contextlib.suppress(OutOfTime):

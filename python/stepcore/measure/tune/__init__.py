@@ -26,7 +26,7 @@ from stepcore.report.units import counted
 __all__ = ["Tuning", "tune"]
 
 SERVO, CONTACT = ("bandwidth", "settling", "sag"), ("stiffness", "depth", "settling", "noise")
-# Of a motion, tune has the keyframe alone.
+# The keyframe is the only field of a motion that tune uses.
 OTHERS = tuple(field.name for field in fields(Motion) if field.name != "key")
 
 
@@ -35,7 +35,7 @@ class Tuning(Result):
     """Proposed gains, or solref and solimp; `stepcore.tune` returns it.
 
     settings: the settings under which every proposal was run.
-    found: the proposal for each servo or geom; see `Tuned`.
+    found: the proposals, one per servo or geom; see `Tuned`.
     """
 
     kind = "tuning"
@@ -55,7 +55,7 @@ class Tuning(Result):
 
     @property
     def mjcf(self) -> str:
-        """The attributes to paste into the MJCF file, an element a line."""
+        """The attributes to paste into the MJCF file, one line per element."""
         return "\n".join(line for tuned in self.found if tuned.reached for line in tuned.lines)
 
     @property
@@ -65,7 +65,7 @@ class Tuning(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """The proposals, each with what the run shows; what is not reached, by its reason."""
+        """The proposals with their measured values; goals that are not reached, with the reason."""
         if not self.found:
             return [
                 "There is nothing to tune: no position servo or motor of a joint, and nothing that "
@@ -92,7 +92,7 @@ class Tuning(Result):
         return Table((tuned.record() for tuned in self.found), columns, formats)
 
     def tables(self, full: bool) -> list[Table]:
-        """Return the proposals without the attributes, which the sentences have."""
+        """Return the proposals without the MJCF attributes, which are in the sentences."""
         table = self.table
         return [Table(table, table.columns[:-1], table.formats)] if self.found else []
 
@@ -117,22 +117,22 @@ def tune(
 ) -> Tuning:
     """Find gains of position servos, or solref and solimp of contacts, for one wanted value.
 
-    Every proposal is made on a copy of the model and run before it is returned: the value that the
-    run shows stands beside the wanted one and that of the closed form. What cannot be reached at
-    this time step is said, with the most that can.
+    Every proposal is applied to a copy of the model and run before it is returned. The result gives
+    the wanted value, the measured value and the closed form's value. If the time step does not
+    allow the wanted value, the result gives the best possible one.
 
-    Where motors drive joints, servos stand in their place, which are the PD controllers that such
-    robots have: kp and kv are its gains. A URDF, which has no actuators, gets motors on the joints
-    whose effort it bounds.
+    Motors of joints are replaced by servos, which represent the PD controllers of robots with
+    motors; kp and kv are the controllers' gains. A URDF has no actuators, so joints with a limit of
+    effort get motors.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
-    bandwidth: of servos, the frequency at which the response falls to 1/√2 [Hz].
-    settling: the time until a step of the target (or, of contacts, of the load) stays within 2 %
-        [s], or a text such as "200ms".
-    sag: of servos, the distance from the target under the load of the pose [rad or m].
-    stiffness: of the contacts of a geom together, normal force over depth [N/m].
-    depth: of contacts at rest, a length such as 1e-4 or "0.1mm".
-    noise: of contacts at rest, the RMS deviation of the normal force from its mean [N].
+    bandwidth: for servos, the frequency at which the response falls to 1/√2 [Hz].
+    settling: the time until the response to a step of the target (for contacts, of the load) stays
+        within 2 % [s], or a text such as "200ms".
+    sag: for servos, the distance from the target under the load of the pose [rad or m].
+    stiffness: normal force over depth, for all contacts of a geom together [N/m].
+    depth: the depth of contacts at rest, a length such as 1e-4 or "0.1mm".
+    noise: for contacts at rest, the RMS deviation of the normal force from its mean [N].
     servo: the name of a servo, or several; by default all on hinges and slides.
     geom: the name of a geom, or several; by default those that rest on something after 2 s.
     dt: the time step [s]; by default the model's.

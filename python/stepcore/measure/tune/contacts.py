@@ -3,8 +3,8 @@
 At rest a row of MuJoCo's contacts has the force f = K d r / R, where r is the depth,
 R = T (1 − d)/d with the inverse inertia T of the row, and K = 1/(d tc)² under solref="tc 1" and
 solimp="d d width". So the rows of a geom have the stiffness Σ f/r = S / ((1 − d) tc²) with
-S = Σ 1/T. The depth settles as a critically damped oscillator of frequency 1/tc, and tc is at least
-2 dt (refsafe).
+S = Σ 1/T. The depth settles like a critically damped oscillator of frequency 1/tc, and tc is at
+least 2 dt (refsafe).
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from stepcore.measure.tune.goal import (
 )
 from stepcore.report.units import rounded, seconds
 
-# The impedance of the proposals, and the largest that the engine takes.
+# The impedance of the proposals, and the largest that the engine accepts.
 USUAL, HARDEST = 0.95, 0.9999
 # The time in which bodies come to rest [s]; in its last quarter, forces and depths are averaged.
 REST = 2.0
 
 
 class Resting(NamedTuple):
-    """What a run shows of a geom's contacts at rest.
+    """A geom's contacts at rest, as measured in a run.
 
-    stiffness: normal force over depth [N/m]. depth: their mean depth [m]. noise: RMS deviation of
-    the normal force from its mean [N]. force: the normal force of all [N]. state: at the end.
+    stiffness: normal force over depth [N/m]. depth: mean depth [m]. noise: RMS deviation of the
+    normal force from its mean [N]. force: total normal force [N]. state: at the end of the run.
     """
 
     stiffness: float
@@ -63,21 +63,21 @@ class Touching:
 
     @property
     def least(self) -> float:
-        """The least tc that the step takes [s]."""
+        """The least tc that the time step allows [s]."""
         return self.model.settings.dt * (2 if self.model.settings.refsafe else 1)
 
     def values(self, tc: float, d: float) -> dict[str, Any]:
-        """Return parameters as values by path. The geom of the highest priority sets them alone."""
+        """Return parameters as values by path. The geom with the highest priority sets them."""
         path, d = f"geom/#{self.geom}", rounded(d, 6)
         priority = 1 + max(geom.priority for geom in self.model.scene.geoms)
         solimp = (d, d, 0.001)
         return {f"{path}/solref": (tc, 1.0), f"{path}/solimp": solimp, f"{path}/priority": priority}
 
     def rested(self, values: dict[str, Any]) -> Resting | None:
-        """Return what is seen of the contacts at rest; None if they bear nothing, or it fails."""
+        """Measure the contacts at rest. Return None if they carry no load, or the run fails."""
         model = Change(values).of(self.model)
         weight = 9.81 * float(model.body_mass.sum())
-        # Soft contacts take longer.
+        # Soft contacts take longer to settle.
         for longer in (1, 2, 4, 8):
             steps = math.ceil(longer * REST / model.settings.dt)
             states = self.at.states(model, steps)
@@ -85,7 +85,7 @@ class Touching:
                 return None
             last = max(10, steps // 4)
             force, depths = self.seen(model, states[-last:])
-            # Not on its own weight: what joints carry touches without a force.
+            # A geom may touch without resting: if joints carry it, the contact has no force.
             if force.mean() <= 1e-6 * weight or depths.mean() <= 0:
                 return None
             means = float(depths.mean()), float(force.std()), float(force.mean())
@@ -106,14 +106,14 @@ class Touching:
         return force, depths
 
     def own(self, contacts: np.ndarray) -> np.ndarray:
-        """Return those of some contacts that are the geom's."""
+        """Return the contacts of the geom among some contacts."""
         found: np.ndarray = contacts[
             (contacts["geom1"] == self.geom) | (contacts["geom2"] == self.geom)
         ]
         return found
 
     def settling(self, rest: Resting, values: dict[str, Any]) -> float:
-        """Return how long the depth takes to settle after a tenth more force [s]; nan without."""
+        """Return the settling time of the depth after 10 % more force [s]; nan if none is found."""
         model = Change(values).of(self.model)
         own = self.own(self.at.contacts(Sim(model), rest.state))
         if not len(own):
@@ -133,9 +133,9 @@ class Touching:
 
 
 def resting_geoms(model: Model, at: At, names: Sequence[str] | None) -> list[int]:
-    """Return the geoms that rest on something at the end of a run, or those with given names.
+    """Return the geoms that rest on something at the end of a run, or the named ones.
 
-    Of two geoms in contact, that of the body further from the world is meant.
+    If two geoms touch, the geom whose body is further from the world is returned.
     """
     if names is not None:
         return [model.index("geom", name) for name in names]
@@ -159,9 +159,9 @@ def tuned_contact(model: Model, at: At, geom: int, goal: Goal) -> Tuned:
 
 
 def _reached(touching: Touching, none: Tuned) -> Tuned:
-    """Reach a stiffness, a depth or a settling time."""
+    """Find solref and solimp for a stiffness, a depth or a settling time."""
     goal, least = none.goal, touching.least
-    # MuJoCo's default tc, for the number of contacts and their inertia.
+    # A run with MuJoCo's default tc gives the number of contacts and their inertia.
     usual = max(0.02, least)
     rest = touching.rested(touching.values(usual, USUAL))
     if rest is None:
@@ -169,14 +169,14 @@ def _reached(touching: Touching, none: Tuned) -> Tuned:
     inverses = rest.stiffness * (1 - USUAL) * usual**2
 
     def law(tc: float, d: float) -> float:
-        """Return the goal by the closed form; a depth falls with the stiffness."""
+        """Return the value by the closed form; a depth falls with the stiffness."""
         if goal.name == "settling":
             return SETTLES * tc
         stiffness = inverses / ((1 - d) * tc**2)
         return rest.force / stiffness if goal.name == "depth" else stiffness
 
     def proposal(asked: float) -> tuple[float, float]:
-        """Return tc and d by the closed form."""
+        """Return tc and d for a requested value by the closed form."""
         if goal.name == "settling":
             return rounded(max(asked / SETTLES, least)), USUAL
         stiffness = rest.force / asked if goal.name == "depth" else asked
@@ -206,7 +206,7 @@ def _reached(touching: Touching, none: Tuned) -> Tuned:
 
 
 def _quiet(touching: Touching, rest: Resting, none: Tuned) -> Tuned:
-    """Soften a contact until its force is quiet enough, by a tc of up to 256 times the least."""
+    """Soften a contact until its force noise meets the goal, by tc up to 256 times the least."""
     goal = none.goal
     if rest.noise <= goal.value:
         return replace(none, measured=rest.noise, reached=True, also=", as it is")

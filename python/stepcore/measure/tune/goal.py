@@ -1,4 +1,4 @@
-"""What `tune` reaches for, how it corrects a proposal by its runs, and what it found."""
+"""The goals of `tune`, the correction of proposals by runs, and the proposals themselves."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
 from stepcore.report.units import FORCES, FREQUENCIES, Units, metres, quantity, seconds
 
-# A goal is reached within this share of it. Corrections end at a quarter of it, or after so many.
+# Largest relative deviation from a goal that is reached; corrections end at a quarter, or ROUNDS.
 WITHIN, ROUNDS = 0.1, 5
 # A step response has settled when it stays this close to its end.
 SETTLED = 0.02
-# The fewest steps that show whether a pose is held: an instability of each step grows a millionfold
-# in them if it grows by 15 %.
+# The fewest steps that show whether a pose is held: an instability that grows by 15 % per step
+# grows a millionfold.
 FEWEST = 100
 STIFFNESSES: Units = (("MN/m", 1e6), ("kN/m", 1e3), ("N/m", 1.0))
 SHIPPED = Change()
@@ -35,18 +35,18 @@ def settles() -> float:
     return x
 
 
-# Such an oscillator settles in SETTLES/ω, and has a gain of 1/√2 at PASSES ω.
+# A critically damped oscillator settles in SETTLES/ω, and has a gain of 1/√2 at PASSES ω.
 SETTLES, PASSES = settles(), math.sqrt(math.sqrt(2) - 1)
 
 
 class Goal(NamedTuple):
-    """One wanted value. name: "bandwidth", "settling", "sag", "stiffness", "depth" or "noise"."""
+    """A wanted value. name: "bandwidth", "settling", "sag", "stiffness", "depth" or "noise"."""
 
     name: str
     value: float
 
     def words(self, value: float, unit: str = "") -> str:
-        """Return a value of this goal with its unit; unit: of a sag, "rad" or "m"."""
+        """Return a value of this goal with its unit. unit: for a sag, "rad" or "m"."""
         if self.name in ("settling", "depth"):
             return seconds(value) if self.name == "settling" else metres(value)
         sags: Units = ((unit, 1.0), (f"m{unit}", 1e-3), (f"µ{unit}", 1e-6))
@@ -54,7 +54,7 @@ class Goal(NamedTuple):
         return quantity(value, units[self.name])
 
     def near(self, value: float, share: float = WITHIN) -> bool:
-        """Return whether a value is the wanted one, within a share of it."""
+        """Return whether a value is near the wanted one. share: the largest relative deviation."""
         return bool(abs(value / self.value - 1) < share)
 
     def corrected(
@@ -63,13 +63,13 @@ class Goal(NamedTuple):
         run: Callable[[np.ndarray], np.ndarray],
         first: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return what closed forms are to be asked so that runs show this goal, and what they show.
+        """Return requests to the closed form with which runs reach this goal, and measured values.
 
-        Contacts, other joints and the time step change what a closed form says of an element: what
-        is shown goes as a power of what is asked, of which two runs tell the exponent.
+        Contacts, other joints and the time step make measured values differ from the closed form:
+        a measured value is taken as a power of the request, and two runs give the exponent.
 
-        count: of elements. run: returns what a run shows of each, for what is asked of each; nan if
-        it shows nothing. first: asked first, by default the goal.
+        count: number of elements. run: returns the measured value of each element for the request
+        of each; nan without a value. first: the first requests, by default the goal.
         """
         goal, power, before = math.log(self.value), np.ones(count), None
         x = np.full(count, goal) if first is None else np.log(first)
@@ -88,9 +88,9 @@ class Goal(NamedTuple):
                 rise = (off - before[1]) / np.where(moved == 0, 1.0, moved)
                 power = np.where(moved == 0, power, np.clip(rise, 0.5, 4))
             before = x, off
-            # What shows nothing was asked too much: half of the way back to what showed something.
+            # Without a value, the request was too large: go halfway back to the last that gave one.
             x = np.where(shown > 0, x - np.clip(off / power, -1.0, 1.0), (x + held) / 2)
-        # What is shown may jump, as friction lets go: the last round with the most that are near.
+        # Values may jump where friction releases: take the last round with most elements near.
         return np.exp(best), shown if best is x else run(np.exp(best))
 
 
@@ -98,13 +98,13 @@ class Goal(NamedTuple):
 class Tuned:
     """The proposal for one element.
 
-    kind, name: the element. goal: what was wanted. unit: of a sag.
-    change: of the model, as it was run. lines: the MJCF to paste.
+    kind, name: the element. goal: the wanted value. unit: the unit of a sag.
+    change: the change of the model that was run. lines: the MJCF to paste.
     expected: the value by the closed form. measured: the value in the run with these lines; nan if
         that run did not come to rest.
-    reached: whether the wanted motion was run with these lines and met: the measured value is the
-        wanted one within 10 %, and a servo is nearer to its target than the motion is wide.
-    why: why it is not reached. also: to append to the sentence of one that is reached.
+    reached: whether a run with these lines met the goal: the measured value is within 10 % of the
+        wanted one, and the distance of a servo from its target is less than the motion's width.
+    why: why the goal is not reached. also: text to append to the sentence if it is.
     """
 
     kind: str
@@ -132,7 +132,7 @@ class Tuned:
 
     @property
     def sentence(self) -> str:
-        """What was wanted of the element, and what the run shows."""
+        """The element, the goal and the measured value in words."""
         return f"{self.called[0].upper()}{self.called[1:]}, {self.said}"
 
     @property
@@ -158,7 +158,7 @@ class Tuned:
 
 
 class At(NamedTuple):
-    """Where runs begin: the state, and the controls that are held."""
+    """The start of runs: the state, and the controls that are held."""
 
     start: Start
     ctrl: np.ndarray
@@ -166,7 +166,7 @@ class At(NamedTuple):
     def states(self, model: Model, steps: int, **drive: Any) -> list[Start] | None:
         """Return the states before and after each step, or None if the run fails.
 
-        drive: of `follow`, instead of the controls that are held.
+        drive: arguments of `follow` that replace the held controls.
         """
         drive, names = drive or {"ctrl": self.ctrl[None, None]}, ("qpos", "qvel", "act")
         ran = follow(model, [self.start], steps, record=names, **drive)
@@ -183,18 +183,18 @@ class At(NamedTuple):
 
 
 def steps_of(model: Model, omega: float) -> int:
-    """Return the steps in which an oscillator of frequency ω [rad/s] comes to rest, and stays."""
+    """Return the number of steps until an oscillator of frequency ω [rad/s] is at rest for good."""
     return max(FEWEST, math.ceil(5 * SETTLES / omega / model.settings.dt))
 
 
 def settling(path: np.ndarray, dt: float) -> float:
-    """Return when a step response stays within 2 % of its end [s]; dt: between its values [s]."""
+    """Return the settling time of a step response, to 2 % [s]. dt: interval of its values [s]."""
     outside = np.flatnonzero(~(np.abs(path - path[-1]) <= SETTLED * abs(path[-1] - path[0])))
     return float(outside[-1]) * dt if len(outside) else 0.0
 
 
 def pasted(model: Model, values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return values, by paths such as "actuator/#3/kp", as MJCF to paste: a line each, no −0."""
+    """Return values, by paths such as "actuator/#3/kp", as MJCF lines of elements, without −0."""
     lines = dict[str, str]()
     for path, value in values.items():
         kind, index, field = path.split("/")

@@ -1,7 +1,7 @@
-"""The load of servos while a robot stands on its feet, and whether it stands with given gains.
+"""The load of servos while a robot rests on its feet, and whether gains hold the robot up.
 
-The load is found by inverse statics: with rigid joints the robot settles on the ground, and there
-the contact forces of least norm that balance the base leave the forces of the joints; see
+The load is found by inverse statics. With rigid joints the robot settles on the ground. There the
+contact forces of least norm that balance the base determine the forces of the joints; see
 `stepcore.experiment.moves.resting`.
 """
 
@@ -22,16 +22,16 @@ from stepcore.experiment.moves import SHOCK, Moves, Seen, moves_about, resting, 
 from stepcore.measure.tune.goal import ROUNDS, WITHIN, At, Goal
 from stepcore.report.units import seconds
 
-# The armature of what is held, in masses of the scene.
+# The armature of held joints, relative to the mass of the scene.
 HEAVY = 1e6
-# How long a robot must stand [s]. A quadruped of 12 kg under a kp of 30 falls after 3.3 s.
+# Time for which a robot must not fall [s]. A quadruped of 12 kg with kp 30 falls after 3.3 s.
 STANDS = 5.0
 
 
 class Ground(NamedTuple):
-    """Where a robot with rigid joints comes to stand.
+    """The pose in which a robot with rigid joints comes to rest on the ground.
 
-    model, at: the robot, the pose, and the controls that ask for it. end: the state at rest.
+    model, at: the robot, the pose, and the controls that hold it. end: the state at rest.
     contacts: the Jacobian of its contacts there, (3 contacts, nv).
     """
 
@@ -41,14 +41,14 @@ class Ground(NamedTuple):
     contacts: np.ndarray
 
     def load(self, dofs: list[int]) -> np.ndarray:
-        """Return the forces of some dofs that carry the robot on its feet [N or N·m]."""
+        """Return the forces at some dofs when the robot rests on its feet [N or N·m]."""
         sim = Sim(self.model)
         self.end.put(sim)
         sim.forward()
         return resting(sim, dofs, self.contacts)
 
     def run(self, change: Change) -> Seen:
-        """Return what a run on the ground shows of a change of the model."""
+        """Run a change of the model on the ground."""
         moves, still = _held(change.of(self.model), self.at), np.zeros((1, self.model.nu))
         if moves.held.failure or moves.held.fell is not None:
             return moves.held
@@ -60,13 +60,13 @@ class Ground(NamedTuple):
         goal: Goal,
         change: Callable[..., Change],
     ) -> tuple[np.ndarray, np.ndarray, str]:
-        """Return what is asked of servos so that none sags more than the goal, what each sags, and
-        why that is not reached; "" if it is.
+        """Return requests to the closed form with which no servo sags more than the goal, the
+        measured sags, and the reason if the goal is not reached, else "".
 
-        The joints of a leg whose foot does not slip sag together, so that most sag less than the
-        closed form says. If the robot falls, all get twice the stiffness.
+        The joints of a leg whose foot does not slip sag together, so most sag less than by the
+        closed form. If the robot falls, all servos get twice the stiffness.
 
-        change: returns the gains for what is asked of each, and other settings.
+        change: returns the gains for the requests and other settings.
         """
         first = asked = np.full(len(drives), goal.value)
         for last in reversed(range(ROUNDS)):
@@ -83,7 +83,7 @@ class Ground(NamedTuple):
     def _sags(
         self, drives: Sequence[Actuator], goal: Goal, change: Change
     ) -> tuple[np.ndarray, str, bool]:
-        """Return what each servo sags, why it is not known or "", and whether the robot falls."""
+        """Return each servo's sag, why it is unknown or "", and whether the robot falls."""
         seen, shown = self.run(change), np.full(len(drives), np.nan)
         why = fall(seen)
         if not why and seen.end is not None:
@@ -94,13 +94,13 @@ class Ground(NamedTuple):
         return shown, why, seen.fell is not None
 
     def _off(self, drive: Actuator, end: Start) -> float:
-        """Return how far from its target a servo is at the end of a run [rad or m]."""
+        """Return the distance of a servo from its target at the end of a run [rad or m]."""
         target = float(drive.target(self.at.ctrl[drive.index]))
         return abs(target - drive.gear * float(end.qpos[drive.qposadr])) / abs(drive.gear)
 
 
 def fall(seen: Seen) -> str:
-    """Return why a robot does not stand in a run on the ground; "" if it does."""
+    """Return why a robot does not stay up in a run on the ground; "" if it does."""
     if seen.failure:
         return f"On the ground the run fails: {seen.failure}"
     if seen.fell is not None:
@@ -113,7 +113,7 @@ def _held(model: Model, at: At) -> Moves:
 
 
 def held_joints(model: Model) -> tuple[list[int], list[int]]:
-    """Return the joints by which robots move about, and their others."""
+    """Return the joints by which robots move about, and the robots' other joints."""
     drives = actuators(model)
     trees, driven = roots(model, drives), {drive.joint for drive in drives}
     base, others = list[int](), list[int]()
@@ -124,16 +124,16 @@ def held_joints(model: Model) -> tuple[list[int], list[int]]:
 
 
 def stiffened(model: Model, joints: list[int]) -> Model:
-    """Return the model with joints that a large armature holds."""
+    """Return the model with a large armature on some joints, which holds them."""
     heavy = HEAVY * float(model.body_mass.sum())
     return Change({f"joint/#{joint}/armature": heavy for joint in joints}).of(model)
 
 
 def ground_of(model: Model, at: At, goal: str) -> tuple[Ground | None, str, str]:
-    """Return where a robot that moves about stands with rigid joints, how it is held, in words, and
-    why its load on the ground is not known, or "".
+    """Return where a mobile robot with rigid joints comes to rest on the ground, how it is held, in
+    words, and why its load on the ground is unknown, or "".
 
-    None if nothing moves about, or if it does not stand, which no gains change.
+    The first is None if nothing moves about, or if the robot falls, which no gains change.
     """
     if not moves_about(model, actuators(model)):
         return None, "", ""
@@ -150,7 +150,7 @@ def ground_of(model: Model, at: At, goal: str) -> tuple[Ground | None, str, str]
 
 
 def asking(model: Model, at: At) -> At:
-    """Return a start whose servos ask for its own pose."""
+    """Return a start whose controls have the start's pose as the servos' target."""
     ctrl, qpos = at.ctrl.copy(), at.start.qpos
     for drive in actuators(model):
         if drive.kind == SERVO and drive.joint is not None and drive.gain:
@@ -160,9 +160,9 @@ def asking(model: Model, at: At) -> At:
 
 
 def hung(model: Model, at: At, size: float) -> tuple[Model, At]:
-    """Return a robot that moves about with its base held in the air, by a large armature.
+    """Return a mobile robot whose base is held in the air by a large armature.
 
-    On its feet it could fall before anything is known of a servo. size: how far it is lifted [m].
+    On its feet it could fall before a servo is measured. size: the height it is lifted by [m].
     """
     if not moves_about(model, actuators(model)):
         return model, at

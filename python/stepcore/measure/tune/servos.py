@@ -1,7 +1,7 @@
 """Gains of position servos for a wanted bandwidth, settling time or sag, verified by runs.
 
-Alone, a servo on the inertia I with critical damping has the frequency ω = √(kp/I). Its gain falls
-to 1/√2 at PASSES ω, its steps settle in SETTLES/ω, and under a load F it sags by F/kp.
+A single servo on the inertia I with critical damping has the frequency ω = √(kp/I). Its gain falls
+to 1/√2 at PASSES ω, its step response settles in SETTLES/ω, and it sags by F/kp under a load F.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from stepcore.measure.tune.ground import Ground, fall
 from stepcore.report.units import rounded, seconds
 from stepcore.scene.layout import Layout
 
-# The width of the motion with which gains are tried [rad or m]; of a range, the same share.
+# The amplitude of the motion that tests gains [rad or m], and its largest share of the range.
 WIDTH = 0.1
 
 
@@ -59,9 +59,9 @@ def servos_of(model: Model, names: Sequence[str] | None) -> list[Actuator]:
 
 
 def for_motors(model: Model, names: Sequence[str] | None) -> tuple[Model, set[int]]:
-    """Return the model with servos in place of its motors on hinges and slides, and their indices.
+    """Return the model with servos instead of motors on hinges and slides, and their indices.
 
-    They are the PD controllers that robots with motors have. names: of motors; by default all.
+    The servos represent the PD controllers of robots with motors. names: of motors; default all.
     """
     called, omega = model.called("actuator"), 2 * np.pi
     motors = [
@@ -79,7 +79,7 @@ def for_motors(model: Model, names: Sequence[str] | None) -> tuple[Model, set[in
 
 
 def in_place(model: Model, drive: Actuator, kp: float, kv: float) -> tuple[str, ...]:
-    """Return the servo to write in place of a motor, as MJCF."""
+    """Return the servo that replaces a motor, as MJCF."""
     names, joints = model.names["actuator"], model.names["joint"]
     fields = {"name": names[drive.index], "joint": joints[drive.joint or 0]}
     fields |= {} if drive.gear == 1 else {"gear": f"{drive.gear:g}"}
@@ -93,12 +93,12 @@ def in_place(model: Model, drive: Actuator, kp: float, kv: float) -> tuple[str, 
 def shown(
     model: Model, at: At, indices: Sequence[int], goal: Goal, omega: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Try some servos of a model, each by a motion of its own target while the others hold.
+    """Test servos of a model, each by a motion of its target while the others hold.
 
     The motion is a sine of the wanted bandwidth, else a step. omega: the slowest frequency [rad/s].
 
-    Return for each servo the value of the goal, nan if it does not come to rest; how far from its
-    target it rests [rad or m]; and how wide the motion is [rad or m].
+    Return for each servo the value of the goal, or nan if it does not come to rest; its distance
+    from the target at rest [rad or m]; and the width of the motion [rad or m].
     """
     own, dt = actuators(model), model.settings.dt
     drives = [own[index] for index in indices]
@@ -116,16 +116,16 @@ def shown(
         k, gear = drive.index, abs(drive.gear)
         asked = ctrl[n, 0, k]
         far = abs(float(drive.target(asked)) - drive.gear * rest.qpos[drive.qposadr])
-        # At most a share of the range, and half of the force that is left.
+        # At most a share of the range, and half of the remaining force.
         left, width = drive.bound - drive.kp * far, share_of_range(model, drive)
         width = min(width, left / 2 / drive.kp) if left > 0 else width
         low, high = ends(model, drive)
         if goal.name == "bandwidth":
-            # About the pose, or as near to it as the sine's room allows.
+            # The sine is centred on the pose, or as near to it as its width allows.
             ctrl[n, :, k] = np.clip(asked, low + width, max(low + width, high - width))
         ctrl[n, :, k] += wave * (width if asked + 2 * width <= high else -width)
         off[n], widths[n] = far / gear, width / gear
-    # A joint that its range holds in place cannot move.
+    # A joint whose range holds it in place cannot move.
     free = np.flatnonzero(widths > 0).tolist()
     ran = follow(model, [rest] * len(drives), len(wave), ctrl=ctrl, record=("qpos",))
     for n in free:
@@ -138,29 +138,29 @@ def shown(
 
 
 def ends(model: Model, drive: Actuator) -> tuple[float, float]:
-    """Return the controls between which the range of a servo and that of its joint lie."""
+    """Return the least and largest control inside the ranges of a servo and of its joint."""
     reached = drive.holding(drive.gear * model.jnt_range[drive.joint])
     inside = np.clip(np.sort(reached), *drive.ctrlrange)
     return float(inside[0]), float(inside[1])
 
 
 def share_of_range(model: Model, drive: Actuator) -> float:
-    """Return how wide the motion of a servo is, before the gear, if its force allows it."""
+    """Return the width of a servo's motion, before the gear, if the force limit allows it."""
     return WIDTH * float(min(abs(drive.gear), np.ptp(ends(model, drive))))
 
 
 def is_settled(path: np.ndarray, width: float) -> bool:
-    """Return whether a step response of about this width has settled in four fifths of its time."""
+    """Return whether a step response of about this width settles within 80 % of its duration."""
     way, late = abs(path[-1] - path[0]), path[-(len(path) // 5) :]
     return bool(abs(way / width - 1) <= 0.5 and np.ptp(late) <= 2 * SETTLED * way)
 
 
 def passed(path: np.ndarray, frequency: float, width: float) -> float:
-    """Return the bandwidth that a response to a sine shows, as a multiple of the sine's frequency.
+    """Estimate the bandwidth from the response to a sine, as a multiple of the sine's frequency.
 
-    It is that of the critically damped oscillator with the same gain, 1/(1 + (ω/ω₀)²), and four at
-    most; nan if the response is no sine, or next to none. frequency: periods in a step. width: of
-    the sine.
+    It is the bandwidth of the critically damped oscillator with the same gain, 1/(1 + (ω/ω₀)²), and
+    at most four; nan if the response is no sine, or almost none. frequency: periods per step.
+    width: the amplitude of the sine.
     """
     late = path[-(len(path) // 4) :]
     phase = 2 * np.pi * frequency * np.arange(len(late))
@@ -169,7 +169,7 @@ def passed(path: np.ndarray, frequency: float, width: float) -> float:
         return math.nan
     size, *_ = np.linalg.lstsq(sines, late, rcond=None)
     gain = math.hypot(size[0], size[1]) / width
-    # Dry friction lets a hundredth through that is a sine again.
+    # Under dry friction the response can be a sine of a hundredth of the width.
     if gain < 0.01 or np.std(late - sines @ size) > WITHIN * gain * width:
         return math.nan
     return PASSES / math.sqrt(max(1 / gain - 1, (PASSES / 4) ** 2))
@@ -178,10 +178,10 @@ def passed(path: np.ndarray, frequency: float, width: float) -> float:
 class Servos:
     """Position servos that are changed together, and their runs.
 
-    drives: the servos. inertia: that each moves while the other joints are held. damping: of its
-    joint. spring: the stiffness of its joint. friction: the dry friction of its joint. load: its
-    force that the pose needs at rest [N or N·m], of a robot that stands on the ground there.
-    off, widths: of the last run; see `shown`.
+    drives: the servos. For each: inertia, which it moves while the other joints are held; damping,
+    spring and friction: damping, stiffness and dry friction of its joint; load: its force that
+    holds the pose at rest [N or N·m], on the ground if `ground` is given.
+    off, widths: from the last run; see `shown`.
     """
 
     def __init__(
@@ -203,10 +203,10 @@ class Servos:
         self.units = ["m" if joint.type == "slide" else "rad" for joint in own]
 
     def omegas(self, goal: str, asked: np.ndarray) -> np.ndarray:
-        """Return the frequencies at which the closed form has these values of a goal [rad/s].
+        """Return the frequencies at which the closed form gives the requested values [rad/s].
 
-        Where the damping of the joint alone is more than critical, the servo is a lag, whose slow
-        pole decays to 0.02 in the settling time.
+        If the joint alone is overdamped, the servo is a lag, whose slow pole decays to 0.02 in the
+        settling time.
         """
         if goal == "sag":
             return np.sqrt(np.abs(self.load * self.gear) / (asked * self.inertia))
@@ -223,37 +223,37 @@ class Servos:
         return float((omegas**2 / (half + np.sqrt(half**2 - omegas**2))).min())
 
     def gains(self, omegas: np.ndarray) -> list[tuple[float, float]]:
-        """Return kp and kv of servos that are damped critically, or more by their joints alone."""
+        """Return kp and kv for critical damping; kv is 0 if the joint alone is overdamped."""
         kp = self.inertia * omegas**2 / self.gear**2
         kv = np.maximum(0.0, 2 * self.inertia * omegas - self.damping) / self.gear**2
         return [(rounded(p), rounded(v)) for p, v in zip(kp, kv, strict=True)]
 
     def shown(self, model: Model, goal: Goal, omega: float) -> tuple[np.ndarray, ...]:
-        """Try the servos; see the function `shown`."""
+        """Test the servos; see the function `shown`."""
         return shown(model, self.at, [drive.index for drive in self.drives], goal, omega)
 
     def hold_longer(self, model: Model, goal: Goal, omega: float) -> np.ndarray:
-        """Return which servos have a value of the goal in steps twice as long, their margin."""
+        """Return which servos also give a value with steps twice as long, which is their margin."""
         longer = Change(dt=2 * model.settings.dt).of(model)
         return np.isfinite(self.shown(longer, goal, omega)[0])
 
     @cached_property
     def margin(self) -> np.ndarray:
-        """Which servos settle in longer steps as shipped. Other elements may leave no margin, which
-        gains do not give back."""
+        """Which servos settle in longer steps as shipped. Other elements may leave no margin, and
+        gains do not restore it."""
         own = np.array([drive.stiffness for drive in self.drives]) / self.inertia
         slowest = self.slowest(np.sqrt(own))
         return self.hold_longer(self.model, Goal("settling", SETTLES / slowest), slowest)
 
     def change(self, goal: str, asked: np.ndarray, **settings: Any) -> Change:
-        """Return the gains of what is asked of a goal, as a change of the model."""
+        """Return the gains for requested values of a goal, as a change of the model."""
         values = dict[str, Any]()
         for drive, gains in zip(self.drives, self.gains(self.omegas(goal, asked)), strict=True):
             values |= gained(self.model, drive.index, *gains)
         return Change(values, **settings)
 
     def run(self, goal: Goal, asked: np.ndarray, **settings: Any) -> np.ndarray:
-        """Return the values of a goal with the gains of what is asked; nan without a margin."""
+        """Measure a goal with the gains for the requested values; nan without a margin."""
         model = self.change(goal.name, asked, **settings).of(self.model)
         slowest = self.slowest(self.omegas(goal.name, asked))
         found, self.off, self.widths = self.shown(model, goal, slowest)
@@ -264,9 +264,9 @@ class Servos:
     def limits(
         self, goal: Goal, asked: np.ndarray, failing: Sequence[int]
     ) -> dict[int, tuple[float, str]]:
-        """Return what the time step holds of some servos, nearest to the goal: as asked, in words.
+        """Return for failing servos the request nearest to the goal that the step allows, and text.
 
-        asked: of the closed forms, for the goal. All servos come down together, and are run.
+        asked: the requests to the closed form. All servos are relaxed together and run.
         """
         settings, way = self.model.settings, -1 if goal.name == "bandwidth" else 1
 
@@ -307,12 +307,12 @@ def tuned_servos(
 ) -> list[Tuned]:
     """Return gains for each servo. All servos are changed together, and verified together.
 
-    motors: the indices of those that stand in place of motors. ground: where the robot stands.
+    motors: the indices of the servos that replace motors. ground: the robot's rest on the ground.
     """
     called, idle = model.called("actuator"), list[Tuned]()
     servos = Servos(model, at, drives, ground)
     if goal.name == "sag":
-        # A thousandth of the largest load is none.
+        # A load below a thousandth of the largest counts as none.
         load = np.abs(servos.load * servos.gear)
         carries = load > 1e-3 * load.max()
         bears = carries & (load > servos.friction)
@@ -348,7 +348,7 @@ def tuned_servos(
     if ground is not None and not stands:
         falls = fall(ground.run(servos.change(goal.name, asked)))
     found, gains = [], servos.gains(servos.omegas(goal.name, asked))
-    # Of the model as it was given, which may have motors.
+    # The change applies to the user's model, which may have motors.
     own, placed = dict[str, Any](), list[Servo]()
     for drive, (kp, kv) in zip(servos.drives, gains, strict=True):
         if drive.index in motors:
@@ -360,7 +360,7 @@ def tuned_servos(
     for k, (drive, unit) in enumerate(zip(servos.drives, servos.units, strict=True)):
         (kp, kv), reached, also = gains[k], goal.near(values[k]), ""
         if stands:
-            # Joints of one leg sag together: most of them less than they may.
+            # Joints of one leg sag together, most of them less than the goal.
             reached, also = bool(values[k] <= (1 + WITHIN) * goal.value), ", on the ground"
         why = f"The run shows {goal.words(values[k], unit)} with kp={kp:g}"
         if math.isnan(values[k]):
@@ -405,7 +405,7 @@ def tuned_servos(
 
 
 def touched(model: Model, contacts: np.ndarray, drive: Actuator) -> str:
-    """Return the contacts of what a servo moves with what it does not move."""
+    """Return the contacts between bodies that a servo moves and all others, in words."""
     own, pairs = model.jnt_body[drive.joint], list[int]()
 
     def moved(body: int) -> bool:

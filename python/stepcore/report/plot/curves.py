@@ -13,7 +13,6 @@ from stepcore.report.plot.style import (
     BLUE,
     COLOURS,
     FONT,
-    GREEN,
     GREY,
     ORANGE,
     RED,
@@ -24,7 +23,7 @@ from stepcore.report.plot.style import (
     say,
     stacked,
 )
-from stepcore.report.units import joules, metres, seconds
+from stepcore.report.units import joules, seconds
 
 if TYPE_CHECKING:
     from stepcore.engine.replay import PostMortem
@@ -266,79 +265,27 @@ def predictability(result: Predictability) -> Any:
 
 
 def convergence(result: Convergence) -> Any:
-    """Draw the residual by sweeps (left) and the error of runs with equal row updates (right).
-
-    Solid lines are the median of the states, for cold starts (zero impulses) and for warm starts
-    (the impulses of the step before). The shading extends to the worst state. The runs of equal row
-    updates divide the work differently between steps and sweeps.
-    """
-    if not len(result.sweeps):
-        figure = new_figure(6.0, 4.4)
-        _work(figure.add_subplot(), result, f"{result.name}: no contact, limit or other row")
-        return figure
-    figure = new_figure(10.0, 4.4)
-    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-    _sweeps(left, result)
-    _work(right, result)
-    return figure
-
-
-def _sweeps(axes: Any, result: Convergence) -> None:
-    table = result.sweeps
-    frame(axes, f"{result.name}: {result.verdict}", "sweeps", "residual [m/s]")
-    sweeps = np.array(table["sweeps"], float)
-    worst = [max(row["cold worst"], row["warm worst"]) for row in table]
-    # Smaller residuals are rounding errors.
-    floor = 1e-13 * max(*worst, 1e-300)
-    for kind, colour, width in (("cold", BLUE, 3.0), ("warm", RED, 1.4)):
-        middle, most = (np.maximum(table[name], floor) for name in (kind, f"{kind} worst"))
-        axes.plot(sweeps, middle, color=colour, lw=width, marker="o", ms=3.5, label=f"{kind} start")
-        text = f"{kind}, up to the worst state"
-        axes.fill_between(sweeps, middle, most, color=colour, alpha=0.18, lw=0, label=text)
-    own = result.settings
-    if own.solver == "pgs" and own.sweeps != "auto" and own.sweeps > 0:
-        axes.axvline(own.sweeps, color=GREY, lw=1, ls=":", label=f"as shipped, {own.sweeps}")
-    axes.set_xscale("log", base=2)
-    axes.set_yscale("log")
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    done = [count for count, most in zip(sweeps, worst, strict=True) if most <= floor]
-    axes.set_xlim(0.8, 1.25 * (max(4 * done[0], 8) if done else sweeps[-1]))
-    # Below the axes, where the legend covers no data.
-    axes.legend(
-        fontsize=FONT["small"],
-        frameon=False,
-        loc="upper left",
-        bbox_to_anchor=(0.0, -0.14),
-        ncols=2,
-    )
-
-
-def _work(axes: Any, result: Convergence, title: str = "") -> None:
-    frame(axes, title or "equal row updates, steps × sweeps", "RMS position error [m]")
-    trials = [split.trial for split in result.splits]
-    known = [t.error for t in trials if math.isfinite(t.error) and t.error > 0]
-    if not known:
+    """Draw the error against the work of other time steps and of more sweeps."""
+    figure = new_figure()
+    axes = figure.add_subplot()
+    work = "floating-point operations per simulated second"
+    frame(axes, f"{result.name}: {result.verdict}", work, "RMS position error [m]")
+    kinds = {"time steps": (BLUE, result.dts), "sweeps": (RED, [result.shipped, *result.sweeps])}
+    for name, (colour, trials) in kinds.items():
+        good = sorted((t.work, t.error) for t in trials if not t.failure and t.error > 0)
+        if len(good) > 1:
+            axes.plot(*zip(*good, strict=True), color=colour, lw=1.6, marker="o", ms=4, label=name)
+    shipped, solved = result.shipped, result.solved
+    if not shipped.failure:
+        axes.plot(shipped.work, shipped.error, "D", ms=7, color="black", label="as shipped")
+    if not solved.failure:
+        axes.axhline(solved.error, color="black", lw=1.2, ls="--", label="converged forces")
+    if not axes.lines:
         say(axes, "all of these runs fail")
-        return
-    solved = result.solved.error
-    low = 0.3 * min([*known, *([solved] if solved > 0 else [])])
-    for k, trial in enumerate(trials):
-        if trial.failure:
-            axes.text(low * 1.3, k, "fails", va="center", color=GREY)
-            continue
-        end = max(trial.error, low)
-        axes.barh(k, end - low, left=low, height=0.62, color=GREEN)
-        box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
-        axes.text(end * 1.15, k, metres(trial.error), va="center", fontsize=FONT["text"], bbox=box)
-    labels = [f"{s.steps} × {s.sweeps}\ndt {seconds(s.trial.dt)}" for s in result.splits]
-    axes.set_yticks(range(len(trials)), labels, fontsize=FONT["text"])
-    axes.set_ylim(len(trials) - 0.4, -0.6)
+        return figure
     axes.set_xscale("log")
-    axes.set_xlim(low, 12 * max(known))
+    axes.set_yscale("log")
     log_ticks(axes.xaxis)
-    if math.isfinite(solved) and solved > 0:
-        text = f"dt {seconds(result.settings.dt)}, converged"
-        axes.axvline(solved, color="black", lw=1.2, ls="--", label=text)
-        axes.legend(
-            fontsize=FONT["small"], frameon=False, loc="upper right", bbox_to_anchor=(1.0, -0.14)
-        )
+    log_ticks(axes.yaxis)
+    legend(figure)
+    return figure

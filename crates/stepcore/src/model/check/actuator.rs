@@ -1,4 +1,4 @@
-//! Actuators: their numbers, and what they pull at.
+//! The rules for actuators: their numbers, and their targets.
 
 use super::Subject;
 use crate::error::Result;
@@ -66,7 +66,7 @@ pub(super) fn check(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
     Ok(())
 }
 
-/// A controller's numbers, and what feeds it.
+/// Checks a controller's numbers, and the actuators that feed it.
 fn controller(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
     if let Some(owner) = a.feeds {
         e.below("feeds", owner, scene.actuators.len(), "actuator")?;

@@ -1,4 +1,4 @@
-//! What an equality must satisfy.
+//! The rules for an equality.
 
 use super::Subject;
 use crate::error::Result;

@@ -1,4 +1,4 @@
-//! Tendons: their numbers, and what may follow what on a path.
+//! The rules for tendons: their numbers, and the order of stops on a path.
 
 use super::Subject;
 use crate::elements::Kind;
@@ -66,7 +66,7 @@ fn fixed(e: &Subject, t: &Tendon, scene: &Scene) -> Result<()> {
 
 /// Every branch runs from site to site, with at most one geom between two.
 fn spatial(e: &Subject, t: &Tendon, scene: &Scene) -> Result<()> {
-    // How many sites the branch has so far, and whether a geom waits for its next.
+    // The number of sites of the branch until here, and whether a geom waits for its next site.
     let (mut sites, mut geom) = (0, false);
     let branch = "in a branch of at least two sites, the first and last stops sites";
     for (i, stop) in t.path.iter().enumerate() {

@@ -33,7 +33,7 @@ fn closed(build: &Build) -> Vec<Vec<usize>> {
 fn what_nothing_couples_has_the_chains_of_its_tree() {
     let alone = [vec![0], vec![0, 1], vec![0, 2], vec![3], vec![3, 4]];
     assert_eq!(closed(&trees(&[], 1.0)), alone);
-    // Of one chain; and a tendon that does not pull.
+    // Dofs of one chain; and a tendon that does not pull.
     assert_eq!(closed(&trees(&[&[0, 2]], 1.0)), alone);
     assert_eq!(closed(&trees(&[&[1, 2]], 0.0)), alone);
 }
@@ -42,7 +42,7 @@ fn what_nothing_couples_has_the_chains_of_its_tree() {
 fn coupled_branches_become_one_chain() {
     let build = trees(&[&[1, 2]], 1.0);
     assert_eq!(closed(&build), [vec![0], vec![0, 1], vec![0, 1, 2], vec![3], vec![3, 4]]);
-    // Rows of what hangs on the second branch touch the first one too, and the pattern is closed.
+    // Rows of bodies on the second branch touch the first one too, and the pattern is closed.
     let model = build.model();
     assert!(model.couples);
     for dofs in model.pairs.iter().map(|pair| pair.dofs.of(&model.dof_lists)) {
@@ -71,7 +71,7 @@ fn site(body: usize) -> Site {
     Site { name: String::new(), body, pos, quat, kind: GeomType::Sphere, size: [0.1; 3] }
 }
 
-/// What moves the trunk moves both ends of a tendon between its arms, and not its length.
+/// Dofs that move the trunk move both ends of a tendon between its arms, and not its length.
 #[test]
 fn a_tendon_knows_the_dofs_that_change_its_length() {
     let mut build = trees(&[&[2]], 1.0);

@@ -1,4 +1,4 @@
-//! The builder against closed forms and MuJoCo's rules; here what the tests share.
+//! The builder against closed forms and MuJoCo's rules; here the code that tests share.
 
 mod coupling;
 mod pairs;

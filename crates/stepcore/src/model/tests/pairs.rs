@@ -23,7 +23,7 @@ fn chains_and_rows_of_a_branching_tree() {
     assert_eq!(chains, [vec![], vec![0], vec![0, 1], vec![0, 1], vec![0, 2], vec![3]]);
     assert_eq!(model.bodies.iter().map(|b| b.weld).collect::<Vec<_>>(), [0, 1, 2, 2, 4, 5]);
     assert_eq!(model.bodies.iter().map(|b| b.tree).collect::<Vec<_>>(), [NONE, 0, 0, 0, 0, 1]);
-    // Parents do not meet children, nor what is fixed to them; cousins and other trees do.
+    // Parents do not meet children, nor bodies fixed to them; cousins and other trees do.
     let pairs: Vec<_> = model
         .pairs
         .iter()

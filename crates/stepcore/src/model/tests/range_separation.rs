@@ -1,5 +1,5 @@
-//! A pair that ranges keep apart meets in no configuration inside of them, and a pair that
-//! is said to meet is not left out.
+//! A pair that ranges keep apart meets in no configuration inside of them, and a pair that is
+//! reported to meet is not left out.
 
 use super::{ball, geom, joint, Build};
 use crate::detect;

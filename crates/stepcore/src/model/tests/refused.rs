@@ -1,4 +1,4 @@
-//! What cannot be compiled.
+//! Scenes that cannot be compiled.
 
 use super::{ball, free, Build};
 use crate::scene::{ExplicitPair, Geom, GeomType, Joint, JointType, Key, Scene};
@@ -75,7 +75,7 @@ fn what_is_refused_is_named() {
     }
 }
 
-/// Numbers of hundreds of digits are told by their exponent, and no others.
+/// Numbers of hundreds of digits are shown by their exponent, and no others.
 #[test]
 fn a_value_is_shown_briefly() {
     let cases = [

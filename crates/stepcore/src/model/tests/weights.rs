@@ -4,7 +4,7 @@ use super::{ball, free, geom, joint, near, Build};
 use crate::model::shape::{measure, unit_inertia};
 use crate::scene::{Geom, GeomType, Inertial, Joint, JointType, MassRules};
 
-/// A shell's surface and inertia are what the solid gains when its sizes grow by a
+/// A shell's surface and inertia are the gain of the solid when its sizes grow by a
 /// layer of thickness e, per e, for e → 0: central differences, exact to O(e²).
 #[test]
 fn a_shell_is_the_growth_of_its_solid() {

@@ -1,8 +1,8 @@
 //! The angle of a point: atan2.
 //!
-//! One division makes the tangent t of what is left of the angle after the nearest of 0,
-//! atan ½ and π/4 in the first octant; its rounding error is found and taken along. The
-//! polynomial is fdlibm's (Sun Microsystems 1993, `s_atan.c`), good to |t| < 7/16.
+//! One division gives the tangent t of the angle's difference from the nearest of 0, atan ½ and π/4
+//! in the first octant; its rounding error is computed and included. The polynomial is fdlibm's
+//! (Sun Microsystems 1993, `s_atan.c`), accurate for |t| < 7/16.
 
 const ATAN: [f64; 11] = [
     3.333_333_333_333_293e-1,
@@ -17,7 +17,7 @@ const ATAN: [f64; 11] = [
     -3.653_157_274_421_691_6e-2,
     1.628_582_011_536_578_2e-2,
 ];
-/// Angles in two numbers.
+/// Angles as the sum of two numbers.
 const ATAN_HALF: [f64; 2] = [4.636_476_090_008_061e-1, 2.269_877_745_296_168_7e-17];
 const QUARTER_PI: [f64; 2] = [core::f64::consts::FRAC_PI_4, 3.061_616_997_868_383e-17];
 const HALF_PI: [f64; 2] = [core::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17];
@@ -27,7 +27,7 @@ const LARGE: f64 = 3.273_390_607_896_142e150;
 const SMALL: f64 = 1.0 / LARGE;
 const SCALE: f64 = 4.149_515_568_880_993e180; // 2⁶⁰⁰
 
-/// Also of zeros, infinities and what is not a number, as IEEE 754 has them.
+/// Zeros, infinities and NaN give the results of IEEE 754.
 #[inline(always)]
 pub fn atan2(y: f64, x: f64) -> f64 {
     let (a, b) = (y.abs(), x.abs());
@@ -55,7 +55,7 @@ pub fn atan2(y: f64, x: f64) -> f64 {
     let odd = w * (ATAN[1] + w * (ATAN[3] + w * (ATAN[5] + w * (ATAN[7] + w * ATAN[9]))));
     let even = z
         * (ATAN[0] + w * (ATAN[2] + w * (ATAN[4] + w * (ATAN[6] + w * (ATAN[8] + w * ATAN[10])))));
-    // d atan t = dt/(1 + t²), of which two terms are enough for a rounding error.
+    // d atan t = dt/(1 + t²), of which two terms suffice for a rounding error.
     let beyond = t - (t * (even + odd) - rest * (1.0 - z));
 
     // The octant: ± the angle from a multiple of π/2.
@@ -66,7 +66,7 @@ pub fn atan2(y: f64, x: f64) -> f64 {
     let start = if below { [0.0, 0.0] } else { start };
     let sign = if steep != back { -1.0 } else { 1.0 };
     let head = turn[0] + sign * start[0];
-    // Exact, for the turn is 0 or the larger one.
+    // Exact, as the turn is 0 or the larger one.
     let error = if steep | back { (turn[0] - head) + sign * start[0] } else { 0.0 };
     let angle = head + (error + (turn[1] + sign * start[1]) + sign * beyond);
     let angle = f64::from_bits(angle.to_bits() | y.to_bits() & 1 << 63);
@@ -77,7 +77,7 @@ pub fn atan2(y: f64, x: f64) -> f64 {
     }
 }
 
-/// over − t·under, with products of halves that are exact.
+/// Return over − t·under, with products of halves that are exact.
 #[inline(always)]
 fn remainder(over: f64, t: f64, under: f64) -> f64 {
     let high = |x: f64| f64::from_bits(x.to_bits() & !((1 << 27) - 1));

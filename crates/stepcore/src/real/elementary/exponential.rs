@@ -1,15 +1,15 @@
 //! Exponential, logarithm and power.
 //!
-//! The reductions and polynomials are those of fdlibm (Sun Microsystems 1993, `e_exp.c`,
-//! `e_log.c`, `e_pow.c`), without its branches. A power keeps the logarithm in two numbers,
-//! the first of which is short enough for exact products.
+//! The reductions and polynomials are from fdlibm (Sun Microsystems 1993, `e_exp.c`, `e_log.c`,
+//! `e_pow.c`), without its branches. A power keeps the logarithm in two numbers, the first of which
+//! is short enough for exact products.
 
 use super::INTEGER;
 
 const SQRT_HALF: u64 = 0x3FE6_A09E_0000_0000;
 const HALF_SQRT_3: u64 = 0x3FEB_B67A_0000_0000;
 const SUBNORMAL: f64 = 18_014_398_509_481_984.0; // 2⁵⁴
-/// ln 2, its first part with zeros at the end.
+/// ln 2, the first part with trailing zeros.
 const LN_2: [f64; 2] = [6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10];
 const EXP: [f64; 5] = [
     1.666_666_666_666_660_2e-1,
@@ -27,7 +27,7 @@ const LN: [f64; 7] = [
     1.531_383_769_920_937_3e-1,
     1.479_819_860_511_658_6e-1,
 ];
-/// Of the logarithm in a power.
+/// Coefficients of the logarithm in a power.
 const LOG: [f64; 6] = [
     5.999_999_999_999_946e-1,
     4.285_714_285_785_502e-1,
@@ -38,7 +38,7 @@ const LOG: [f64; 6] = [
 ];
 /// log₂ 1.5, in two numbers.
 const LOG2_1_5: [f64; 2] = [5.849_624_872_207_642e-1, 1.350_039_202_129_749e-8];
-/// 2/(3 ln 2), and in two numbers.
+/// 2/(3 ln 2), also in two numbers.
 const RATE: f64 = 9.617_966_939_259_756e-1;
 const RATE_PARTS: [f64; 2] = [9.617_967_009_544_373e-1, -7.028_461_650_952_758e-9];
 /// ln 2 in two numbers, the first of 24 bits.
@@ -47,7 +47,7 @@ const LN_2_SHORT: [f64; 2] = [6.931_471_824_645_996e-1, -1.904_654_299_957_768e-
 /// eˣ.
 #[inline(always)]
 pub fn exp(x: f64) -> f64 {
-    // Beyond, it is 0 or ∞; a number that is none stays so.
+    // Beyond, the result is 0 or ∞; NaN stays NaN.
     let inside = if x > 720.0 { 720.0 } else { x };
     let inside = if inside < -760.0 { -760.0 } else { inside };
     let n = (inside * core::f64::consts::LOG2_E + INTEGER) - INTEGER;
@@ -92,7 +92,7 @@ pub fn ln(x: f64) -> f64 {
     }
 }
 
-/// x to the power y, for every pair of numbers as C has it.
+/// x to the power y, for every pair of numbers as in C.
 #[inline]
 pub fn pow(x: f64, y: f64) -> f64 {
     if is_plain(x, y) {
@@ -102,7 +102,7 @@ pub fn pow(x: f64, y: f64) -> f64 {
     }
 }
 
-/// Whether `plain` holds.
+/// Return whether `plain` is valid.
 #[inline(always)]
 pub fn is_plain(x: f64, y: f64) -> bool {
     (x > 0.0) & (x < f64::INFINITY) & (y.abs() < f64::INFINITY)
@@ -148,7 +148,7 @@ pub fn special(x: f64, y: f64) -> f64 {
 /// x to the power y, x positive and both finite.
 #[inline(always)]
 pub fn plain(x: f64, y: f64) -> f64 {
-    // Beyond, a power of what is not 1 is 0 or ∞.
+    // Beyond, the power is 0 or ∞ unless x is 1.
     let y = if y > 1e20 { 1e20 } else { y };
     let y = if y < -1e20 { -1e20 } else { y };
     let (log, rest) = log2(x);
@@ -157,7 +157,7 @@ pub fn plain(x: f64, y: f64) -> f64 {
     let high = y_short * log;
     let z = low + high;
     let n = (z + INTEGER) - INTEGER;
-    // What is far beyond may not spoil the number that is chosen in its place.
+    // A value far beyond must not spoil the number that is selected instead.
     let inside = z.abs() < 1100.0;
     let n = if inside { n } else { 0.0 };
     let (high, low) = if inside { (high - n, low) } else { (0.0, 0.0) };
@@ -233,7 +233,7 @@ fn split(x: f64, least: u64) -> (f64, f64) {
     (m, if small { n - 54.0 } else { n })
 }
 
-/// x·2ⁿ for a whole number n within ±1100, rounded once.
+/// x·2ⁿ for an integer n within ±1100, rounded once.
 #[inline(always)]
 fn scaled(x: f64, n: f64) -> f64 {
     let half = (0.5 * n + INTEGER) - INTEGER;

@@ -1,4 +1,4 @@
-//! The same functions of several numbers: loops of which a compiler makes vectors.
+//! The same functions of several numbers, in loops that compilers vectorise.
 
 use super::{arctan, exponential, trig};
 

@@ -1,9 +1,9 @@
-//! A large angle less its quarter turns, exactly (Payne and Hanek 1983).
+//! A large angle minus its quarter turns, exactly (Payne and Hanek 1983).
 //!
-//! x·2/π for x = m·2ᵉ needs of 2/π only the bits that make the last two of the whole number
-//! and enough of the fraction: bits of more weight make multiples of four quarter turns.
+//! For x = m·2ᵉ, x·2/π needs only the bits of 2/π that give the last two bits of the integer part
+//! and enough of the fraction: bits of more weight give multiples of four quarter turns.
 
-/// The bits of 2/π behind the point, after a word of zeros that stands before it.
+/// The bits of 2/π behind the point, after a word of zeros.
 const TWO_OVER_PI: [u64; 21] = [
     0,
     0xA2F9_836E_4E44_1529,
@@ -27,10 +27,10 @@ const TWO_OVER_PI: [u64; 21] = [
     0x5603_3046_FC7B_6BAB,
     0xF0CF_BC20_9AF4_361D,
 ];
-/// π/2 in two numbers.
+/// π/2 as the sum of two numbers.
 const HALF_PI: [f64; 2] = [core::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17];
 
-/// Quarter turns, of which the last two bits count, and what is left of x > 2²⁰ in two numbers.
+/// Return the quarter turns, of which the last two bits count, and the rest of x > 2²⁰ in two numbers.
 pub fn quarters(x: f64) -> (u64, f64, f64) {
     let bits = x.to_bits();
     let mantissa = u128::from(bits & ((1 << 52) - 1) | 1 << 52);
@@ -43,7 +43,7 @@ pub fn quarters(x: f64) -> (u64, f64, f64) {
         let both = u128::from(TWO_OVER_PI[k]) << 64 | u128::from(next);
         (both >> (64 - shift)) as u64
     };
-    // Their product with the mantissa in units of 2⁻¹⁹⁰ quarter turns, less multiples of four.
+    // Their product with the mantissa in units of 2⁻¹⁹⁰ quarter turns, minus multiples of four.
     let low = mantissa * u128::from(word(2));
     let middle = mantissa * u128::from(word(1)) + (low >> 64);
     let high = (mantissa * u128::from(word(0)) + (middle >> 64)) as u64;

@@ -1,19 +1,18 @@
-//! Sine and cosine together: an angle less quarter turns, and a polynomial each.
+//! Sine and cosine together: an angle minus quarter turns, and a polynomial each.
 //!
-//! The reduction in three parts of π/2 and the polynomials are those of fdlibm (Sun
-//! Microsystems 1993, `e_rem_pio2.c`, `k_sin.c`, `k_cos.c`), without its branches: every
-//! angle takes all three parts.
+//! The reduction in three parts of π/2 and the polynomials are from fdlibm (Sun Microsystems 1993,
+//! `e_rem_pio2.c`, `k_sin.c`, `k_cos.c`), without its branches: every angle takes all three parts.
 
 use super::reduce::quarters;
 use super::INTEGER;
 use crate::real::{Mask, Real};
 
-/// Up to here the three parts of π/2 are enough: 2²⁰ quarter turns.
+/// Up to here the three parts of π/2 suffice: 2²⁰ quarter turns.
 const NEAR: f64 = 1_647_099.0;
-/// Below, sin x is x.
+/// Below this, sin x is x.
 const TINY: f64 = 7.450_580_596_923_828e-9; // 2⁻²⁷
 const QUARTERS: f64 = core::f64::consts::FRAC_2_PI;
-/// π/2 in parts of 33 bits, and what is missing after the third.
+/// π/2 in parts of 33 bits, and the rest after the third.
 const PARTS: [f64; 3] =
     [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_711_166_5e-21];
 const REST: f64 = 8.478_427_660_368_9e-32;
@@ -34,18 +33,18 @@ const COS: [f64; 6] = [
     -1.135_964_755_778_819_5e-11,
 ];
 
-/// Whether `near` holds for this angle.
+/// Return whether `near` is valid for this angle.
 #[inline(always)]
 pub fn is_near(x: f64) -> bool {
     x.abs() <= NEAR
 }
 
-/// Sine and cosine of an angle that is near.
+/// Sine and cosine of an angle with |x| ≤ `NEAR`.
 #[inline(always)]
 pub fn near(x: f64) -> (f64, f64) {
     let shifted = x * QUARTERS + INTEGER;
     let n = shifted - INTEGER;
-    // Each product is exact; after each the error of the difference is in hand.
+    // Each product is exact; the error of each difference is computed.
     let first = x - n * PARTS[0];
     let second = n * PARTS[1];
     let left = first - second;
@@ -55,11 +54,11 @@ pub fn near(x: f64) -> (f64, f64) {
     let tail = n * REST - ((left - rest) - third) - error;
     let angle = rest - tail;
     let (sin, cos) = turned(angle, (rest - angle) - tail, shifted.to_bits());
-    // Its own sign if it is a zero.
+    // A zero keeps its sign.
     (if x.abs() < TINY { x } else { sin }, cos)
 }
 
-/// The same of numbers of double precision that are no `f64`, by the same operations; and where it holds.
+/// The same operations for other double-precision numbers; and the lanes in which it is valid.
 pub fn near_of<R: Real>(x: R) -> (R, R, R::Mask) {
     let (known, zero) = (R::of, R::zero());
     let whole = |x: R| (x + known(INTEGER)) - known(INTEGER);
@@ -82,7 +81,7 @@ pub fn near_of<R: Real>(x: R) -> (R, R, R::Mask) {
     let r = z * (c[0] + z * (c[1] + z * c[2])) + w * w * (c[3] + z * (c[4] + z * c[5]));
     let head = R::one() - half;
     let cos = head + (((R::one() - head) - half) + (z * r - angle * tail));
-    // The last two bits of n: whether it is odd, and whether the half of what is even is.
+    // The last two bits of n: whether n is odd, and whether half of its even part is odd.
     let is_odd = |half: R| {
         let off = half - whole(half);
         off.lt(zero).or(zero.lt(off))
@@ -97,7 +96,7 @@ pub fn near_of<R: Real>(x: R) -> (R, R, R::Mask) {
     (R::select(size.lt(known(TINY)), x, s), c, size.le(known(NEAR)))
 }
 
-/// Sine and cosine of any angle; of what is not finite they are not numbers.
+/// Sine and cosine of any angle; NaN for arguments that are not finite.
 #[inline]
 pub fn sin_cos(x: f64) -> (f64, f64) {
     if is_near(x) {
@@ -117,7 +116,7 @@ pub fn far(x: f64) -> (f64, f64) {
     (if x < 0.0 { -sin } else { sin }, cos)
 }
 
-/// Of an angle + tail within ±π/4, after n quarter turns.
+/// Sine and cosine of an angle + tail within ±π/4, after n quarter turns.
 #[inline(always)]
 fn turned(angle: f64, tail: f64, n: u64) -> (f64, f64) {
     let (sin, cos) = (sine(angle, tail), cosine(angle, tail));

@@ -1,7 +1,7 @@
 //! The fifteen axes along which two boxes can be apart: Gottschalk, Lin, Manocha, OBBTree (1996).
 //!
-//! With the centres t apart and L a unit vector, the gap along L is |t·L| less what either box
-//! reaches along it. Where all are negative, the largest is the depth of the overlap.
+//! With the centres t apart and L a unit vector, the gap along L is |t·L| less the reach of either box
+//! along L. If all are negative, the largest is the depth of the overlap.
 
 use super::super::touch::Touch;
 use super::{edge, edges_feature, others, Block, Segment, Side};
@@ -10,8 +10,8 @@ use crate::spatial::V3;
 
 /// Squared sine of an angle below which two edges count as parallel: a face has their axis.
 const PARALLEL: f64 = 1e-14;
-/// A face is preferred to two edges, since a manifold holds better than one point, unless their gap
-/// is larger by this share of the face's …
+/// A face is preferred to two edges, since a manifold holds better than one point, unless the edges'
+/// gap is larger by this share of the face's …
 const FACES_FIRST: f64 = 0.05;
 /// … or the two axes are farther apart than this cosine. Both are MuJoCo's numbers.
 const ALIKE: f64 = 0.99;
@@ -24,7 +24,7 @@ pub(super) struct Axes<R: Real> {
     pub edges: Option<Edges<R>>,
 }
 
-/// A face, and how far the other box is above it.
+/// A face, and the height of the other box above it.
 pub(super) struct Face<R: Real> {
     pub side: Side,
     pub axis: usize,
@@ -48,8 +48,8 @@ pub(super) struct Edges<R: Real> {
 }
 
 impl<R: Real> Axes<R> {
-    /// Of equal axes the first counts: faces of the first box, of the second, then edges. None: some
-    /// axis shows that the boxes are `within` [m] apart or more.
+    /// Finds the axes; among equal ones the first counts: faces of the first box, of the second, then
+    /// edges. None: some axis shows that the boxes are `within` [m] apart or more.
     pub fn of(a: &Block<R>, b: &Block<R>, within: f64) -> Option<Self> {
         let (mut cosines, mut span) = ([[R::zero(); 3]; 3], [[R::zero(); 3]; 3]);
         let between = b.centre - a.centre;
@@ -85,7 +85,7 @@ impl<R: Real> Axes<R> {
             return None;
         }
 
-        // aᵢ × bⱼ = c[i₁][j] a[i₂] − c[i₂][j] a[i₁]: what each box has of it follows from the cosines.
+        // aᵢ × bⱼ = c[i₁][j] a[i₂] − c[i₂][j] a[i₁]: the reach of each box follows from the cosines.
         let (mut pair, mut best, mut turned) = (None, (R::zero(), R::zero()), false);
         for i in 0..3 {
             let [i1, i2] = others(i);
@@ -131,13 +131,13 @@ impl<R: Real> Axes<R> {
         (axes.apart() < within).then_some(axes)
     }
 
-    /// How far the boxes are apart along the best axis [m]; negative: they overlap by so much.
+    /// Returns the gap of the boxes along the best axis [m]; if negative, the depth of their overlap.
     pub fn apart(&self) -> f64 {
         let face = self.face.gap.lane(0);
         self.edges.as_ref().map_or(face, |edges| face.max(edges.gap.lane(0)))
     }
 
-    /// The face makes the contacts, not the edges. `tiny`: rounding of a distance [m].
+    /// Checks that the face makes the contacts, not the edges. `tiny`: rounding of a distance [m].
     pub fn faces_meet(&self, tiny: f64) -> bool {
         let Some(edges) = &self.edges else { return true };
         let face = self.face.gap.lane(0);
@@ -151,8 +151,8 @@ impl<R: Real> Edges<R> {
         [a.edge(self.axes[0], self.ends[0]), b.edge(self.axes[1], self.ends[1])]
     }
 
-    /// Where their lines come nearest, along either from its middle. With w from middle to middle
-    /// and c the cosine between them: s = (u·w − c v·w)/(1 − c²), t = (c u·w − v·w)/(1 − c²).
+    /// Returns the nearest places of their lines, along either from its middle. With w from middle to
+    /// middle and c the cosine between them: s = (u·w − c v·w)/(1 − c²), t = (c u·w − v·w)/(1 − c²).
     fn places([one, two]: &[Segment<R>; 2]) -> [R; 2] {
         let apart = two.middle - one.middle;
         let (cosine, cross) = (one.along.dot(&two.along), one.along.cross(&two.along));
@@ -161,7 +161,7 @@ impl<R: Real> Edges<R> {
         [(along - cosine * other) * inverse, (cosine * along - other) * inverse]
     }
 
-    /// Of boxes apart, the nearest points are those of the two edges' lines.
+    /// Checks that the nearest points of boxes apart are the ones of the two edges' lines.
     pub fn nearest(&self, a: &Block<R>, b: &Block<R>) -> bool {
         let segments = self.segments(a, b);
         let places = Self::places(&segments);
@@ -169,7 +169,7 @@ impl<R: Real> Edges<R> {
         self.best && within(0) && within(1)
     }
 
-    /// Halfway between the nearest points.
+    /// Returns the contact, halfway between the nearest points.
     pub fn contact(&self, a: &Block<R>, b: &Block<R>) -> Touch<R> {
         let segments = self.segments(a, b);
         let [s, t] = Self::places(&segments);

@@ -1,7 +1,7 @@
 //! The face of a box clipped to a face of another: Sutherland and Hodgman (1974).
 //!
-//! In the axes of the box whose face bounds (the bed) the other box's face is a rectangle, whose
-//! corners and cut edges above the bed are the contacts.
+//! In the axes of the box whose face bounds (the bed) the other box's face is a rectangle. Its corners
+//! and cut edges above the bed are the contacts.
 
 use super::super::touch::Touch;
 use super::axes::Axes;
@@ -9,21 +9,21 @@ use super::{corner_feature, edge, edges_feature, others, Block, Side, MOST};
 use crate::real::{Mask, Real};
 use crate::spatial::V3;
 
-/// Room for a polygon: a quadrangle gains a corner at each of four cuts.
+/// Capacity for a polygon: a quadrangle gains a corner at each of four cuts.
 const ROOM: usize = 12;
-/// Of the smallest half length: as near to a corner a cut edge has the corner's name, so that names
-/// stay while equal boxes lie on each other.
+/// Part of the smallest half length: a cut edge this near to a corner has the corner's name, so that
+/// names stay while equal boxes lie on each other.
 const SAME_CORNER: f64 = 1e-3;
 
-/// The same within which two points are one, and a point lies on a line: equal boxes that rounding
-/// turns against each other cut each corner and each side once more than if they were not turned.
+/// Distance, as such a part, within which two points are one, and a point lies on a line: rounding that
+/// turns equal boxes against each other cuts each corner and each side once more than without it.
 const NEARBY: f64 = 1e-6;
 
-/// Corners of a face, in turn: signs along the two axes after its own.
+/// Corners of a face, in cyclic order: signs along the two axes after the face's.
 const CORNERS: [[bool; 2]; 4] = [[true, true], [false, true], [false, false], [true, false]];
 
-/// What bounds a polygon between one corner and the next: an edge of the lying face, by its first
-/// corner, or a side of the bed, along one of the two axes after its own.
+/// The bound of a polygon between one corner and the next: an edge of the lying face, by its first
+/// corner, or a side of the bed, along one of the two axes after the bed's.
 #[derive(Clone, Copy)]
 enum Bound {
     Lying(usize),
@@ -57,7 +57,7 @@ impl<R: Real> Polygon<R> {
         }
     }
 
-    /// The vertices that count: no two in one place, and none on the line between its neighbours.
+    /// Returns the vertices that count: all distinct, none on the line between its neighbours.
     fn corners(&self, near: f64) -> impl Iterator<Item = usize> {
         let mut kept = [0; ROOM];
         let mut count = 0;
@@ -84,7 +84,7 @@ impl<R: Real> Polygon<R> {
         kept.into_iter().take(count)
     }
 
-    /// Leaves what lies inside one side of the bed.
+    /// Keeps the part inside one side of the bed.
     fn cut(&mut self, axis: usize, positive: bool, half: R) {
         let over = |v: &Vertex<R>| if positive { v.at[axis] - half } else { -v.at[axis] - half };
         if self.vertices[..self.count].iter().all(|vertex| over(vertex).lane(0) <= 0.0) {
@@ -117,8 +117,8 @@ impl<R: Real> Polygon<R> {
     }
 }
 
-/// The contacts of the best face with what lies on it, into `out`, positions from the first box's
-/// centre.
+/// Adds the contacts of the best face with the face that lies on it to `out`, positions from the first
+/// box's centre.
 pub(super) fn contacts<R: Real>(
     a: &Block<R>,
     b: &Block<R>,
@@ -128,10 +128,10 @@ pub(super) fn contacts<R: Real>(
     let face = &axes.face;
     let first = face.side == Side::First;
     let (bed, lying) = if first { (a, b) } else { (b, a) };
-    // A lying axis k along the bed's axis i.
+    // Cosine of a lying axis k along the bed's axis i.
     let cosine = |i: usize, k: usize| if first { axes.cosines[i][k] } else { axes.cosines[k][i] };
     let up = face.axis;
-    // Out of the bed, towards what lies on it.
+    // Out of the bed, towards the lying box.
     let above = face.positive == first;
     let steepness = |k: usize| cosine(up, k).lane(0).abs();
     let down = (1..3).fold(0, |best, k| if steepness(k) > steepness(best) { k } else { best });
@@ -191,7 +191,7 @@ pub(super) fn contacts<R: Real>(
     }
 }
 
-/// How contacts of two faces are named.
+/// The data for naming the contacts of two faces.
 struct Names<'a, R: Real> {
     bed: &'a Block<R>,
     lying: &'a Block<R>,
@@ -204,8 +204,8 @@ struct Names<'a, R: Real> {
 }
 
 impl<R: Real> Names<'_, R> {
-    /// The feature of a vertex between two bounds: the first name that no other has. Corners come
-    /// first, so that boxes of equal faces keep four names whichever of them counts as the bed.
+    /// Returns the feature of a vertex between two bounds: the first unused name. Corners come first,
+    /// so that boxes of equal faces keep four names whichever of them counts as the bed.
     fn of(&self, vertex: &Vertex<R>, before: Bound, used: &[usize]) -> usize {
         let (bed_side, lying_side) =
             if self.first { (Side::First, Side::Second) } else { (Side::Second, Side::First) };
@@ -221,25 +221,25 @@ impl<R: Real> Names<'_, R> {
         let own = self.edges(vertex, before);
         let corners = if self.first { [bed, lying] } else { [lying, bed] };
         let names = corners.into_iter().flatten().chain(own);
-        // No more names than this are asked for.
+        // No more names than this are requested.
         let spare = edges_feature(12, used.len());
         names.into_iter().find(|name| !used.contains(name)).unwrap_or(spare)
     }
 
-    /// The smallest half length of both boxes [m].
+    /// Returns the smallest half length of both boxes [m].
     fn smallest(&self) -> f64 {
         let halves = self.bed.half.iter().chain(&self.lying.half);
         halves.map(|half| half.lane(0)).fold(f64::INFINITY, f64::min)
     }
 
-    /// The edges that cross in a vertex where one of the lying face's meets a side of the bed.
+    /// Returns the edges that cross in a vertex where an edge of the lying face meets a side of the bed.
     fn edges(&self, vertex: &Vertex<R>, before: Bound) -> Option<usize> {
         let (corner, (axis, positive)) = match (before, vertex.next) {
             (Bound::Lying(k), Bound::Bed { axis, positive })
             | (Bound::Bed { axis, positive }, Bound::Lying(k)) => (k, (axis, positive)),
             _ => return None,
         };
-        // From a corner with two equal signs to the next the face's first axis runs.
+        // The edge from a corner with two equal signs to the next runs along the face's first axis.
         let [u, v] = others(self.down);
         let [p, q] = CORNERS[corner];
         let (runs, fixed, sign) = if p == q { (u, v, q) } else { (v, u, p) };
@@ -250,7 +250,7 @@ impl<R: Real> Names<'_, R> {
     }
 }
 
-/// The number of the edge along axis k, the signs of the others given with their axes.
+/// Returns the number of the edge along axis k, given the signs of the others with their axes.
 fn numbered(k: usize, signs: [(usize, bool); 2]) -> usize {
     edge(k, others(k).map(|axis| if signs[0].0 == axis { signs[0].1 } else { signs[1].1 }))
 }
@@ -259,7 +259,7 @@ fn bit(axis: usize, positive: bool) -> usize {
     usize::from(positive) << axis
 }
 
-/// The corner of a face at this place along two of a box's axes, if there is one.
+/// Returns the corner of a face at this place along two of a box's axes, if there is one.
 fn corner_at<R: Real>(
     block: &Block<R>,
     axes: [usize; 2],

@@ -1,14 +1,14 @@
 //! A box against a box.
 //!
-//! The axis along which the two are farthest apart, or overlap least, is a normal of one of their
-//! faces or the cross product of two edges (`axes`). Of a face the contacts are the other box's
-//! opposite face, clipped to it (`clip`): up to eight points. Of two edges it is their nearest
-//! points. Boxes apart whose nearest points are corners, or a corner and an edge, have none of
-//! these: there the one contact is between those points (`nearest`).
+//! The axis along which the two are farthest apart, or overlap least, is a normal of one of their faces
+//! or the cross product of two edges (`axes`). For a face the contacts are the other box's opposite
+//! face, clipped to it (`clip`): up to eight points. For two edges it is their nearest points. Boxes
+//! apart whose nearest points are corners, or a corner and an edge, have none of these: there the one
+//! contact is between those points (`nearest`).
 //!
-//! Axes, points and their order are MuJoCo's, but for boxes that are apart and near each other only
-//! at a corner: MuJoCo then lists the clipped points, or nothing, with distances along an axis that
-//! is not the direction of the nearest points.
+//! Axes, points and their order are MuJoCo's, except for boxes that are apart and near each other only
+//! at a corner. MuJoCo then lists the clipped points, or nothing, with distances along an axis that is
+//! not the direction of the nearest points.
 
 mod axes;
 mod clip;
@@ -24,17 +24,17 @@ use crate::spatial::V3;
 use axes::Axes;
 pub(super) use nearest::segments_gap;
 
-/// The most contacts: a rectangle clipped by a rectangle.
+/// The largest number of contacts: a rectangle clipped by a rectangle.
 pub(crate) const MOST: usize = 8;
-/// Of the sizes: rounding of a distance.
+/// Rounding of a distance, as a part of the sizes.
 const ROUNDING: f64 = 1e-9;
 
-/// The test; contacts at this distance or farther [m] need not be told.
+/// The test; contacts at this distance or farther [m] may be left out.
 pub(crate) struct Boxes {
     pub within: f64,
 }
 
-/// A box, seen from the centre of the first one.
+/// A box, relative to the centre of the first one.
 #[derive(Clone, Copy)]
 pub(super) struct Block<R: Real> {
     pub centre: V3<R>,
@@ -52,7 +52,7 @@ impl<R: Real> Block<R> {
         }
     }
 
-    /// The edge along axis k where the other two coordinates have these signs.
+    /// Returns the edge along axis k where the other two coordinates have these signs.
     pub fn edge(&self, k: usize, positive: [bool; 2]) -> Segment<R> {
         let [u, v] = others(k);
         let end = |k: usize, positive| if positive { self.half[k] } else { -self.half[k] };
@@ -60,7 +60,7 @@ impl<R: Real> Block<R> {
         Segment { middle: self.centre + middle, along: self.axes[k], half: self.half[k] }
     }
 
-    /// All twelve, with their numbers.
+    /// Returns all twelve edges, with their numbers.
     pub fn edges(&self) -> impl Iterator<Item = (usize, Segment<R>)> + '_ {
         (0..3).flat_map(move |k| SIGNS.map(|signs| (edge(k, signs), self.edge(k, signs))))
     }
@@ -86,24 +86,24 @@ impl<R: Real> Segment<R> {
     }
 }
 
-/// The two axes after axis k, in turn.
+/// Returns the two axes after axis k, in cyclic order.
 pub(super) fn others(k: usize) -> [usize; 2] {
     [(k + 1) % 3, (k + 2) % 3]
 }
 
-/// Which box an axis, a corner or an edge belongs to.
+/// The box that an axis, a corner or an edge belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Side {
     First,
     Second,
 }
 
-/// The number of an edge along axis k, where the other two coordinates have these signs.
+/// Returns the number of an edge along axis k, where the other two coordinates have these signs.
 pub(super) fn edge(k: usize, positive: [bool; 2]) -> usize {
     4 * k + usize::from(positive[0]) + 2 * usize::from(positive[1])
 }
 
-/// What touches, as one number: a corner of the first box, a corner of the second, two edges.
+/// Returns the feature as one number: a corner of the first box, a corner of the second, two edges.
 fn corner_feature(side: Side, corner: usize) -> usize {
     corner + if side == Side::First { 0 } else { 8 }
 }
@@ -124,7 +124,7 @@ impl OneWorld<MOST> for Boxes {
             clip::contacts(&a, &b, &axes, &mut out);
             let listed = out.iter().filter(|touch| touch.exists.any());
             let least = listed.map(|touch| touch.dist.lane(0)).fold(f64::INFINITY, f64::min);
-            // Of boxes apart the nearest points lie on the face, or elsewhere.
+            // If the boxes are apart, the nearest points lie on the face, or elsewhere.
             least <= if apart > tiny { apart + tiny } else { f64::MAX }
         };
         if !clipped {

@@ -1,5 +1,5 @@
-//! The nearest points of two boxes that are apart, where no face holds one of them: both then lie
-//! on edges.
+//! The nearest points of two boxes that are apart, if no face contains either of them: both then lie on
+//! edges.
 
 use super::super::touch::Touch;
 use super::{edges_feature, Block, Segment};
@@ -9,12 +9,12 @@ use crate::spatial::V3;
 /// Squared sine of an angle below which two segments count as parallel.
 const PARALLEL: f64 = 1e-14;
 
-/// Between the two nearest edges.
+/// Returns the contact between the two nearest edges.
 pub(super) fn contact<R: Real>(a: &Block<R>, b: &Block<R>) -> Touch<R> {
     let (mut best, mut found) = (f64::INFINITY, None);
     for (one, first) in a.edges() {
         for (two, second) in b.edges() {
-            // The middles alone keep most of them farther apart.
+            // The distance of the middles excludes most pairs.
             let (between, reach) = (second.middle - first.middle, first.half + second.half);
             let nearer = best + reach.lane(0);
             if between.dot(&between).lane(0) >= nearer * nearer {
@@ -38,8 +38,8 @@ pub(super) fn contact<R: Real>(a: &Block<R>, b: &Block<R>) -> Touch<R> {
     }
 }
 
-/// The place on the first segment nearest to the second, its point there, and the way from there to
-/// the second's (Ericson, Real-Time Collision Detection, 2005, 5.1.9).
+/// Returns the place on the first segment nearest to the second, its point there, and the vector from
+/// there to the second's (Ericson, Real-Time Collision Detection, 2005, 5.1.9).
 pub(in crate::shapes) fn segments_gap<R: Real>(
     one: &Segment<R>,
     two: &Segment<R>,

@@ -94,8 +94,8 @@ fn corners_apart_are_as_far_as_they_are() {
     assert!((touch.pos - Vector3::new(2.0, 2.5, 4.0)).amax() < 1e-14);
 }
 
-/// Points that go to and fro between two convex bodies, each to the nearest of the other, end at
-/// the nearest two (Cheney and Goldstein 1959).
+/// Points that alternate between two convex bodies, each moving to the nearest of the other, end at the
+/// nearest two (Cheney and Goldstein 1959).
 #[test]
 fn distances_are_those_of_brute_force() {
     let mut random = Random(5);
@@ -121,8 +121,8 @@ fn distances_are_those_of_brute_force() {
     assert!(apart > 500);
 }
 
-/// The depth is the shortest way out: along the normal they part, and no other direction of many
-/// is shorter. A face in an edge's place may give the depth along another axis, 5 % more.
+/// The depth is the shortest way out: along the normal they part, and no other direction of many is
+/// shorter. A face preferred to an edge may give the depth along another axis, 5 % more.
 #[test]
 fn depths_are_the_shortest_way_out() {
     let mut random = Random(6);
@@ -169,7 +169,7 @@ fn exchanging_the_boxes_turns_the_normals_round() {
     }
 }
 
-/// Of boxes farther apart than asked for nothing need be told; of nearer ones everything is.
+/// Contacts beyond the limit may be left out; all nearer ones are listed.
 #[test]
 fn nothing_within_the_limit_is_left_out() {
     let mut random = Random(11);

@@ -2,7 +2,7 @@
 
 use super::{nearer, Hit, Ray, V};
 
-/// The front of a plane z = 0.
+/// Returns the hit on the front of a plane z = 0.
 pub(super) fn plane(size: &[f64; 3], ray: &Ray) -> Option<Hit> {
     if ray.along.z >= 0.0 {
         return None;

@@ -1,8 +1,8 @@
-//! Where a ray first meets a shape: MuJoCo's `mj_ray`, shape by shape.
+//! The first point where a ray meets a shape: MuJoCo's `mj_ray`, shape by shape.
 //!
-//! A ray is p + x·d with x ≥ 0, in the frame of the shape; d need not have unit length, and x is
-//! in lengths of d. A ray that starts inside a shape finds its surface from within. A plane is
-//! seen from its front only and within its half sizes, where they are not 0.
+//! A ray is p + x·d with x ≥ 0, in the frame of the shape; d need not have unit length, and x is in
+//! lengths of d. A ray that starts inside a shape hits its surface from within. A plane is visible from
+//! its front only and within its half sizes, if these are not 0.
 
 mod flat;
 mod round;
@@ -23,7 +23,7 @@ pub struct Ray {
     pub along: V,
 }
 
-/// Where a ray meets a surface.
+/// The point where a ray meets a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// In lengths of the ray's direction.
@@ -38,7 +38,7 @@ impl Ray {
     }
 }
 
-/// The nearer of two.
+/// Returns the nearer of two hits.
 fn nearer(one: Option<Hit>, other: Option<Hit>) -> Option<Hit> {
     match (one, other) {
         (Some(a), Some(b)) => Some(if b.at < a.at { b } else { a }),
@@ -46,7 +46,7 @@ fn nearer(one: Option<Hit>, other: Option<Hit>) -> Option<Hit> {
     }
 }
 
-/// The first point of a primitive that the ray meets; of a mesh or a height field none.
+/// Returns the first point of a primitive that the ray meets; None for a mesh or a height field.
 pub fn primitive(kind: GeomType, size: &[f64; 3], ray: &Ray) -> Option<Hit> {
     match kind {
         GeomType::Plane => flat::plane(size, ray),
@@ -59,7 +59,7 @@ pub fn primitive(kind: GeomType, size: &[f64; 3], ray: &Ray) -> Option<Hit> {
     }
 }
 
-/// Whether a point, in the frame of a primitive, is within it. A plane has nothing within.
+/// Checks whether a point, in the frame of a primitive, is within it. A plane has no inside.
 pub fn inside(kind: GeomType, size: &[f64; 3], point: &V) -> bool {
     let [a, b, _] = *size;
     match kind {
@@ -75,7 +75,7 @@ pub fn inside(kind: GeomType, size: &[f64; 3], point: &V) -> bool {
     }
 }
 
-/// The first point of a height field that the ray meets: of its top, its sides or its base.
+/// Returns the first point of a height field that the ray meets: of its top, its sides or its base.
 pub fn height_field(field: &HeightField, ray: &Ray) -> Option<Hit> {
     surface::height_field(field, ray)
 }

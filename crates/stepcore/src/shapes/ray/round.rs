@@ -2,7 +2,7 @@
 
 use super::{nearer, Hit, Ray, V};
 
-/// Both roots, the smaller first; none where the ray passes by or touches.
+/// Returns both roots, the smaller first; None if the ray misses or touches.
 fn roots(a: f64, b: f64, c: f64) -> Option<[f64; 2]> {
     let square = b * b - a * c;
     if square <= 0.0 || a == 0.0 {
@@ -12,7 +12,7 @@ fn roots(a: f64, b: f64, c: f64) -> Option<[f64; 2]> {
     Some([(-b - root) / a, (-b + root) / a])
 }
 
-/// The first point that lies ahead, of those that `accept`.
+/// Returns the first point ahead that `accept` takes.
 fn first(roots: Option<[f64; 2]>, ray: &Ray, accept: impl Fn(&V) -> bool) -> Option<(f64, V)> {
     let ahead = roots?.into_iter().filter(|at| *at >= 0.0);
     ahead.map(|at| (at, ray.at(at))).find(|(_, point)| accept(point))
@@ -29,8 +29,8 @@ pub(super) fn sphere(radius: f64, centre: &V, ray: &Ray) -> Option<Hit> {
     sphere_part(radius, centre, ray, |_| true)
 }
 
-/// The round side of a cylinder about z. Only the first of the two points ahead is looked at: the
-/// side is never seen through an open end.
+/// The round side of a cylinder about z. Only the first of the two points ahead is tested: the side is
+/// never visible through an open end.
 fn side(radius: f64, half: f64, ray: &Ray) -> Option<Hit> {
     let (p, d) = (ray.from.xy(), ray.along.xy());
     let found = roots(d.dot(&d), d.dot(&p), p.dot(&p) - radius * radius);

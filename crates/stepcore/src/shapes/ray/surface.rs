@@ -1,4 +1,4 @@
-//! Rays against triangles: those of a mesh, and those of a height field.
+//! Rays against triangles of meshes and height fields.
 
 use super::flat::{cuboid, face};
 use super::{nearer, Hit, Ray, V};
@@ -6,8 +6,8 @@ use crate::shapes::height_field::HeightField;
 use nalgebra::Matrix3;
 use std::sync::Arc;
 
-/// The triangles of a mesh as its file has them, shared with the scene, and where the geom's frame
-/// lies in those coordinates.
+/// The triangles of a mesh as its file has them, shared with the scene, and the geom's frame in those
+/// coordinates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Surface {
     pub vertices: Arc<Vec<[f64; 3]>>,
@@ -20,7 +20,7 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// The first triangle that the ray meets, from either side.
+    /// Returns the first triangle that the ray meets, from either side.
     pub fn hit(&self, ray: &Ray) -> Option<Hit> {
         if !passes(&self.low, &self.high, ray) {
             return None;
@@ -34,7 +34,7 @@ impl Surface {
     }
 }
 
-/// Whether a ray meets the box between two corners, a little widened.
+/// Checks whether a ray meets the box between two corners, a little widened.
 fn passes(low: &V, high: &V, ray: &Ray) -> bool {
     let room = (high - low) * 1e-6;
     let (mut first, mut last) = (0.0f64, f64::INFINITY);
@@ -52,8 +52,8 @@ fn passes(low: &V, high: &V, ray: &Ray) -> bool {
     first <= last
 }
 
-/// T. Möller and B. Trumbore, Fast, minimum storage ray/triangle intersection (1997). The normal is
-/// that of the corners counter-clockwise.
+/// T. Möller and B. Trumbore, Fast, minimum storage ray/triangle intersection (1997). The normal
+/// belongs to counter-clockwise corners.
 fn triangle(corners: &[V; 3], ray: &Ray) -> Option<Hit> {
     let [a, b, c] = corners;
     let (u, v, from) = (b - a, c - a, ray.from - a);
@@ -96,7 +96,7 @@ pub(super) fn height_field(field: &HeightField, ray: &Ray) -> Option<Hit> {
     best
 }
 
-/// Height of the field along one of its four edges, over a point.
+/// Returns the height of the field along one of its four edges, over a point.
 fn edge_height(field: &HeightField, axis: usize, side: f64, point: &V) -> f64 {
     let (count, half, other) = match axis {
         0 => (field.nrow, field.half[1], field.ncol),
@@ -113,8 +113,8 @@ fn edge_height(field: &HeightField, axis: usize, side: f64, point: &V) -> f64 {
     height(first) * (1.0 - share) + height(first + 1) * share
 }
 
-/// Rows and columns of the cells over which the ray is between height 0 and the highest, and one
-/// more on each side.
+/// Returns rows and columns of the cells over which the ray is between height 0 and the highest, and
+/// one more on each side.
 fn cells_below(
     field: &HeightField,
     top: f64,
@@ -135,7 +135,7 @@ fn cells_below(
     let range = |axis: usize, count: usize| {
         let cell = |p: &V| (p[axis] / field.half[axis] + 1.0) * 0.5 * (count - 1) as f64;
         let (a, b) = (cell(&ends[0]), cell(&ends[1]));
-        // A float that is out of range becomes the nearest whole number.
+        // An out-of-range float becomes the nearest integer.
         let low = (a.min(b) - 1.0).max(0.0) as usize;
         low..((a.max(b) + 2.0).max(0.0) as usize).min(count - 1)
     };

@@ -1,5 +1,5 @@
-//! Each ray against the shape's own equation: the point found is on the surface, no point before it
-//! is, and the normal is the direction in which the surface is left.
+//! Each ray against the shape's equation: the point found is on the surface, no point before it is, and
+//! the normal is the direction in which the surface is left.
 
 use super::*;
 use crate::shapes::trial::Random;
@@ -32,7 +32,7 @@ fn the_first_point_of_the_surface_is_found() {
         let size = [0; 3].map(|_| 0.4 + 0.3 * random.next());
         let mut vector = |k: f64| V::new(random.next(), random.next(), random.next()) * k;
         let from = vector(1.5);
-        // Towards some point of the middle.
+        // Towards some point in the middle.
         let ray = Ray { from, along: vector(0.8) - from };
         let start = inside(kind, &size, &ray.from);
         let end = match primitive(kind, &size, &ray) {

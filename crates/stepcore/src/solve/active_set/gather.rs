@@ -1,33 +1,33 @@
-//! The rows of few that lanes have, slot by slot.
+//! The few rows of each lane, slot by slot.
 //!
-//! Worlds side by side touch with different rows, and of all rows that some lane has one lane has a
-//! third or less. Its first row goes to the first slot, its second to the second: so there are as many
-//! slots as the lane with the most rows has, and products, elimination and guesses, whose work grows
-//! with their square and cube, do no work for rows of others. A lane's rows stay in their order, and
-//! with it the order of every sum. Where that saves little, rows stay where they are: a slot each.
+//! Parallel worlds touch with different rows: a lane has a third or less of the rows that exist in
+//! some lane. Its first row goes to the first slot, its second to the second. So the number of
+//! slots is the row count of the longest lane, and products, elimination and guesses, whose work
+//! grows with its square and cube, skip other lanes' rows. A lane's rows, and every sum over them,
+//! keep their order. If that saves little, every row keeps one slot.
 
 use super::super::rows::Rows;
 use super::{Island, MOST};
 use crate::model::Span;
 use crate::real::{Mask, Real, WIDEST};
 
-/// So many products of rows fewer pay for moving the rows: hopper and ant lie on either side.
+/// Moving the rows pays if it saves this many products of rows: hopper and ant lie on either side.
 const WORTH: usize = 100;
 
-/// Which rows an island has, and the dofs that they touch.
+/// The rows of an island, and the dofs that they touch.
 pub(super) struct Gathered<R: Real> {
-    /// Rows that some lane has, and the lanes.
+    /// Rows that some lane has, and those lanes.
     pub rows: Vec<usize>,
     pub masks: Vec<R::Mask>,
-    /// Each lane's are in its first slots.
+    /// Whether each lane's rows were moved to its first slots.
     pub moved: bool,
-    /// Lanes with a row in the slot, and its places: of moved rows every one.
+    /// Lanes with a row in the slot, and its places: all places if rows were moved.
     pub slots: Vec<R::Mask>,
     lists: Vec<Span>,
-    /// Dofs that some row touches: a place each.
+    /// Dofs that some row touches, one place each.
     pub dofs: Vec<usize>,
     places: Vec<usize>,
-    /// By dof: its place, if it has one.
+    /// Per dof: its place, if any.
     place: Vec<usize>,
 }
 
@@ -47,7 +47,7 @@ impl<R: Real> Gathered<R> {
         }
     }
 
-    /// Takes in the rows of some blocks in the lanes `mine`.
+    /// Gather the rows of some blocks in the lanes `mine`.
     pub fn take(&mut self, island: Island<R>, rows: &Rows<R>, mine: R::Mask) {
         self.rows.clear();
         self.masks.clear();
@@ -75,7 +75,7 @@ impl<R: Real> Gathered<R> {
         }
     }
 
-    /// How many of them each lane has, if it is worth while to move them.
+    /// Return the number of rows of each lane, if moving them pays.
     fn worth_moving(&self) -> Option<[usize; WIDEST]> {
         let all = self.rows.len();
         if R::ALONE || all * all < WORTH {
@@ -87,7 +87,7 @@ impl<R: Real> Gathered<R> {
         (all > MOST || all * all >= most * most + WORTH).then_some(counts)
     }
 
-    /// Numbers the dofs; every slot's list in these numbers.
+    /// Number the dofs, and express every slot's list in these numbers.
     fn find_places(&mut self, island: Island<R>, rows: &Rows<R>) {
         let Self { rows: list, lists, dofs, places, place, .. } = self;
         place.resize(rows.u.len(), 0);
@@ -107,7 +107,7 @@ impl<R: Real> Gathered<R> {
             }
         }
         if self.moved {
-            // A lane's sums are over its dofs in their order, with zeros between them.
+            // A lane's sums run over its dofs in order, with zeros between them.
             dofs.sort_unstable();
             dofs.iter().enumerate().for_each(|(at, k)| place[*k] = at);
             places.clear();
@@ -116,20 +116,20 @@ impl<R: Real> Gathered<R> {
         }
     }
 
-    /// The places of a slot's dofs.
+    /// Return the places of a slot's dofs.
     #[inline(always)]
     pub fn places(&self, slot: usize) -> &[usize] {
         self.lists[slot].of(&self.places)
     }
 
-    /// The place of a dof that some row touches.
+    /// Return the place of a dof that some row touches.
     #[inline(always)]
     pub fn place(&self, dof: usize) -> usize {
         self.place[dof]
     }
 }
 
-/// Calls `each(row, lane, slot)` for every row of every lane.
+/// Call `each(row, lane, slot)` for every row of every lane.
 #[inline(always)]
 pub(super) fn each_slot<M: Mask>(masks: &[M], mut each: impl FnMut(usize, usize, usize)) {
     let mut next = [0; WIDEST];

@@ -1,7 +1,7 @@
-//! The system of few rows, (A + C)λ − b = w, in arrays of N slots.
+//! The system of an island with few rows, (A + C)λ − b = w, in arrays of N slots.
 //!
-//! One world's loops go over all N, which the compiler knows to be whole registers; lanes, whose
-//! numbers are registers by themselves, over the slots in use.
+//! The loops of a single world run over all N, which the compiler recognises as whole registers.
+//! Lanes, whose numbers are registers already, loop over the slots in use.
 
 use super::gather::{each_slot, Gathered};
 use super::{Island, GUESSES, PIVOT};
@@ -12,27 +12,27 @@ use crate::solve::rows::Rows;
 use crate::spatial::WIDE;
 use std::ops::Range;
 
-/// The rows of an island, and what their solution needs.
+/// The rows of an island, and the data for their solution.
 pub(super) struct Table<R: Real, const N: usize> {
     /// Slots in use, and the lanes with a row there.
     n: usize,
     masks: [R::Mask; N],
-    /// Of the row: between which impulses, and the inverse of its denominator.
+    /// Per row: the bounds of the impulse, and the inverse of the denominator.
     lo: [R; N],
     hi: [R; N],
     inv_s: [R; N],
-    /// By place.
+    /// Per place.
     dofs: Vec<Dof<R, N>>,
     /// A + C, and t − J û.
     a: [[R; N]; N],
     b: [R; N],
     impulse: [R; N],
     w: [R; N],
-    /// Free rows, and rows at their upper bound; the others are at their lower one.
+    /// Free rows, and rows at their upper bound; all others are at their lower bound.
     free: [R::Mask; N],
     high: [R::Mask; N],
-    /// The lines of free rows: of their system the upper half, then DLᵀ; what stands elsewhere means
-    /// nothing. 1/D, and the impulses of free rows.
+    /// The lines of free rows: first the upper half of their system, then DLᵀ; other entries are
+    /// meaningless. 1/D, and the impulses of free rows.
     m: [[R; N]; N],
     inv: [R; N],
     x: [R; N],
@@ -40,7 +40,7 @@ pub(super) struct Table<R: Real, const N: usize> {
     l: [R; N],
 }
 
-/// A dof: y of all slots, D⁻¹, and u, which begins as û.
+/// A dof: y of all slots, D⁻¹, and u, which starts as û.
 #[derive(Clone, Copy)]
 struct Dof<R: Real, const N: usize> {
     y: [R; N],
@@ -50,13 +50,13 @@ struct Dof<R: Real, const N: usize> {
 
 room!(Table<R, N>: dofs; n, masks, lo, hi, inv_s, a, b, impulse, w, free, high, m, inv, x, l);
 
-/// Where a number adds anything to a sum, be it but a slope.
+/// Return the lanes in which a number changes a sum, even if only by its slope.
 fn adds<R: Real>(x: R) -> R::Mask {
     let zero = x.le(R::zero()).and(x.ge(R::zero()));
     zero.not().or(R::Mask::of(x.steepness() != 0.0))
 }
 
-/// own += by · x in the slots `at` and lanes `mask`; one world, whose mask holds, in all slots.
+/// own += by · x in the slots `at` and lanes `mask`; in a single world with a true mask, in all.
 #[inline(always)]
 fn add_scaled<R: Real, const N: usize>(
     own: &mut [R; N],
@@ -102,7 +102,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         }
     }
 
-    /// Solves the rows that were gathered, in the lanes `mine`; returns the lanes that it left unsolved.
+    /// Solve the gathered rows in the lanes `mine`; return the unsolved lanes.
     #[inline(never)]
     pub fn solve(
         &mut self,
@@ -139,7 +139,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         unsolved
     }
 
-    /// A, b and the impulses to start from.
+    /// Fill in A, b and the initial impulses.
     fn take(&mut self, island: Island<R>, own: &Gathered<R>, rows: &Rows<R>) {
         let (zero, none) = ([R::zero(); N], R::Mask::of(false));
         self.n = own.slots.len().min(N);
@@ -155,7 +155,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         }
         for i in 0..self.n.min(N) {
             let softened = self.a[i][i];
-            // One world's fill registers side by side, lanes by themselves.
+            // A single world's products fill registers side by side; lanes fill them by themselves.
             if R::FILLS {
                 self.a[i] = self.products(own, i, 0);
             } else {
@@ -175,7 +175,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         }
     }
 
-    /// A of slot i and M others from `from` on: each a sum in the order of the dofs.
+    /// Return A between slot i and M slots from `from` on: each a sum in the order of the dofs.
     #[inline(always)]
     fn products<const M: usize>(&self, own: &Gathered<R>, i: usize, from: usize) -> [R; M] {
         let mut sums = [R::zero(); M];
@@ -189,7 +189,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         sums
     }
 
-    /// What each row has, in a slot of its own.
+    /// Fill in each row, one slot per row.
     fn take_rows(&mut self, own: &Gathered<R>, rows: &Rows<R>) {
         for (i, r) in own.rows.iter().enumerate().take(N) {
             let row = &rows.rows[*r];
@@ -206,7 +206,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         }
     }
 
-    /// The same of lanes whose rows are moved.
+    /// Fill in the rows of lanes whose rows are moved.
     fn take_lanes(&mut self, island: Island<R>, own: &Gathered<R>, rows: &Rows<R>) {
         let zero = [R::zero(); N];
         // Lanes without a row in a slot.
@@ -236,7 +236,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         let mut w = map(self.b, |b| -b);
         for i in 0..self.n.min(N) {
             let (x, mask) = (self.impulse[i], self.masks[i]);
-            // Of w only the order among other numbers counts, not the sign of a zero.
+            // Only the order of w relative to other numbers matters, not the sign of a zero.
             if adds(x).and(mask).any() {
                 add_scaled(&mut w, x, &self.a[i], (0..self.n, mask));
             }
@@ -244,12 +244,12 @@ impl<R: Real, const N: usize> Table<R, N> {
         self.w = w;
     }
 
-    /// Which rows are free, from λ − w/s; lanes in which that is new.
+    /// Find the free rows from λ − w/s; return the lanes in which they changed.
     fn classify(&mut self, todo: R::Mask) -> R::Mask {
         let mut changed = R::Mask::of(false);
         for i in 0..self.n.min(N) {
             let mask = self.masks[i].and(todo);
-            // A free row's w is rounding: its impulse alone says where it belongs.
+            // A free row's w is rounding: only its impulse decides where it belongs.
             let pull = R::select(self.free[i], R::zero(), self.w[i] * self.inv_s[i]);
             let aim = self.impulse[i] - pull;
             let free = aim.gt(self.lo[i]).and(aim.lt(self.hi[i])).and(self.masks[i]);
@@ -263,8 +263,8 @@ impl<R: Real, const N: usize> Table<R, N> {
         changed
     }
 
-    /// Solves for the free rows, the others at their bounds; lanes in which λ moved
-    /// by more than rounding, and lanes in which the system was too poor to solve.
+    /// Solve for the free rows with the others at their bounds. Return the lanes in which λ moved
+    /// by more than rounding, and the lanes in which the system was too ill-conditioned.
     fn step(&mut self, todo: R::Mask) -> (R::Mask, R::Mask) {
         self.pose();
         let poor = self.eliminate().and(todo);
@@ -274,8 +274,8 @@ impl<R: Real, const N: usize> Table<R, N> {
             let bound = R::select(self.masks[i], self.bound(i), zero);
             let x = R::select(self.free[i], self.x[i], bound);
             let mask = todo.and(self.masks[i]).and(poor.not());
-            // By what it does to the velocity along its row: of one that next to nothing moves an
-            // impulse may be 1e14 times that of the others.
+            // Measured by the effect on the velocity along its row: the impulse of a row that
+            // almost nothing moves may be 1e14 times larger than the others.
             let effect = self.a[i][i];
             moved = R::select(mask, moved.max((x - self.impulse[i]).abs() * effect), moved);
             most = R::select(mask, most.max(x.abs() * effect), most);
@@ -284,13 +284,13 @@ impl<R: Real, const N: usize> Table<R, N> {
         (moved.gt(R::of(8.0 * R::epsilon()) * most), poor)
     }
 
-    /// The bound at which a row is that is not free.
+    /// Return the bound at which a row is that is not free.
     #[inline(always)]
     fn bound(&self, i: usize) -> R {
         R::select(self.high[i], self.hi[i], self.lo[i])
     }
 
-    /// The system of the free rows.
+    /// Assemble the system of the free rows.
     fn pose(&mut self) {
         let mut rest = self.b;
         for i in 0..self.n.min(N) {
@@ -306,7 +306,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         self.x = rest;
     }
 
-    /// x ← M⁻¹ x on the free rows, M = LDLᵀ; lanes with a pivot that is too small.
+    /// x ← M⁻¹ x on the free rows, M = LDLᵀ; return the lanes with too small a pivot.
     fn eliminate(&mut self) -> R::Mask {
         let (n, mut poor) = (self.n.min(N), R::Mask::of(false));
         for k in 0..n {
@@ -325,7 +325,7 @@ impl<R: Real, const N: usize> Table<R, N> {
                 if both.none() {
                     continue;
                 }
-                // Of a row that is not free here nothing reads what it gets.
+                // If a row is not free here, nothing reads its result.
                 let by = -self.m[k][i];
                 add_scaled(&mut self.m[i], by, &self.l, (i..n, both));
                 let taken = self.x[i] - self.l[i] * self.x[k];
@@ -342,7 +342,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         poor
     }
 
-    /// Impulses within their bounds, and u = û + D⁻¹ Σ yλ.
+    /// Write impulses within their bounds, and u = û + D⁻¹ Σ yλ.
     fn give(&mut self, own: &Gathered<R>, rows: &mut Rows<R>, mine: R::Mask) {
         for i in 0..self.n.min(N) {
             let mask = self.masks[i].and(mine);

@@ -1,4 +1,4 @@
-//! What active rows can do to the first order: the directions in which a block's impulses move.
+//! Active rows to first order: the directions in which a block's impulses move.
 //!
 //! - An interval row strictly within its bounds moves by itself and keeps w = 0; at a bound
 //!   it stays there.
@@ -14,10 +14,10 @@ use super::super::dot::dot;
 use super::super::rows::{Block, Rows, Set, CONE};
 use crate::real::{Dual, WAYS};
 
-/// The surface of a cone is met up to this many roundings.
+/// The tolerance for points on a cone's surface, in roundings.
 const ON_SURFACE: f64 = 8.0;
 
-/// Friction this long is at its bound.
+/// Return whether friction of this length is at its bound.
 pub(super) fn on_surface(length: f64, bound: f64) -> bool {
     length >= bound * (1.0 - ON_SURFACE * f64::EPSILON)
 }
@@ -27,17 +27,17 @@ const NORMAL: [f64; CONE] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 /// A free direction of one block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Direction {
-    /// The first row that it moves, and how many.
+    /// The first row that it moves, and the number of rows.
     row: usize,
     len: usize,
-    /// dλ of the rows for a unit of a, and the combination of their w that stays.
+    /// dλ of the rows per unit of a, and the combination of their w that stays constant.
     pub push: [f64; CONE],
     test: [f64; CONE],
-    /// What turning the surface adds to that.
+    /// The change of that combination when the surface turns.
     bend: f64,
-    /// e·w_t, with which a wider cone changes that.
+    /// e·w_t: the change of that combination as the cone widens.
     wider: f64,
-    /// Makes the matrix's diagonal about 1.
+    /// A scale that makes the matrix's diagonal about 1.
     pub size: f64,
 }
 
@@ -54,7 +54,7 @@ impl Direction {
         self.row..self.row + self.len
     }
 
-    /// The slopes of what stays, at constant impulses.
+    /// Return the slopes of the constant combination, at constant impulses.
     pub fn slack(&self, rows: &Rows<Dual>, dof_lists: &[usize]) -> [f64; WAYS] {
         let mut sum = [0.0; WAYS];
         for (at, test) in self.rows().zip(self.test) {
@@ -73,8 +73,8 @@ impl Direction {
     }
 }
 
-/// The ways across e in a block of so many rows: of two tangents e turned by a quarter, of more
-/// the other columns of the reflection that takes e to an axis.
+/// The ways perpendicular to e in a block of `len` rows: for two tangents, e turned by a quarter;
+/// for more, the other columns of the reflection that takes e to an axis.
 fn rounds(e: &[f64; CONE], len: usize) -> impl Iterator<Item = [f64; CONE]> {
     let large = (1..len).fold(1, |large, i| if e[i].abs() > e[large].abs() { i } else { large });
     let mut u = *e;
@@ -104,7 +104,7 @@ impl<'a> Matrix<'a> {
         Self { rows, dof_lists, inv_d, spread: vec![0.0; inv_d.len()] }
     }
 
-    /// The directions of these blocks in which something can move.
+    /// Return the directions of these blocks in which something can move.
     pub fn directions<'b>(
         &mut self,
         blocks: impl Iterator<Item = &'b Block<f64>>,
@@ -155,7 +155,7 @@ impl<'a> Matrix<'a> {
             out.extend(range.map(Direction::single));
             return;
         }
-        // The way of friction; the first entry is not part of it.
+        // The direction of friction; the first entry is not part of it.
         let mut e = impulse.map(|x| if length > 0.0 { x / length } else { 0.0 });
         if length <= 0.0 {
             e[1] = 1.0;
@@ -186,7 +186,7 @@ impl<'a> Matrix<'a> {
         energy
     }
 
-    /// The matrix, row by row, each direction in its own size.
+    /// Return the matrix, row by row, each direction scaled by its size.
     pub fn of(&mut self, directions: &[Direction]) -> Vec<f64> {
         let n = directions.len();
         let mut matrix = vec![0.0; n * n];
@@ -207,7 +207,7 @@ impl<'a> Matrix<'a> {
         matrix
     }
 
-    /// Sets `spread` to D⁻¹ Σ y x.
+    /// Set `spread` to D⁻¹ Σ y x.
     fn spread(&mut self, direction: &Direction, x: &[f64; CONE]) {
         for (row, x) in self.rows.rows[direction.rows()].iter().zip(x) {
             for (k, y) in row.dofs.of(self.dof_lists).iter().zip(&self.rows.y[row.y..]) {

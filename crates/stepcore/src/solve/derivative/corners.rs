@@ -1,32 +1,32 @@
-//! Corners: rows at the end of their impulse that do not press against it either (λ at its bound
-//! and w = 0, both to rounding). The next change makes such a row active or does not, so the
-//! solution has a derivative to each side, unless what the row asks does not change at all, as
-//! that of a row that repeats others.
+//! Corners: rows at a bound of their impulse without pressing against it (λ at its bound and w = 0,
+//! both to rounding). The next change may or may not activate such a row, so the solution has a
+//! derivative to each side. Exception: rows whose requirement does not change at all, such as a row
+//! that repeats others.
 
 use super::super::cone::across;
 use super::super::rows::{Block, Row, Rows, Set, CONE};
 use crate::elements::Element;
 use crate::real::{Dual, WAYS};
 
-/// What rounding leaves of a number: this many units in the last place of its terms.
+/// The rounding error of a number, in units in the last place of its terms.
 const UNITS: f64 = 32.0;
-/// What rounding leaves of a slope, beside its terms: solving for slopes loses more.
+/// The rounding error of a slope relative to its terms: solving for slopes loses more.
 const NO_SLOPE: f64 = 1e-9;
 
 /// A way in which a block may leave its corner: two combinations of its rows that are 0.
 pub(super) struct Corner {
     pub element: Element,
     row: usize,
-    /// Of w and of λ; one of them stays 0, and which depends on the side.
+    /// Combinations of w and of λ; one of them stays 0, and which depends on the side.
     slack: [f64; CONE],
     push: [f64; CONE],
     /// The block's first row.
     pub block: usize,
-    /// Other active rows hold what the block holds: its impulses may change as they like.
+    /// Whether other active rows hold what the block holds: its impulses are then arbitrary.
     pub repeats: bool,
 }
 
-/// The corners at which this solution is.
+/// Return the corners at which this solution is.
 pub(super) fn corners(
     rows: &Rows<f64>,
     dof_lists: &[usize],
@@ -130,7 +130,7 @@ impl Corner {
         Self { element, row, slack, push, block, repeats: false }
     }
 
-    /// Along some direction of these slopes the block leaves its corner.
+    /// Return whether the block leaves its corner along some direction of these slopes.
     pub fn leaves(&self, rows: &Rows<Dual>, dof_lists: &[usize], guess: &[Dual]) -> bool {
         (0..WAYS).any(|way| {
             let (mut slack, mut push, mut scale) = (0.0, 0.0, 0.0);

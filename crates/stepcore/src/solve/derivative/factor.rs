@@ -2,15 +2,15 @@
 
 use crate::real::WAYS;
 
-/// What rounding leaves of a diagonal of 1 when a row only repeats others.
+/// The rounding error of a diagonal of 1 when a row only repeats others.
 const NOTHING: f64 = 1e-12;
 
-/// Factors of a square matrix, up to its rank. Rows that repeat others take no part: their
-/// unknowns are 0.
+/// Factors of a square matrix, up to its rank. Rows that repeat others are left out: their unknowns
+/// are 0.
 pub(super) struct Factors {
     /// L (with a diagonal of ones) below U, row by row in the order of `rows` and `columns`.
     lu: Vec<f64>,
-    /// Which row and which column of the matrix is k-th; as many as its rank.
+    /// The row and the column of the matrix that is k-th; as many as the rank.
     rows: Vec<usize>,
     columns: Vec<usize>,
 }
@@ -18,7 +18,7 @@ pub(super) struct Factors {
 room!(Factors: lu, rows, columns);
 
 impl Factors {
-    /// Of n × n numbers, row by row.
+    /// Factor n × n numbers, row by row.
     pub fn of(mut m: Vec<f64>, n: usize) -> Self {
         let (mut rows, mut columns): (Vec<_>, Vec<_>) = ((0..n).collect(), (0..n).collect());
         let mut rank = n;
@@ -64,7 +64,7 @@ impl Factors {
         self.rows.len()
     }
 
-    /// x ← M⁻¹ x, for several right-hand sides.
+    /// x ← M⁻¹ x for several right-hand sides.
     pub fn solve(&self, x: &mut [[f64; WAYS]]) {
         let rank = self.rows.len();
         let mut solved: Vec<[f64; WAYS]> = self.rows.iter().map(|row| x[*row]).collect();

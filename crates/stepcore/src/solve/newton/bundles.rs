@@ -1,5 +1,5 @@
-//! The rows of an island as Newton's method reads them: number by number instead of row by row, and
-//! in bundles of consecutive rows on the same dofs, such as those of all contacts of two bodies, or on
+//! The rows of an island in the layout of Newton's method: number by number instead of row by row,
+//! and in bundles of consecutive rows on the same dofs, such as the contacts of two bodies, or on
 //! dofs of one chain, such as the friction losses of a leg.
 
 use super::pattern::Pattern;
@@ -10,28 +10,27 @@ use crate::real::{Mask, Real};
 use crate::solve::rows::{Block, Row, Rows, Set};
 use crate::spatial::WIDE;
 
-/// So many times what moves a row, its penalty is huge: A s″. MuJoCo's impedances keep below 1e4, but
-/// where next to nothing moves a body that rows press on there is no end.
+/// A penalty is huge if A s″ exceeds this. MuJoCo's impedances keep below 1e4, but if a pressed
+/// body is almost immovable, A s″ is unbounded.
 pub(super) const HUGE: f64 = 1e6;
 
-/// Rows on the same dofs, or on the first of them. Rows and their curvature are counted within the
-/// island.
+/// Rows on the same dofs, or on the first of them. Indices of rows and curvatures are relative to
+/// the island.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bundle {
     /// Into `dof_lists`.
     pub dofs: Span,
     pub rows: Span,
-    /// The first entry of its rows, which stand `stride` apart in `Rows::y`, or in
-    /// `Bundles::filled`.
+    /// The first entry of its rows, which are `stride` apart in `Rows::y`, or in `Bundles::filled`.
     pub y: usize,
     pub stride: usize,
-    /// Its y are filled up with zeros: some rows are on the first of the dofs alone, or a row has a
-    /// whole number of registers.
+    /// Whether its y are padded with zeros: some rows are on the first of the dofs alone, or rows
+    /// are padded to whole registers.
     pub filled: bool,
     pub runs: Span,
     /// Its part of `System::curve`.
     pub curve: Span,
-    /// Every lane has all of its rows.
+    /// Whether every lane has all of its rows.
     pub whole: bool,
 }
 
@@ -39,30 +38,30 @@ pub(super) struct Bundle {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Run {
     pub rows: Span,
-    /// Into `System::curve`: of intervals one number a row; of a cone as many a row as it has rows.
+    /// Into `System::curve`: one number per row for intervals, n per row for a cone of n rows.
     pub curve: Span,
     pub cone: Option<usize>,
-    /// Every lane has all of its rows.
+    /// Whether every lane has all of its rows.
     pub whole: bool,
 }
 
-/// What does not change while an island is solved.
+/// Data that stay constant while an island is solved.
 pub(super) struct Bundles<R: Real> {
     pub list: Vec<Bundle>,
     pub runs: Vec<Run>,
     pub cones: Vec<Cone<R>>,
-    /// By row: what `Row` calls so.
+    /// Per row: the fields of `Row`.
     pub t: Vec<R>,
     pub inv_c: Vec<R>,
     pub lo: Vec<R>,
     pub hi: Vec<R>,
-    /// By row: lanes that have it.
+    /// Per row: lanes that have it.
     pub mask: Vec<R::Mask>,
     /// Lanes in which a row's curvature may be huge: see `Hessian::forget_huge`.
     pub huge: R::Mask,
     /// Entries of `System::curve`.
     pub curves: usize,
-    /// The y of bundles that need zeros.
+    /// The y of padded bundles.
     pub filled: Vec<R>,
 }
 
@@ -85,8 +84,8 @@ impl<R: Real> Bundles<R> {
         }
     }
 
-    /// Takes in the rows of these blocks. `lists`: of dofs, where rows may be filled up with zeros; the
-    /// nodes of a heap are those of its rows.
+    /// Take the rows of these blocks. `lists`: dof lists, if rows may be padded with zeros; the
+    /// nodes of a pile follow from its rows.
     pub fn take(&mut self, blocks: &[usize], rows: &Rows<R>, lists: Option<&[usize]>) {
         self.clear(blocks.iter().map(|b| rows.blocks[*b].rows.len).sum());
         let mut at = 0;
@@ -108,7 +107,7 @@ impl<R: Real> Bundles<R> {
         self.fill(blocks, rows, R::ALONE && lists.is_some());
     }
 
-    /// The numbers of some rows, from place `at` on.
+    /// Take the numbers of some rows, from place `at` on.
     #[inline(always)]
     fn take_rows(&mut self, at: usize, own: &[Row<R>], mask: R::Mask) {
         let places = at..at + own.len();
@@ -124,7 +123,7 @@ impl<R: Real> Bundles<R> {
         self.mask[places].fill(mask);
     }
 
-    /// Writes the rows of bundles that need zeros; `registers`: to whole registers.
+    /// Write the rows of padded bundles; `registers`: pad to whole registers.
     fn fill(&mut self, blocks: &[usize], rows: &Rows<R>, registers: bool) {
         let mut every = blocks.iter().flat_map(|b| &rows.rows[rows.blocks[*b].rows.range()]);
         let mut end = 0;
@@ -153,7 +152,7 @@ impl<R: Real> Bundles<R> {
         }
     }
 
-    /// Nothing, and room for so many rows.
+    /// Clear, and reserve room for this many rows.
     fn clear(&mut self, rows: usize) {
         self.list.clear();
         self.runs.clear();
@@ -166,14 +165,14 @@ impl<R: Real> Bundles<R> {
         self.curves = 0;
     }
 
-    /// Adds a block's rows to the last bundle and its last run, or begins new ones.
+    /// Add a block's rows to the last bundle and its last run, or start new ones.
     fn join(&mut self, dofs: Span, y: usize, run: Run, lists: Option<&[usize]>) {
-        // Its y go on where those of the bundle end.
+        // Its y continue at the end of the bundle's.
         let next =
             |last: &Bundle| last.dofs.len == dofs.len && last.y + last.rows.len * dofs.len == y;
-        // All on one chain, and the zeros are no more than the rows.
+        // All are on one chain, and the zeros are no more than the rows.
         let chained = |last: &Bundle| {
-            // Rows that only some lanes have would keep those of all from going without masks.
+            // Rows that only some lanes have would force masks on the rows of all lanes.
             let alike = R::ALONE || last.whole == run.whole;
             alike
                 && lists.is_some_and(|lists| {
@@ -214,7 +213,7 @@ impl<R: Real> Bundles<R> {
         self.runs.push(run);
     }
 
-    /// The dofs of each bundle.
+    /// Return the dofs of each bundle.
     pub fn dofs(&self) -> impl Iterator<Item = Span> + Clone + '_ {
         self.list.iter().map(|bundle| bundle.dofs)
     }
@@ -224,7 +223,7 @@ impl<R: Real> Bundles<R> {
     }
 }
 
-/// A row's y, and zeros behind it.
+/// Write a row's y, followed by zeros.
 #[inline(always)]
 fn fill_up<R: Real>(y: &[R], out: &mut [R]) {
     let mut at = 0;
@@ -234,7 +233,7 @@ fn fill_up<R: Real>(y: &[R], out: &mut [R]) {
     }
     for (at, out) in (at..).zip(&mut out[at..]) {
         *out = if at < y.len() { y[at] } else { R::zero() };
-        // So that a few numbers do not become a call that copies or clears memory.
+        // Keeps the compiler from replacing a few numbers by a call that copies or clears memory.
         std::hint::black_box(());
     }
 }
@@ -244,20 +243,20 @@ fn fill_up<R: Real>(y: &[R], out: &mut [R]) {
 pub(super) struct Problem<'a, R: Real> {
     pub pattern: &'a Pattern,
     pub bundles: &'a Bundles<R>,
-    /// Its rows are those of these blocks, one after another.
+    /// The rows of the island are those in `blocks`, one after another.
     pub rows: &'a Rows<R>,
     pub blocks: &'a [usize],
 }
 
 impl<'a, R: Real> Problem<'a, R> {
-    /// The y of a bundle's rows, `stride` apart.
+    /// Return the y of a bundle's rows, `stride` apart.
     #[inline(always)]
     pub fn y(&self, bundle: &Bundle) -> &'a [R] {
         let y = if bundle.filled { &self.bundles.filled } else { &self.rows.y };
         &y[bundle.y..bundle.y + bundle.rows.len * bundle.stride]
     }
 
-    /// The rows of the island, one after another, with the lanes that have them.
+    /// Iterate over the rows of the island, with the block of each.
     pub fn every(&self) -> impl Iterator<Item = (&'a Row<R>, &'a Block<R>)> {
         let rows = self.rows;
         self.blocks
@@ -299,7 +298,7 @@ impl<'a, R: Real> Problem<'a, R> {
             let list = self.pattern.list(b);
             if R::ALONE {
                 if let Some(free) = self.pattern.free(b) {
-                    // A heap is one world.
+                    // A pile is one world.
                     free.add_each(y, x, sign, out);
                     continue;
                 }
@@ -323,7 +322,7 @@ impl<'a, R: Real> Problem<'a, R> {
     }
 }
 
-/// out = y·x by row of bundles of N registers: four sums, of every fourth dof, and then these.
+/// out = y·x by row for bundles of N registers: four sums, each of every fourth dof, then their sum.
 #[inline(always)]
 fn products_of<R: Real, const N: usize>((y, list): (&[R], &[usize]), x: &[R], out: &mut [R]) {
     let own = listed::<R, N>(list, x);
@@ -339,14 +338,14 @@ fn products_of<R: Real, const N: usize>((y, list): (&[R], &[usize]), x: &[R], ou
     }
 }
 
-/// x at the dofs of a list, N registers.
+/// Return x at the dofs of a list, N registers.
 #[inline(always)]
 fn listed<R: Real, const N: usize>(list: &[usize], x: &[R]) -> [[R; WIDE]; N] {
     let list = &list[..N * WIDE];
     from_fn(|i| from_fn(|k| x[list[i * WIDE + k]]))
 }
 
-/// The same of any number of dofs; `x` in the order of the list.
+/// The same for any number of dofs; `x` in the order of the list.
 fn products<R: Real>(y: &[R], x: &[R], out: &mut [R]) {
     let (wide, rest) = x.split_at(x.len() - x.len() % WIDE);
     for (out, y) in out.iter_mut().zip(y.chunks_exact(x.len().max(1))) {
@@ -365,8 +364,8 @@ fn products<R: Real>(y: &[R], x: &[R], out: &mut [R]) {
     }
 }
 
-/// out += sign · Σ y x over the rows of a bundle of N registers, each dof's sum in their order. `len` of
-/// the list are dofs of the bundle.
+/// out += sign · Σ y x over the rows of a bundle of N registers, each dof's sum in their order. The
+/// first `len` of the list are dofs of the bundle.
 #[inline(always)]
 fn add_rows_of<R: Real, const N: usize>(
     (y, (list, len)): (&[R], (&[usize], usize)),
@@ -387,7 +386,7 @@ fn add_rows_of<R: Real, const N: usize>(
     }
 }
 
-/// The same of any number of dofs.
+/// The same for any number of dofs.
 fn add_listed<R: Real>(
     y: &[R],
     (list, len): (&[usize], usize),
@@ -410,8 +409,8 @@ mod tests {
     use crate::solve::rows::Set;
     use crate::solve::tests::{pack, Problem as Given, Random};
 
-    /// Seven intervals, a cone and an interval on the same dofs are one bundle of three runs, whose
-    /// products are those of its rows.
+    /// Seven intervals, a cone and an interval on the same dofs are one bundle of three runs, with
+    /// the same products as the rows.
     #[test]
     fn rows_on_the_same_dofs_are_one_bundle() {
         let mut random = Random::new(31);
@@ -453,8 +452,8 @@ mod tests {
         assert_eq!(sums, want);
     }
 
-    /// Rows on a chain and on its first dofs are one bundle, whose products are those of its rows; a row
-    /// on few of the dofs, and one on others, are not in it.
+    /// Rows on a chain and on its first dofs are one bundle with the same products as the rows; a
+    /// row on few of the dofs, and one on others, are not in it.
     #[test]
     fn rows_on_a_chain_are_filled_up() {
         let mut random = Random::new(32);

@@ -1,8 +1,8 @@
 //! Lanes solved one world after another.
 //!
-//! Of a heap all: the order of elimination follows from the contacts at hand, and a lane may not
-//! depend on its neighbours' contacts. Of another island those that are left, where they are so few
-//! that a register of lanes takes longer. A lane is then solved as the world that it is.
+//! In a pile, all lanes: the order of elimination follows from the current contacts, and a lane
+//! must not depend on its neighbours' contacts. In other islands, the remaining lanes, if they are
+//! so few that a register of lanes takes longer. A lane is then solved as a single world.
 
 use super::{Newton, Primal};
 use crate::error::Result;
@@ -11,22 +11,22 @@ use crate::solve::limits::{Limits, Report};
 use crate::solve::rows::Rows;
 use crate::solve::solver::Unconstrained;
 
-/// A register of lanes takes about as long as so many worlds alone.
+/// A register of lanes takes about as long as this many single worlds.
 const AS_LONG: usize = 3;
 
-/// One world's problem, and who solves it.
+/// One world's problem, and its solver.
 pub(super) struct ByLane<R: Real> {
     newton: Newton<R::One>,
     rows: Rows<R::One>,
     inv_d: Vec<R::One>,
     guess: Vec<R::One>,
-    /// By block of the world: the block of the lanes.
+    /// Per block of the world: the block of the lanes.
     blocks: Vec<usize>,
 }
 
 room!(ByLane<R>: newton, rows, inv_d, guess, blocks);
 
-/// So few lanes that each is solved by itself.
+/// Return whether there are so few lanes that each is solved by itself.
 pub(super) fn so_few<M: Mask>(todo: M) -> bool {
     (0..M::LANES).filter(|lane| todo.lane(*lane)).count() < AS_LONG
 }
@@ -42,7 +42,7 @@ impl<R: Real> ByLane<R> {
         }
     }
 
-    /// Solves every lane of a heap by itself.
+    /// Solve every lane of a pile by itself.
     pub fn solve(
         &mut self,
         free: Unconstrained<R>,
@@ -62,7 +62,7 @@ impl<R: Real> ByLane<R> {
         Ok(report)
     }
 
-    /// Solves an island, of which there are these blocks, in the lanes `todo`.
+    /// Solve an island of these blocks in the lanes `todo`.
     pub fn solve_island(
         &mut self,
         Primal { free, limits, todo }: Primal<R>,
@@ -82,7 +82,7 @@ impl<R: Real> ByLane<R> {
         }
     }
 
-    /// Some blocks of a lane, those that it has.
+    /// Copy the given blocks that a lane has.
     fn take(
         &mut self,
         lane: usize,
@@ -130,7 +130,7 @@ impl<R: Real> ByLane<R> {
     }
 }
 
-/// What was done in a lane.
+/// Report the work in a lane.
 fn note<R: Real>(report: &mut Report<R>, lane: usize, done: &Report<R::One>) {
     let mine = R::Mask::from_lanes(|other| other == lane);
     report.sweeps.raise_in(mine, done.sweeps.lane(0));

@@ -1,15 +1,14 @@
-//! The Hessian of a heap in dense blocks between nodes, and its LDLᵀ column by column.
+//! The Hessian of a pile in dense blocks between nodes, and its LDLᵀ column by column.
 //!
-//! A column gathers D, what its bundles of rows add, and then what every earlier column that
-//! reaches it takes away (left-looking: George & Liu 1981, 5.6). So a column depends on those
-//! columns alone, and where the curvature changed in a few bundles only their nodes'
-//! columns and the ones that these reach are made again, with the same bits as all of them. Of the
-//! diagonal blocks only the entries [m][a] with a ≥ m count.
+//! A column gathers D, the terms of its bundles of rows, and then subtracts the terms of every
+//! earlier column that reaches it (left-looking: George & Liu 1981, 5.6). So a column depends on
+//! those columns alone. If the curvature changed in a few bundles, only the columns of their nodes
+//! and the columns that these reach are recomputed, with the same bits as a full factorisation. Of
+//! the diagonal blocks only the entries [m][a] with a ≥ m are used.
 //!
-//! A block of a column stands pivot by pivot: entry [m][a] couples the column's dof m with the
+//! A block of a column is stored pivot by pivot: entry [m][a] couples the column's dof m with the
 //! row's dof a, and holds Lᵀ[m][a] once factored. Free bodies make 6 × 6 blocks, for which the
-//! loops have constant lengths; no sum is split, so the bits are the same however they are
-//! vectorised.
+//! loops have constant lengths; no sum is split, so vectorisation does not change the bits.
 
 use super::bundles::Bundles;
 use super::free_blocks::{add_outer, add_upper, ActiveRows, Scaled, FREE};
@@ -19,14 +18,14 @@ use crate::real::{Mask, Real};
 
 pub(super) struct Columns<R> {
     values: Vec<R>,
-    /// By dof: D and 1/D of LDLᵀ.
+    /// Per dof: D and 1/D of LDLᵀ.
     d: Vec<R>,
     inverse: Vec<R>,
     /// The curvature that the factors belong to.
     curve: Vec<R>,
-    /// Columns to make again.
+    /// Columns to recompute.
     stale: Vec<bool>,
-    /// By node: where its block of the column at hand stands.
+    /// Per node: the position of its block in the current column.
     place: Vec<usize>,
     /// Scratch: Lᵀ scaled by D; see `bend`; y at another node in the rows of `active`.
     scaled: Vec<R>,
@@ -63,7 +62,7 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// Makes room for a Hessian with these nodes; nothing of it is factored.
+    /// Make room for a Hessian with these nodes; nothing is factored yet.
     pub fn start(&mut self, nodes: &Nodes) {
         self.values.resize(nodes.numbers, R::zero());
         self.d.resize(nodes.dofs.len(), R::zero());
@@ -74,7 +73,7 @@ impl<R: Real> Columns<R> {
         self.curve.clear();
     }
 
-    /// Factors D + Σ y s″ yᵀ.
+    /// Factor D + Σ y s″ yᵀ.
     pub fn factor(&mut self, nodes: &Nodes, d: &[R], curved: Curved<R>) {
         self.mark(nodes, &curved);
         let mut meter = Meter::default();
@@ -101,7 +100,7 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// The nodes of bundles whose curvature is another than the factors'.
+    /// Mark the nodes of bundles whose curvature differs from the factored one.
     fn mark(&mut self, nodes: &Nodes, curved: &Curved<R>) {
         if self.curve.len() == curved.curve.len() {
             for (b, bundle) in curved.bundles.list.iter().enumerate() {
@@ -116,7 +115,7 @@ impl<R: Real> Columns<R> {
         self.curve.extend_from_slice(curved.curve);
     }
 
-    /// Column j as D alone.
+    /// Set column j to D alone.
     fn open(&mut self, nodes: &Nodes, j: usize, d: &[R]) {
         let (size, start) = (nodes.size(j), nodes.places[j]);
         let mut at = start + size * size;
@@ -131,7 +130,7 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// Adds y s″ yᵀ of one bundle to the column of one of its nodes.
+    /// Add y s″ yᵀ of one bundle to the column of one of its nodes.
     fn add(&mut self, nodes: &Nodes, pair: NodePair, curved: &Curved<R>) {
         if self.add_intervals(nodes, pair, curved) {
             return;
@@ -171,8 +170,8 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// The same of a bundle of free bodies and intervals alone, straight from its y; false: it is
-    /// another one.
+    /// The same for a bundle of free bodies with intervals only, directly from its y; return false
+    /// for other bundles.
     fn add_intervals(&mut self, nodes: &Nodes, pair: NodePair, curved: &Curved<R>) -> bool {
         let bundle = &curved.bundles.list[pair.bundle];
         let [run] = curved.bundles.runs_of(bundle) else { return false };
@@ -194,8 +193,8 @@ impl<R: Real> Columns<R> {
         true
     }
 
-    /// s″ y at a node of a bundle: `own`, row by row of `active`, which says where each row's y
-    /// begins.
+    /// Set `own` to s″ y at a node of a bundle, row by row of `active`, which holds the start of
+    /// each row's y.
     fn bend(&mut self, nodes: &Nodes, pair: NodePair, curved: &Curved<R>) {
         let bundle = &curved.bundles.list[pair.bundle];
         let member = nodes.members[pair.member];
@@ -235,8 +234,8 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// Takes from column j what column k, which reaches it as its row `at`, takes from it:
-    /// L_ik D_k L_jkᵀ in every row i from j on.
+    /// Subtract the contribution of column k, which reaches column j as its row `at`: L_ik D_k
+    /// L_jkᵀ in every row i from j on.
     fn update(&mut self, nodes: &Nodes, j: usize, k: usize, at: usize) {
         let (own, pivots) = (nodes.size(j), nodes.size(k));
         let end = nodes.order.start[k + 1];
@@ -269,14 +268,14 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// Factors column j once everything was taken from it.
+    /// Factor column j after all subtractions.
     fn close(&mut self, nodes: &Nodes, j: usize) {
         let (size, start, first) = (nodes.size(j), nodes.places[j], nodes.first[j]);
         let (square, mut below) = self.values[start..].split_at_mut(size * size);
         let d = &mut self.d[first..first + size];
         let inverse = &mut self.inverse[first..first + size];
         if size == FREE {
-            // The length is known.
+            // The length is a constant.
             factor_square(FREE, square, d, inverse);
         } else {
             factor_square(size, square, d, inverse);
@@ -368,7 +367,7 @@ impl<R: Real> Columns<R> {
 
 #[cfg(test)]
 impl Columns<f64> {
-    /// The factors are the same, bit for bit.
+    /// Return whether the factors are equal, bit for bit.
     pub fn same_bits(&self, other: &Self) -> bool {
         let same =
             |a: &[f64], b: &[f64]| a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits()));
@@ -376,7 +375,7 @@ impl Columns<f64> {
     }
 }
 
-/// Factors a diagonal block.
+/// Factor a diagonal block.
 #[inline(always)]
 fn factor_square<R: Real>(size: usize, square: &mut [R], d: &mut [R], inverse: &mut [R]) {
     let (square, d, inverse) = (&mut square[..size * size], &mut d[..size], &mut inverse[..size]);

@@ -1,14 +1,14 @@
-//! What rows of free bodies add to the Hessian, Σ y s″ yᵀ: blocks of six by six, two lines at a time.
+//! Hessian terms of rows of free bodies, Σ y s″ yᵀ: blocks of six by six, two lines at a time.
 
 use crate::real::{Mask, Real};
 
 /// Dofs of a free body.
 pub(super) const FREE: usize = 6;
 
-/// What rows add to the lines m and m + 1 of a block.
+/// The terms of rows in the lines m and m + 1 of a block.
 pub(super) trait Lines<R: Real> {
-    /// Calls `add` for every row that bends: with s″ y of these two dofs, and y from the six dofs of
-    /// the columns on.
+    /// Call `add` for every row with curvature, with s″ y of these two dofs, and y from the six
+    /// dofs of the columns on.
     fn each(&self, m: usize, add: impl FnMut([R; 2], &[R]));
 }
 
@@ -20,7 +20,7 @@ pub(super) fn add_outer<R: Real>(target: &mut [R], lines: &impl Lines<R>) {
     }
 }
 
-/// The same of a body with itself: entries on the diagonal and above, by pairs of lines.
+/// The same between a body and itself: entries on the diagonal and above, by pairs of lines.
 #[inline(always)]
 pub(super) fn add_upper<R: Real>(target: &mut [R], lines: &impl Lines<R>) {
     add_lines::<R, 6>(target, 0, lines);
@@ -28,7 +28,7 @@ pub(super) fn add_upper<R: Real>(target: &mut [R], lines: &impl Lines<R>) {
     add_lines::<R, 2>(target, 4, lines);
 }
 
-/// Lines m and m + 1, in the last N columns.
+/// Add lines m and m + 1, in the last N columns.
 #[inline(always)]
 fn add_lines<R: Real, const N: usize>(target: &mut [R], m: usize, lines: &impl Lines<R>) {
     let from = FREE - N;
@@ -55,7 +55,7 @@ pub(super) struct ActiveRows<'a, R: Real> {
     pub len: usize,
     /// s″.
     pub curve: &'a [R],
-    /// Where the dofs of the lines begin in a row, and those of the columns.
+    /// The starts, within a row, of the dofs of the lines and of the columns.
     pub starts: [usize; 2],
 }
 
@@ -73,7 +73,7 @@ impl<R: Real> Lines<R> for ActiveRows<'_, R> {
     }
 }
 
-/// Rows whose s″ y are at hand, six numbers each as their y.
+/// Rows with s″ y computed, six numbers each like their y.
 pub(super) struct Scaled<'a, R: Real> {
     pub own: &'a [R],
     pub theirs: &'a [R],

@@ -1,7 +1,7 @@
 //! The Hessian D + Σ y s″ yᵀ of one island, and LᵀDL without square roots.
 //!
-//! Made once for each solve; as the iteration goes on, what changed zones is added or taken away. That
-//! leaves the rounding of what was taken away: where it was huge, the sum is made afresh.
+//! Computed once for each solve; during the iteration, rows that change zones are added or
+//! subtracted. Subtracting leaves rounding: if the subtracted part was huge, the sum is recomputed.
 
 use super::bundles::{Bundle, Problem, Run, HUGE};
 use super::pattern::{Listed, Pattern};
@@ -23,11 +23,11 @@ pub(super) struct Hessian<R: Real> {
     added: Added<R>,
 }
 
-/// What is added to a bundle's part of the matrix: Σ y · (s″ y)ᵀ, symmetric as a whole.
+/// The addition to a bundle's part of the matrix: Σ y · (s″ y)ᵀ, symmetric in total.
 struct Added<R: Real> {
-    /// By row: where its y begin in the bundle's, and in which lanes it counts.
+    /// Per row: the start of its y in the bundle, and the lanes in which it counts.
     rows: Vec<(usize, R::Mask)>,
-    /// By row: s″ y, in `stride` numbers, of which those beyond the dofs mean nothing.
+    /// Per row: s″ y, in `stride` numbers, meaningless beyond the dofs.
     wy: Vec<R>,
     stride: usize,
 }
@@ -47,7 +47,7 @@ impl<R: Real> Hessian<R> {
         }
     }
 
-    /// D alone.
+    /// Set to D alone.
     pub fn start(&mut self, pattern: &Pattern, d: &[R], curves: usize) {
         let fill = |list: &mut Vec<R>, len: usize| {
             list.clear();
@@ -64,8 +64,8 @@ impl<R: Real> Hessian<R> {
         self.stale.resize(d.len(), true);
     }
 
-    /// Factors D + Σ y s″ yᵀ: what has changed since the last time is added. `changed`: the runs of which
-    /// something may have; of none afterwards.
+    /// Factor D + Σ y s″ yᵀ: add what has changed since the last call. `changed`: whether each run
+    /// may have changed; false for all afterwards.
     #[inline(never)]
     pub fn make(&mut self, problem: Problem<R>, d: &[R], (curve, changed): (&[R], &mut [bool])) {
         if self.forget_huge(problem, d, curve) {
@@ -96,7 +96,7 @@ impl<R: Real> Hessian<R> {
         self.factor(problem.pattern);
     }
 
-    /// Begins with D again in lanes where a huge part changes; whether there are such.
+    /// Restart from D in lanes where a huge part changes; return whether there are any.
     fn forget_huge(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) -> bool {
         if problem.bundles.huge.none() {
             return false;
@@ -105,7 +105,7 @@ impl<R: Real> Hessian<R> {
         let mut every = problem.every();
         for run in &problem.bundles.runs {
             let (old, new) = (run.curve.of(&self.curve), run.curve.of(curve));
-            // Of a cone the diagonal tells.
+            // For a cone, the diagonal shows whether it is huge.
             let apart = if run.cone.is_some() { run.rows.len + 1 } else { 1 };
             for (i, (row, _)) in every.by_ref().take(run.rows.len).enumerate() {
                 let (old, new) = (old[i * apart], new[i * apart]);
@@ -127,13 +127,13 @@ impl<R: Real> Hessian<R> {
         true
     }
 
-    /// Adds what was taken of a bundle.
+    /// Add the collected rows of a bundle.
     fn add(&mut self, pattern: &Pattern, bundle: usize, y: &[R]) {
         let Self { entries, added, stale, .. } = self;
         let listed = pattern.bundles[bundle];
         let lines = listed.list.of(&pattern.lists);
         lines.iter().for_each(|i| stale[*i] = true);
-        // Lanes fill the registers by themselves.
+        // Lanes already fill the registers.
         let high = if R::ALONE { WIDE } else { 1 };
         for at in (0..lines.len()).step_by(high) {
             match high.min(lines.len() - at) {
@@ -145,7 +145,7 @@ impl<R: Real> Hessian<R> {
         }
     }
 
-    /// H = LᵀDL: rows that changed, and those above that they reach.
+    /// H = LᵀDL: factor rows that changed, and the rows above that they reach.
     #[inline(never)]
     fn factor(&mut self, pattern: &Pattern) {
         let Self { entries, factors, inverse, stale, .. } = self;
@@ -154,11 +154,11 @@ impl<R: Real> Hessian<R> {
                 continue;
             }
             let (start, depth) = (pattern.start[i], pattern.depth[i]);
-            // With the room behind the row there are no numbers left over.
+            // With the padding behind the row, no numbers are left over.
             let len = if R::ALONE { (depth + 1).next_multiple_of(WIDE) } else { depth + 1 };
             let (before, below) = factors.split_at_mut(start + len);
             let (own, entries) = (&mut before[start..], &entries[start..start + len]);
-            // What of a row below comes off, and the beginning of its DL.
+            // The multiplier of a row below, and the start of its DL.
             let source = |k: usize| {
                 let row = &below[pattern.start[k] - start - len..][..len];
                 (row[depth] * inverse[k], row)
@@ -197,7 +197,7 @@ impl<R: Real> Hessian<R> {
 }
 
 impl<R: Real> Added<R> {
-    /// Nothing yet, of a bundle.
+    /// Start a bundle without rows.
     fn start(&mut self, bundle: &Bundle) {
         self.stride = bundle.dofs.len.next_multiple_of(WIDE);
         self.rows.clear();
@@ -207,7 +207,7 @@ impl<R: Real> Added<R> {
         }
     }
 
-    /// Takes the rows of a run whose curvature is new; their y begin at `first` in the bundle's.
+    /// Collect the rows of a run with changed curvature; their y start at `first` in the bundle.
     #[inline(always)]
     fn take(
         &mut self,
@@ -247,8 +247,8 @@ impl<R: Real> Added<R> {
         }
     }
 
-    /// Adds N lines of Σ y · (s″ y)ᵀ from line `at` on, up to the diagonal, one row after the
-    /// other: so a sum is the same however rows are bundled.
+    /// Add N lines of Σ y · (s″ y)ᵀ from line `at` on, up to the diagonal, one row after another:
+    /// so a sum is independent of the bundling of rows.
     #[inline(never)]
     fn add_lines<const N: usize>(
         &self,
@@ -262,7 +262,7 @@ impl<R: Real> Added<R> {
         }
         let lines = &list.of(&pattern.lists)[at..];
         let begin: [usize; N] = from_fn(|line| pattern.start[lines[line]]);
-        // The block of the diagonal ends with the room behind its rows.
+        // The block of the diagonal ends with the padding behind its rows.
         for from in (0..=at).step_by(WIDE) {
             let place = |line: usize| begin[line] + from..begin[line] + from + WIDE;
             let mut sums = [[R::zero(); WIDE]; N];
@@ -276,10 +276,10 @@ impl<R: Real> Added<R> {
         }
     }
 
-    /// The same of lines whose entries have places of their own.
+    /// The same for lines whose entries have explicit places.
     fn add_places<const N: usize>(&self, entries: &mut [R], at: usize, y: &[R], places: &[usize]) {
         for from in (0..=at).step_by(WIDE) {
-            // Lines before one are as long as their number.
+            // Lines before a line are as long as their number.
             let own = |line: usize| {
                 let line = at + line;
                 let begin = line * (line + 1) / 2;
@@ -299,7 +299,7 @@ impl<R: Real> Added<R> {
         }
     }
 
-    /// Adds the part of N lines from `at` on, in columns from `from` on.
+    /// Add the part of N lines from `at` on, in columns from `from` on.
     #[inline(always)]
     fn add_block<const N: usize>(
         &self,
@@ -340,7 +340,7 @@ fn less<'a, R: Real, const N: usize>(
     own[..N * WIDE].copy_from_slice(sums.as_flattened());
 }
 
-/// own −= Σ by · row of any rows.
+/// own −= Σ by · row over any rows.
 #[inline(always)]
 fn less_any<'a, R: Real>(
     own: &mut [R],
@@ -354,7 +354,7 @@ fn less_any<'a, R: Real>(
     below.iter().for_each(|k| subtract_all(own, [source(*k)]));
 }
 
-/// out = by · y of up to `WIDE` numbers.
+/// out = by · y for up to `WIDE` numbers.
 #[inline(always)]
 fn scale<R: Real>(by: R, y: &[R], out: &mut [R]) {
     if let [a, b, c, d] = *y {
@@ -364,7 +364,7 @@ fn scale<R: Real>(by: R, y: &[R], out: &mut [R]) {
     out.iter_mut().zip(y).for_each(|(out, y)| *out = by * *y);
 }
 
-/// wy = (new − old) y of a cone of N rows, whose numbers stand `stride` apart.
+/// wy = (new − old) y for a cone of N rows, whose numbers are `stride` apart.
 #[inline(never)]
 fn bend_cone<R: Real, const N: usize>(
     (old, new): (&[R], &[R]),
@@ -401,7 +401,7 @@ fn bend_cone<R: Real, const N: usize>(
     }
 }
 
-/// The same of any number of rows.
+/// The same for any number of rows.
 fn bend_some<R: Real>(
     (old, new): (&[R], &[R]),
     (y, stride): (&[R], usize),
@@ -438,7 +438,7 @@ mod tests {
                 given.limit(&ones, 0.0, 1.0);
             }
             let mut rows = pack::<f64>(&[given]);
-            // Every block on its own random list of dofs.
+            // Every block has a random list of dofs.
             let mut lists = Vec::new();
             rows.y.clear();
             for row in &mut rows.rows {

@@ -1,11 +1,11 @@
-//! The impulses that belong to a velocity: each block's law read the other way.
+//! The impulses that belong to a velocity: the inverse of each block's law.
 
 use super::penalty::{interval, Cone};
 use crate::real::{Mask, Real};
 use crate::solve::rows::{Rows, Set, CONE, NARROW};
 
 impl<R: Real> Rows<R> {
-    /// By row: its impulse where the velocity is u (factored). None where a law has no inverse: a
+    /// Return, by row, the impulse at the velocity u (factored). None if a law has no inverse: a
     /// Coulomb cone, or a row without a regulariser that something can move.
     pub(crate) fn impulses_at(&self, lists: &[usize], u: &[R]) -> Option<Vec<R>> {
         let mut impulses = vec![R::zero(); self.rows.len()];

@@ -1,12 +1,12 @@
-//! The first step of an island: by the zones in which the last step left its rows.
+//! The first step of an island: the zones of its rows at the end of the last step.
 //!
-//! The impulses that rows start from tell which of them pressed and which were at a bound, and from
-//! step to step few change. The law at the velocities that these impulses make tells less: where c
-//! is small, w/c magnifies what little has changed, so that among tumbling capsules one row in
-//! seven appears on the wrong side. So the first direction leads to the minimum that the
-//! cost would have with these zones. A block whose impulses are all zero, such as a new contact's,
-//! and a cone, whose zones bend, are taken by their laws. The line search is that of every step,
-//! and where the direction leads up nothing moves, and the iteration begins as ever.
+//! Last step's impulses show which rows were active and which were at a bound, and few rows change
+//! from step to step. The law at the velocities that these impulses cause is less reliable: if c is
+//! small, w/c magnifies small changes, so that among tumbling capsules one row in seven appears on
+//! the wrong side. So the first direction leads to the minimum of the cost with these zones. The
+//! laws are used for a block whose impulses are all zero, such as a new contact, and for a cone,
+//! whose zones are curved. The line search is the usual one; if the direction leads up, nothing
+//! moves, and the iteration starts as usual.
 
 use super::bundles::Problem;
 use super::system::System;
@@ -14,8 +14,8 @@ use crate::real::{Mask, Real};
 use crate::solve::rows::{Row, Set};
 
 impl<R: Real> System<R> {
-    /// With the laws at u at hand: impulses, curvature and gradient in the zones of the impulses that
-    /// rows start from, in lanes of `todo`. Lanes in which that is another zone for some row.
+    /// With the laws at u computed: set impulses, curvature and gradient to the zones of the initial
+    /// impulses, in lanes of `todo`. Return the lanes in which the zone of some row differs.
     pub(super) fn take_last_zones(&mut self, problem: Problem<R>, todo: R::Mask) -> R::Mask {
         let Problem { rows, blocks, bundles, .. } = problem;
         let (mut other_zones, mut at, mut curve) = (R::Mask::of(false), 0, 0);

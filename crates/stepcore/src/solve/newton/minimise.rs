@@ -9,31 +9,31 @@ use crate::interrupt::checkpoint;
 use crate::real::{Count, Mask, Real};
 use crate::solve::limits::{Limits, Report};
 
-/// What the ends of an iteration are measured by.
+/// Scales for the stopping criteria of an iteration.
 pub(super) struct Scale<R: Real> {
     /// The least mass of a block.
     pub lightest: R,
-    /// A step that lowers the cost by less is the last; 0: none is for that.
+    /// A step that lowers the cost by less is the last; 0: no such limit.
     pub least_gain: R,
     pub rows: Count,
 }
 
-/// A step this many roundings long is rounding.
+/// A step of at most this many roundings is rounding.
 const ROUNDING: f64 = 4.0;
-/// Below this fraction of the motion's energy, in roundings, a fall may be rounding.
+/// A decrease below this fraction of the motion's energy, in roundings, may be rounding.
 const STAGNANT: f64 = 1e-4;
 /// The line search ends when the slope has fallen by this factor (a fifth fewer evaluations than at
 /// 1e-4, and as many steps, on five robots in contact).
 const FLAT: f64 = 1e-2;
-/// Iterations between two questions whether to end.
+/// Iterations between two checkpoints.
 const ITERATIONS: u32 = 8;
 /// Limit of the line search's evaluations.
 const TRIALS: usize = 60;
 
 impl<R: Real> System<R> {
-    /// The iteration. A lane leaves it when its gradient or its step is rounding, its
-    /// residual is within the tolerance, its last step was exact, or gained less than is asked for.
-    /// Lanes that it had to leave unfinished. `begun`: laws and slope, where they are at hand.
+    /// Iterate. A lane stops when its gradient or its step is rounding, its residual is within the
+    /// tolerance, its last step was exact, or its gain is below the requested one. Return the
+    /// unfinished lanes. `begun`: laws and slope, if they are computed already.
     pub fn minimise(
         &mut self,
         problem: Problem<R>,
@@ -65,9 +65,9 @@ impl<R: Real> System<R> {
                 self.slope(problem)
             };
             let (size, moved) = slope;
-            // What is no number any more, as where a run explodes, no iteration makes one.
+            // A lane that is not finite, such as an exploding run, cannot recover.
             todo = todo.and(size.lt(R::of(f64::INFINITY)));
-            // |g| in D⁻¹ bounds the residual's energy, and the step that is left.
+            // |g| in D⁻¹ bounds the residual's energy, and the remaining step.
             let floor = moved + self.scale;
             let part = |x: R| (x * floor.recip_or_zero()).max(zero).sqrt();
             self.decrement = R::select(todo, part(size), self.decrement);
@@ -85,14 +85,14 @@ impl<R: Real> System<R> {
                 fall -= *g * *p;
                 length += *d * *p * *p;
             }
-            // Among cones Newton may close in slowly: only what no longer falls is rounding.
+            // Among cones Newton may converge slowly: only a step that no longer falls is rounding.
             let stuck = fall.ge(last).and(fall.lt(R::of(STAGNANT) * R::of(R::epsilon()) * floor));
             let small = length.le(tiny(ROUNDING) * floor).and(guessed.not());
             problem.dots(&self.step, &mut self.rate, &mut self.local);
             self.line_up(problem.bundles);
             let mut down = todo;
             if guessed.any() {
-                // The gradient at hand is that of the guessed zones.
+                // The current gradient is the one of the guessed zones.
                 let slope = self.energy_along().0 + self.bend_at(problem.bundles, zero).0;
                 fall = R::select(guessed, -slope, fall);
                 down = todo.and(guessed.and(fall.le(zero)).not());
@@ -122,7 +122,7 @@ impl<R: Real> System<R> {
         todo
     }
 
-    /// g = D(u − û) − Σ yλ; |g|² in D⁻¹, and |u − û|² in D.
+    /// g = D(u − û) − Σ yλ; return |g|² in D⁻¹, and |u − û|² in D.
     pub(super) fn slope(&mut self, problem: Problem<R>) -> (R, R) {
         let mut moved = R::zero();
         for (((g, u), guess), d) in
@@ -164,7 +164,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// The α > 0 at which the cost along the step is least; 1 in lanes not searched.
+    /// Return the α > 0 at which the cost along the step is least; 1 in lanes not searched.
     ///
     /// The slope is increasing (the cost is convex) and piecewise almost linear:
     /// Newton's method on it, kept within a bracket.
@@ -195,7 +195,7 @@ impl<R: Real> System<R> {
         alpha
     }
 
-    /// Slope and curvature of ½ (u − û)ᵀD(u − û) along the step.
+    /// Return slope and curvature of ½ (u − û)ᵀD(u − û) along the step.
     pub(super) fn energy_along(&self) -> (R, R) {
         let (mut first, mut second) = (R::zero(), R::zero());
         for (((u, guess), d), p) in self.u.iter().zip(&self.guess).zip(&self.d).zip(&self.step) {
@@ -205,7 +205,7 @@ impl<R: Real> System<R> {
         (first, second)
     }
 
-    /// Goes α steps on.
+    /// Move by α steps.
     pub(super) fn advance(&mut self, alpha: R, todo: R::Mask) {
         for (u, p) in self.u.iter_mut().zip(&self.step) {
             *u = R::select(todo, *u + alpha * *p, *u);
@@ -215,7 +215,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// The cones along the step at hand.
+    /// Prepare the cones along the current step.
     pub(super) fn line_up(&mut self, bundles: &Bundles<R>) {
         self.lines.clear();
         for run in &bundles.runs {
@@ -227,7 +227,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// The rows' part of the slope and the curvature at u + α step.
+    /// Return the rows' part of the slope and the curvature at u + α step.
     pub(super) fn bend_at(&self, bundles: &Bundles<R>, alpha: R) -> (R, R) {
         let (mut slope, mut curve) = (R::zero(), R::zero());
         for run in &bundles.runs {
@@ -242,7 +242,7 @@ impl<R: Real> System<R> {
         (slope, curve)
     }
 
-    /// Adds the part of some intervals to slope and curvature.
+    /// Add the part of some intervals to slope and curvature.
     #[inline(always)]
     fn bend_intervals_at(
         &self,

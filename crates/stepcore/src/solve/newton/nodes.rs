@@ -1,15 +1,15 @@
-//! The nodes of an island: dofs that every row touches together, a free body's six for one.
+//! The nodes of an island: dofs that every row touches together, such as a free body's six.
 //!
-//! The Hessian of a heap is made of dense blocks between nodes. Nodes are ordered by minimum
-//! degree (`order.rs`); local numbers of dofs follow that order, so that a node's dofs stand side
-//! by side in every vector. Order and columns are kept while the same nodes touch each other,
-//! whichever contacts make them.
+//! The Hessian of a pile consists of dense blocks between nodes. Nodes are ordered by minimum
+//! degree (`order.rs`); local numbers of dofs follow that order, so that a node's dofs are adjacent
+//! in every vector. Order and columns are reused while the same nodes touch each other, whichever
+//! contacts connect them.
 
 use super::order::Order;
 use crate::model::Span;
 use crate::solve::free_bodies::FreeBodies;
 
-/// What a dof without a class has.
+/// The class of a dof without one.
 pub(super) const NOWHERE: usize = usize::MAX;
 
 /// A node of a bundle's list.
@@ -19,7 +19,7 @@ pub(super) struct Member {
     pub node: usize,
     /// Its dofs' places in the bundle's list: into `Nodes::entries`.
     pub entries: usize,
-    /// The first of these, where they are one after another.
+    /// The first of these, if they are consecutive.
     pub run: Option<usize>,
 }
 
@@ -34,31 +34,31 @@ pub(super) struct NodePair {
 
 #[derive(Default)]
 pub(super) struct Nodes {
-    /// Every bundle's list, one after another: what the rest was made for.
+    /// Every bundle's list, one after another: the input of everything else.
     key: Vec<usize>,
     ends: Vec<usize>,
     pub order: Order,
-    /// Dofs in the order of elimination, and by turn where a node's begin; one more at the end.
+    /// Dofs in the order of elimination, and by turn the start of a node's dofs; one more at the end.
     pub dofs: Vec<usize>,
     pub first: Vec<usize>,
-    /// By bundle: its nodes in `members`, by turn.
+    /// Per bundle: its nodes in `members`, by turn.
     pub bundles: Vec<Span>,
     pub members: Vec<Member>,
     pub entries: Vec<usize>,
     /// Every bundle's list in local numbers.
     pub lists: Vec<usize>,
-    /// By bundle: the same, where it is of free bodies.
+    /// Per bundle: the same, if it is of free bodies.
     pub free: Vec<Option<FreeBodies>>,
-    /// By turn: who meets there, `pairs[meets[k]..meets[k + 1]]`.
+    /// Per turn: the bundles that touch the node, `pairs[meets[k]..meets[k + 1]]`.
     pub meets: Vec<usize>,
     pub pairs: Vec<NodePair>,
-    /// By turn: where its column's entries of `order.rows` begin, as numbers: the diagonal block,
+    /// Per turn: the start of its column's entries of `order.rows`, as numbers: the diagonal block,
     /// then each row's block, pivot by pivot.
     pub places: Vec<usize>,
-    /// By entry of `order.rows`: where its block stands.
+    /// Per entry of `order.rows`: the start of its block.
     pub offsets: Vec<usize>,
     pub numbers: usize,
-    /// By turn: the earlier columns that reach it, and as which of their rows.
+    /// Per turn: the earlier columns that reach it, and the row in each that does.
     pub left_start: Vec<usize>,
     pub left: Vec<(usize, usize)>,
     /// Scratch.
@@ -74,8 +74,8 @@ room!(Nodes: key, ends, order, dofs, first, bundles, members, entries, lists, fr
     places, offsets, numbers, left_start, left, split, seen, node_of, sizes, edges, next);
 
 impl Nodes {
-    /// Makes everything for bundles with these lists, unless it is at hand.
-    /// `class`: scratch by dof, `NOWHERE` before and after.
+    /// Compute everything for bundles with these lists, unless it is up to date. `class`: scratch
+    /// by dof, `NOWHERE` before and after.
     pub fn fit(&mut self, dof_lists: &[usize], spans: &[Span], class: &mut [usize]) {
         let lists = spans.iter().map(|span| span.of(dof_lists));
         let same = self.ends.len() == spans.len()
@@ -111,7 +111,7 @@ impl Nodes {
         self.free = free;
     }
 
-    /// Dofs that are in the same lists are one class: each list splits the classes that it cuts.
+    /// Group dofs that are in the same lists into one class: each list splits the classes that it cuts.
     fn classify(&mut self, class: &mut [usize]) {
         self.seen.clear();
         self.split.clear();
@@ -119,7 +119,7 @@ impl Nodes {
         for (stamp, end) in self.ends.iter().enumerate() {
             let list = &self.key[start..*end];
             start = *end;
-            // The class of dofs that this list is the first to touch.
+            // The class of dofs that first appear in this list.
             let mut fresh = NOWHERE;
             for k in list {
                 let old = class[*k];
@@ -155,7 +155,7 @@ impl Nodes {
         self.node_of.extend(self.key.iter().map(|k| self.split[class[*k]].0));
     }
 
-    /// Two nodes of one list are neighbours. `members` hold each list's nodes, in its order.
+    /// Link the nodes of one list as neighbours. `members` hold each list's nodes, in its order.
     fn link(&mut self) {
         self.edges.clear();
         self.members.clear();
@@ -175,7 +175,7 @@ impl Nodes {
         }
     }
 
-    /// Local numbers in the order of elimination, and every list in them.
+    /// Number dofs in the order of elimination, and convert every list.
     fn number(&mut self, class: &mut [usize]) {
         let count = self.sizes.len();
         self.first.clear();
@@ -220,7 +220,7 @@ impl Nodes {
         }
     }
 
-    /// Where each column stands among the numbers, and which columns reach which.
+    /// Compute the place of each column among the numbers, and which columns reach which.
     fn columns(&mut self) {
         let (order, count) = (&self.order, self.sizes.len());
         let size = |k: usize| self.first[k + 1] - self.first[k];
@@ -255,7 +255,7 @@ impl Nodes {
         }
     }
 
-    /// Bundles by their nodes.
+    /// Collect bundles by their nodes.
     fn meet(&mut self) {
         let count = self.sizes.len();
         self.meets.clear();
@@ -279,18 +279,18 @@ impl Nodes {
         }
     }
 
-    /// A bundle's list in local numbers.
+    /// Return a bundle's list in local numbers.
     pub fn local(&self, bundle: usize) -> &[usize] {
         let start = if bundle == 0 { 0 } else { self.ends[bundle - 1] };
         &self.lists[start..self.ends[bundle]]
     }
 
-    /// How many dofs a node has.
+    /// Return the number of dofs of a node.
     pub fn size(&self, node: usize) -> usize {
         self.first[node + 1] - self.first[node]
     }
 
-    /// Nodes.
+    /// Return the number of nodes.
     pub fn count(&self) -> usize {
         self.sizes.len()
     }

@@ -1,28 +1,28 @@
 //! The order in which an island's nodes are eliminated: minimum degree.
 //!
-//! Eliminating a node couples all its neighbours; taking always the one of fewest neighbours
-//! keeps what fills in small (Tinney & Walker 1967; George & Liu 1989). The graph that is left
-//! is kept as rows of bits, so that an elimination is a few words a neighbour. A heap has some
-//! hundred nodes: bodies, not dofs. Ties go to the lower node, so that the order follows from the
-//! graph alone.
+//! Eliminating a node couples all its neighbours; always taking the node with the fewest neighbours
+//! keeps the fill-in small (Tinney & Walker 1967; George & Liu 1989). The remaining graph is stored
+//! as rows of bits, so that an elimination is a few words per neighbour. A pile has some hundred
+//! nodes: bodies, not dofs. Ties go to the lower node, so that the order follows from the graph
+//! alone.
 
 use crate::bits::ones;
 use crate::interrupt::Meter;
 
-/// A graph's order of elimination, and what each node still touches when its turn comes.
+/// A graph's order of elimination, and the remaining neighbours of each node at its turn.
 #[derive(Default)]
 pub(super) struct Order {
-    /// Words a row of bits has.
+    /// Words per row of bits.
     words: usize,
-    /// The graph as given, row by row; and what is left of it.
+    /// The given graph, row by row; and its remaining part.
     given: Vec<u64>,
     bits: Vec<u64>,
     degree: Vec<u32>,
     pivot: Vec<u64>,
-    /// Nodes as they are eliminated, and the turn of each.
+    /// Nodes in the order of elimination, and the turn of each.
     pub sequence: Vec<usize>,
     pub turn: Vec<usize>,
-    /// By turn: the turns of the nodes that it touches, ascending: `rows[start[k]..start[k + 1]]`.
+    /// Per turn: the turns of the nodes that it touches, ascending: `rows[start[k]..start[k + 1]]`.
     pub start: Vec<usize>,
     pub rows: Vec<usize>,
 }
@@ -30,8 +30,8 @@ pub(super) struct Order {
 room!(Order: words, given, bits, degree, pivot, sequence, turn, start, rows);
 
 impl Order {
-    /// Orders the graph of `count` nodes with these edges, unless it is the one at hand. Whether
-    /// the order is a new one.
+    /// Order the graph of `count` nodes with these edges, unless it is unchanged. Return whether
+    /// the order is new.
     pub fn fit(&mut self, count: usize, edges: impl Iterator<Item = (usize, usize)>) -> bool {
         let words = count.div_ceil(64);
         self.bits.clear();
@@ -85,12 +85,12 @@ impl Order {
         self.start.push(self.rows.len());
     }
 
-    /// The turns of what a node touches when its turn comes.
+    /// Return the turns of the neighbours that a node has at its turn.
     pub fn column(&self, turn: usize) -> &[usize] {
         &self.rows[self.start[turn]..self.start[turn + 1]]
     }
 
-    /// Nodes into turns.
+    /// Convert nodes to turns.
     fn number(&mut self) {
         self.turn.clear();
         self.turn.resize(self.sequence.len(), 0);
@@ -110,7 +110,7 @@ impl Order {
 mod tests {
     use super::*;
 
-    /// Entries below the diagonal, by nodes.
+    /// Count the entries below the diagonal, in nodes.
     fn fill(order: &Order) -> usize {
         order.rows.len()
     }
@@ -122,7 +122,7 @@ mod tests {
         order
     }
 
-    /// A path, a star and a tree fill nothing: as many entries as edges.
+    /// A path, a star and a tree have no fill-in: as many entries as edges.
     #[test]
     fn trees_fill_nothing() {
         for count in [1, 2, 3, 64, 65, 200] {
@@ -135,8 +135,8 @@ mod tests {
         }
     }
 
-    /// A grid of m × m: natural order fills to m entries a node, minimum degree to
-    /// less than half. Costs are counts, the same on every machine.
+    /// A grid of m × m: the natural order fills to m entries per node, minimum degree to less than
+    /// half. Costs are counts, the same on every machine.
     #[test]
     fn grids_fill_little() {
         let m = 20;
@@ -154,7 +154,7 @@ mod tests {
         assert!(fill(&order) > edges.len());
     }
 
-    /// Every node has a turn; what a node touches comes later; the earliest of these touches
+    /// Every node has a turn; the neighbours of a node come later; the earliest of these touches
     /// the others.
     #[test]
     fn columns_are_those_of_an_elimination() {

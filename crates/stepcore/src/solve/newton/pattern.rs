@@ -1,12 +1,12 @@
 //! Which dofs an island's rows couple.
 //!
-//! Two dofs are coupled when some row touches both. Eliminating from the last dof to the first, as
-//! along the trees, makes a tree of them: the parent of a dof is the last of those before it with
-//! which it is coupled when its turn comes (Liu 1990). A row of the matrix holds the numbers along
-//! its dof's path from the root, so that the row of a dof on the path stands over the beginning of
-//! it, and where rows touch one chain only nothing is filled.
-//! The pattern depends on which rows exist and is kept while that stays the same;
-//! an entry that a lane does not need is a zero that changes none of its bits.
+//! Two dofs are coupled when some row touches both. Elimination from the last dof to the first, as
+//! along the trees, makes a tree of them: the parent of a dof is the last of the earlier dofs
+//! coupled with it at its turn (Liu 1990). A row of the matrix holds the numbers along its dof's
+//! path from the root, so that the row of a dof on the path aligns with the start of it. If rows
+//! touch one chain only, there is no fill-in.
+//! The pattern depends on which rows exist and is kept while they stay the same; an entry that a
+//! lane does not need is a zero that changes none of its bits.
 
 use super::nodes::Nodes;
 use crate::model::Span;
@@ -17,26 +17,26 @@ use crate::spatial::WIDE;
 /// Which dofs an island's rows couple. Indices are local: places in `dofs`.
 #[derive(Default)]
 pub(super) struct Pattern {
-    /// The dof list of each bundle: what the pattern was made for.
+    /// The dof list of each bundle: the input of the pattern.
     key: Vec<Span>,
     /// Dofs that some row touches, ascending.
     pub dofs: Vec<usize>,
     pub bundles: Vec<Listed>,
-    /// Of each bundle its dofs, and the last again until there is a whole number of registers.
+    /// The dofs of each bundle, with the last repeated up to a whole number of registers.
     pub lists: Vec<usize>,
-    /// Of bundles that need it: where in the matrix each pair of the list stands, row by row.
+    /// For bundles that need it: the place in the matrix of each pair of the list, row by row.
     pub places: Vec<usize>,
-    /// By dof: where its row begins, and how many dofs are before it on its path.
+    /// Per dof: the start of its row, and the number of dofs before it on its path.
     pub start: Vec<usize>,
     pub depth: Vec<usize>,
     /// Numbers of the matrix; a row has room for a multiple of `WIDE`.
     pub size: usize,
-    /// By entry: its dof.
+    /// Per entry: its dof.
     pub path: Vec<usize>,
-    /// By dof: those on whose paths it is, the last first.
+    /// Per dof: the dofs on whose paths it is, the last first.
     pub below_start: Vec<usize>,
     pub below: Vec<usize>,
-    /// Of a heap, in the place of all but `key` and `dofs`.
+    /// For a pile, replaces everything but `key` and `dofs`.
     pub nodes: Nodes,
     pub heap: bool,
     /// Scratch: bits by row; local index by dof; place by column.
@@ -49,15 +49,15 @@ pub(super) struct Pattern {
 pub(super) struct Listed {
     /// In `Pattern::lists`.
     pub list: Span,
-    /// The first of its `places`; none where the list is the path of its last dof.
+    /// The first of its `places`; None if the list is the path of its last dof.
     pub places: Option<usize>,
 }
 
 room!(Pattern: key, dofs, bundles, lists, places, start, depth, size, path, below_start, below, bits, local, nodes, heap);
 
 impl Pattern {
-    /// Makes the pattern of bundles on these dofs, unless it is the one at hand.
-    /// `class`: scratch of `Nodes::fit`, a number for each dof.
+    /// Compute the pattern of bundles on these dofs, unless it is up to date. `class`: scratch of
+    /// `Nodes::fit`, a number for each dof.
     pub fn fit(
         &mut self,
         dof_lists: &[usize],
@@ -83,8 +83,8 @@ impl Pattern {
         self.place();
     }
 
-    /// Whether these spans still hold the dofs that it was made for: pairs that are found step by step
-    /// have other lists in each.
+    /// Return whether these spans still hold the dofs of the pattern: pairs that are found step by
+    /// step have other lists in each.
     fn is_of(&self, dof_lists: &[usize]) -> bool {
         let own = |listed: &Listed| listed.list.of(&self.lists).iter().map(|k| self.dofs[*k]);
         let mut every = self.key.iter().zip(&self.bundles);
@@ -92,7 +92,7 @@ impl Pattern {
             && every.all(|(span, listed)| span.of(dof_lists).iter().copied().eq(own(listed)))
     }
 
-    /// Local numbers of the dofs, and every bundle's list in them.
+    /// Number the dofs, and convert every bundle's list.
     fn number(&mut self, dof_lists: &[usize], nv: usize) {
         let lists = self.key.iter().map(|span| span.of(dof_lists));
         distinct(lists, nv, &mut self.dofs, &mut self.local);
@@ -107,7 +107,7 @@ impl Pattern {
         }
     }
 
-    /// Paths: what a row couples reaches its parent.
+    /// Find the paths: the dofs that a row couples reach its parent.
     fn fill(&mut self) {
         const NONE: usize = usize::MAX;
         let n = self.dofs.len();
@@ -115,7 +115,7 @@ impl Pattern {
         self.bits.clear();
         self.bits.resize(n * words, 0);
         for Listed { list, .. } in &self.bundles {
-            // Each dof of a list with the one before it: with the others it is by way of that.
+            // Each dof of a list is linked with the one before it, and through that with the others.
             for pair in list.of(&self.lists).windows(2) {
                 self.bits[pair[1] * words + pair[0] / 64] |= 1 << (pair[0] % 64);
             }
@@ -153,7 +153,7 @@ impl Pattern {
         self.size = self.path.len();
     }
 
-    /// Whose paths go through each dof.
+    /// List the dofs whose paths go through each dof.
     fn list_below(&mut self) {
         let Self { start, depth, path, below_start, below, local: next, .. } = self;
         let n = self.dofs.len();
@@ -178,7 +178,7 @@ impl Pattern {
         }
     }
 
-    /// The place of every pair of every list, where it does not follow from the list alone.
+    /// Find the place of every pair of every list, unless it follows from the list alone.
     fn place(&mut self) {
         let Self { bundles, lists, places, start, depth, .. } = self;
         places.clear();
@@ -194,7 +194,7 @@ impl Pattern {
         }
     }
 
-    /// The dofs by their local numbers.
+    /// Return the dofs by their local numbers.
     pub fn dofs(&self) -> &[usize] {
         if self.heap {
             &self.nodes.dofs
@@ -203,7 +203,7 @@ impl Pattern {
         }
     }
 
-    /// A bundle's dofs in local numbers.
+    /// Return a bundle's dofs in local numbers.
     pub fn list(&self, bundle: usize) -> &[usize] {
         if self.heap {
             return self.nodes.local(bundle);
@@ -211,8 +211,7 @@ impl Pattern {
         self.bundles[bundle].list.of(&self.lists)
     }
 
-    /// The same, the last of them again until the list is a whole number of registers; of a heap as they
-    /// are.
+    /// The same, with the last dof repeated up to a whole number of registers; unpadded in a pile.
     pub fn padded(&self, bundle: usize) -> &[usize] {
         if self.heap {
             return self.nodes.local(bundle);
@@ -221,7 +220,7 @@ impl Pattern {
         &self.lists[start..start + len.next_multiple_of(WIDE)]
     }
 
-    /// Of a heap: the bundle's dofs, where they are those of free bodies.
+    /// In a pile: return the bundle's dofs, if they belong to free bodies.
     #[inline(always)]
     pub fn free(&self, bundle: usize) -> Option<&FreeBodies> {
         if self.heap {

@@ -1,4 +1,4 @@
-//! What a block costs in the primal problem, and its derivatives.
+//! The cost of a block in the primal problem, and its derivatives.
 //!
 //! With w = y·u − t the impulse minimises ½ λᵀCλ + λ·w over the set; the penalty is
 //! s(w) = −min, its slope −λ, its curvature s″ = −∂λ/∂w.
@@ -12,7 +12,7 @@ use crate::real::{Mask, Real};
 use crate::solve::cone::{across, project_round};
 use crate::solve::rows::Row;
 
-/// −w/c within the bounds, and its curvature.
+/// Return −w/c within the bounds, and its curvature.
 #[inline(always)]
 pub(super) fn interval<R: Real>([lo, hi]: [R; 2], inv_c: R, w: R) -> (R, R) {
     let free = -w * inv_c;
@@ -38,7 +38,7 @@ impl<R: Real> Cone<R> {
         Self { mu, inv_c: c.recip_or_zero(), k, slope: mu * k.recip_or_zero() }
     }
 
-    /// λ, and λ's derivative against −w.
+    /// Return λ, and the derivative of λ with respect to −w.
     #[inline(always)]
     pub fn law<const N: usize>(&self, w: [R; N]) -> ([R; N], [[R; N]; N]) {
         let (zero, one) = (R::zero(), R::one());
@@ -88,13 +88,13 @@ impl<R: Real> Cone<R> {
     }
 }
 
-/// A cone's penalty along a line, w + α v: what of it does not depend on α.
+/// A cone's penalty along a line, w + α v: the part that does not depend on α.
 #[derive(Clone, Copy)]
 pub(super) struct Line<R> {
     m: R,
     first: R,
     inv_c: R,
-    /// a = −(w_n, k w_t): its normal, and how fast that changes; |a_t|² by powers of α.
+    /// a = −(w_n, k w_t): its normal part, and its rate; |a_t|² by powers of α.
     normal: [R; 2],
     square: [R; 3],
 }
@@ -115,7 +115,7 @@ impl<R: Real> Line<R> {
         Self { m, first, inv_c: cone.inv_c, normal: [at(w), at(v)], square }
     }
 
-    /// The penalty's slope and curvature at α.
+    /// Return the penalty's slope and curvature at α.
     #[inline(always)]
     pub fn at(&self, alpha: R) -> (R, R) {
         let Self { m, first, inv_c, normal: [start, speed], square: [a, b, c] } = *self;
@@ -178,7 +178,7 @@ mod tests {
                 [f * soft, -f * soft * mu * mu * w[1] / t, -f * soft * mu * mu * w[2] / t]
             };
             let (got, b) = cone.law(w);
-            // Along a line, the same.
+            // The same along a line.
             let v = [0; 3].map(|_| random.next());
             let (slope, curve) = Line::new(&cone, &w, &v).at(0.0);
             let along: f64 = (0..3).map(|i| -got[i] * v[i]).sum();
@@ -187,7 +187,7 @@ mod tests {
             close(curve, bend, 1e-12 * (1.0 + bend.abs()));
             for i in 0..3 {
                 close(got[i], want[i], 1e-14 * (1.0 + want[0]));
-                // The curvature by central differences.
+                // Compare the curvature with central differences.
                 let h = 1e-6;
                 let at = |s: f64| {
                     let mut w = w;

@@ -1,14 +1,14 @@
-//! The last digits: impulses and velocities that agree.
+//! The last digits: impulses and velocities that are consistent.
 //!
-//! −w/c magnifies the rounding of w where c is small. So the pair (λ, u) is refined with the last
-//! factors, within their zones: the law's impulse at this u, less λ, is e; Hδ = Σ y e,
-//! Δλ = e − s″ y·δ. Where e is no more than the tolerance allows there is nothing to refine, and
-//! once is enough unless c is tiny.
+//! −w/c magnifies the rounding of w if c is small. So the pair (λ, u) is refined with the last
+//! factors, within their zones: e is the law's impulse at this u minus λ; Hδ = Σ y e, Δλ = e − s″
+//! y·δ. If e is within the tolerance there is nothing to refine, and one refinement suffices unless
+//! c is tiny.
 //!
-//! Then u = û + D⁻¹ Σ yλ. But where a body is hardly moved by rows that press on it, as a wheel by the
-//! floor under its axle, c is so small that opposed rows (the edges of a pyramid) carry loads far beyond
-//! what moves it: of their sum only the rounding is left. Newton's own u does not come from that
-//! sum; there it is kept, and moved by δ, of which the equation of motion's error is a part:
+//! Then u = û + D⁻¹ Σ yλ. But if rows that press on a body hardly move it, such as a wheel between
+//! the floor and its axle, c is so small that opposed rows (the edges of a pyramid) carry loads far
+//! larger than the forces that move it: their sum is only rounding. Newton's u does not come from
+//! that sum. It is kept there, and moved by δ, which includes the error of the equation of motion:
 //! Hδ = Σ y (λ + e) − D(u − û).
 
 use super::bundles::{Bundles, Problem, Run};
@@ -18,25 +18,25 @@ use crate::solve::cone::project_some;
 use crate::solve::limits::Limits;
 use crate::solve::rows::{CONE, NARROW};
 
-/// The most refinements.
+/// The largest number of refinements.
 const REFINEMENTS: usize = 3;
-/// What a refinement would take away is left where it is this part of the tolerance: Newton's steps
-/// end far within it, and those who asked for no other one get digits to spare.
+/// A correction of at most this part of the tolerance is skipped: Newton's steps end far within it,
+/// and the default tolerance leaves digits to spare.
 const SPARE: f64 = 1e-3;
-/// Impulses whose effects, each by itself, are so many times the motion cancel. It is more than a load
-/// on a body under hundreds of others, and costs three digits.
+/// Impulses cancel if their separate effects are this many times the motion. It exceeds a load on a
+/// body under hundreds of others, and costs three digits.
 const CANCELLED: f64 = 1024.0;
 
 impl<R: Real> System<R> {
-    /// Impulses by their laws.
+    /// Set impulses by their laws.
     pub fn follow_laws(&mut self, bundles: &Bundles<R>) {
         if self.moved {
             self.laws(bundles, R::Mask::of(false));
         }
     }
 
-    /// The same refined, and the u that they make. `open`: lanes that iterations left unfinished,
-    /// which keep Newton's u: that of its impulses may be farther off than the start, as laws are stiff.
+    /// The same refined, with u set to their effect. `open`: unfinished lanes, which keep Newton's
+    /// u: as laws are stiff, the u of their impulses may be farther off than the start.
     pub fn polish(&mut self, problem: Problem<R>, open: R::Mask, limits: Limits) {
         self.follow_laws(problem.bundles);
         let kept = self.cancelled(problem).or(open);
@@ -58,7 +58,7 @@ impl<R: Real> System<R> {
             self.step.fill(R::zero());
             problem.gather(&self.rate, R::one(), &mut self.step, &mut self.local);
             self.add_unbalanced(problem, kept);
-            // Σ y e is what is left of the gradient: with δ it tells the decrement.
+            // Σ y e is the remaining gradient: with δ it gives the decrement.
             self.gradient.copy_from_slice(&self.step);
             self.solve(problem.pattern);
             let fall =
@@ -72,7 +72,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// e by row, into `rate`. The largest as the square of a speed, e²A/m, which is the residual's;
+    /// Set `rate` to e by row. Return the largest e²A/m, the square of a speed like the residual's,
     /// and Σ e²A. A row at a bound stays there: rounding/c must not flip it out of its zone.
     fn errors(&mut self, problem: Problem<R>) -> (R, R) {
         let bundles = problem.bundles;
@@ -106,7 +106,7 @@ impl<R: Real> System<R> {
         (most, energy)
     }
 
-    /// λ + e − s″ y·δ, within the sets.
+    /// Set impulses to λ + e − s″ y·δ, within the sets.
     fn refine(&mut self, problem: Problem<R>) {
         problem.dots(&self.step, &mut self.w, &mut self.local);
         for run in &problem.bundles.runs {
@@ -145,7 +145,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Lanes whose impulses cancel: Σ λ²A against the energy of the motion that the rows see.
+    /// Return lanes whose impulses cancel: Σ λ²A against the energy of the motion along the rows.
     fn cancelled(&self, problem: Problem<R>) -> R::Mask {
         let mut apart = R::zero();
         for (impulse, (row, block)) in self.impulse.iter().zip(problem.every()) {
@@ -159,7 +159,7 @@ impl<R: Real> System<R> {
         apart.gt(R::of(CANCELLED * CANCELLED) * motion)
     }
 
-    /// step += Σ yλ − D(u − û), where it is not 0 by what u is.
+    /// step += Σ yλ − D(u − û), in lanes whose u does not make it 0.
     fn add_unbalanced(&mut self, problem: Problem<R>, kept: R::Mask) {
         if kept.none() {
             return;
@@ -172,7 +172,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// u + δ in lanes that keep u.
+    /// Add δ to u in lanes that keep u.
     fn move_kept(&mut self, kept: R::Mask) {
         let mask = kept.and(self.fresh);
         for (u, step) in self.u.iter_mut().zip(&self.step) {
@@ -180,7 +180,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// u = û + D⁻¹ Σ yλ; not in lanes that keep theirs.
+    /// u = û + D⁻¹ Σ yλ, except in lanes that keep u.
     fn follow(&mut self, problem: Problem<R>, kept: R::Mask) {
         self.gradient.fill(R::zero());
         problem.gather(&self.impulse, R::one(), &mut self.gradient, &mut self.local);

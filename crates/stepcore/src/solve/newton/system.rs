@@ -1,4 +1,4 @@
-//! What Newton's method holds of one island, and the laws of its rows.
+//! The data of one island in Newton's method, and the laws of its rows.
 
 use super::bundles::{Bundles, Problem, Run};
 use super::columns::Columns;
@@ -7,21 +7,21 @@ use super::penalty::{interval, Line};
 use crate::real::{Mask, Real};
 use crate::solve::rows::{CONE, NARROW, PLANAR, SPINNING};
 
-/// What the method holds of an island. "By row" counts its rows one after another; "by dof" is
-/// local, as in `Pattern::dofs`.
+/// The data of one island. "Per row" counts its rows one after another; "per dof" is local, as in
+/// `Pattern::dofs`.
 pub(super) struct System<R: Real> {
-    /// By row: w = y·u − t; how fast w changes along the step (while it is refined, what is left of
-    /// the impulses); the impulse.
+    /// Per row: w = y·u − t; the rate of w along the step (during refinement, the error of the
+    /// impulses); the impulse.
     pub(super) w: Vec<R>,
     pub(super) rate: Vec<R>,
     pub(super) impulse: Vec<R>,
     /// Curvature s″, run by run: see `Run::curve`.
     pub(super) curve: Vec<R>,
-    /// By run: its curvature may have changed since the matrix was made.
+    /// Per run: whether its curvature may have changed since the matrix was computed.
     pub(super) changed: Vec<bool>,
-    /// By cone: the step.
+    /// Per cone: its penalty along the step.
     pub(super) lines: Vec<Line<R>>,
-    /// By dof.
+    /// Per dof.
     pub(super) guess: Vec<R>,
     pub(super) u: Vec<R>,
     /// Lanes with a row on the dof.
@@ -31,16 +31,16 @@ pub(super) struct System<R: Real> {
     pub(super) gradient: Vec<R>,
     pub(super) step: Vec<R>,
     pub(super) hessian: Hessian<R>,
-    /// The same of a heap.
+    /// The same for a pile.
     pub(super) columns: Columns<R>,
-    /// Lanes whose factors belong to the curvature at hand.
+    /// Lanes whose factors belong to the current curvature.
     pub(super) fresh: R::Mask,
-    /// Newton's decrement relative to `floor`, the energy of the motion that the rows see.
+    /// Newton's decrement relative to `floor`, the energy of the motion along the rows.
     pub(super) decrement: R,
     pub(super) floor: R,
-    /// Of that, the part that the rows' velocities are at the start.
+    /// The part of `floor` due to the rows' velocities at the start.
     pub(super) scale: R,
-    /// u has moved since the impulses were computed, in some lane.
+    /// Whether u has moved since the impulses were computed, in some lane.
     pub(super) moved: bool,
     /// Scratch of products: a vector at the dofs of one bundle.
     pub(super) local: Vec<R>,
@@ -76,10 +76,10 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Takes an island in, and starts at the velocities u or at û: at the end to which the
-    /// cost falls half-way between them. It is not the minimum along the line, in which unconnected
-    /// parts of an island would change each other's bits. Where it is u, laws and slope are at hand:
-    /// what `slope` gives.
+    /// Load an island, and start at the velocities u or at û: at the end to which the cost falls
+    /// half-way between them. The minimum along the line would not do: unconnected parts of an
+    /// island would change each other's bits. If the start is u, laws and slope are computed:
+    /// return the result of `slope`.
     pub fn start(
         &mut self,
         problem: Problem<R>,
@@ -122,7 +122,7 @@ impl<R: Real> System<R> {
         None
     }
 
-    /// Starts at û where a lane has no row on a dof: alone it would not have the dof in its system.
+    /// Start at û where a lane has no row on a dof: alone it would not have the dof in its system.
     fn leave_untouched(&mut self, problem: Problem<R>) {
         let Problem { pattern, rows, blocks, .. } = problem;
         self.touched.clear();
@@ -144,7 +144,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Lists for an island.
+    /// Resize the lists for an island.
     fn make_room(&mut self, problem: Problem<R>, (inv_d, guess, u): (&[R], &[R], &[R])) {
         let dofs = problem.pattern.dofs();
         let take = |out: &mut Vec<R>, from: &[R]| {
@@ -176,13 +176,13 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// w = y·u − t by row.
+    /// Set w = y·u − t by row.
     pub(super) fn find_slacks(&mut self, problem: Problem<R>) {
         slacks(problem, &self.u, &mut self.w, &mut self.local);
     }
 
-    /// Every row's impulse at its w; in lanes of `bend` also the curvature. Returns the lanes where
-    /// some curvature changed.
+    /// Set every row's impulse at its w; in lanes of `bend` also the curvature. Return the lanes in
+    /// which some curvature changed.
     pub(super) fn laws(&mut self, bundles: &Bundles<R>, bend: R::Mask) -> R::Mask {
         let mut changed = R::Mask::of(false);
         for (at, run) in bundles.runs.iter().enumerate() {
@@ -210,7 +210,7 @@ impl<R: Real> System<R> {
         for i in 0..len {
             let (impulse, curve) = interval([lo[i], hi[i]], inv_c[i], w[i]);
             let old = curves[i];
-            // At a bound the impulse is constant: another one is the other bound.
+            // At a bound the impulse is constant: if it changed, it is at the other bound.
             let jump = impulse - impulses[i];
             let slides = curve.gt(R::zero()).or(jump.abs().le(R::zero()));
             let same = curve.le(old).and(curve.ge(old)).and(slides);
@@ -222,7 +222,7 @@ impl<R: Real> System<R> {
         changed
     }
 
-    /// The same of a cone.
+    /// The same for a cone.
     fn bend_cone<const N: usize>(
         &mut self,
         bundles: &Bundles<R>,
@@ -245,7 +245,7 @@ impl<R: Real> System<R> {
         rows.fold(R::Mask::of(false), |changed, (old, new)| changed.or(replace(old, new, bend)))
     }
 
-    /// The energy that the velocities of the rows stand for: what rounding is measured by.
+    /// Compute the energy of the rows' velocities, the scale for rounding.
     fn weigh(&mut self, problem: Problem<R>) {
         self.scale = R::zero();
         for (w, (row, block)) in self.w.iter().zip(problem.every()) {
@@ -264,7 +264,7 @@ fn slacks<R: Real>(problem: Problem<R>, u: &[R], out: &mut [R], own: &mut Vec<R>
     }
 }
 
-/// old ← new in the lanes of `mask`; lanes of it in which that is something else.
+/// old ← new in the lanes of `mask`; return its lanes in which they differ.
 #[inline(always)]
 fn replace<R: Real>(old: &mut [R], new: &[R], mask: R::Mask) -> R::Mask {
     let mut changed = R::Mask::of(false);
@@ -277,7 +277,7 @@ fn replace<R: Real>(old: &mut [R], new: &[R], mask: R::Mask) -> R::Mask {
     changed.and(mask)
 }
 
-/// A cone's numbers, 0 for the rows that it does not have.
+/// Return a cone's numbers, 0 for missing rows.
 pub(super) fn padded<R: Real, const N: usize>(x: &[R]) -> [R; N] {
     assert!(x.len() <= N);
     crate::real::array::from_fn(|i| x.get(i).copied().unwrap_or_else(R::zero))

@@ -1,4 +1,4 @@
-//! Factors of heaps against dense elimination, and what of them is made again.
+//! Factors of piles against dense elimination, and partial refactoring.
 
 use super::super::tests::EVERY;
 use super::bundles::Bundles;
@@ -83,7 +83,7 @@ fn nodes_of(heap: &Heap, bundles: &Bundles<f64>) -> Nodes {
     nodes
 }
 
-/// A curvature for every row: symmetric and positive for cones; a number, now and then 0, else.
+/// Return a curvature for every row: for cones symmetric and positive; else a number, sometimes 0.
 fn curvature(heap: &Heap, random: &mut Random) -> Vec<f64> {
     let mut curve = Vec::new();
     for block in &heap.rows.blocks {
@@ -97,7 +97,7 @@ fn curvature(heap: &Heap, random: &mut Random) -> Vec<f64> {
     curve
 }
 
-/// By block: the first entry of its curvature.
+/// Per block: the first entry of its curvature.
 fn starts(heap: &Heap) -> Vec<usize> {
     let mut starts = vec![0];
     for block in &heap.rows.blocks {
@@ -106,7 +106,7 @@ fn starts(heap: &Heap) -> Vec<usize> {
     starts
 }
 
-/// H x, from the definition.
+/// Return H x, from the definition.
 fn times(heap: &Heap, d: &[f64], curve: &[f64], x: &[f64]) -> Vec<f64> {
     let mut out: Vec<f64> = d.iter().zip(x).map(|(d, x)| d * x).collect();
     for (block, start) in heap.rows.blocks.iter().zip(starts(heap)) {
@@ -148,7 +148,7 @@ fn factors_solve_what_was_built() {
         for turn in 0..4 {
             let curved = Curved { bundles: &bundles, y: &heap.rows.y, curve: &curve };
             columns.factor(&nodes, &local, curved);
-            // What was kept from the last turn is what all of it would be.
+            // A partially refactored matrix equals a newly computed one.
             let mut whole = Columns::new();
             whole.start(&nodes);
             whole.factor(&nodes, &local, curved);
@@ -168,8 +168,8 @@ fn factors_solve_what_was_built() {
     }
 }
 
-/// A chain of bodies fills nothing: a block below the diagonal for each but the last, whatever
-/// the order in which contacts are listed. Numbers are counts: 36 a block.
+/// A chain of bodies has no fill-in: a block below the diagonal for each but the last, whatever the
+/// order in which contacts are listed. Numbers are counts: 36 per block.
 #[test]
 fn a_stack_fills_nothing() {
     let mut random = Random::new(9);

@@ -1,4 +1,4 @@
-//! What solves one island after another by the primal method, and how threads share the islands.
+//! Workers that solve islands one by one by the primal method, and share them among threads.
 
 use super::bundles::{Bundles, Problem};
 use super::minimise::Scale;
@@ -18,9 +18,9 @@ use std::sync::Mutex;
 
 /// The memory of one thread.
 pub(super) struct Worker<R: Real> {
-    /// Blocks of the island at hand that exist in some lane.
+    /// Blocks of the current island that exist in some lane.
     pub present: Vec<usize>,
-    /// Scratch: of patterns, by dof, and which have a number there; of the order of blocks.
+    /// Scratch: by dof, for patterns, and the dofs that have a number there; for the order of blocks.
     class: Vec<usize>,
     touched: Vec<usize>,
     order: Vec<[usize; 4]>,
@@ -31,7 +31,7 @@ pub(super) struct Worker<R: Real> {
 
 room!(Worker<R>: present, class, touched, order, bundles, system, solved);
 
-/// Results of islands, one after another, that wait for the rows to be free.
+/// Results of islands, one after another, until the rows may be written.
 struct Solved<R: Real> {
     blocks: Vec<usize>,
     impulses: Vec<R>,
@@ -42,7 +42,7 @@ struct Solved<R: Real> {
 
 room!(Solved<R>: blocks, impulses, dofs, u, report);
 
-/// What is solved, and how long.
+/// The problem and its limits.
 #[derive(Clone, Copy)]
 pub(super) struct Task<'a, R: Real> {
     pub free: Unconstrained<'a, R>,
@@ -69,7 +69,7 @@ impl<R: Real> Worker<R> {
         }
     }
 
-    /// Takes an island's blocks.
+    /// Take an island's blocks.
     pub fn take(&mut self, blocks: &[usize], rows: &Rows<R>) {
         self.present.clear();
         self.present.extend(blocks.iter().copied().filter(|b| {
@@ -78,15 +78,15 @@ impl<R: Real> Worker<R> {
         }));
     }
 
-    /// Leaves out what no lane of `todo` has: the others are solved already.
+    /// Drop blocks that no lane of `todo` has: the other lanes are solved already.
     pub fn keep_where(&mut self, todo: R::Mask, rows: &Rows<R>) {
         if !R::ALONE {
             self.present.retain(|b| rows.blocks[*b].mask.and(todo).any());
         }
     }
 
-    /// Blocks on one chain of dofs one after another: by their last dof, then by how many they have.
-    /// What the rows of a world touch decides, so that a lane's are in the order of the world alone.
+    /// Sort blocks so that those on one chain of dofs are adjacent: by their last dof, then by the
+    /// number of dofs. The dofs of a world's rows decide alone, so that a lane has its world's order.
     fn order(&mut self, rows: &Rows<R>, dof_lists: &[usize]) {
         let key = |b: &usize| {
             let dofs = rows.rows[rows.blocks[*b].rows.start].dofs;
@@ -101,10 +101,10 @@ impl<R: Real> Worker<R> {
         }
     }
 
-    /// Whether a heap's nodes pay: blocks on chains cost more there, free bodies elsewhere. Counted by
-    /// `benches/anatomy.py`, thousand instructions a step by nodes and along chains: Go2 among ten
-    /// loose boxes 1525 and 805, unitree's A2 on a terrain 457 and 300, a Panda without friction among ten
-    /// and forty loose boxes 364 and 412, 1695 and 2167.
+    /// Return whether the nodes of a pile pay: blocks on chains cost more there, free bodies
+    /// elsewhere. Counted by `benches/anatomy.py`, thousand instructions per step by nodes and
+    /// along chains: Go2 among ten loose boxes 1525 and 805, unitree's A2 on a terrain 457 and 300,
+    /// a Panda without friction among ten and forty loose boxes 364 and 412, 1695 and 2167.
     fn is_heap(&mut self, rows: &Rows<R>, dof_lists: &[usize]) -> bool {
         let Self { present, class, touched, .. } = self;
         touched.clear();
@@ -125,8 +125,8 @@ impl<R: Real> Worker<R> {
         SIX * chained < touched.len()
     }
 
-    /// Solves `island`, whose blocks were taken; lanes that it left unfinished. Impulses agree with the
-    /// velocities to rounding, unless the cost or the limit of iterations decides when to end.
+    /// Solve `island`, whose blocks were taken; return the unfinished lanes. Impulses agree with
+    /// the velocities to rounding, unless the cost or the iteration limit ends the solve.
     pub fn solve(
         &mut self,
         task: Task<R>,
@@ -164,12 +164,12 @@ impl<R: Real> Worker<R> {
         open
     }
 
-    /// Writes the island's impulses and velocities down.
+    /// Write the island's impulses and velocities to the rows.
     pub fn write(&self, pattern: &Pattern, rows: &mut Rows<R>, todo: R::Mask) {
         write(rows, todo, (&self.present, &self.system.impulse), (pattern.dofs(), &self.system.u));
     }
 
-    /// Keeps them for later.
+    /// Store them for later.
     fn keep(&mut self, pattern: &Pattern) {
         self.solved.blocks.extend_from_slice(&self.present);
         self.solved.impulses.extend_from_slice(&self.system.impulse);
@@ -195,7 +195,7 @@ fn write<R: Real>(
     }
 }
 
-/// The least mass of a block.
+/// Return the least mass of a block.
 fn lightest<R: Real>(blocks: &[usize], rows: &Rows<R>) -> R {
     let mut mass = R::of(f64::INFINITY);
     for block in blocks.iter().map(|b| &rows.blocks[*b]) {
@@ -204,9 +204,9 @@ fn lightest<R: Real>(blocks: &[usize], rows: &Rows<R>) -> R {
     mass
 }
 
-/// Solves the islands of `queue`, in all of which a scalar world lives. An island reads and changes
-/// nothing of another, and what is reported of all is sums of whole numbers and extremes: whoever
-/// solves which, the result is the same.
+/// Solve the islands of `queue`, in all of which a scalar world lives. An island neither reads nor
+/// changes anything of another, and reports are sums of integers and extremes: the result does not
+/// depend on which thread solves which island.
 pub(super) fn share<R: Real>(
     pool: &Pool,
     task: Task<R>,

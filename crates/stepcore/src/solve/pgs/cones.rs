@@ -1,4 +1,4 @@
-//! What cones need for their exact solutions, made once a solve: of up to N rows, W of them ways.
+//! Data for the exact solution of cones, computed once per solve: up to N rows, W of them ways.
 
 use super::super::cone::{times, InBall, InCone, Matrix};
 use super::super::rows::{Set, CONE, NARROW};
@@ -6,24 +6,24 @@ use super::super::square::Square;
 use crate::real::array::from_fn;
 use crate::real::Real;
 
-/// What ties the impulses of a block, and for a cone its place among those of its kind.
+/// The coupling of a block's impulses, and for a cone its place among cones of its kind.
 #[derive(Clone, Copy)]
 pub(super) enum Tie {
-    /// Nothing but bounds.
+    /// Only bounds.
     Bounds,
     Convex(u32),
     Disc(u32),
     Square(u32),
 }
 
-/// By the place in a `Tie`.
+/// Indexed by the place in a `Tie`.
 pub(super) struct Cones<R: Real, const N: usize, const W: usize> {
     pub convex: Vec<InCone<R, N>>,
     disc: Vec<InBall<R, W>>,
     square: Vec<Square<R, W>>,
 }
 
-/// Of a normal and two tangents, and of all ways there are.
+/// For a normal and two tangents, and for all possible ways.
 pub(super) type Narrow<R> = Cones<R, NARROW, { NARROW - 1 }>;
 pub(super) type Wide<R> = Cones<R, CONE, { CONE - 1 }>;
 
@@ -40,7 +40,7 @@ impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
         self.square.clear();
     }
 
-    /// Of a block with this y D⁻¹ yᵀ + C.
+    /// Prepare a block with this y D⁻¹ yᵀ + C.
     pub fn tie(&mut self, set: Set, mu: R, q: Matrix<R, N>) -> Tie {
         let ways = from_fn(|i| from_fn(|j| q[i + 1][j + 1]));
         match set {
@@ -51,8 +51,8 @@ impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
         }
     }
 
-    /// The ways' impulses of a Coulomb cone that minimise its part within their bound, with their
-    /// slope where they are x.
+    /// Return the ways' impulses of a Coulomb cone that minimise its part within their bound, with
+    /// their slope at x.
     #[inline(always)]
     pub fn friction(
         &mut self,
@@ -79,7 +79,7 @@ impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
         }
     }
 
-    /// Q between the ways of a round Coulomb cone, times x.
+    /// Return Q between the ways of a round Coulomb cone, times x.
     pub fn curved(&self, tie: Tie, x: &[R; W]) -> [R; W] {
         match tie {
             Tie::Disc(at) => times(&self.disc[at as usize].q, x),

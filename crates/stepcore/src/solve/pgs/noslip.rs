@@ -1,10 +1,10 @@
 //! Noslip: friction solved again without a regulariser, after the main solve.
 //!
 //! MuJoCo's post-processing (documentation, "Algorithms", NoSlip): sweeps over the friction rows
-//! alone with c = 0, while what carries load holds its impulse. A cone keeps its normal impulse and
-//! has friction within μ times that; of a pyramid each pair of opposite edges keeps its sum; a
-//! friction loss keeps its bounds. What comes out solves no one problem, and normals feel what
-//! friction has changed only in the next step.
+//! alone with c = 0, while load-bearing rows keep their impulses. A cone keeps its normal impulse
+//! and has friction within μ times that; each pair of opposite edges of a pyramid keeps its sum; a
+//! friction loss keeps its bounds. The result solves no single problem, and normals respond to the
+//! changed friction only in the next step.
 
 use super::super::cone::Matrix;
 use super::super::dot::dot;
@@ -16,26 +16,26 @@ use crate::elements::Role;
 use crate::interrupt::{Meter, ROW};
 use crate::real::{Mask, Real};
 
-/// What friction rows hold beside others.
+/// The quantities that friction rows keep constant.
 #[derive(Clone, Copy)]
 enum Friction {
     /// Every row by itself.
     Loss,
-    /// Rows 2k and 2k + 1 are opposite edges; what is left over is no friction.
+    /// Rows 2k and 2k + 1 are opposite edges; rows left over are no friction.
     Edges,
     /// Row 0 is the normal.
     Cone(Tie),
-    /// A cone of more ways than two tangents.
+    /// A cone with more ways than two tangents.
     Wide(Tie),
 }
 
-/// What the sweeps need beside the rows, made once a solve.
+/// Data of the sweeps in addition to the rows, computed once per solve.
 pub(crate) struct Noslip<R: Real> {
     /// The blocks with friction.
     list: Vec<(usize, Friction)>,
     cones: Narrow<R>,
     wide: Wide<R>,
-    /// By island: lanes in which sweeps go on, and how much one changes what they minimise.
+    /// Per island: lanes in which sweeps continue, and the decrease of the objective in a sweep.
     todo: Vec<R::Mask>,
     gain: Vec<R>,
 }
@@ -48,11 +48,11 @@ impl<R: Real> Noslip<R> {
         Self { list: Vec::new(), cones, wide, todo: Vec::new(), gain: Vec::new() }
     }
 
-    /// Sweeps over the friction rows, from the impulses that the rows hold; `rows.u` must hold their
-    /// effect, and does so again afterwards. What the main solve gave is kept for the next start.
+    /// Sweep over the friction rows, from the current impulses; `rows.u` must hold their effect,
+    /// and does so again afterwards. The main solve's impulses are stored for the next start.
     ///
-    /// An island stops after a sweep that gains less than `cost` times `Rows::inertia`; what the
-    /// regulariser was in what is minimised counts to the first, as in MuJoCo.
+    /// An island stops after a sweep that gains less than `cost` times `Rows::inertia`; the
+    /// regulariser's part of the objective counts toward the first sweep, as in MuJoCo.
     pub fn solve(&mut self, free: Unconstrained<R>, rows: &mut Rows<R>, sweeps: u32, cost: f64) {
         rows.main.clear();
         rows.main.extend(rows.rows.iter().map(|row| row.impulse));
@@ -125,7 +125,7 @@ impl<R: Real> Noslip<R> {
     }
 }
 
-/// A between the ways of a cone; the normal has none.
+/// Return A between the ways of a cone; zero for the normal.
 fn products<R: Real, const N: usize>(
     free: Unconstrained<R>,
     y: &[R],
@@ -141,14 +141,14 @@ fn products<R: Real, const N: usize>(
     q
 }
 
-/// J H⁻¹ Jᵀ between two rows of one block.
+/// Return J H⁻¹ Jᵀ between two rows of one block.
 fn between<R: Real>(free: Unconstrained<R>, y: &[R], one: &Row<R>, other: &Row<R>) -> R {
     let dofs = one.dofs.of(free.dof_lists);
     let both = y[one.y..][..dofs.len()].iter().zip(&y[other.y..]);
     dofs.iter().zip(both).fold(R::zero(), |sum, (k, (p, q))| sum + *p * free.inv_d[*k] * *q)
 }
 
-/// What an update reads and writes.
+/// The data that an update reads and writes.
 struct Hard<'a, R: Real> {
     free: Unconstrained<'a, R>,
     y: &'a [R],
@@ -158,13 +158,13 @@ struct Hard<'a, R: Real> {
 }
 
 impl<R: Real> Hard<'_, R> {
-    /// J v − t.
+    /// Return J v − t.
     fn miss(&self, row: &Row<R>) -> R {
         let dofs = row.dofs.of(self.free.dof_lists);
         dot(dofs, &self.y[row.y..row.y + dofs.len()], self.u) - row.t
     }
 
-    /// Gives a row a new impulse, and u its effect; the change.
+    /// Set a row's impulse, and update u; return the change.
     fn set(&mut self, row: &mut Row<R>, impulse: R) -> R {
         let change = impulse - row.impulse;
         row.impulse = R::select(self.mask, impulse, row.impulse);
@@ -204,7 +204,7 @@ impl<R: Real> Hard<'_, R> {
         self.note(gain(bend, change, -slope));
     }
 
-    /// The least ½ xᵀA x + g·x with |x| ≤ μ λ_n.
+    /// Minimise ½ xᵀA x + g·x with |x| ≤ μ λ_n.
     fn cone<const N: usize, const W: usize>(
         &mut self,
         own: &mut [Row<R>],

@@ -1,10 +1,10 @@
-//! Contacts between free bodies of a heap, packed: all that an update reads of one stands together.
+//! Contacts between free bodies of a pile, packed: all data of one update are adjacent in memory.
 //!
 //! A contact has three directions, the normal n and two tangents, in which y = L⁻ᵀJᵀ are two
-//! vectors of six. Of a pyramid they are taken from its edges, y_n ± μ y_t: three products with u
-//! instead of four, and what the edges do to each other follows from their own matrix, so that u
-//! is read once before and written once after. Impulses stand here while sweeps go on, and are
-//! copied back where somebody else reads the rows.
+//! vectors of six. For a pyramid they are computed from its edges, y_n ± μ y_t: three products with
+//! u instead of four, and the edges' effects on each other follow from their matrix, so that u is
+//! read once before and written once after. Impulses are stored here during sweeps, and are copied
+//! back when other code reads the rows.
 
 use super::super::cone::InCone;
 use super::super::free_bodies::{six, FreeBodies, SIX};
@@ -14,10 +14,10 @@ use super::point::{along, gain, gain_in_cone, Point, EDGES};
 use crate::real::array::from_fn;
 use crate::real::{Mask, Real};
 
-/// Edges are a pyramid's when what is left of their differences is so many roundings.
+/// Edges form a pyramid if their differences agree to this many roundings.
 const ROUNDINGS: f64 = 8.0;
 
-/// By body and direction.
+/// Per body and direction.
 type Ways<R> = [[[R; SIX]; NARROW]; 2];
 
 /// One contact.
@@ -29,23 +29,23 @@ pub(super) struct Packed<R: Real> {
     pub tie: Tie,
 }
 
-/// What an update changes.
+/// The data that an update changes.
 pub(super) struct Target<'a, R: Real> {
     pub inv_d: &'a [R],
     pub u: &'a mut [R],
     pub mask: R::Mask,
 }
 
-/// Of one update.
+/// The result of one update.
 pub(super) struct Updated<R> {
     /// The largest change of an impulse [m/s].
     pub change: R,
-    /// With GAIN: the change of what convex rows minimise.
+    /// With GAIN: the change of the objective of convex rows.
     pub gain: R,
 }
 
 impl<R: Real> Packed<R> {
-    /// A block of a heap, if it is a contact of three directions between free bodies.
+    /// Pack a block of a pile, if it is a contact of three directions between free bodies.
     pub fn of(
         dof_lists: &[usize],
         inv_d: &[R],
@@ -89,7 +89,7 @@ impl<R: Real> Packed<R> {
         Some(packed)
     }
 
-    /// y D⁻¹ yᵀ of the directions, rows of the lower triangle.
+    /// Return y D⁻¹ yᵀ of the directions, rows of the lower triangle.
     fn products(&self, inv_d: &[R]) -> [R; 6] {
         let mut q = [R::zero(); 6];
         for which in 0..self.free.count() {
@@ -105,7 +105,7 @@ impl<R: Real> Packed<R> {
         q
     }
 
-    /// y·u by direction.
+    /// Return y·u by direction.
     #[inline(always)]
     fn velocity(&self, u: &[R]) -> [R; NARROW] {
         let six = |which: usize| six(&u[self.free.body(which)]);
@@ -127,7 +127,7 @@ impl<R: Real> Packed<R> {
         }
     }
 
-    /// New impulses, and u with their effect. With GAIN they are those of `rows`.
+    /// Update the impulses, and u with their effect. With GAIN, `rows` holds the impulses.
     #[inline(always)]
     pub fn update<const GAIN: bool>(
         &mut self,
@@ -161,7 +161,7 @@ impl<R: Real> Packed<R> {
         }
     }
 
-    /// Every edge in turn.
+    /// Update every edge in sequence.
     #[inline(always)]
     fn edges<const GAIN: bool>(&mut self, rows: &[Row<R>], to: &mut Target<R>) -> Updated<R> {
         let (zero, mut sum) = (R::zero(), R::zero());
@@ -174,7 +174,7 @@ impl<R: Real> Packed<R> {
         self.finish(change, along(&change), sum, to)
     }
 
-    /// The block's own minimum, in one piece.
+    /// Solve the block's minimum in one piece.
     #[inline(always)]
     fn convex<const GAIN: bool>(
         &mut self,
@@ -197,7 +197,7 @@ impl<R: Real> Packed<R> {
         self.finish(change, f, gain, to)
     }
 
-    /// The normal as an interval, then the tangents within its friction bound.
+    /// Update the normal as an interval, then the tangents within its friction bound.
     #[inline(always)]
     fn coulomb(&mut self, cones: &mut Narrow<R>, to: &mut Target<R>) -> Updated<R> {
         let (zero, q, x) = (R::zero(), self.whole(), self.point.impulse);
@@ -212,7 +212,7 @@ impl<R: Real> Packed<R> {
         self.finish([f[0], f[1], f[2], zero], f, zero, to)
     }
 
-    /// Impulses and u get their changes: those of the rows, and along the directions.
+    /// Apply the changes, by row and along the directions, to impulses and u.
     #[inline(always)]
     fn finish(
         &mut self,
@@ -229,7 +229,7 @@ impl<R: Real> Packed<R> {
         Updated { change: largest, gain }
     }
 
-    /// `between` of directions, in full.
+    /// Return `between` of directions, as a full matrix.
     #[inline(always)]
     fn whole(&self) -> [[R; NARROW]; NARROW] {
         let [q00, q10, q11, q20, q21, q22] = self.point.between;
@@ -252,7 +252,7 @@ fn by_body<R: Real>(y: &[R], len: usize) -> Ways<R> {
     from_fn(|body| from_fn(|way| from_fn(|k| entry(body, way, k))))
 }
 
-/// The directions n, a and b of edges n ± a and n ± b, if that is what they are.
+/// Return the directions n, a and b of edges n ± a and n ± b, if the rows are such edges.
 fn of_edges<R: Real>(rows: &[Row<R>], y: &[R], len: usize) -> Option<Ways<R>> {
     let (zero, half) = (R::zero(), R::of(0.5));
     let bounded = |row: &Row<R>| row.lo.le(zero).and(row.lo.ge(zero)).and(row.hi.is_finite().not());
@@ -270,14 +270,14 @@ fn of_edges<R: Real>(rows: &[Row<R>], y: &[R], len: usize) -> Option<Ways<R>> {
     good.all().then_some(ways)
 }
 
-/// y D⁻¹ yᵀ between the edges n ± a and n ± b, rows below the diagonal.
+/// Return y D⁻¹ yᵀ between the edges n ± a and n ± b, rows below the diagonal.
 fn of_pyramid<R: Real>([nn, an, aa, bn, ba, bb]: &[R; 6]) -> [R; 6] {
     let (sum, difference) = (*nn + *bn, *nn - *bn);
     let (plus, minus) = (*an + *ba, *an - *ba);
     [*nn - *aa, sum + plus, sum - plus, difference + minus, difference - minus, *nn - *bb]
 }
 
-/// Lanes in which some change is one, or no number.
+/// Return lanes in which some change is nonzero, or not a number.
 #[inline(always)]
 fn moves<R: Real, const N: usize>(change: &[R; N]) -> R::Mask {
     let zero = R::zero();

@@ -1,5 +1,4 @@
-//! The update of a contact between free bodies, of one or of several side by side, number by
-//! number.
+//! The update of a contact between free bodies, for one or several side by side, number by number.
 
 use super::super::free_bodies::SIX;
 use super::super::rows::NARROW;
@@ -9,7 +8,7 @@ use core::ops::{Add, Mul, Neg, Sub};
 
 /// Rows of a pyramid.
 pub(super) const EDGES: usize = 4;
-/// Contacts at once: as many numbers as a vector of most machines.
+/// Contacts updated at once: the numbers per vector of most machines.
 pub(super) const SIDE: usize = 4;
 
 /// A number, or several side by side.
@@ -84,13 +83,13 @@ impl<R: Real> Numbers for Each<R> {
     }
 }
 
-/// What an update reads of a contact; lists of four hold edges, or three directions and nothing.
+/// The contact data that an update reads; lists of four are edges, or three directions and a blank.
 #[derive(Clone, Copy)]
 pub(super) struct Point<N> {
     /// y by body and direction.
     pub y: [[[N; SIX]; NARROW]; 2],
-    /// y D⁻¹ yᵀ of edges, or of directions with c on the diagonal; rows of the lower triangle:
-    /// of edges without the diagonal.
+    /// y D⁻¹ yᵀ of edges, or of directions with c on the diagonal; rows of the lower triangle, for
+    /// edges without the diagonal.
     pub between: [N; 6],
     pub t: [N; EDGES],
     pub c: [N; EDGES],
@@ -100,22 +99,22 @@ pub(super) struct Point<N> {
     pub weight: [N; EDGES],
 }
 
-/// What a sweep did.
+/// The result of a sweep.
 pub(in super::super) struct Swept<R> {
     /// The largest change of an impulse [m/s].
     pub change: R,
-    /// The change of what convex rows minimise (see `momentum.rs`); side by side since the
+    /// The change of the objective of convex rows (see `momentum.rs`); side by side, since the
     /// sweep before.
     pub gain: R,
 }
 
-/// What convex rows gain by the change of an impulse: ½ s Δ² − Δ (t − Jv − cλ).
+/// Return the gain of convex rows by the change of an impulse: ½ s Δ² − Δ (t − Jv − cλ).
 #[inline(always)]
 pub(super) fn gain<N: Numbers>(s: N, change: N, short: N) -> N {
     change * (N::every(0.5) * s * change - short)
 }
 
-/// The same of a cone, by its slope and what its curvature makes of the change; added to `sum`.
+/// The same for a cone, from its slope and its curvature times the change; added to `sum`.
 #[inline(always)]
 pub(super) fn gain_in_cone<R: Real>(sum: R, change: &[R], slope: &[R], curved: &[R]) -> R {
     let each = change.iter().zip(slope.iter().zip(curved));
@@ -137,7 +136,7 @@ impl<N: Numbers> Point<N> {
         }
     }
 
-    /// y·u by direction, even and odd dofs by themselves; without a second body, of the first.
+    /// Return y·u by direction, even and odd dofs separately; without a second body, for the first.
     #[inline(always)]
     pub fn velocity(&self, one: &[N; SIX], two: Option<&[N; SIX]>) -> [N; NARROW] {
         // Loops: as a closure over arrays this takes a fifth longer.
@@ -156,27 +155,27 @@ impl<N: Numbers> Point<N> {
         sums
     }
 
-    /// Σ y f over the directions, of a body's dof.
+    /// Return Σ y f over the directions, for a body's dof.
     #[inline(always)]
     pub fn push(&self, body: usize, k: usize, f: &[N; NARROW]) -> N {
         let [n, a, b] = &self.y[body];
         (n[k] * f[0] + a[k] * f[1]) + b[k] * f[2]
     }
 
-    /// t − Jv − cλ.
+    /// Return t − Jv − cλ.
     #[inline(always)]
     pub fn short(&self, i: usize, velocity: N) -> N {
         self.t[i] - velocity - self.c[i] * self.impulse[i]
     }
 
-    /// The change of an impulse to max(λ + (t − Jv − cλ)/s, 0).
+    /// Return the change of an impulse to max(λ + (t − Jv − cλ)/s, 0).
     #[inline(always)]
     pub fn change(&self, i: usize, short: N) -> N {
         (short * self.inv_s[i]).larger(-self.impulse[i])
     }
 
-    /// The changes of the edges, one in turn, given the velocities along the directions; `keep` takes
-    /// away what is not to be, and `note` sees edge by edge its change and what it was short of.
+    /// Return the changes of the edges, in sequence, given the velocities along the directions;
+    /// `keep` zeroes unwanted changes, and `note` receives each edge's change and shortfall.
     #[inline(always)]
     pub fn edges(
         &self,
@@ -197,7 +196,7 @@ impl<N: Numbers> Point<N> {
         change
     }
 
-    /// Impulses get their changes; the largest of them and of `largest` [m/s].
+    /// Add the changes to the impulses; return the largest of them and of `largest` [m/s].
     #[inline(always)]
     pub fn add(&mut self, change: &[N; EDGES], mut largest: N) -> N {
         for i in 0..EDGES {
@@ -208,14 +207,14 @@ impl<N: Numbers> Point<N> {
     }
 }
 
-/// What edges do, along the directions.
+/// Convert impulses of edges to the directions.
 #[inline(always)]
 pub(super) fn along<N: Numbers>(edges: &[N; EDGES]) -> [N; NARROW] {
     [(edges[0] + edges[1]) + (edges[2] + edges[3]), edges[0] - edges[1], edges[2] - edges[3]]
 }
 
 impl<R: Real> Point<Each<R>> {
-    /// Takes one of the contacts in.
+    /// Store one of the contacts.
     pub fn set(&mut self, lane: usize, one: &Point<R>) {
         let lists: [(&mut [Each<R>], &[R]); 7] = [
             (&mut self.between, &one.between),

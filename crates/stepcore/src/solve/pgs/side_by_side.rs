@@ -1,10 +1,10 @@
-//! Pyramids of a heap side by side: four contacts that share no body are updated at once, number
-//! by number.
+//! Pyramids of a pile side by side: four contacts that share no body are updated at once, number by
+//! number.
 //!
-//! A contact joins the first four with room behind all contacts of its bodies that came before it.
-//! Updates of contacts that share no body do not see each other, so that this is the sweep over the
-//! rows in order, to the last bit; but an update is a chain of additions that waits for itself,
-//! and four of them take hardly longer than one.
+//! A contact joins the first four with room behind all earlier contacts of its bodies. Updates of
+//! contacts that share no body are independent, so that this equals the sweep over the rows in
+//! order, to the last bit; but an update is a chain of dependent additions, and four of them take
+//! hardly longer than one.
 
 use super::super::free_bodies::SIX;
 use super::super::rows::{Rows, NARROW};
@@ -13,13 +13,13 @@ use super::point::{along, gain, Each, Numbers, Point, Swept, EDGES, SIDE};
 use super::sweep_momentum::{Found, Six, Step, SweepMomentum};
 use crate::real::Real;
 
-/// Contacts of which it is clear whether they stand in a row, each on the one before; an island of
-/// fewer is not worth it.
+/// The number of contacts that shows whether they form a chain, each on the one before; a smaller
+/// island is not worth packing.
 pub(super) const SEEN: usize = 24;
-/// A place in a four that no contact has.
+/// An empty place in a four.
 const NOBODY: u32 = u32::MAX;
 
-/// Four contacts; what one of them lacks is zero.
+/// Four contacts; unused places are zero.
 #[repr(align(64))]
 struct Four<R> {
     point: Point<Each<R>>,
@@ -30,7 +30,7 @@ struct Four<R> {
     rows: [u32; SIDE],
 }
 
-/// What momentum needs of four contacts: A + C, impulses where the sweep began, and the move before.
+/// Momentum's data of four contacts: A + C, impulses at the start of the sweep, and the move before.
 #[repr(align(64))]
 struct Moved<R> {
     s: [Each<R>; EDGES],
@@ -41,20 +41,20 @@ struct Moved<R> {
 /// An island of pyramids.
 pub(super) struct SideBySide<R> {
     fours: Vec<Four<R>>,
-    /// By four, where sweeps are measured.
+    /// Per four, if sweeps are measured.
     moved: Vec<Moved<R>>,
-    /// The first stands for what no contact moves.
+    /// The first represents everything that no contact moves.
     bodies: Vec<Six<R>>,
     /// The first dof of each.
     dofs: Vec<u32>,
-    /// By body: the next four in which it may be. By four: contacts so far.
+    /// Per body: the next four in which it may be. Per four: the number of contacts up to now.
     free: Vec<u32>,
     filled: Vec<u8>,
-    /// By contact: its bodies and its four.
+    /// Per contact: its bodies and its four.
     places: Vec<([u32; 2], u32)>,
-    /// By dof: the body that begins there, where it is one of the island.
+    /// Per dof: the body that starts there, if it is in the island.
     body_at: Vec<u32>,
-    /// Momentum, if there is any, and where it leads before the next sweep.
+    /// Momentum, if there is any, and its step before the next sweep.
     momentum: SweepMomentum<R>,
     step: Option<Step<R>>,
     found: Found<R>,
@@ -80,8 +80,8 @@ impl<R: Real> SideBySide<R> {
         }
     }
 
-    /// Takes in an island, with the first row of each of its contacts, and their bodies' u. Takes
-    /// nothing and returns false where too few of them would stand side by side.
+    /// Load an island, with the first row of each of its contacts, and their bodies' u. Load
+    /// nothing and return false if too few of them would be side by side.
     pub fn take<'a>(
         &mut self,
         inv_d: &[R],
@@ -107,7 +107,7 @@ impl<R: Real> SideBySide<R> {
         true
     }
 
-    /// Sweeps of the island at hand will be measured, and `on`: have momentum.
+    /// Measure the sweeps of this island; `on`: with momentum.
     pub fn measure(&mut self, inv_d: &[R], on: bool) {
         let by_body = self.dofs.iter().map(|dof| match inv_d.get(*dof as usize..) {
             Some(own) => Six(crate::real::array::from_fn(|k| R::one() / own[k])),
@@ -121,14 +121,14 @@ impl<R: Real> SideBySide<R> {
         }));
     }
 
-    /// After a sweep: the next one will begin where momentum leads.
+    /// After a sweep: start the next one at momentum's point.
     pub fn go_on(&mut self) {
         if self.step.is_some() {
             self.step = Some(self.momentum.step(&mut self.bodies, self.found));
         }
     }
 
-    /// Finds each contact's four; false where most would be half empty.
+    /// Find each contact's four; return false if most would be half empty.
     fn arrange<'a>(&mut self, nv: usize, contacts: impl Iterator<Item = &'a Packed<R>>) -> bool {
         self.body_at.resize(nv, 0);
         self.dofs.clear();
@@ -174,14 +174,14 @@ impl<R: Real> SideBySide<R> {
         self.places.len() > SEEN && self.places.len() >= 2 * self.filled.len()
     }
 
-    /// Takes the bodies' u.
+    /// Load the bodies' u.
     fn load(&mut self, u: &[R]) {
         for (body, dof) in self.bodies.iter_mut().zip(&self.dofs).skip(1) {
             body.0.copy_from_slice(&u[*dof as usize..][..SIX]);
         }
     }
 
-    /// Writes impulses and u down.
+    /// Write impulses and u.
     pub fn store(&self, rows: &mut Rows<R>) {
         for (body, dof) in self.bodies.iter().zip(&self.dofs).skip(1) {
             rows.u[*dof as usize..][..SIX].copy_from_slice(&body.0);
@@ -196,7 +196,7 @@ impl<R: Real> SideBySide<R> {
         }
     }
 
-    /// Updates every contact.
+    /// Update every contact.
     pub fn sweep(&mut self) -> Swept<R> {
         let most = |each: Each<R>| each.0.into_iter().fold(R::zero(), R::max);
         if self.moved.is_empty() {
@@ -218,7 +218,7 @@ impl<R: Real> SideBySide<R> {
         largest
     }
 
-    /// With momentum; beside the largest changes the sums of `Found`.
+    /// With momentum; return the largest changes and the sums of `Found`.
     #[inline(never)]
     fn sweep_on(&mut self, step: &Step<R>) -> (Each<R>, [Each<R>; 3]) {
         let none = Each::every(0.0);
@@ -263,7 +263,7 @@ impl<R: Real> Four<R> {
         }
     }
 
-    /// Updates each; `note` sees edge by edge its changes and what it was short of.
+    /// Update each; `note` receives each edge's changes and shortfalls.
     #[inline(always)]
     fn update(
         &mut self,
@@ -281,8 +281,8 @@ impl<R: Real> Four<R> {
         largest
     }
 
-    /// The bodies' u + D⁻¹ Σ y f. Not inlined: the products would be ordered body by body, as
-    /// their sums are stored.
+    /// Return the bodies' u + D⁻¹ Σ y f. Not inlined: the products would be ordered body by body,
+    /// as their sums are stored.
     #[inline(never)]
     fn kick(&self, bodies: &[Six<R>], f: &[Each<R>; NARROW], out: &mut [[Each<R>; SIX]; 2]) {
         for which in 0..2 {
@@ -294,7 +294,7 @@ impl<R: Real> Four<R> {
     }
 }
 
-/// Bodies' u, side by side.
+/// Return the bodies' u, side by side.
 #[inline(always)]
 fn gather<R: Real>(bodies: &[Six<R>], at: &[u32; SIDE]) -> [Each<R>; SIX] {
     let mut u = [Each::every(0.0); SIX];

@@ -1,4 +1,4 @@
-//! One pass over blocks: each gets its own solution while all others hold theirs.
+//! One pass over blocks: each is solved while all others keep their impulses.
 
 use super::super::cone::{times, InCone, Matrix};
 use super::super::rows::{Block, Row, Rows, Set, NARROW};
@@ -9,29 +9,29 @@ use super::side_by_side::{SideBySide, SEEN};
 use crate::real::array::from_fn;
 use crate::real::{Mask, Real};
 
-/// How a block is solved, and its place among those solved like it.
+/// The update method of a block, and its place among blocks with the same method.
 #[derive(Clone, Copy)]
 enum How {
     /// Row by row.
     Rows,
-    /// A contact of a heap: see `packed.rs`.
+    /// A contact of a pile: see `packed.rs`.
     Packed(u32),
     Cone(Tie),
-    /// A cone of more ways than two tangents.
+    /// A cone with more ways than two tangents.
     Wide(Tie),
 }
 
-/// What sweeps need of the rows at hand, beside them; made once a solve.
+/// Data of the sweeps in addition to the rows, computed once per solve.
 pub(in super::super) struct Sweeps<R: Real> {
     /// D⁻¹ y of blocks that are not packed, in the layout of `Rows::y`.
     z: Vec<R>,
-    /// √(A/m) by row: makes an impulse a speed.
+    /// √(A/m) by row: converts an impulse to a speed.
     pub weight: Vec<R>,
-    /// By block.
+    /// Per block.
     how: Vec<How>,
     packed: Vec<Packed<R>>,
     side_by_side: SideBySide<R>,
-    /// The island at hand is there.
+    /// Whether the current island is in `side_by_side`.
     pub joined: bool,
     cones: Narrow<R>,
     wide: Wide<R>,
@@ -53,7 +53,7 @@ impl<R: Real> Sweeps<R> {
         }
     }
 
-    /// For these rows; `weigh`: changes will be judged.
+    /// Prepare for these rows; `weigh`: changes will be compared with a tolerance.
     pub fn prepare(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, weigh: bool) {
         self.z.resize(rows.y.len(), R::zero());
         self.weight.clear();
@@ -84,7 +84,7 @@ impl<R: Real> Sweeps<R> {
         }
     }
 
-    /// z of some rows.
+    /// Compute z of some rows.
     fn scale(&mut self, dof_lists: &[usize], inv_d: &[R], y: &[R], rows: &[Row<R>]) {
         for row in rows {
             let dofs = row.dofs.of(dof_lists);
@@ -95,8 +95,8 @@ impl<R: Real> Sweeps<R> {
         }
     }
 
-    /// Turns to an island whose blocks will be swept in this order, without the gain: pyramids of a
-    /// world by itself stand side by side, where bodies enough are apart and that is `allowed`.
+    /// Switch to an island whose blocks will be swept in this order, without the gain. The pyramids
+    /// of a single world are put side by side if enough bodies are separate and it is `allowed`.
     pub fn join(&mut self, inv_d: &[R], rows: &Rows<R>, list: &[usize], allowed: bool) {
         self.joined = false;
         if !R::ALONE {
@@ -120,21 +120,21 @@ impl<R: Real> Sweeps<R> {
         self.joined = self.side_by_side.take(inv_d, &rows.u, contacts);
     }
 
-    /// What contacts side by side gain will be asked; `on`: they are swept with momentum.
+    /// Measure the gain of contacts side by side; `on`: they are swept with momentum.
     pub fn measure(&mut self, inv_d: &[R], on: bool) {
         if R::ALONE && self.joined {
             self.side_by_side.measure(inv_d, on);
         }
     }
 
-    /// The next sweep begins where momentum leads, if what stands side by side has any.
+    /// Start the next sweep at momentum's point, if contacts side by side have momentum.
     pub fn go_on(&mut self) {
         if R::ALONE && self.joined {
             self.side_by_side.go_on();
         }
     }
 
-    /// Rows of packed blocks get their impulses, and u what stands side by side.
+    /// Write the impulses of packed blocks to the rows, and update u from contacts side by side.
     pub fn store(&self, rows: &mut Rows<R>, list: &[usize]) {
         if R::ALONE && self.joined {
             return self.side_by_side.store(rows);
@@ -159,7 +159,7 @@ impl<R: Real> Sweeps<R> {
         How::Cone(self.cones.tie(block.set, block.mu, q))
     }
 
-    /// y D⁻¹ yᵀ + C of a cone. A missing way is one that nothing moves.
+    /// Return y D⁻¹ yᵀ + C of a cone. A missing way is one that nothing moves.
     fn matrix<const N: usize>(
         &self,
         dof_lists: &[usize],
@@ -179,14 +179,14 @@ impl<R: Real> Sweeps<R> {
             q[i][i] = p.a + p.c;
         }
         if let (Set::Convex, Some(last)) = (block.set, own.last()) {
-            // What is missing gets something positive, which meets zeros only.
+            // A missing way gets a positive entry, which meets zeros only.
             (own.len()..N).for_each(|i| q[i][i] = last.a + last.c);
         }
         q
     }
 
-    /// One pass over the listed blocks. Not inlined: next to each other the two kinds of
-    /// sweep get slower code.
+    /// Make one pass over the listed blocks. Not inlined: next to each other the two kinds of sweep
+    /// get slower code.
     #[inline(never)]
     pub fn sweep<const GAIN: bool>(
         &mut self,
@@ -233,7 +233,7 @@ impl<R: Real> Sweeps<R> {
     }
 }
 
-/// What one block's update reads and writes.
+/// The data that one block's update reads and writes.
 struct Update<'a, R: Real, const GAIN: bool> {
     dof_lists: &'a [usize],
     y: &'a [R],
@@ -295,7 +295,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         row.short(self.dof_lists, self.y, self.u)
     }
 
-    /// Gives a row a new impulse, and u its effect; the change.
+    /// Set a row's impulse, and update u; return the change.
     #[inline(always)]
     fn set(&mut self, row: &mut Row<R>, impulse: R) -> R {
         let change = R::select(self.mask, impulse - row.impulse, R::zero());
@@ -319,7 +319,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         change
     }
 
-    /// The block's own minimum, in one piece.
+    /// Solve the block's minimum in one piece.
     fn convex<const N: usize>(&mut self, own: &mut [Row<R>], cone: &mut InCone<R, N>) -> [R; N] {
         let (mut w, mut impulse) = ([R::zero(); N], [R::zero(); N]);
         for (i, row) in own.iter().enumerate() {
@@ -340,7 +340,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         change
     }
 
-    /// The normal as an interval, then the ways within its friction bound.
+    /// Update the normal as an interval, then the ways within its friction bound.
     fn coulomb<const N: usize, const W: usize>(
         &mut self,
         own: &mut [Row<R>],

@@ -1,20 +1,20 @@
-//! Momentum of contacts that stand side by side: a sweep begins further on along what the last one
-//! moved, and along the move before.
+//! Momentum of contacts side by side: a sweep starts further along the last sweep's move, and along
+//! the move before.
 //!
-//! What is minimised, and what a sweep gains of it, is that of `momentum.rs`: f(λ) = ½ λᵀHλ + λ·(J v̂ − t)
-//! with H = A + C. A sweep from y ends at x; p = x − y is its move and e the move from the y before to this
-//! one. The next sweep begins at x + σp + τe, with the σ and τ at which f is least. That may be outside
-//! the sets, but the sweep sees every impulse, and so ends within them: nothing is projected, and
-//! u goes with λ. The slope of f at x along p is Δf + ½ pᵀHp, with Δf what the sweep gained. Along e
-//! it was 0 at y, the least along both moves of which e is made, and so it is eᵀHp at x.
+//! The objective and a sweep's gain are as in `momentum.rs`: f(λ) = ½ λᵀHλ + λ·(J v̂ − t) with
+//! H = A + C. A sweep from y ends at x; p = x − y is its move, and e is the move from the previous
+//! y to this one. The next sweep starts at x + σp + τe, with the σ and τ at which f is least. That
+//! may be outside the sets, but the sweep updates every impulse, and so ends within them: nothing
+//! is projected, and u follows λ. The slope of f at x along p is Δf + ½ pᵀHp, with Δf the gain of
+//! the sweep. Along e it was 0 at y, the minimum along both moves that form e, so it is eᵀHp at x.
 //!
-//! A sweep that ends higher than the one before shows that the sets turned the step into a detour.
-//! Then there is none for as many sweeps as that has happened, so that in the end sweeps alone lead on.
+//! If a sweep ends higher than the one before, the sets turned the step into a detour. Then the
+//! step is skipped as many times as that has happened, so that in the end sweeps proceed alone.
 
 use super::super::free_bodies::SIX;
 use crate::real::{Mask, Real};
 
-/// A body's part of u, on a line of the memory by itself.
+/// A body's part of u, on a separate cache line.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 pub(super) struct Six<R>(pub [R; SIX]);
@@ -25,17 +25,17 @@ impl<R: Real> Six<R> {
     }
 }
 
-/// Moves whose 2 × 2 products have a determinant below this part of the diagonal's are one.
+/// Moves count as one if the determinant of their 2 × 2 products is below this part of the diagonal's.
 const APART: f64 = 1e-8;
 
-/// How a place and its moves go on: x + σp + τe, and the whole move from y, (1 + σ)p + τe, or none.
+/// The next position and move: x + σp + τe, and the whole move from y, (1 + σ)p + τe, or none.
 #[derive(Clone, Copy)]
 pub(super) struct Step<R> {
     along: [R; 2],
     keep: [R; 2],
 }
 
-/// What a sweep found: what it gained of f, and pᵀCp and pᵀCe of its moves.
+/// The result of a sweep: its gain of f, and pᵀCp and pᵀCe of its moves.
 #[derive(Clone, Copy)]
 pub(super) struct Found<R> {
     pub gain: R,
@@ -49,16 +49,16 @@ impl<R: Real> Found<R> {
     }
 }
 
-/// The method's memory for the island at hand.
+/// The method's memory for the current island.
 pub(super) struct SweepMomentum<R> {
-    /// By body: D, u where the sweep began, and the move e.
+    /// Per body: D, u at the start of the sweep, and the move e.
     d: Vec<Six<R>>,
     from: Vec<Six<R>>,
     last: Vec<Six<R>>,
-    /// eᵀHe, and how much f fell in the step before the sweep.
+    /// eᵀHe, and the decrease of f in the step before the sweep.
     energy: R,
     fall: R,
-    /// Sweeps that ended too high, and for how many there is no step.
+    /// Sweeps that ended too high, and the number of sweeps without a step.
     failures: u32,
     rest: u32,
 }
@@ -70,7 +70,7 @@ impl<R: Real> Step<R> {
         Self { along: [R::zero(); 2], keep: [R::zero(); 2] }
     }
 
-    /// From x, the y before it and e: the next y, which takes the places of x and y, and the next e.
+    /// From x, the previous y and e, compute the next y, which replaces x and y, and the next e.
     #[inline(always)]
     pub fn go<const N: usize>(&self, x: &mut [R; N], y: &mut [R; N], e: &mut [R; N]) {
         for k in 0..N {
@@ -95,7 +95,7 @@ impl<R: Real> SweepMomentum<R> {
         }
     }
 
-    /// Starts on an island with these bodies; each comes with its D.
+    /// Start on an island with these bodies, each with its D.
     pub fn begin(&mut self, bodies: &[Six<R>], d: impl Iterator<Item = Six<R>>) -> Step<R> {
         self.d.clear();
         self.d.extend(d);
@@ -108,12 +108,12 @@ impl<R: Real> SweepMomentum<R> {
         Step::none()
     }
 
-    /// How much f changed in the step before the sweep.
+    /// Return the change of f in the step before the sweep.
     pub fn fall(&self) -> R {
         self.fall
     }
 
-    /// After a sweep: moves the bodies on, and says how their contacts are to follow.
+    /// After a sweep: move the bodies on, and return the step for their contacts.
     pub fn step(&mut self, bodies: &mut [Six<R>], found: Found<R>) -> Step<R> {
         let step = self.best(bodies, found);
         let places = bodies.iter_mut().zip(&mut self.from).zip(&mut self.last);
@@ -123,7 +123,7 @@ impl<R: Real> SweepMomentum<R> {
         step
     }
 
-    /// The step to where f is least.
+    /// Return the step to the minimum of f.
     fn best(&mut self, bodies: &[Six<R>], found: Found<R>) -> Step<R> {
         let (zero, one, half) = (R::zero(), R::one(), R::of(0.5));
         let (own, both) = self.products(bodies, found);
@@ -154,7 +154,7 @@ impl<R: Real> SweepMomentum<R> {
         Step { along: [sigma, tau], keep: [whole, tau] }
     }
 
-    /// pᵀHp and pᵀHe: H of impulses is D of what they make of u, and C.
+    /// Return pᵀHp and pᵀHe: H of impulses is D of their effect on u, plus C.
     fn products(&self, bodies: &[Six<R>], found: Found<R>) -> (R, R) {
         let (mut own, mut both) = ([R::zero(); SIX], [R::zero(); SIX]);
         let places = bodies.iter().zip(&self.from).zip(&self.last).zip(&self.d);

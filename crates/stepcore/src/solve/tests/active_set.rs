@@ -1,4 +1,4 @@
-//! Islands of few rows under Newton: the active set method against converged PGS.
+//! Islands with few rows under Newton: the active set method against converged PGS.
 
 use super::{by_sweeps, close, Problem, Random, EVERY, INF};
 use crate::solve::limits::Limits;
@@ -31,7 +31,7 @@ fn few_rows_equal_converged_pgs() {
         by_sweeps(&mut Pgs::new(), &lists, &problem.inv_d, &mut want, limits);
         let mut rows = problem.rows::<f64>();
         if case % 2 == 1 {
-            // From a warm start that is wrong.
+            // From a wrong warm start.
             for row in &mut rows.rows {
                 row.impulse = 0.04;
                 for k in 0..6 {
@@ -52,7 +52,7 @@ fn few_rows_equal_converged_pgs() {
     }
 }
 
-/// A row that nothing moves keeps out of the matrix; its impulse stays what it was.
+/// A row that nothing moves stays out of the matrix; its impulse does not change.
 #[test]
 fn a_row_that_nothing_moves() {
     let mut problem = Problem::new(&[1.0, 2.0], &[-1.0, -1.0]);

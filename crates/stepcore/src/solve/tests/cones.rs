@@ -5,7 +5,7 @@ use crate::real::{Dual, Real};
 use crate::solve::cone::{project_box, project_round, InBall, InCone};
 use crate::solve::square::Square;
 
-/// min ½xᵀQx + b·x over a convex set, by accelerated projected gradients with restart.
+/// Minimise ½xᵀQx + b·x over a convex set, by accelerated projected gradients with restart.
 fn brute(q: &[[f64; 3]; 3], b: [f64; 3], project: impl Fn([f64; 3]) -> [f64; 3]) -> [f64; 3] {
     let step = 1.0 / (q[0][0] + q[1][1] + q[2][2]);
     let gradient = |x: [f64; 3]| -> [f64; 3] {
@@ -45,7 +45,7 @@ fn a_convex_block_is_the_minimum() {
         for i in 0..3 {
             close(got[i], want[i], 1e-8);
         }
-        // The same to rounding: the natural map.
+        // The natural map confirms the solution to rounding.
         let w: [f64; 3] =
             crate::real::array::from_fn(|i| b[i] + (0..3).map(|j| q[i][j] * got[j]).sum::<f64>());
         let back: [f64; 3] = project_round(mu, crate::real::array::from_fn(|i| got[i] - w[i]));
@@ -137,7 +137,7 @@ fn projections_are_nearest() {
     }
 }
 
-/// A number and its derivative along the first way.
+/// A number with its derivative along the first way.
 fn dual(pair: (f64, f64)) -> Dual {
     let mut x = Dual::of(pair.0);
     x.slopes[0] = pair.1;
@@ -148,14 +148,14 @@ fn moved(pairs: &[(f64, f64)], h: f64) -> Vec<f64> {
     pairs.iter().map(|(x, d)| x + h * d).collect()
 }
 
-/// Central differences of a function of numbers that all move at once.
+/// Central differences of a function whose inputs all move at once.
 fn slope<const N: usize>(f: impl Fn(&[f64]) -> [f64; N], at: &[(f64, f64)]) -> [f64; N] {
     let h = 1e-6;
     let (up, down) = (f(&moved(at, h)), f(&moved(at, -h)));
     crate::real::array::from_fn(|i| (up[i] - down[i]) / (2.0 * h))
 }
 
-/// A positive definite lower triangle: isotropic in every third case.
+/// Return a positive definite lower triangle: isotropic in every third case.
 fn matrix(random: &mut Random, case: usize) -> [f64; 6] {
     let [a, b, c] = [0; 3].map(|_| 0.4 * random.next());
     let (a, b, c) = if case.is_multiple_of(3) { (0.0, 0.0, 0.0) } else { (a, b, c) };

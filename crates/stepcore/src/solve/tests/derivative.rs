@@ -8,7 +8,7 @@ use crate::solve::derivative::Differentiated;
 use crate::solve::rows::{Rows, Set};
 use crate::solve::solver::{Solve, Solvers, Unconstrained};
 
-/// Every number of a problem, in one order: û, 1/D, then t and y by row.
+/// Return every number of a problem, in one order: û, 1/D, then t and y by row.
 fn numbers(problem: &mut Problem) -> Vec<&mut f64> {
     let Problem { inv_d, guess, blocks } = problem;
     let rows = blocks.iter_mut().flat_map(|block| &mut block.2);
@@ -22,7 +22,7 @@ fn moved(problem: &Problem, way: &[f64], h: f64) -> Problem {
     problem
 }
 
-/// False where sweeps did not reach a solution.
+/// Return false if sweeps did not reach a solution.
 fn solve<R: Real>(
     solver: &mut dyn Solve<R>,
     settings: &Settings,
@@ -34,14 +34,14 @@ fn solve<R: Real>(
     solver.solve(settings, free, rows).unwrap().open.none()
 }
 
-/// u of the solution.
+/// Return u of the solution.
 fn solution(problem: &Problem, settings: &Settings) -> Option<Vec<f64>> {
     let mut rows = problem.rows::<f64>();
     let given = [&*problem.inv_d, &*problem.guess];
     solve(&mut Solvers::new(), settings, given, &mut rows).then_some(rows.u)
 }
 
-/// u's slopes along `way`, and the blocks at which they are one-sided.
+/// Return u's slopes along `way`, and the blocks at which they are one-sided.
 fn slopes(problem: &Problem, way: &[f64], settings: &Settings) -> Option<(Vec<f64>, Vec<u32>)> {
     let mut tangent = problem.clone();
     numbers(&mut tangent).into_iter().zip(way).for_each(|(x, way)| *x = *way);
@@ -80,9 +80,8 @@ fn apart(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// Problems that `make` gives, moved in every number at once. A problem whose differences to
-/// both sides disagree has changed its active rows in between, and is passed over, as is one
-/// that sweeps do not solve.
+/// Check problems from `make`, moved in every number at once. A problem is skipped if its one-sided
+/// differences disagree, because its active rows changed in between, or if sweeps do not solve it.
 fn check(settings: &Settings, mut make: impl FnMut(usize, &mut Random) -> Problem) {
     let (mut random, mut checked) = (Random::new(41), 0);
     for case in 0..120 {
@@ -90,7 +89,7 @@ fn check(settings: &Settings, mut make: impl FnMut(usize, &mut Random) -> Proble
         let way: Vec<f64> = numbers(&mut problem).iter().map(|_| random.next()).collect();
         let way = repeated(&problem, way);
         let Some((got, one_sided)) = slopes(&problem, &way, settings) else { continue };
-        // Rigid copies share an impulse in any way, and one of them may end at a corner.
+        // Rigid copies share an impulse arbitrarily, and one of them may end at a corner.
         let shared = settings.law == Law::Rigid && case % 2 == 1;
         assert!(one_sided.is_empty() || shared, "case {case}: {one_sided:?}");
         let h = 1e-6;
@@ -111,7 +110,7 @@ fn check(settings: &Settings, mut make: impl FnMut(usize, &mut Random) -> Proble
     assert!(checked > 80, "{checked}");
 }
 
-/// Rows that repeat others move as these do.
+/// Move rows that repeat others like the originals.
 fn repeated(problem: &Problem, way: Vec<f64>) -> Vec<f64> {
     let mut tangent = problem.clone();
     numbers(&mut tangent).into_iter().zip(&way).for_each(|(x, way)| *x = *way);
@@ -132,8 +131,7 @@ fn repeated(problem: &Problem, way: Vec<f64>) -> Vec<f64> {
     numbers(&mut tangent).into_iter().map(|x| *x).collect()
 }
 
-/// Cones and intervals; then copies of some, a block that nothing moves, and one without
-/// friction.
+/// Cones and intervals; then copies of some, a block that nothing moves, and one without friction.
 fn degenerate(set: Set, c: f64, case: usize, random: &mut Random) -> Problem {
     let mut problem = contacts(set, 1 + case % 3, c, random);
     let mut y = || (0..6).map(|_| random.next()).collect::<Vec<f64>>();
@@ -174,7 +172,7 @@ fn sweeps_and_convex_cones() {
     check(&settings, |case, random| degenerate(Set::Convex, 0.03, case, random));
 }
 
-/// Torsion and rolling: a surface has more ways round.
+/// Torsion and rolling: a surface has more tangent directions.
 #[test]
 fn wide_cones() {
     for (solver, law, set) in [
@@ -188,8 +186,8 @@ fn wide_cones() {
     }
 }
 
-/// Coulomb's laws, whose friction pushes no row out of its own block here: what solves them need
-/// not be unique.
+/// Coulomb's laws, whose friction pushes no row out of its block here: solutions need not be
+/// unique.
 #[test]
 fn sweeps_and_coulomb_cones() {
     let settings = settings(Solver::Pgs, Law::Lesson);
@@ -198,7 +196,7 @@ fn sweeps_and_coulomb_cones() {
     }
 }
 
-/// Without softness only what is redundant lets impulses choose; u is one.
+/// Without softness, impulses are ambiguous only for redundant rows; u is unique.
 #[test]
 fn sweeps_without_softness() {
     let settings = settings(Solver::Pgs, Law::Rigid);
@@ -216,7 +214,7 @@ fn sweeps_without_softness() {
     }
 }
 
-/// The end of an interval, and of each cone its apex and its surface: one-sided exactly there.
+/// The bound of an interval, and the apex and surface of each cone: one-sided exactly there.
 #[test]
 fn corners_are_told() {
     let settings = settings(Solver::Pgs, Law::Rigid);
@@ -235,14 +233,14 @@ fn corners_are_told() {
         assert_eq!(one_sided(Set::Interval, [push, 0.0, 0.0], 1), want, "{push}");
     }
     for set in [Set::Convex, Set::CoulombRound, Set::CoulombBox] {
-        // An impulse of 1, and in the tangent what the cone just holds, less, or more.
+        // An impulse of 1, and in the tangent the limit of the cone, less, or more.
         for (push, want) in [(0.7, vec![0]), (0.69, vec![]), (0.71, vec![])] {
             assert_eq!(one_sided(set, [-3.0, push, 0.0], 1), want, "{set:?} {push}");
         }
         assert_eq!(one_sided(set, [0.0; 3], 1), [0], "{set:?}");
         assert_eq!(one_sided(set, [0.1, 0.0, 0.0], 1), [0; 0], "{set:?}");
     }
-    // The second only repeats the first, which leaves it no impulse and no slack.
+    // The second only repeats the first, which leaves it zero impulse and zero slack.
     let limits = |guess: f64| {
         let mut problem = Problem::new(&[1.0], &[guess]);
         (0..2).for_each(|_| problem.limit(&[1.0], 0.0, 0.0));

@@ -1,4 +1,4 @@
-//! A lane is, bit for bit, the world that it holds.
+//! A lane equals, bit for bit, the world that it holds.
 
 use super::active_set::intervals;
 use super::newton::mixed;
@@ -13,7 +13,7 @@ use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Rows, Set};
 use crate::solve::solver::{Solvers, Unconstrained};
 
-/// Who solves: PGS with these limits, the same and for sure, or Newton.
+/// The solver: PGS with these limits, PGS with fallback, or Newton.
 #[derive(Clone, Copy)]
 enum By {
     Pgs(Limits),
@@ -38,7 +38,7 @@ fn solve<R: Real>(by: By, lists: &[usize], inv_d: &[f64], rows: &mut Rows<R>) ->
     }
 }
 
-/// Limits block b to the dofs `keep(b)`.
+/// Limit block b to the dofs `keep(b)`.
 fn thin<R: Real>(
     rows: &mut Rows<R>,
     inv_d: &[f64],
@@ -65,8 +65,8 @@ fn thin<R: Real>(
     lists
 }
 
-/// Solves perturbed copies of a problem in lanes and alone; `has(block, lane)` says
-/// which lanes a block exists in.
+/// Solve perturbed copies of a problem in lanes and alone; `has(block, lane)` is true for the lanes
+/// in which a block exists.
 fn compare(base: &Problem, by: By, random: &mut Random, has: impl Fn(usize, usize) -> bool) {
     for heap in [false, true] {
         compare_as(heap, base, by, random, &has);
@@ -96,7 +96,7 @@ fn compare_as(
         let mut rows = world.rows::<f64>();
         rows.heap = heap;
         let lists = thin(&mut rows, &base.inv_d, keep);
-        // Alone, a missing block is no block at all.
+        // Alone, a missing block is absent.
         let mut at = 0;
         rows.blocks.retain(|_| {
             at += 1;
@@ -145,7 +145,7 @@ fn under_pgs() {
     }
 }
 
-/// What three sweeps leave of contacts under masses of 1 to 10⁶.
+/// Contacts under masses of 1 to 10⁶ that three sweeps leave unsolved.
 #[test]
 fn beyond_sweeps() {
     let mut random = Random::new(44);
@@ -200,7 +200,7 @@ fn under_newton() {
     }
 }
 
-/// Lanes with one row, with few and with many, side by side.
+/// Lanes with one row, with few and with many, in parallel.
 #[test]
 fn under_newton_with_few_rows() {
     let mut random = Random::new(33);

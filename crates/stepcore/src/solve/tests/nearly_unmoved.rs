@@ -1,5 +1,5 @@
-//! Opposed rows with loads far beyond what moves the dof, as the edges of a pyramid under a wheel whose
-//! axle is nearly through its centre.
+//! Opposed rows with loads far larger than the force that moves the dof, such as the edges of a
+//! pyramid under a wheel whose axle is nearly through its centre.
 
 use super::{pack, Problem, EVERY};
 use crate::real::{Lanes, Real};
@@ -7,7 +7,7 @@ use crate::solve::limits::Limits;
 use crate::solve::newton::Newton;
 use crate::solve::solver::Unconstrained;
 
-/// An edge: y, t, c. The y is k, or −k, and `off`; the t is that y of u = 1, and what it is deep.
+/// An edge: y, t, c, with y = ±k + `off` and t = 0.005 ± 0.1 k.
 type Edge = (f64, f64, f64);
 
 const K: [f64; 4] = [0.0941, -0.0941, 0.0322, -0.0322];
@@ -37,7 +37,7 @@ fn problem(edges: &[Edge]) -> Problem {
 fn solved<R: Real>(worlds: &[Vec<Edge>]) -> R {
     let problems: Vec<Problem> = worlds.iter().map(|edges| problem(edges)).collect();
     let mut rows = pack::<R>(&problems);
-    // Scalars' numbers go in as they are.
+    // Scalar numbers are passed unchanged.
     for (row, (_, _, c)) in rows.rows.iter_mut().zip(&worlds[0]) {
         row.c = R::of(*c);
     }
@@ -74,7 +74,7 @@ fn in_single_precision_too() {
 
 #[test]
 fn lanes_are_single_worlds() {
-    // Loads that cancel in one lane, and none in another.
+    // Loads that cancel in one lane, and do not in another.
     let (small, wide) = (edges(1e-7, 1e-9), edges(0.05, 1e-9));
     let lanes = solved::<Lanes>(&[small.clone(), wide.clone()]);
     for (lane, edges) in [small, wide].into_iter().enumerate() {

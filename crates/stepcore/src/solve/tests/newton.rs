@@ -36,7 +36,7 @@ fn newton_equals_converged_pgs() {
         };
         let mut rows = problem.rows::<f64>();
         if case % 2 == 1 {
-            // From a warm start that is wrong.
+            // From a wrong warm start.
             for row in &mut rows.rows {
                 row.impulse = 0.1;
                 for k in 0..6 {
@@ -79,15 +79,15 @@ fn newton_needs_softness() {
     let mut rows = problem.rows::<f64>();
     assert!(Newton::new().solve(problem.free(&[0]), &mut rows, EVERY).is_err());
     assert_eq!((rows.u[0], rows.rows[0].impulse), (-1.0, 0.0));
-    // A row that nothing moves needs none.
+    // A row that nothing moves needs no regulariser.
     problem.blocks[0].2[0] = (vec![0.0], 0.5, 0.0, 0.0, INF);
     let mut rows = problem.rows::<f64>();
     assert!(Newton::new().solve(problem.free(&[0]), &mut rows, EVERY).is_ok());
     assert_eq!((rows.u[0], rows.rows[0].impulse), (-1.0, 0.0));
 }
 
-/// Impulses of a step before tell which rows press, even where c is so small that the velocities
-/// that they make do not.
+/// Last step's impulses show which rows press, even if c is so small that the velocities from these
+/// impulses do not.
 #[test]
 fn the_first_step_goes_by_the_zones_of_the_last() {
     const DOFS: usize = 30;

@@ -1,4 +1,4 @@
-//! Contacts that are packed for sweeps, against the same rows one by one.
+//! Contacts packed for sweeps, against the same rows one by one.
 
 use super::{by_sweeps, close, contacts, pack, Problem, Random, EVERY, INF};
 use crate::model::Span;
@@ -30,7 +30,7 @@ fn between_two(set: Set, random: &mut Random) -> Problem {
 
 const SETS: [Set; 4] = [Set::Interval, Set::Convex, Set::CoulombRound, Set::CoulombBox];
 
-/// Nine sweeps; where rows allow it, with momentum too.
+/// Nine sweeps; if rows allow it, with momentum too.
 fn each_way(set: Set) -> impl Iterator<Item = Limits> {
     let convex = matches!(set, Set::Interval | Set::Convex);
     let way = |momentum| Limits { sweeps: 9, tolerance: 1e-9, momentum, ..EVERY };
@@ -86,14 +86,14 @@ fn packed_lanes_are_their_worlds() {
     }
 }
 
-/// A ring of bodies, each in contact with the next and every third with the ground; and the list that
-/// the rows' spans point into.
+/// A ring of bodies, each in contact with the next and every third with the ground; and the dof
+/// lists of the rows' spans.
 fn ring<R: Real>(worlds: &[Problem], bodies: usize) -> (Rows<R>, Vec<usize>) {
     let (mut rows, mut lists, mut y) = (pack::<R>(worlds), vec![], vec![]);
     for block in &rows.blocks {
         let at = block.slot as usize;
         let own: Vec<usize> = if at < bodies {
-            // Not one after another, so that some stand side by side.
+            // Not one after another, so that some are side by side.
             let (this, next) = (7 * at % bodies, (7 * at + 1) % bodies);
             let (one, two) = (this.min(next), this.max(next));
             (6 * one..6 * one + 6).chain(6 * two..6 * two + 6).collect()
@@ -111,7 +111,7 @@ fn ring<R: Real>(worlds: &[Problem], bodies: usize) -> (Rows<R>, Vec<usize>) {
     (rows, lists)
 }
 
-/// What `ring` takes: rows over all dofs.
+/// The input of `ring`: rows over all dofs.
 fn ring_problem(bodies: usize, inv_d: &[f64], random: &mut Random) -> Problem {
     let guess: Vec<f64> = inv_d.iter().map(|_| random.next()).collect();
     let mut problem = Problem::new(inv_d, &guess);
@@ -129,7 +129,7 @@ fn ring_problem(bodies: usize, inv_d: &[f64], random: &mut Random) -> Problem {
     problem
 }
 
-/// Against rows one by one, and against lanes, which have no sides, to the last bit.
+/// Against rows one by one, and against lanes, which are never side by side, to the last bit.
 #[test]
 fn side_by_side_is_one_after_another() {
     const BODIES: usize = 24;
@@ -165,8 +165,8 @@ fn side_by_side_is_one_after_another() {
     }
 }
 
-/// With momentum contacts side by side come to the same end in fewer sweeps. Wherever sweeps stop,
-/// impulses are within their sets, and u is their effect.
+/// With momentum, contacts side by side converge to the same solution in fewer sweeps. Wherever
+/// sweeps stop, impulses are within their sets, and u is their effect.
 #[test]
 fn momentum_side_by_side() {
     const BODIES: usize = 24;

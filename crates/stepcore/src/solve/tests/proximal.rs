@@ -1,11 +1,11 @@
-//! What sweeps cannot reach is reached, in closed form and bit for bit in lanes.
+//! Problems beyond sweeps are solved, in closed form and bit for bit in lanes.
 
 use super::{close, Line, Problem, EVERY, INF};
 use crate::solve::limits::Limits;
 use crate::solve::rows::Set;
 use crate::solve::solver::Solvers;
 
-/// Gravity in a step [m/s].
+/// Gravity per step [m/s].
 const FALL: f64 = 0.02;
 const LIMITS: Limits =
     Limits { sweeps: 50, tolerance: 1e-10, exact: true, rounding: true, ..EVERY };
@@ -35,7 +35,7 @@ pub(in crate::solve) fn stack(set: Set, masses: &[f64], slide: f64, count: usize
     problem
 }
 
-/// Solves it; the impulses of the normals, place by place.
+/// Solve it; return the impulses of the normals, place by place.
 fn normals(problem: &Problem, count: usize) -> Vec<f64> {
     let (lists, mut rows) = (problem.dof_lists(), problem.rows::<f64>());
     let report = Solvers::new().solve_for_sure(LIMITS, problem.free(&lists), &mut rows);
@@ -53,7 +53,7 @@ fn a_gram_under_a_ton() {
                 let found = normals(&stack(set, masses, 0.0, count), count);
                 for (at, impulse) in found.into_iter().enumerate() {
                     let weight = FALL * masses[at..].iter().sum::<f64>();
-                    // 1e-10 m/s of what moves a million times as easily.
+                    // 1e-10 m/s of a body that moves a million times as easily.
                     close(impulse, weight, 1e-5 * weight);
                 }
             }
@@ -61,7 +61,7 @@ fn a_gram_under_a_ton() {
     }
 }
 
-/// All of it slides at 1 m/s, and what rubs on the floor slows all: μ g dt.
+/// The whole stack slides at 1 m/s, and the friction at the floor slows all of it: μ g dt.
 #[test]
 fn a_gram_that_slides_under_a_ton() {
     for set in [Set::CoulombRound, Set::CoulombBox] {

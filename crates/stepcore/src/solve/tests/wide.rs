@@ -1,4 +1,4 @@
-//! Blocks of more interval rows than a cone has: a ten-edge pyramid.
+//! Blocks with more interval rows than a cone has: a ten-edge pyramid.
 
 use super::active_set::intervals;
 use super::{by_sweeps, close, Problem, Random, EVERY};
@@ -8,7 +8,7 @@ use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Rows, Set};
 use crate::solve::solver::Unconstrained;
 
-/// The same rows, ten to a block.
+/// Group the same rows, ten per block.
 fn in_tens(problem: &Problem) -> Problem {
     let lines: Vec<_> = problem.blocks.iter().flat_map(|block| block.2.clone()).collect();
     let blocks = lines.chunks(10).map(|ten| (Set::Interval, 0.0, ten.to_vec()));
@@ -48,14 +48,14 @@ fn rows_in_tens_are_the_same_rows() {
             for (one, ten) in one.u.iter().zip(&ten.u) {
                 close(*one, *ten, 1e-10);
             }
-            // From its own solution a solver stays there.
+            // A solver that starts from its solution stays there.
             let found: Vec<f64> = ten.rows.iter().map(|row| row.impulse).collect();
             solve(&tens, &mut ten);
             for (row, found) in ten.rows.iter().zip(found) {
                 close(row.impulse, found, 1e-8);
             }
         }
-        // Plain sweeps go through them in the same order.
+        // Plain sweeps visit them in the same order.
         let (mut one, mut ten) = (single.rows::<f64>(), tens.rows::<f64>());
         sweep(&single, &mut one);
         sweep(&tens, &mut ten);

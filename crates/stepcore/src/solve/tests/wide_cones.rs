@@ -15,7 +15,7 @@ const WAYS: usize = CONE - 1;
 type Vector = [f64; CONE];
 type Matrix = [[f64; CONE]; CONE];
 
-/// Positive definite on the first `len`, the others of grades as different as coefficients are.
+/// Positive definite on the first `len`; the others scaled as differently as coefficients are.
 fn random_spd(random: &mut Random, len: usize, floor: f64, grade: f64) -> Matrix {
     let r: Matrix = crate::real::array::from_fn(|_| crate::real::array::from_fn(|_| random.next()));
     let size: Vector = crate::real::array::from_fn(|i| if i < 3 { 1.0 } else { grade });
@@ -34,7 +34,7 @@ fn slope(q: &Matrix, b: &Vector, x: &Vector) -> Vector {
     crate::real::array::from_fn(|i| b[i] + (0..CONE).map(|j| q[i][j] * x[j]).sum::<f64>())
 }
 
-/// The ways alone, and back.
+/// The ways alone, and the inverse.
 fn tail<R: Real>(q: [[R; CONE]; CONE]) -> [[R; WAYS]; WAYS] {
     crate::real::array::from_fn(|i| part(q[i + 1]))
 }
@@ -85,7 +85,7 @@ fn a_convex_block_is_the_minimum() {
     assert!(zones.iter().all(|count| *count > 50), "{zones:?}");
 }
 
-/// The same for a ball and for a box: by the signs of what is left.
+/// The same for a ball and for a box, by the signs of the residual.
 #[test]
 fn coulomb_ways_are_the_minimum() {
     let mut random = Random::new(72);
@@ -150,14 +150,14 @@ fn projections_are_nearest() {
             p.iter_mut().skip(1).for_each(|p| *p *= k);
             assert!(far(p) >= far(round) - 1e-12 || n == 0.0);
         }
-        // A projection is where it leads itself.
+        // A projection is a fixed point of the projection.
         for (p, again) in [(round, project_round(mu, round)), (square, project_box(mu, square))] {
             (0..CONE).for_each(|i| close(p[i], again[i], 1e-14 * (1.0 + mu)));
         }
     }
 }
 
-/// Contacts of 4 and 6 rows in front of a random body, beside narrow ones and limits.
+/// Contacts of 4 and 6 rows in front of a random body, next to narrow ones and limits.
 pub(super) fn wide_contacts(set: Set, count: usize, c: f64, random: &mut Random) -> Problem {
     let nv = 8;
     let inv_d: Vec<f64> = (0..nv).map(|_| (2.0 * random.next()).exp()).collect();
@@ -209,8 +209,8 @@ fn sweeps_and_newton_agree() {
     }
 }
 
-/// Under Coulomb's laws sweeps reach rounding too, with c = 0 as well, unless normal and friction
-/// push each other so much that sweeps go round in a circle.
+/// Under Coulomb's laws sweeps reach rounding too, even with c = 0, unless normal and friction
+/// affect each other so much that sweeps cycle.
 #[test]
 fn sweeps_solve_coulomb_blocks() {
     let mut random = Random::new(75);
@@ -246,7 +246,7 @@ fn solve<R: Real<Mask = bool>>(
     }
 }
 
-/// What sweeps that reach no solution carry along: a block's own solution against central
+/// Slopes carried through sweeps without convergence: a block's solution against central
 /// differences, moved in every number at once.
 #[test]
 fn blocks_have_their_slopes() {

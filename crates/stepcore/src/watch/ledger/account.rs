@@ -1,11 +1,11 @@
-//! The account of one world: what its energy is, and what a passive scene could have.
+//! The account of one world: its energy, and the energy that a passive scene could have.
 //!
-//! E is kinetic energy, springs and gravity; W what motors and applied forces put in. E − W
-//! can only fall, but for what violated rows give back: |λ|/dt·|r| at most, the force of a
-//! row through the whole of its violation. So E − W never rises above its least value so far,
-//! violated rows counted there and not now. An integrator's own error rises with the energy
-//! that circulates, and so does what it may be: `scale`, the most that moved or was stored
-//! without being a gain itself. No number here has a unit of its own.
+//! E is kinetic energy, springs and gravity; W the work of motors and applied forces. E − W can
+//! only fall, except for what violated rows give back: |λ|/dt·|r| at most, the force of a row
+//! through the whole of its violation. So E − W never rises above its lowest earlier value, with
+//! violated rows counted there and not now. An integrator's error rises with the energy that
+//! circulates, and so does its allowance: `scale`, the most that moved or was stored without being
+//! a gain itself. All constants here are dimensionless.
 
 use crate::real::Real;
 
@@ -19,34 +19,34 @@ pub(crate) struct Level {
     pub held: f64,
     /// The size of the numbers that were summed, for rounding.
     pub size: f64,
-    /// What rows may give in a step that are solved to the tolerance asked for, and no better.
+    /// The most that rows solved only to the requested tolerance may give in a step.
     pub unsolved: f64,
 }
 
-/// What one world may have.
+/// The energy that one world may have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Account {
     /// Work of motors and applied forces since the account was opened [J].
     pub paid: f64,
-    /// Least E − W so far, violated rows counted [J].
+    /// The least E − W until now, violated rows counted [J].
     least: f64,
     /// Energy that circulated [J].
     pub scale: f64,
-    /// How many times `scale` may be gained.
+    /// The allowed gain as a multiple of `scale`.
     allowed: f64,
     throughput: f64,
     unsolved: f64,
 }
 
-/// A gain of this share of the energies at hand is none that matters, whatever circulates.
+/// A gain of this share of the present energies does not matter, whatever circulates.
 const NEGLIGIBLE: f64 = 1e-8;
 
-/// What an account says of a level.
+/// The judgement of an account on a level.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Verdict {
     /// Energy that no element can have given [J]; negative: none.
     pub gained: f64,
-    /// The most that is not suspicious [J].
+    /// The largest gain that is not suspicious [J].
     pub limit: f64,
 }
 
@@ -63,34 +63,34 @@ impl Account {
         }
     }
 
-    /// Takes the work done since the last level, so many steps ago, and judges the present one.
+    /// Adds the work since the last level, this many steps ago, and judges the present one.
     pub fn judge<R: Real>(&mut self, level: &Level, work: f64, steps: f64) -> Verdict {
         self.unsolved += steps * level.unsolved;
         self.paid += work;
         self.throughput += work.abs();
         let free = level.moving + level.gravity - self.paid;
         let gained = free - self.least;
-        // What violated rows hold may be gained as well.
+        // The energy held by violated rows may be gained as well.
         let unearned = (free + level.held - self.least).max(0.0);
         let earned = if unearned > 0.0 {
-            // moving + held − unearned, but for rounding
+            // moving + held − unearned, up to rounding
             self.least + self.paid - level.gravity
         } else {
             level.moving + level.held
         };
         self.scale = self.scale.max(earned);
         self.least = self.least.min(free + level.held);
-        // A world at rest has nothing that circulates, and rounding all the same; forces that
-        // hold each other then move it by what the solver leaves.
+        // A world at rest has no circulating energy, but it has rounding; forces that balance each
+        // other then move it by the solver's residual.
         let rounding = NEGLIGIBLE.max(1024.0 * R::epsilon()) * (level.size + self.throughput);
         let unsure = rounding + self.unsolved;
-        // An energy beyond all numbers is none that was rounded.
+        // An energy beyond all numbers has no rounding.
         let unsure = if unsure.is_finite() { unsure } else { 0.0 };
         Verdict { gained, limit: self.allowed * self.scale + unsure }
     }
 
-    /// A gain that was looked into, and is none of the step's making, is allowed; the next
-    /// to be looked into is twice as large.
+    /// Allows a gain that was examined and was not caused by the step; the next one to be examined
+    /// is twice as large.
     pub fn allow(&mut self, gained: f64, times: f64) {
         let reached = if self.scale > 0.0 { gained / self.scale } else { 0.0 };
         self.allowed = self.allowed.max(2.0 * reached).max(times);
@@ -104,12 +104,12 @@ mod tests {
     /// As with `Settings::ledger`.
     const ALLOWED: f64 = 1.0;
 
-    /// A ball of energy `e` [J] above its floor, so much of it moving.
+    /// A ball of energy `e` [J] above its floor, this share of it moving.
     fn ball(e: f64, share: f64) -> Level {
         Level { moving: e * share, gravity: e * (1.0 - share), held: 0.0, size: e, unsolved: 0.0 }
     }
 
-    /// Looked at anywhere in its flight, at the top of it too, where nothing moves.
+    /// Examined anywhere in its flight, at the top of it too, where nothing moves.
     const SHARES: [f64; 7] = [0.3, 0.9, 0.0, 0.6, 0.01, 1.0, 0.5];
 
     #[test]

@@ -11,14 +11,14 @@ use crate::sim::{At, Sim};
 use crate::solve::Block;
 
 impl<R: Real> Sim<R> {
-    /// What an audit solves can be the next step's: that has one solve, and summing up energies, which
-    /// places all bodies anew, forgets no arms of what pulls at contacts.
+    /// Whether the solve of an audit can be the next step's: it has one solve, and summing up
+    /// energies, which places all bodies anew, keeps the arms of elements that pull at contacts.
     pub(super) fn audit_stands(&self) -> bool {
         self.plan.solves_once && !self.model.adheres
     }
 
-    /// Places, detects and solves at the present state, as the next step will, and sums up.
-    /// False if that failed: the step will say why.
+    /// Places, detects and solves at the present state, as the next step will, and sums up. False
+    /// if that failed: the step will report why.
     pub(super) fn audit(&mut self, levels: &mut [Level], work: &Work<R>) -> bool {
         self.wake_where_off();
         if self.place_detect_solve(At::State).is_err() {
@@ -72,13 +72,13 @@ impl<R: Real> Sim<R> {
         true
     }
 
-    /// The impulses of a block's rows, added up whatever their direction.
+    /// The sum of the impulses of a block's rows, whatever their direction.
     fn pushed(&self, block: &Block<R>, lane: usize) -> f64 {
         let rows = self.rows.rows[block.rows.range()].iter();
         rows.map(|row| row.impulse.lane(lane).abs()).sum()
     }
 
-    /// What a block's rows give back at most: their force through the whole violation [J]. A row
+    /// The most that a block's rows give back: their force through the whole violation [J]. A row
     /// that nothing moves gives nothing, whatever its load.
     fn given_back(&self, block: &Block<R>, lane: usize) -> f64 {
         let rows = self.rows.rows[block.rows.range()].iter();

@@ -1,5 +1,5 @@
-//! What drives from outside: the work of motors, applied forces and surfaces that move, and what
-//! moving the control of a servo puts into its spring. What is which, `elements/` says.
+//! External drives: the work of motors, applied forces and moving surfaces, and the energy that
+//! moving the control of a servo puts into its spring. `elements/` decides which element is which.
 
 use crate::elements::activation::Activations;
 use crate::elements::actuator::{power_beyond, stored_under, stores};
@@ -17,17 +17,17 @@ pub(super) struct Work<R: Real> {
     pub done: R,
     /// The mean of both velocities of a step, by dof.
     mean: Vec<R>,
-    /// Something can do work at all.
+    /// Whether something can do work at all.
     pub counts: bool,
-    /// Surfaces move.
+    /// Whether surfaces move.
     belts: bool,
-    /// Servos, by actuator, of which all the force counts as driving, and which store nothing in the
+    /// Servos, by actuator, whose whole force counts as driving, and which store nothing in the
     /// account; and whether they are springs.
     driving: Vec<(usize, bool)>,
-    /// The servos that store; and those that store whose activation or late control moves.
+    /// The servos that store energy; and those among them whose activation or late control moves.
     springs: Vec<usize>,
     remembering: Vec<usize>,
-    /// Some element has a power of its own, beside applied forces.
+    /// Whether some element has a power besides applied forces.
     powers: bool,
 }
 
@@ -55,12 +55,12 @@ impl<R: Real> Work<R> {
         }
     }
 
-    /// A call of steps begins.
+    /// Starts a call of steps.
     pub fn begin(&mut self, sim: &Sim<R>) {
         self.counts = self.belts || !sim.model.actuators.is_empty() || sim.inputs.applied();
     }
 
-    /// An element of which what it stores is none of the account's.
+    /// Whether the stored energy of an element is left out of the account.
     pub fn drives(&self, element: Element) -> bool {
         let drives = |(index, _): &(usize, bool)| *index == element.index as usize;
         element.kind == Kind::Actuator && self.driving.iter().any(drives)
@@ -87,7 +87,7 @@ impl<R: Real> Observer<R> for Work<R> {
 }
 
 impl<R: Real> Sim<R> {
-    /// What moving the controls from those of `old` put into the servos of an account that store.
+    /// The energy that moving the controls from `old` put into the storing servos of an account.
     pub(super) fn put_into_servos(&self, old: &Inputs<R>, work: &Work<R>) -> R {
         let mut sum = R::zero();
         if work.springs.is_empty() || old.ctrl == self.inputs.ctrl {
@@ -104,8 +104,8 @@ impl<R: Real> Sim<R> {
         sum
     }
 
-    /// Work of motors, applied forces and some servos in the step from `state` to `next`: what
-    /// they did on the mean of both velocities.
+    /// Work of motors, applied forces and some servos in the step from `state` to `next`: their
+    /// force times the mean of both velocities.
     fn driven(&self, work: &Work<R>) -> R {
         let now = self.moment(At::State);
         let mut sum = R::zero();
@@ -118,7 +118,7 @@ impl<R: Real> Sim<R> {
         self.clock.dt * sum + self.driven_by_activations(&now, work)
     }
 
-    /// What activations and late controls put into the springs of their servos as they moved.
+    /// The energy that moving activations and late controls put into the springs of their servos.
     fn driven_by_activations(&self, now: &Moment<R>, work: &Work<R>) -> R {
         let mut sum = R::zero();
         let (act, history) = (&self.next.act, &self.next.ctrl_history);

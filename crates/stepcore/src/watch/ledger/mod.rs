@@ -1,9 +1,9 @@
-//! The ledger: is more energy there than a passive scene can have, and who fed it in?
+//! The ledger: is there more energy than a passive scene can have, and which element supplied it?
 //!
-//! The engine is deterministic, so little has to be written down while things go well: a
-//! complete state every 64 steps, the inputs when they change, and the work of what drives.
-//! The account is balanced at those milestones only. A run that fails is gone through
-//! again from the last milestone at which all was well, with everything written down.
+//! The engine is deterministic, so little has to be recorded in a normal run: a complete state
+//! every 64 steps, the inputs when they change, and the work of external drives. The account is
+//! balanced at those milestones only. A run that fails is repeated from the last good milestone,
+//! with everything recorded.
 
 mod account;
 mod audit;
@@ -23,21 +23,21 @@ use crate::state::{Inputs, State, INPUTS};
 /// How many milestones are kept, and the steps from one to the next.
 const MEMORY: usize = 8;
 const STRIDE: u64 = 64;
-/// A call of so many steps can afford to be balanced at its end; of so many, once an account.
+/// The length of a call that is balanced at its end; and of one that is balanced once an account.
 const LONG: u64 = 128;
 const SHORT: u64 = 8;
 
-/// How closely a ledger looks.
+/// The thoroughness of a ledger.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Care {
-    /// `Settings::ledger`: every 64 steps, at any gain that cannot be.
+    /// `Settings::ledger`: every 64 steps, for any impossible gain.
     Full,
-    /// Without it: for next to nothing, at gains that no healthy run has.
+    /// Without it: at almost no cost, for gains that no healthy run has.
     Least,
 }
 
 impl Care {
-    /// Steps to the next milestone, so many after the first.
+    /// Steps to the next milestone, this many after the first.
     fn stride(self, since: u64) -> u64 {
         match self {
             Self::Full => STRIDE,
@@ -52,9 +52,9 @@ impl Care {
         }
     }
 
-    /// How many times the energy that circulates may be gained. Rows that are solved after the stages
-    /// of a step can feed a body that rocks little by little, for as long as it does: no healthy run
-    /// gains a quarter so.
+    /// The allowed gain as a multiple of the circulating energy. Rows that are solved after the
+    /// stages of a step can slowly feed a rocking body, for as long as it rocks: no healthy run
+    /// gains a quarter that way.
     fn allowed(self, settings: &Settings) -> f64 {
         match self {
             Self::Full => 1.0,
@@ -63,8 +63,8 @@ impl Care {
         }
     }
 
-    /// Servos that count as driving: without a ledger, one that swings at the bounds of its
-    /// force, and goes on, is let go on.
+    /// Servos that count as driving: without a ledger, one that swings at the bounds of its force,
+    /// and continues, is tolerated.
     fn driving<N: Constant>(self, model: &Model<N>) -> Vec<usize> {
         match self {
             Self::Full => Vec::new(),
@@ -72,7 +72,7 @@ impl Care {
         }
     }
 
-    /// A call of so many steps is balanced at its end; of so many, once an account.
+    /// The lengths of calls that are balanced at their end, and once an account.
     fn calls(self) -> [u64; 2] {
         match self {
             Self::Full => [LONG, SHORT],
@@ -81,11 +81,11 @@ impl Care {
     }
 }
 
-/// A complete state, its inputs, and how these changed until the next one.
+/// A complete state, its inputs, and their changes until the next one.
 pub(super) struct Milestone<R: Real> {
     pub state: State<R>,
     pub inputs: Inputs<R>,
-    /// By lane: the energy that had circulated [J], and what was gained beside it.
+    /// For each lane: the energy that had circulated [J], and the gain besides it.
     pub scale: Vec<f64>,
     pub gained: Vec<f64>,
     /// Steps done before each change, and which arrays changed.
@@ -96,32 +96,32 @@ pub(super) struct Milestone<R: Real> {
 
 room!(Milestone<R>: state, inputs, scale, gained, changes, numbers);
 
-/// What is kept of a world's energy while `Settings::ledger` is on.
+/// The stored data on a world's energy while `Settings::ledger` is on.
 pub(crate) struct Ledger<R: Real> {
     care: Care,
-    /// Steps at which the account was opened.
+    /// The step count at which the account was opened.
     opened: u64,
     milestones: Vec<Milestone<R>>,
     /// The newest one, and how many there are.
     at: usize,
     len: usize,
-    /// By lane. No account is open until the first milestone.
+    /// One entry for each lane. No account is open until the first milestone.
     accounts: Vec<Account>,
     levels: Vec<Level>,
     verdicts: Vec<Verdict>,
-    /// Of what drives, since the newest milestone.
+    /// The work of external drives since the newest milestone.
     work: Work<R>,
-    /// The inputs that were written down last.
+    /// The inputs that were recorded last.
     seen: Inputs<R>,
-    /// The step count that the next step must find; else the state is not this one's.
+    /// The step count that the next step must find; else the state belongs to another run.
     expected: Option<(u64, f64)>,
-    /// Balanced since it was opened.
+    /// Whether it was balanced since it was opened.
     balanced: bool,
-    /// Lanes whose verdicts have been asked about: all but where a failure came in between.
+    /// The number of lanes whose verdicts were handled: all unless a failure came in between.
     asked: usize,
-    /// What the user has not been told yet; nothing more is looked for.
+    /// A warning that the user has not received yet; nothing more is checked.
     said: Option<Box<Divergence>>,
-    /// Where a call's last state is looked at: what was solved last stays readable.
+    /// The `Sim` in which a call's last state is examined, so that the last solve stays readable.
     second: Option<Box<Sim<R>>>,
 }
 
@@ -161,12 +161,12 @@ impl<R: Real> Ledger<R> {
         }
     }
 
-    /// The state at hand did not come from a step.
+    /// Records that the present state did not come from a step.
     pub fn forget(&mut self) {
         self.expected = None;
     }
 
-    /// Under the least care a gain that cannot be is said, and the run goes on.
+    /// Under the least care an impossible gain becomes a warning, and the run continues.
     pub fn heard(&mut self, error: Error) -> Result<()> {
         match (self.care, error) {
             (Care::Least, Error::Diverged(divergence)) => {
@@ -177,19 +177,19 @@ impl<R: Real> Ledger<R> {
         }
     }
 
-    /// What there is to say.
+    /// The pending warning.
     pub fn take_said(&mut self) -> Option<Box<Divergence>> {
         self.said.take()
     }
 
-    /// A lane became a copy of another.
+    /// Makes a lane a copy of another.
     pub fn repeat(&mut self, lane: usize, from: usize) {
         if let Some(account) = self.accounts.get(from).copied() {
             self.accounts[lane] = account;
         }
     }
 
-    /// After a failure the other lanes go on with the same account.
+    /// After a failure, continues the other lanes with the same account.
     pub fn go_on(&mut self, state: &State<R>) {
         if self.len > 0 {
             self.expected = Some((state.steps, state.start));
@@ -204,7 +204,7 @@ impl<R: Real> Ledger<R> {
 
     /// Makes the present state the newest milestone.
     fn keep(&mut self, state: &State<R>, inputs: &Inputs<R>) {
-        // A new account starts in the room that the last one has filled.
+        // A new account starts in the memory that the last one has filled.
         let memory = self.milestones.len();
         self.at = if self.len == 0 { 0 } else { (self.at + 1) % memory };
         self.len = (self.len + 1).min(memory);
@@ -230,9 +230,8 @@ impl<R: Real> Ledger<R> {
         self.levels[lane].moving
     }
 
-    /// Advances `sim` by `n` steps, from milestone to milestone. `suspect` is asked about each
-    /// lane that gained more energy [J] than it can have, or is beyond all bounds: it allows that, or
-    /// fails.
+    /// Advances `sim` by `n` steps, from milestone to milestone. `suspect` is called for each lane
+    /// that gained more energy [J] than possible, or is beyond all bounds: it allows it or fails.
     pub fn step<O: Observer<R>>(
         &mut self,
         sim: &mut Sim<R>,
@@ -261,7 +260,7 @@ impl<R: Real> Ledger<R> {
         outcome
     }
 
-    /// Balances the account of a run that goes on elsewhere, whenever it began.
+    /// Balances the account of a run that continues elsewhere, whenever it started.
     pub fn end(
         &mut self,
         sim: &mut Sim<R>,
@@ -281,12 +280,12 @@ impl<R: Real> Ledger<R> {
         self.judge(sim, suspect)
     }
 
-    /// The account that the settings ask for.
+    /// Whether this is the account that the settings request.
     pub fn is_full(&self) -> bool {
         self.care == Care::Full
     }
 
-    /// Before a call's first step: is this still the run that the ledger knows?
+    /// Before a call's first step: checks that this is still the ledger's run.
     fn open(&mut self, sim: &Sim<R>) {
         if self.expected != Some((sim.state.steps, sim.state.start)) {
             self.expected = None;
@@ -296,7 +295,7 @@ impl<R: Real> Ledger<R> {
         }
     }
 
-    /// Writes the inputs down where they changed, and what a moved control put in.
+    /// Records the inputs where they changed, and the energy of a moved control.
     fn note_inputs(&mut self, sim: &Sim<R>) {
         self.work.done += sim.put_into_servos(&self.seen, &self.work);
         let changed = sim.inputs.changes(&self.seen);
@@ -313,14 +312,14 @@ impl<R: Real> Ledger<R> {
         sim.inputs.copy_some(changed, &mut self.seen);
     }
 
-    /// Balances the accounts if a milestone is due; returns the steps to the next one, and whether it
-    /// has solved at the present state, with which the next step begins then.
+    /// Balances the accounts if a milestone is due. Returns the steps to the next one, and whether
+    /// it has solved at the present state, with which the next step then starts.
     fn balance(
         &mut self,
         sim: &mut Sim<R>,
         mut suspect: impl FnMut(&mut Self, &Sim<R>, usize, Option<f64>) -> Result<()>,
     ) -> Result<(u64, bool)> {
-        // Of the last balance: the lanes after one that failed.
+        // Left from the last balance: the lanes after one that failed.
         self.ask(sim, &mut suspect)?;
         if let Some(newest) = self.newest_first().next() {
             let stride = self.care.stride(newest.state.steps - self.opened);
@@ -357,7 +356,7 @@ impl<R: Real> Ledger<R> {
         outcome.map(|()| (self.care.stride(sim.state.steps - self.opened), true))
     }
 
-    /// Judges every lane by the levels at hand.
+    /// Judges every lane by the present levels.
     fn judge(
         &mut self,
         sim: &Sim<R>,
@@ -374,9 +373,9 @@ impl<R: Real> Ledger<R> {
         self.ask(sim, suspect)
     }
 
-    /// Asks about the lanes that nobody has been asked about and that gained more than they can have,
-    /// or are beyond all bounds. Whoever goes on after an error opens a new account, unless other
-    /// lanes `go_on` with this one.
+    /// Calls `suspect` for the remaining lanes that gained more than possible, or are beyond all
+    /// bounds. A run that continues after an error opens a new account, unless other lanes `go_on`
+    /// with this one.
     fn ask(
         &mut self,
         sim: &Sim<R>,
@@ -398,9 +397,9 @@ impl<R: Real> Ledger<R> {
         Ok(())
     }
 
-    /// At the end of a call of `n` steps, in however many portions these were made: balances
-    /// the account if the call was long, or the account never was balanced. No milestone is
-    /// made, and nothing that can be read changes.
+    /// Ends a call of `n` steps, in however many portions it was made: balances the account if the
+    /// call was long, or the account never was balanced. No milestone is made, and nothing that can
+    /// be read changes.
     pub fn balance_at_end(
         &mut self,
         sim: &Sim<R>,
@@ -433,7 +432,7 @@ impl<R: Real> Ledger<R> {
         Ok(second.audit(&mut self.levels, &self.work))
     }
 
-    /// Balances the account of a run that ended: what was gained, and what circulated [J].
+    /// Balances the account of a run that ended: the gain, and the circulating energy [J].
     pub fn total(&mut self, sim: &mut Sim<R>, lane: usize) -> Option<[f64; 2]> {
         sim.audit(&mut self.levels, &self.work);
         let work = self.work.done.lane(lane);

@@ -1,9 +1,9 @@
-//! Which element made a run leave the finite numbers: the first whose force, growing,
-//! became the strongest of all on the way there; not the first that shows a NaN. Once a
-//! run explodes, inertial forces outgrow whatever started it, because they are quadratic.
+//! The element that made a run leave the finite numbers: the first whose force, growing, became the
+//! strongest of all on the way there; not the first that shows a NaN. Once a run explodes, inertial
+//! forces outgrow the original cause, because they are quadratic.
 //!
-//! Forces and moments are compared by what they do: Q² / M, the rate at which a
-//! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
+//! Forces and moments are compared by their effect: Q² / M, the rate at which a force Q speeds up
+//! the inertia M that it acts on [W/s], whatever its unit.
 
 use crate::elements::forces::strengths;
 use crate::elements::{Element, Kind};
@@ -12,7 +12,7 @@ use crate::sim::{At, Sim};
 use crate::state::State;
 use crate::watch::past::put_back;
 
-/// An element that beats all of the step before by this factor is exploding, not moving.
+/// An element that exceeds all of the step before by this factor is exploding, not moving.
 const GROWN: f64 = 2.0;
 
 /// Strength of every element in one lane.
@@ -63,8 +63,7 @@ impl<R: Real> Sim<R> {
         entries
     }
 
-    /// Whether the inputs have such an element at all: what they have not makes no number either where
-    /// nothing does.
+    /// Whether the inputs have such an element: absent inputs give no number where nothing acts.
     fn is_there(&self, element: Element, lane: usize) -> bool {
         let (model, index) = (&self.model, element.index as usize);
         let acts = |forces: &[R]| forces.iter().any(|force| force.lane(lane) != 0.0);
@@ -79,12 +78,12 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// The first element that doubled its strength to more than all others together;
-/// else the strongest at the end.
+/// The first element whose strength at least doubled and exceeded all others together; else the
+/// strongest at the end.
 fn blamed(ledgers: &[Strengths]) -> Option<Element> {
     let finite = |ledger: &Strengths| ledger.iter().map(|(_, s)| s).filter(|s| s.is_finite()).sum();
     for pair in ledgers.windows(2) {
-        // Beside what has no number any more, nothing else is strong.
+        // Next to an element that is not finite, no other is strong.
         if let Some((element, _)) = pair[0].iter().find(|(_, s)| !s.is_finite()) {
             return Some(*element);
         }
@@ -98,7 +97,7 @@ fn blamed(ledgers: &[Strengths]) -> Option<Element> {
             }
         }
     }
-    // A strength that is no number any more is beyond all that are, whatever its sign.
+    // A strength that is NaN exceeds all numbers, whatever its sign.
     let rank = |entry: &(Element, f64)| if entry.1.is_nan() { f64::INFINITY } else { entry.1 };
     let strongest = |a: &&(Element, f64), b: &&(Element, f64)| rank(a).total_cmp(&rank(b));
     let last = ledgers.last().and_then(|ledger| ledger.iter().rev().max_by(strongest));

@@ -1,5 +1,5 @@
-//! What a look into a failure may cost: an amount of work, counted and not timed, so that what
-//! is found is the same on every machine.
+//! The cost limit for examining a failure: an amount of work, counted and not timed, so that the
+//! result is the same on every machine.
 
 use std::cell::Cell;
 
@@ -11,14 +11,14 @@ pub(super) struct Budget {
     left: Cell<u64>,
 }
 
-/// What explaining one failure may cost, and looking into one suspicion.
+/// The cost limit for explaining one failure, and for examining one suspicion.
 const WHOLE: u64 = 80_000_000;
 /// The search of a distance, with the contacts that are made of it.
 const SEPARATION: u64 = 3_000;
-/// What finding the element that a failure came from may cost: the same in a `Sim` and in a batch of any
-/// size, so that they name the same one.
+/// The cost limit for finding the element that caused a failure: the same in a `Sim` and in a batch
+/// of any size, so that they name the same one.
 const CAUSE: u64 = 20_000_000;
-/// The rest of a batch's failure is explained for this at least.
+/// The least cost limit for explaining the rest of a batch's failure.
 const LEAST: u64 = 500_000;
 
 impl Budget {
@@ -30,7 +30,7 @@ impl Budget {
         Self { left: Cell::new(CAUSE) }
     }
 
-    /// The share of one among so many worlds, which may all fail.
+    /// The share of one of this many worlds, which may all fail.
     pub fn shared(worlds: usize) -> Self {
         let share = WHOLE / worlds.max(1) as u64;
         Self { left: Cell::new(share.max(LEAST)) }
@@ -40,7 +40,7 @@ impl Budget {
         self.left.get()
     }
 
-    /// Takes so much; false, and nothing is taken, if it is not left.
+    /// Takes this much; returns false, and takes nothing, if it is not left.
     pub fn take(&self, work: u64) -> bool {
         let left = self.left.get().checked_sub(work);
         self.left.set(left.unwrap_or(self.left.get()));
@@ -53,14 +53,14 @@ impl Budget {
         self.take(u64::from(count) * (n * n * n / 2 + 4 * n * n + 200))
     }
 
-    /// How many pieces of work are affordable, of `most`.
+    /// The number of affordable pieces of work, at most `most`.
     pub fn count(&self, work: u64, most: usize) -> usize {
         usize::try_from(self.left.get() / work.max(1)).map_or(most, |count| count.min(most))
     }
 }
 
 impl<R: Real> Sim<R> {
-    /// Work of one evaluation of place, detect and solve, but for the solver's updates.
+    /// Work of one evaluation of place, detect and solve, without the solver's updates.
     fn evaluation(&self) -> u64 {
         let model = &self.model;
         let sizes = 50 * model.nv + 4 * model.row_dofs.len() + 50 * model.bodies.len();
@@ -86,7 +86,7 @@ impl<R: Real> Sim<R> {
         self.evaluation()
     }
 
-    /// Work of writing a step down: its energies before and after, and every element's impulse.
+    /// Work of recording a step: its energies before and after, and every element's impulse.
     pub(super) fn tape(&self) -> u64 {
         let elements =
             self.model.joints.len() + self.model.actuators.len() + self.rows.blocks.len();

@@ -1,4 +1,4 @@
-//! Who injected the energy of a failure: in which steps, in what shares, at what rate.
+//! The elements that injected the energy of a failure: in which steps, what shares, at what rate.
 
 use std::collections::BTreeMap;
 
@@ -6,14 +6,14 @@ use crate::elements::{Element, Kind};
 use crate::model::Model;
 use crate::watch::tape::StepGains;
 
-/// Beyond this many times the energy that circulated, inertial forces, which are quadratic,
-/// outgrow whatever started it.
+/// Beyond this many times the energy that circulated, inertial forces, which are quadratic, outgrow
+/// the original cause.
 const AFTERMATH: f64 = 1e6;
 /// The most steps that a growth rate is fitted to.
 const FITTED: usize = 64;
 
-/// The steps in which it began: the last one that found no more than can have been put in, and those
-/// that follow and do not end far beyond that.
+/// The steps in which the failure started: the last one without more energy than was put in, and
+/// the following ones that do not end far beyond that.
 pub(super) fn feeding<'a>(
     model: &Model,
     entries: &'a [StepGains],
@@ -22,14 +22,14 @@ pub(super) fn feeding<'a>(
 ) -> (usize, &'a [StepGains]) {
     let Some(scale) = scale else { return (0, before_aftermath(entries)) };
     let last = entries.last().map_or(0.0, |entry| entry.after.abs());
-    // Or what drives from outside has fed all of it.
+    // The second attempt is for external drives that have fed all of it.
     for driven in [1.0, 0.0] {
         let can_be = put_in(model, entries, scale, driven);
         let most = can_be.last().copied().unwrap_or(scale);
         if last <= 2.0 * most && !(gained && driven == 0.0) {
             continue;
         }
-        // Far beyond all numbers that mean something, rounding makes energies below zero.
+        // Far beyond all meaningful numbers, rounding makes energies below zero.
         let within = |k: &usize| entries[*k].before.abs() <= can_be[*k];
         let start = (0..entries.len()).rev().find(within).unwrap_or(0);
         let far = |k: &usize| entries[*k].after.abs() > AFTERMATH * can_be[start];
@@ -40,8 +40,8 @@ pub(super) fn feeding<'a>(
     (0, &[])
 }
 
-/// Without a ledger: the steps up to the one that goes beyond `AFTERMATH` times the energy at their
-/// begin; all of them where none does, or where it happened between those that are known.
+/// Without a ledger: the steps up to the one that exceeds `AFTERMATH` times the energy at their
+/// start; all of them if none does, or if it happened between the recorded ones.
 fn before_aftermath(entries: &[StepGains]) -> &[StepGains] {
     let Some(begin) = entries.iter().map(|entry| entry.before).find(|energy| *energy > 0.0) else {
         return entries;
@@ -49,7 +49,7 @@ fn before_aftermath(entries: &[StepGains]) -> &[StepGains] {
     let far = |energy: f64| energy.abs() > AFTERMATH * begin || energy.is_nan();
     let end = entries.iter().position(|entry| far(entry.before)).unwrap_or(entries.len());
     let early = &entries[..end];
-    // Gravity is always innocent: where it stands out, it is the rounding of a world at rest.
+    // Gravity is never the cause: a large share of it is the rounding of a world at rest.
     let told = shares(early).first().is_some_and(|(element, _)| *element != Element::GRAVITY);
     match early.last() {
         Some(last) if told && far(last.after) => early,
@@ -57,15 +57,15 @@ fn before_aftermath(entries: &[StepGains]) -> &[StepGains] {
     }
 }
 
-/// The most energy that there can be after each step: what circulated, what gravity gave, and,
-/// `driven` times, what motors and applied forces did.
+/// The largest possible energy after each step: the energy that circulated, gravity's work, and,
+/// `driven` times, the work of motors and applied forces.
 fn put_in(model: &Model, entries: &[StepGains], scale: f64, driven: f64) -> Vec<f64> {
     let (mut drives, mut fallen, mut deepest) = (0.0, 0.0, 0.0_f64);
     let put_in = |entry: &StepGains| {
         let fed = entry.gains.iter().filter(|(element, _)| model.drives(**element));
         let fed: f64 = fed.map(|(_, gain)| gain.max(0.0)).sum();
         fallen += entry.after - entry.before - entry.gains.values().sum::<f64>();
-        // Rounding of what explodes is nothing that fell.
+        // The rounding of an explosion is no fall.
         let here = AFTERMATH * (scale + drives + fed + deepest.max(fallen));
         if fed.is_finite() && fallen.is_finite() && entry.after.abs() < here {
             drives += fed;
@@ -76,8 +76,8 @@ fn put_in(model: &Model, entries: &[StepGains], scale: f64, driven: f64) -> Vec<
     entries.iter().map(put_in).collect()
 }
 
-/// Each element's part of the growth: a step counts by how much it adds, relative to what
-/// there is, so that the last doublings count no more than the first.
+/// Each element's part of the growth: a step counts by its gain relative to the present energy, so
+/// that the last doublings count no more than the first.
 pub(super) fn shares(entries: &[StepGains]) -> Vec<(Element, f64)> {
     let mut sums: BTreeMap<Element, f64> = BTreeMap::new();
     let mut brought = Brought::default();
@@ -100,10 +100,10 @@ pub(super) fn shares(entries: &[StepGains]) -> Vec<(Element, f64)> {
     shares
 }
 
-/// How much of the energy at hand each element has brought [J]. Inertial forces bring none: what
-/// they do with it, those answer for who brought it, and they themselves for what was there before.
-/// Where an element brings far more than that, bodies move so far in a step that their inertia is
-/// no longer the one that the step knew.
+/// The part of the present energy that each element has brought [J]. Inertial forces bring none:
+/// their effect on it is charged to the elements that brought it, and to themselves for the initial
+/// energy. If an element brings far more than that, bodies move so far in a step that their inertia
+/// is no longer the one used by the step.
 #[derive(Default)]
 struct Brought(BTreeMap<Element, f64>);
 
@@ -116,11 +116,11 @@ impl Brought {
         self.0.values_mut().for_each(|own| *own *= factor);
     }
 
-    /// The gains of the next step, by who answers for them.
+    /// The gains of the next step, by the elements that are charged with them.
     fn answered_for(&mut self, entry: &StepGains) -> Vec<(Element, f64)> {
         let known = self.total();
         if known > entry.before {
-            // Who took energy away took of everyone's.
+            // Elements that removed energy removed a share of everyone's.
             self.scale(entry.before / known);
         }
         let there = (entry.before - known).max(0.0);
@@ -141,9 +141,9 @@ impl Brought {
     }
 }
 
-/// The servo whose force was at its bound in most of some steps, and in a share of them at
-/// least. It does not damp there, and what its force does in a step is large beside what it
-/// should: other forces then work over distances that are none of theirs, and seem to inject.
+/// The servo whose force was most often at its bound, in at least a share of some steps. It does
+/// not damp there, and its effect in a step is larger than intended: other forces then act over
+/// distances that they did not cause, and seem to inject.
 pub(super) fn saturated(entries: &[StepGains], share: f64) -> Option<Element> {
     let mut counts: BTreeMap<Element, usize> = BTreeMap::new();
     for element in entries.iter().flat_map(|entry| &entry.saturated) {
@@ -153,8 +153,8 @@ pub(super) fn saturated(entries: &[StepGains], share: f64) -> Option<Element> {
     (count as f64 >= share * entries.len() as f64).then_some(element)
 }
 
-/// What ln E gains in a step: the mean of the later half of a stretch, after what it began
-/// with; of single steps the median.
+/// The gain of ln E in a step: the mean over the later half of a stretch, after the initial
+/// transient; for single steps the median.
 pub(super) fn growth(entries: &[StepGains], stretch: bool) -> Option<f64> {
     let half = if stretch { entries.len() / 2 } else { 0 };
     let from = half.max(entries.len().saturating_sub(FITTED));

@@ -1,10 +1,10 @@
 //! The step of joint springs, dampers and servos alone, as a matrix: is it stable, up to which dt,
 //! and how far does a healthy run swing?
 //!
-//! With M, K and D of one tree, or of trees that elements couple, at the present state, F = [0 1; −M⁻¹K −M⁻¹D] and each
-//! integrator's own map A(dt), measured in the energy norm ½ vᵀMv + ½ xᵀKx. A symplectic
-//! method keeps another energy than this one: it may swing by (1 + z/2)/(1 − z/2),
-//! z = ω dt, and be healthy. ‖Aⁿ‖ for n = 1, 2, 4, … tells that from growth.
+//! With M, K and D of one tree, or of trees that elements couple, at the present state, F = [0 1;
+//! −M⁻¹K −M⁻¹D] and each integrator's map A(dt), measured in the energy norm ½ vᵀMv + ½ xᵀKx. A
+//! symplectic method conserves another energy: this one may swing by (1 + z/2)/(1 − z/2), z = ω dt,
+//! in a healthy run. ‖Aⁿ‖ for n = 1, 2, 4, … distinguishes that from growth.
 
 use nalgebra::linalg::{Schur, SymmetricEigen};
 use nalgebra::DMatrix;
@@ -22,11 +22,11 @@ use crate::sim::{At, Sim};
 const SQUARINGS: u32 = 18;
 /// A spectral radius is above 1 beyond what 2¹⁸ steps of bounded or linear growth can show.
 const GROWS: f64 = 1e-4;
-/// The most dofs of a tree that is looked into.
+/// The most dofs of a tree that is examined.
 const MOST_DOFS: usize = 48;
 /// The most halvings from an unstable dt to a stable one.
 const HALVINGS: u32 = 40;
-/// QR iterations for the eigenvalues of a map, by row: twice what any took that converged.
+/// QR iterations for the eigenvalues of a map, by row: twice the most that any converged one took.
 const ITERATIONS: usize = 60;
 
 /// Mass, stiffness and damping of one tree, or of trees that elements couple.
@@ -34,14 +34,14 @@ struct Oscillator {
     mass: DMatrix<f64>,
     stiffness: DMatrix<f64>,
     damping: DMatrix<f64>,
-    /// What the integrator takes of the damping at the end of the step.
+    /// The part of the damping that the integrator takes at the end of the step.
     late: DMatrix<f64>,
 }
 
 /// Entries of the slopes of all elements: two dofs, and a stiffness or a damping.
 type Entries = Vec<(usize, usize, f64)>;
 
-/// Of all elements; `late`: the damping that the integrator takes at the end of the step.
+/// The slopes of all elements; `late`: the damping that the integrator takes at a step's end.
 #[derive(Default)]
 struct Slopes {
     stiffness: Entries,
@@ -50,8 +50,8 @@ struct Slopes {
 }
 
 impl<R: Real> Sim<R> {
-    /// How many times the energy at hand a healthy run of these springs may show; 1 where
-    /// the springs themselves diverge, or do not swing.
+    /// The ratio of the largest energy of a healthy run of these springs to the present energy; 1
+    /// if the springs themselves diverge, or do not swing.
     pub(super) fn swing(&mut self, lane: usize, dt: f64, budget: &Budget) -> f64 {
         let integrator = self.settings.integrator;
         if integrator.scheme().map == Map::Taylor(1) {
@@ -70,8 +70,8 @@ impl<R: Real> Sim<R> {
         swings.fold(1.0, f64::max)
     }
 
-    /// The largest stable dt of springs and dampers that are unstable now: None if none is, or
-    /// it is not known; zero if no dt is stable.
+    /// The largest stable dt of springs and dampers that are unstable now: None if none is, or it
+    /// is unknown; zero if no dt is stable.
     pub(super) fn spring_limit(
         &mut self,
         lane: usize,
@@ -101,7 +101,7 @@ impl<R: Real> Sim<R> {
 }
 
 impl Slopes {
-    /// Those of all elements at the present state.
+    /// The slopes of all elements at the present state.
     fn of<R: Real>(sim: &Sim<R>, lane: usize, integrator: Integrator) -> Self {
         let (model, now) = (&sim.model, sim.moment(At::State));
         let mut all = Self::default();
@@ -130,7 +130,7 @@ impl Slopes {
         all
     }
 
-    /// The dofs of every tree that swings or is damped, trees that an element couples together.
+    /// The dofs of every tree that swings or is damped; trees coupled by an element are one group.
     fn groups(&self, model: &Model) -> Vec<Vec<usize>> {
         let pulls = self.stiffness.iter().filter(|(i, j, k)| i != j || *k > 0.0);
         let mut swings = vec![false; model.trees.len()];
@@ -180,14 +180,13 @@ impl Slopes {
 }
 
 impl Oscillator {
-    /// |1 + dt s| < 1 for every eigenvalue s of F: dt < −2 Re s / |s|². None if they are not
-    /// known.
+    /// |1 + dt s| < 1 for every eigenvalue s of F: dt < −2 Re s / |s|². None if they are unknown.
     fn explicit_limit(&self, budget: &Budget) -> Option<f64> {
         let n = self.mass.nrows();
         // One step of dt = 1 of the explicit map is 1 + F.
         let map = self.map(Integrator::Explicit, 1.0, budget)?;
         let rate = map - DMatrix::identity(2 * n, 2 * n);
-        // What neither swings nor decays stands still, and has no limit.
+        // A mode that neither swings nor decays is at rest, and has no limit.
         let limit = |s: &nalgebra::Complex<f64>| {
             let (size, damped) = (s.norm(), -s.re);
             (size > 1e-9).then_some(if damped < 1e-9 * size {
@@ -201,8 +200,7 @@ impl Oscillator {
         limits.iter().filter_map(limit).filter(|limit| limit.is_finite()).reduce(f64::min)
     }
 
-    /// The largest stable dt, to 1e-4, where `dt` is unstable; None where it is stable, or
-    /// nothing is known.
+    /// The largest stable dt, to 1e-4, if `dt` is unstable; None if it is stable or unknown.
     fn limit(&self, integrator: Integrator, dt: f64, budget: &Budget) -> Option<f64> {
         let unstable =
             |dt: f64| self.growth(integrator, dt, budget).map(|[radius, _]| radius > GROWS);
@@ -229,14 +227,14 @@ impl Oscillator {
         Some(low)
     }
 
-    /// `growth` of the step; None if it is not known.
+    /// `growth` of the step; None if it is unknown.
     fn growth(&self, integrator: Integrator, dt: f64, budget: &Budget) -> Option<[f64; 2]> {
         let map = self.map(integrator, dt, budget)?;
         budget.product(map.nrows(), SQUARINGS).then(|| growth(map))
     }
 
-    /// The step in coordinates (√K x, Lᵀ v), M = L Lᵀ, whose square is twice the energy. None
-    /// where M has no such factor in these numbers, or an entry is not finite.
+    /// The step in coordinates (√K x, Lᵀ v), M = L Lᵀ, whose square is twice the energy. None if M
+    /// has no such factor in this precision, or an entry is not finite.
     fn map(&self, integrator: Integrator, dt: f64, budget: &Budget) -> Option<DMatrix<f64>> {
         let map = budget.product(2 * self.mass.nrows(), 8).then(|| self.step_map(integrator, dt));
         map.flatten().filter(|map| map.iter().all(|x| x.is_finite()))
@@ -263,7 +261,7 @@ impl Oscillator {
     }
 }
 
-/// A matrix G with GᵀG = K, of the stiffness that pulls back.
+/// A matrix G with GᵀG = K, for the stiffness that pulls back.
 fn root(stiffness: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = stiffness.nrows();
     let diagonal = stiffness.diagonal();
@@ -276,7 +274,7 @@ fn root(stiffness: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     Some(sizes * eigen.eigenvectors.transpose())
 }
 
-/// ln of the spectral radius, and the most that the energy grows by on the way.
+/// ln of the spectral radius, and the largest growth of the energy on the way.
 fn growth(mut map: DMatrix<f64>) -> [f64; 2] {
     let (mut log, mut most) = (0.0_f64, 1.0_f64);
     let mut steps = 1.0;

@@ -1,4 +1,4 @@
-//! After a failure: the last steps are repeated and recorded, and the post-mortem is read from them.
+//! After a failure: the last steps are repeated and recorded for the post-mortem.
 
 mod blame;
 mod budget;
@@ -25,28 +25,28 @@ use crate::sim::{At, Sim};
 use crate::state::{Inputs, State};
 use crate::warm::Warm;
 
-/// Without a ledger, trees up to this many dofs are looked into.
+/// Without a ledger, trees up to this many dofs are examined.
 const SMALL: usize = 12;
 
-/// Rows that are not solved answer for a gain of which they may have added this share.
+/// Unsolved rows are blamed for a gain of which they may have added this share.
 const UNSOLVED: f64 = 0.5;
 
-/// The share of steps in which a servo at the bounds of its force is what inertia has to answer.
+/// The share of steps with a servo at its force bounds that charges it with inertial gains.
 const OUT_OF_HAND: f64 = 0.25;
-/// How often as long a rerun under law `penalty` goes on, for its contacts to come again.
+/// How many times as long a rerun under law `penalty` continues, until its contacts recur.
 const AFTERWARDS: u32 = 7;
 
-/// What is known of a run.
+/// The data of a run.
 pub(super) struct Run<'a, R: Real> {
     pub sim: &'a Sim<R>,
     pub past: &'a Past<R>,
     pub ledger: Option<&'a Ledger<R>>,
-    /// Worlds that may fail as well, and share what explaining may cost.
+    /// The number of worlds that may fail as well, and share the cost of explanations.
     pub worlds: usize,
 }
 
-/// More energy than there can be: an error, unless a closer look shows where it is from, and
-/// the ledger allows it from now on. None gained: velocities are beyond all bounds.
+/// Handles more energy than possible: an error, unless a closer look finds its source, and the
+/// ledger allows it from now on. None gained: velocities are beyond all bounds.
 #[cold]
 pub(super) fn look_into<R: Real>(
     ledger: &mut Ledger<R>,
@@ -71,7 +71,7 @@ pub(super) fn look_into<R: Real>(
         account.allow(gained, swing - 1.0);
         return Ok(());
     }
-    // The whole of it, or the newest part of it if that would take too long.
+    // The whole of it, or the newest part if that would take too long.
     let stretches = [Segment::since_well, Segment::since_last].iter();
     let stretches = stretches.filter_map(|since| since(ledger, lane, sim.state.steps));
     let stretches: Vec<_> = stretches.collect();
@@ -104,7 +104,7 @@ pub(super) fn look_into<R: Real>(
 }
 
 impl<R: Real> Run<'_, R> {
-    /// Adds what can be found out about a failure of the lane `divergence.world`.
+    /// Adds the findings about a failure of the lane `divergence.world`.
     pub fn explain(&self, divergence: Divergence) -> Divergence {
         if self.sim.settings.accuracy.0.is_some() {
             let post = self.within_accuracy(&divergence);
@@ -114,7 +114,7 @@ impl<R: Real> Run<'_, R> {
         let mut post = self.post_mortem(divergence.world, gained);
         if divergence.fault == Fault::Midpoint {
             if let Some((element, residual)) = self.missed_here(divergence.world) {
-                // What its iteration is given are no solutions.
+                // The intermediate states of its iteration are no solutions.
                 let element = self.sim.model.named(element);
                 post.element = Some(element.clone());
                 post.shares.clear();
@@ -124,15 +124,15 @@ impl<R: Real> Run<'_, R> {
         Divergence { post: Some(post), ..divergence }
     }
 
-    /// What misses its law most where the step began, in a world of its own: the rows at hand may be
-    /// another world's.
+    /// The element that violates its law most at the start of the step, in a separate world: the
+    /// present rows may be another world's.
     fn missed_here(&self, lane: usize) -> Option<(Element, f64)> {
         let mut world = Segment::at_present(self.sim, lane).world(self.sim)?;
         world.place_detect_solve(At::State).ok()?;
         missed_most(&world, lane)
     }
 
-    /// Of a step within an accuracy: the fault names who is to blame, and it comes again from here.
+    /// For adaptive steps: the error names the cause, and it recurs from here.
     fn within_accuracy(&self, divergence: &Divergence) -> PostMortem {
         let (sim, lane) = (self.sim, divergence.world);
         let here = Segment::at_present(sim, lane);
@@ -175,7 +175,7 @@ impl<R: Real> Run<'_, R> {
             Some((element, _)) => Some(*element),
             None => self.strongest(lane, was_well, &cause),
         };
-        // Gravity and inertia are innocent where a servo is out of hand, gravity always.
+        // Gravity and inertia are not the cause where a servo is out of hand, gravity never is.
         let seen = if window.is_empty() { &steps[..] } else { window };
         let saturated = match element.map(|element| element.kind) {
             Some(Kind::Gravity) => saturated(&steps, 0.0),
@@ -189,7 +189,7 @@ impl<R: Real> Run<'_, R> {
             if element != Some(Element::GRAVITY) {
                 return element;
             }
-            // It gives back what it took: where it stands out, others have moved bodies wrongly.
+            // Gravity gives back what it took: a large share shows bodies moved wrongly by others.
             shares = without_gravity(std::mem::take(&mut shares));
             let next = shares.first().map(|(element, _)| *element);
             next.or_else(|| self.strongest(lane, was_well, &budget))
@@ -217,7 +217,7 @@ impl<R: Real> Run<'_, R> {
         }
     }
 
-    /// The segment step by step; None where it does not end in the state at hand, or is too long.
+    /// Repeats the segment step by step; None if it does not end in this state, or is too long.
     fn replayed(
         &self,
         segment: &Segment<R>,
@@ -248,22 +248,22 @@ impl<R: Real> Run<'_, R> {
         steps
     }
 
-    /// The newest of the old states at which a step can be written down.
+    /// The newest of the old states at which a step can be recorded.
     fn affordable(&self, lane: usize, budget: &Budget) -> Vec<&[R]> {
         let mut states: Vec<_> = self.past.states(lane).collect();
         states.drain(..states.len() - budget.count(self.sim.tape(), states.len()));
         states
     }
 
-    /// The element that became the strongest on the way here, or, where all was well until
-    /// then, that is the strongest now.
+    /// The element that became the strongest on the way here, or, if all was well until then, the
+    /// strongest one now.
     fn strongest(&self, lane: usize, was_well: bool, budget: &Budget) -> Option<Element> {
         let present = Segment::at_present(self.sim, lane);
         let past = if was_well { Vec::new() } else { self.affordable(lane, budget) };
         strongest(present.world(self.sim)?, &past, &present.state, lane)
     }
 
-    /// Which dt would have been stable, as far as that can be found cheaply.
+    /// The dt that would have been stable, if that can be found cheaply.
     fn stable(&self, segment: &Segment<R>, lane: usize, exact: bool, budget: &Budget) -> Stable {
         let sim = self.sim;
         let Some(mut start) = segment.world(sim) else { return Stable::Unknown };
@@ -276,8 +276,8 @@ impl<R: Real> Run<'_, R> {
                 return Stable::AfterStages { share };
             }
         }
-        // The contacts' own springs are none of those that are known: only a rerun tells, and
-        // one that meets them again.
+        // The contacts' springs are not among the analysed ones: only a rerun decides, one that
+        // meets the contacts again.
         let penalty = sim.settings.law == Law::Penalty;
         let more = if penalty { AFTERWARDS } else { 0 };
         match start.spring_limit(lane, integrator, budget) {
@@ -306,7 +306,7 @@ impl<R: Real> Run<'_, R> {
     }
 }
 
-/// The shares of all elements but gravity, of what these injected.
+/// The shares of all elements but gravity in the total that these injected.
 fn without_gravity(mut shares: Vec<(Element, f64)>) -> Vec<(Element, f64)> {
     shares.retain(|(element, _)| *element != Element::GRAVITY);
     let all: f64 = shares.iter().map(|(_, share)| share).sum();
@@ -335,7 +335,7 @@ fn start<R: Real>(state: &State<R>, lane: usize) -> Start {
         qvel: numbers(&state.qvel, lane),
         act: numbers(&state.act, lane),
         ctrl_history: numbers(&state.ctrl_history, lane),
-        // An impulse of zero is as good as none, and a lane has zeros for its neighbours' contacts.
+        // A zero impulse equals no impulse, and a lane has zeros for its neighbours' contacts.
         warm: warm.filter(Warm::acts).collect(),
         sleep: state.sleep.cast(),
     }

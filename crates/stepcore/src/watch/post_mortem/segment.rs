@@ -1,4 +1,4 @@
-//! The last steps again, from a milestone, with the same dt or another.
+//! Repeats the last steps from a milestone, with the same dt or another.
 
 use super::budget::Budget;
 use crate::real::Real;
@@ -7,17 +7,17 @@ use crate::sim::Sim;
 use crate::state::{Inputs, State};
 use crate::watch::ledger::{Care, Ledger, Milestone};
 
-/// A gain beside `scale` below which all is well.
+/// A gain below this share of `scale` is normal.
 const WELL: f64 = 0.1;
-/// A trial that gains this share of what was gained gains little.
+/// A trial whose gain is below this share of the original gain gains little.
 const LITTLE: f64 = 0.05;
 /// The most halvings of dt that are tried.
 const HALVINGS: u32 = 8;
-/// The halvings in steps of which a gain is looked for at the most: a spring a million times too stiff
-/// for dt is stable with a thousandth of it.
+/// The largest number of halvings with which a gain is searched for: a spring a million times too
+/// stiff for dt is stable with a thousandth of it.
 const FINEST: u32 = 16;
 
-/// What came of running a stretch again.
+/// The outcome of a repeated stretch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Trial {
     /// The energy gained, and the energy that circulated [J].
@@ -28,7 +28,7 @@ pub(super) enum Trial {
     Untried,
 }
 
-/// Which of dt/2, dt/4, … lets a stretch gain nothing to speak of.
+/// The first of dt/2, dt/4, … with which a stretch has no significant gain.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Halved {
     Dt(f64),
@@ -46,14 +46,14 @@ pub(super) struct Segment<R: Real> {
     /// Steps done since the start before each change of the inputs.
     pub changes: Vec<(u64, Inputs<R>)>,
     pub steps: u64,
-    /// The energy that had circulated where it starts [J], if somebody counted it.
+    /// The energy that had circulated at its start [J], if it was counted.
     pub scale: Option<f64>,
-    /// Whose it is: its numbers are in all lanes.
+    /// The lane of its world: its numbers are in all lanes.
     lane: usize,
 }
 
 impl<R: Real> Segment<R> {
-    /// A world's run from the last milestone at which all was well to step `until`.
+    /// A world's run from the last good milestone to step `until`.
     pub fn since_well(ledger: &Ledger<R>, lane: usize, until: u64) -> Option<Self> {
         Self::since(ledger, lane, until, |milestone| milestone.gained[lane] <= WELL)
     }
@@ -116,7 +116,7 @@ impl<R: Real> Segment<R> {
         segment
     }
 
-    /// One lane's numbers into all lanes.
+    /// Copies one lane's numbers into all lanes.
     fn spread(&mut self, lane: usize) {
         let all = |list: &mut [R]| list.iter_mut().for_each(|x| *x = R::of(x.lane(lane)));
         self.state.lists_mut().into_iter().for_each(|list| all(list));
@@ -130,7 +130,7 @@ impl<R: Real> Segment<R> {
         }
     }
 
-    /// A world of its own that stands at the start.
+    /// A separate world at the start.
     pub fn world(&self, of: &Sim<R>) -> Option<Sim<R>> {
         let mut sim = Sim::new(of.model_of(self.lane).clone(), of.settings.clone()).ok()?;
         sim.state = self.state.clone();
@@ -138,7 +138,7 @@ impl<R: Real> Segment<R> {
         Some(sim)
     }
 
-    /// The inputs that hold before step `step`.
+    /// The inputs in effect before step `step`.
     fn inputs_at(&self, step: u64) -> &Inputs<R> {
         let last = self.changes.iter().rev().find(|(from, _)| *from <= step);
         last.map_or(&self.inputs, |(_, inputs)| inputs)
@@ -160,7 +160,7 @@ impl<R: Real> Segment<R> {
         Some(done)
     }
 
-    /// What the whole stretch gains with steps of `dt`, and, the last inputs held, as long
+    /// The gain of the whole stretch with steps of `dt`, and, with the last inputs held, of as long
     /// again `more` times.
     fn gain(&self, of: &Sim<R>, dt: f64, lane: usize, more: u32, budget: &Budget) -> Trial {
         self.gain_under(Settings { dt, ..of.settings.clone() }, of, lane, more, budget)
@@ -191,7 +191,7 @@ impl<R: Real> Segment<R> {
             let before = ((step as f64 + 0.5) * dt / of.clock.seconds) as u64;
             sim.inputs.clone_from(self.inputs_at(before));
             let effort = sim.effort;
-            // Nobody looks into what a trial does.
+            // A trial is not explained itself.
             let outcome = ledger.step(&mut sim, 1, &mut (), |_, _, _, of, gained| {
                 most = if of == lane { most.max(gained.unwrap_or(0.0)) } else { most };
                 Ok(())
@@ -204,14 +204,14 @@ impl<R: Real> Segment<R> {
             }
         }
         match ledger.total(&mut sim, lane) {
-            // In a trial that goes on, what was gained once counts, though it is gone at the end.
+            // In a continued trial the largest gain counts, even if it is gone at the end.
             Some([gained, scale]) if more > 0 => Trial::Gained { gained: gained.max(most), scale },
             Some([gained, scale]) => Trial::Gained { gained, scale },
             None => Trial::Diverged,
         }
     }
 
-    /// With sweeps 'auto' the stretch gains almost nothing of what it gained.
+    /// Whether the stretch with sweeps 'auto' gains almost none of the original gain.
     pub fn auto_gains_less(&self, of: &Sim<R>, lane: usize, gained: f64, budget: &Budget) -> bool {
         let mut settings = Settings { sweeps: Sweeps::Auto, ..of.settings.clone() };
         if settings.tolerance == 0.0 {
@@ -221,8 +221,8 @@ impl<R: Real> Segment<R> {
         matches!(trial, Trial::Gained { gained: left, .. } if left <= LITTLE * gained)
     }
 
-    /// What semi-implicit gains over the stretch, as a share of what was gained; None where it is not less
-    /// than half, or would take too long to find out.
+    /// The gain of semi-implicit over the stretch, as a share of the original gain; None if it is
+    /// not below half, or would take too long to find out.
     pub fn under_semi_implicit(&self, of: &Sim<R>, lane: usize, budget: &Budget) -> Option<f64> {
         let settings = Settings { integrator: Integrator::SemiImplicit, ..of.settings.clone() };
         let now = self.gain(of, of.clock.seconds, lane, 0, budget);
@@ -234,8 +234,8 @@ impl<R: Real> Segment<R> {
         }
     }
 
-    /// The largest of dt/2, dt/4, … with which the stretch gains nothing to speak of, nor as
-    /// long again `more` times.
+    /// The largest of dt/2, dt/4, … with which the stretch has no significant gain, nor as long
+    /// again `more` times.
     pub fn halved(&self, of: &Sim<R>, lane: usize, more: u32, budget: &Budget) -> Halved {
         let dt = of.clock.seconds;
         let now = self.gain(of, dt, lane, 0, budget);
@@ -252,7 +252,7 @@ impl<R: Real> Segment<R> {
         Halved::NotFound
     }
 
-    /// With steps of `dt` it stays within `swing` times the energy that circulates.
+    /// Whether with steps of `dt` it stays within `swing` times the energy that circulates.
     pub fn swings(
         &self,
         of: &Sim<R>,
@@ -266,8 +266,7 @@ impl<R: Real> Segment<R> {
         matches!(trial, Trial::Gained { gained, scale } if gained <= swing * scale)
     }
 
-    /// Whether what it gains comes from the size of the step; None where that would take too
-    /// long to find out.
+    /// Whether its gain comes from the size of the step; None if that would take too long.
     pub fn smaller_steps_gain_less(
         &self,
         of: &Sim<R>,
@@ -284,7 +283,7 @@ impl<R: Real> Segment<R> {
         for halvings in (2..=FINEST).step_by(2) {
             match self.gain(of, dt / f64::from(1_u32 << halvings), lane, 0, budget) {
                 Trial::Gained { gained, .. } if gained < 0.5 * now => return Some(true),
-                // Converged: it is the scene's own.
+                // Converged: the gain belongs to the scene.
                 Trial::Gained { gained, .. } if gained > 0.5 * last && gained < 2.0 * last => {
                     return Some(false)
                 }
@@ -298,7 +297,7 @@ impl<R: Real> Segment<R> {
 }
 
 impl Trial {
-    /// Nothing is gained to speak of, and little beside what is gained `now`.
+    /// Whether nothing significant is gained, and little next to the gain of `now`.
     fn gains_little(self, now: Self) -> bool {
         let most = match now {
             Self::Gained { gained, .. } => LITTLE * gained,

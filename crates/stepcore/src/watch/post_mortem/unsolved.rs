@@ -1,8 +1,8 @@
 //! Energy that rows added because they were not solved.
 //!
-//! A row that holds its law with an error w of its velocity gives at most |λ|·|w| in a step beside
-//! what it should. What an element gained in a step, up to that, is what its unsolved rows may
-//! have added: of a solved row it is rounding, whatever the dt.
+//! A row whose velocity misses its law by w gives at most |λ|·|w| too much in a step. An element's
+//! gain in a step, up to that, is the energy that its unsolved rows may have added: for a solved
+//! row it is rounding, whatever the dt.
 
 use std::collections::BTreeMap;
 
@@ -14,11 +14,11 @@ use crate::real::{Mask, Real};
 use crate::sim::{At, Sim};
 use crate::watch::tape::taped;
 
-/// A residual of this share of the speeds at hand is one of a solve that was broken off.
+/// A residual above this share of the present speeds means that the solve was stopped early.
 const BROKEN_OFF: f64 = 1e-8;
 
-/// The element whose rows miss their law most, as they were solved last, and by how much [m/s]; none
-/// where they are solved.
+/// The element whose rows violated their law most in the last solve, and by how much [m/s]; none if
+/// they are solved.
 pub(super) fn missed_most<R: Real>(sim: &Sim<R>, lane: usize) -> Option<(Element, f64)> {
     let lists = sim.detected.dof_lists(&sim.model);
     let blocks = sim.rows.blocks.iter().filter(|block| block.mask.lane(lane));
@@ -33,14 +33,14 @@ pub(super) fn missed_most<R: Real>(sim: &Sim<R>, lane: usize) -> Option<(Element
 /// The element whose unsolved rows added most.
 pub(super) struct Unsolved {
     pub element: Element,
-    /// By these rows, and by all [J].
+    /// Energy added by these rows, and by all [J].
     pub added: f64,
     pub total: f64,
-    /// The most by which its rows missed their law [m/s].
+    /// The largest violation of its rows [m/s].
     pub residual: f64,
 }
 
-/// What the rows of elements may have added in one step [J], and by how much they missed [m/s].
+/// The energy that the rows of elements may have added in one step [J], and their violation [m/s].
 struct Missed {
     lane: usize,
     most: BTreeMap<Element, [f64; 2]>,
@@ -61,7 +61,7 @@ impl<R: Real> Observer<R> for Missed {
 }
 
 impl<R: Real> Segment<R> {
-    /// Which rows added energy for want of a solution, as far as the budget goes.
+    /// Finds the rows that added energy because they were unsolved, as far as the budget allows.
     pub fn unsolved(&self, of: &Sim<R>, lane: usize, budget: &Budget) -> Option<Unsolved> {
         let mut sim = self.world(of)?;
         let mut sums: BTreeMap<Element, [f64; 2]> = BTreeMap::new();
