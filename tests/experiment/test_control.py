@@ -1,4 +1,4 @@
-"""A user's control function: how often it is sampled, and what is said of one that cannot run."""
+"""A user's control function: how often it is sampled, and the error of one that cannot run."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def pd(time, sim, kp=2000.0, kd=20.0):
 
 
 def sampled(period, dt):
-    """When a run at the step dt [s] asks for controls, with a period that is given or not."""
+    """The times at which a run at the step dt [s] calls for controls, with or without a period."""
     times = []
 
     def counted(time, sim):
@@ -57,7 +57,7 @@ def test_a_healthy_pd_is_accurate_at_the_step_at_which_it_is_sampled():
     result = sc.trade(leg(), control=pd, horizon=0.5, **QUIET)
     assert result.error(result.shipped) < 2e-3 and np.isinf(result.predictable)
     assert all(row.settings.dt <= 0.002 for row in result.rows)
-    # The shipped run itself, made by hand, is the one that is judged.
+    # The judged run is the shipped run itself, made by hand.
     sim = sc.Sim(leg())
     sim.reset(key="out")
     by_hand = sim.run(0.5, control=pd).qpos[-1, 0]
@@ -123,7 +123,7 @@ def test_nothing_is_recommended_for_a_motion_that_its_control_blows_up():
 
 
 def test_a_constant_torque_is_no_explosion():
-    # Polynomial growth is what the scene does: a flywheel under 1,000 N·m.
+    # The motion itself grows as a polynomial: a flywheel under 1,000 N·m.
     wheel = sc.loads(
         "<mujoco><worldbody><body><joint name='w' axis='0 0 1'/>"
         "<geom type='cylinder' size='.05 .01' mass='.1'/></body></worldbody>"

@@ -1,4 +1,4 @@
-"""A log plays at its own times, whatever the step: no row is delayed, lost or refused."""
+"""A log plays at its recorded times, whatever the step: no row is delayed, lost or refused."""
 
 from dataclasses import replace
 
@@ -82,7 +82,7 @@ def test_a_batch_plays_a_log_as_single_runs_do():
 
 @pytest.mark.parametrize("linear", [False, True])
 def test_the_error_of_sampling_a_log_falls_as_the_square_of_the_step(linear):
-    """rk4 shows the error of sampling alone. Controls read when a step begins: as dt, tenfold."""
+    """rk4 shows the error of sampling alone. Controls read as a step starts: as dt, tenfold."""
     model = sc.loads(SERVO).compile()
     table, way = log(0.025, seed=3), "linear" if linear else "held"
     motion = sc.Motion(horizon=0.4, starts=1, ctrl=table, interpolation=way)
@@ -116,7 +116,7 @@ def test_trade_may_try_steps_longer_than_the_model_s_under_a_log(gap):
     steps = {row.settings.dt for row in result.rows}
     assert result.schedule.period > 0.0079 and min(steps) < 0.002
     assert gap == 0.001 or max(steps) > 0.0039
-    # The motion is known to a tenth of a tenth of the shipped error.
+    # The uncertainty of the motion is a hundredth of the shipped error.
     assert result.reference.error <= 0.011 * result.shipped.error
 
 

@@ -1,4 +1,4 @@
-"""Controls from files, DataFrames and dicts: columns by name, rows held at their own times."""
+"""Controls from files, DataFrames and dicts: columns by name, rows held from their times on."""
 
 import pickle
 
@@ -39,7 +39,7 @@ def test_an_actuator_without_a_column_keeps_the_keyframes_control(model):
 
 
 def test_rows_are_held_from_their_own_times(model, tmp_path):
-    """A log that begins at 17.3 s, at uneven times: sampled by what holds, never in between."""
+    """A log from 17.3 s on, at uneven times: sampled by the row that holds, never in between."""
     file = tmp_path / "log.csv"
     file.write_text("time [s];lift;kick\n17.3;1;0\n17.32;2;0\n17.35;3;0\n")
     assert controls(model, file)[:, 0].tolist() == [1, 1, 2, 2, 2, 3]

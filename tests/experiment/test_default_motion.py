@@ -1,4 +1,4 @@
-"""The motion without controls of one's own is one that the machine could make."""
+"""The default motion, without controls by the user, is one that the machine could make."""
 
 import pickle
 
@@ -168,7 +168,7 @@ def test_an_arm_does_not_reach_into_the_floor():
 
 
 def test_a_load_that_needs_most_of_the_force_leaves_half_of_the_rest():
-    """The weight needs 1.47 of 2 N·m; the motion uses at most half of what is left."""
+    """The weight needs 1.47 of 2 N·m; the motion uses at most half of the rest."""
     weight = 9.81 * 0.15
     model = arm('kp="200" kv="2" forcelimited="true" forcerange="-2 2"')
     schedule, words = planned(model)
@@ -348,7 +348,7 @@ def test_runs_have_the_same_bits_in_another_process_and_in_batches(model):
         np.testing.assert_array_equal(run(model, part, [0])["xpos"][0], alone[k])
 
 
-# --- kinds of one's own ---------------------------------------------------------------------------
+# --- kinds defined by the user --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -406,7 +406,7 @@ def test_robots_move_within_their_forces(name):
 
 
 def test_a_state_is_put_without_its_time():
-    """Trials begin at time 0, whatever the time of the keyframe."""
+    """Trials start at time 0, whatever the time of the keyframe."""
     model = arm(key='<key time="59" qpos=".1" ctrl=".1"/>', gravity="0 0 0")
     assert isinstance(scheduled(Motion(), model, 0.008).starts[0], Start)
     ran = sc.run(model, "move", horizon=1.0)

@@ -49,7 +49,7 @@ def test_servos_follow_a_log_of_40_hz_from_its_first_row(model, tmp_path):
 
 
 def test_a_recorded_run_is_followed(model, tmp_path):
-    """By name from a table, as a Trajectory, and as rows of all coordinates: the same controls."""
+    """The same controls by name from a table, as a Trajectory, and as rows of all coordinates."""
     record = sc.Sim(model).run(0.3, [[0.9, 0.4]] * 150, control_dt=0.002, record=("qpos", "ctrl"))
     record.save(tmp_path / "run.csv")
     record.save(tmp_path / "run.npz")

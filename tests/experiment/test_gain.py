@@ -1,4 +1,4 @@
-"""examples/gain.py: a question of a user's own, on a `Study`."""
+"""examples/gain.py: a user's question, answered by a `Study`."""
 
 import subprocess
 import sys

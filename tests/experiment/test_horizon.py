@@ -129,7 +129,7 @@ PENDULUM = (
 
 
 def test_a_body_that_repeats_does_not_hide_one_that_topples():
-    """A pendulum of 0.46 s beside a rod on its tip, which has hardly moved after 1 s."""
+    """A pendulum of 0.46 s next to a rod on its tip, which has hardly moved after 1 s."""
     rod = 'type="capsule" size=".02" fromto="0 0 0 0 0 .5" mass="1" contype="0" conaffinity="0"'
     both = body("0 0 1", HINGE.format(0.0), PENDULUM)
     both += body("2 0 1", HINGE.format(0.2).replace('"h"', '"rod"'), rod)

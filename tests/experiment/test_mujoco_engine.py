@@ -1,4 +1,4 @@
-"""MuJoCo as the engine of a Study: the same physics, words and failures, and files of its own."""
+"""MuJoCo as the engine of a Study: the same physics, messages and failures; more files."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""A network from a file as a control function, with stand-ins for the packages that read it."""
+"""A network from a file as a control function, with substitutes for the packages that read it."""
 
 import contextlib
 import pickle
@@ -49,7 +49,7 @@ class Tensor(np.ndarray):
 
 @pytest.fixture
 def networks(monkeypatch, tmp_path):
-    """Stand-ins of both packages, and the paths of a file for each."""
+    """Substitutes for both packages, and the paths of a file for each."""
     options = type("SessionOptions", (), {})
     runtime = types.SimpleNamespace(SessionOptions=options, InferenceSession=Session)
     module = types.SimpleNamespace(eval=lambda: lambda row: ((row @ GAINS.T).view(Tensor), None))

@@ -1,4 +1,4 @@
-"""The time steps and the starts of a schedule, and how far its motion goes."""
+"""The time steps and the starts of a schedule, and the extent of its motion."""
 
 import numpy as np
 import pytest
@@ -106,7 +106,7 @@ def test_a_start_is_the_same_however_many_there_are(kind):
 
 
 def test_a_joint_that_its_damping_locks_starts_at_rest():
-    """A base held by dampers, as that of gymnasium_robotics' fetch, would explode with a speed."""
+    """A base held by dampers, as in gymnasium_robotics' fetch, would explode with a speed."""
     joint = '<joint type="slide" axis="{}" damping="{}"/>'
     joints = joint.format("1 0 0", 1e11) + joint.format("0 1 0", 1.0)
     body = f'<body>{joints}<geom size=".1" mass="5"/></body>'

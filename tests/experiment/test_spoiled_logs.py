@@ -1,4 +1,4 @@
-"""Logs as they come: forty spoiled ones are read rightly, or refused with place and cure."""
+"""Logs as they come: forty spoiled ones are read correctly, or refused with place and fix."""
 
 import csv
 import datetime
@@ -73,7 +73,7 @@ TOLD = ("time", "hip [deg]", "knee (deg)", *HEADS[2:])
 SINCE = 1_700_000_000
 UNITS = ["s", "rad", "rad", "rad/s", "rad/s", "Nm", "Nm"]
 ODD = [["ms", "deg", "deg", "deg/s", "deg/s", "mNm", "mNm"], [1e3, *[180 / np.pi] * 4, 1e3, 1e3]]
-# Each kind twice: the text or bytes, and what the error says; without one the log is read rightly.
+# Each kind twice: the text or bytes, and the error; without an error the log is read correctly.
 SPOILED = {
     "joint names alone": (table(("time", "hip", "knee", *HEADS[2:])), ""),
     "actuator names": (table([h.replace("hip", "lift") for h in ("time", *HEADS)]), ""),
@@ -178,7 +178,7 @@ def clean(tmp_path):
 
 
 def test_a_clean_log_has_no_findings_and_is_the_same_for_every_question(model, tmp_path):
-    """From ten sources: the numbers, the line that says what was read, and a run."""
+    """From ten sources: the numbers, the line about the source, and a run."""
     for source in clean(tmp_path):
         log = sc.Log(source)
         placed = log.placed(model)

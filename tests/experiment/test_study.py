@@ -1,4 +1,4 @@
-"""A `Study` tells what steps do wrong from what another model does: beside plain loops."""
+"""A `Study` separates errors of steps from effects of a model: compared with plain loops."""
 
 import json
 import re
@@ -26,7 +26,7 @@ PENDULUM = f"""<mujoco><option integrator="RK4"/><worldbody>
 
 
 def heights(scene: sc.Scene, dt: float) -> np.ndarray:
-    """Of a plain loop, every 4 ms."""
+    """The states of a plain loop, every 4 ms."""
     sim = sc.Sim(scene.with_settings(dt=dt))
     return sim.run(0.4, record="qpos")["qpos"][round(0.004 / dt) :: round(0.004 / dt), 0]
 
@@ -36,7 +36,7 @@ def heights(scene: sc.Scene, dt: float) -> np.ndarray:
     [{"law": "penalty"}, {"law": "penalty", "penalty_stiffness": 2e3}, {"cone": "elliptic"}],
 )
 def test_another_law_has_a_numerical_and_a_modelling_error(settings: dict) -> None:
-    """A law is a model, with a limit dt → 0 of its own. A ball has the same in either cone."""
+    """A law is a model, with its separate limit dt → 0. A ball has the same in either cone."""
     scene = sc.loads(DROP)
     other = scene.with_settings(**settings)
     (trial,) = Study(scene, sc.Motion(horizon=0.4, starts=1)).run([Change(**settings)], error=1e-4)
@@ -51,7 +51,7 @@ def test_another_law_has_a_numerical_and_a_modelling_error(settings: dict) -> No
 
 
 def test_measured_times_are_of_all_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Steps within an accuracy are short at impacts, which the first start may not have."""
+    """Adaptive steps are short at impacts, which the first start may not have."""
     study = Study(sc.loads(DROP), sc.Motion(horizon=0.4, starts=4))
     change = Change(accuracy=1e-3)
     study.run([change, Change()], error=1e-2)
@@ -80,7 +80,7 @@ def test_work_is_counted_where_a_step_can_be_made() -> None:
 
 
 def test_a_motion_that_parts_is_looked_for_where_it_can_be_predicted() -> None:
-    """What follows its 3 to 5 s moves however fine the rungs: it took a quarter of the effort."""
+    """After 3 to 5 s the motion changes with every rung; that took a quarter of the effort."""
     study = Study(sc.loads(PENDULUM), sc.Motion(horizon=10.0))
     truth = study.truth(1e-3)
     assert study.spent < 0.04 * study.effort and truth.error < 1e-4
@@ -90,7 +90,7 @@ def test_a_motion_that_parts_is_looked_for_where_it_can_be_predicted() -> None:
 def test_where_time_is_short_the_truth_is_from_fewer_starts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A run as shipped takes a second: some of eight starts are known, with the same bits."""
+    """A run as shipped takes a second: some of eight starts are done, with the same bits."""
     whole, study = (Study(sc.loads(DROP), sc.Motion(horizon=0.4, starts=8)) for _ in "ab")
     exact, now, follow = whole.truth(1e-3), [0.0], study.engine.follow
 
@@ -156,7 +156,7 @@ def test_a_change_that_the_model_lacks_is_refused_before_a_run(
 
 
 def test_kp_of_a_general_servo_is_a_value() -> None:
-    """Beside the same servo as a position, in both engines; the set point stays."""
+    """Compared with the same servo as a position, in both engines; the set point stays."""
     servos = (
         '<position name="a" joint="j" kp="20" kv="1"/>',
         '<general name="a" joint="j" gainprm="20" biastype="affine" biasprm="0 -20 -1"/>',

@@ -1,4 +1,4 @@
-"""Logs of torques: motors are made where a model has none; beside servos the user chooses."""
+"""Logs of torques: motors are made where a model has none; if it has servos, the user chooses."""
 
 from dataclasses import replace
 
@@ -100,7 +100,7 @@ def test_velocities_of_free_and_ball_joints_need_not_be_logged():
 
 
 def test_one_s_own_motion_is_not_advised_to_who_gave_one():
-    """What cannot be made surer, for a motion of the user's and for one of stepcore's."""
+    """Uncertainty that cannot be reduced, for a motion by the user and for the default one."""
     log = {"t": TIMES, "drive": 0.1 + 0.1 * TIMES}
     few = {"horizon": 0.2, "starts": 1, "by": "flops", "progress": False, "solvers": ["newton"]}
     for motion, said in (

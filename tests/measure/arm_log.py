@@ -65,5 +65,5 @@ def noisy(log, seed=0):
 
 
 def guess(sensors="", **known):
-    """The arm with wrong values, but for those that are known."""
+    """The arm with wrong values, except the given ones."""
     return sc.loads(ARM.format(**(GUESS | known), sensors=sensors)).compile()

@@ -1,4 +1,4 @@
-"""`ablate` on scenes whose answers are known before it runs."""
+"""`ablate` on scenes with answers in closed form."""
 
 import dataclasses
 import functools
@@ -17,7 +17,7 @@ from stepcore.engine.features import MotionUsage, RemovableFeatures, without
 from stepcore.experiment.change import Change
 from stepcore.report.terminal import WIDTH
 
-# A block that slides on the floor, a pendulum that neither meets it nor its own limit, and a
+# A block that slides on the floor, a pendulum that neither meets it nor its limit, and a
 # ball far away that meets nothing.
 KNOWN = """<mujoco><option timestep="0.005" cone="elliptic"/><worldbody>
   <geom name="floor" type="plane" size="5 5 .1" friction="{mu}"/>
@@ -43,7 +43,7 @@ def row(result: sc.Ablation, kind: str):
 
 
 def test_an_error_is_a_length_or_a_share_and_a_motion_its_fields() -> None:
-    """The same tolerance in three forms; the scene's size is known from the first."""
+    """The same tolerance in three forms; the first one determines the scene's size."""
     scene = sc.loads(KNOWN.format(mu=0.5, v=1.0))
     written = sc.ablate(scene, sc.Motion(horizon=0.4, starts=2), added="1mm", progress=False)
     assert written.tolerance == known().tolerance == 1e-3
@@ -126,7 +126,7 @@ TWICE_TIED = """<mujoco><option timestep="0.005"/><worldbody>
 
 def test_of_two_features_that_do_the_same_one_stays() -> None:
     """Either connection holds the weight, so removing one adds millimetres; without both it falls
-    by g t²/2. What is removed together is measured together."""
+    by g t²/2. Elements that are removed together are measured together."""
     result = sc.ablate(sc.loads(TWICE_TIED), added=1e-2, **SHORT)
     ties = [row for row in result.rows if row.removal.kind == "equality"]
     assert len(ties) == 2 and all(row.trial.error < 5e-3 for row in ties)
@@ -192,7 +192,7 @@ SLIDING = """<mujoco><option timestep="0.005" cone="elliptic" iterations="2" sol
     [("cone", {"cone": "pyramidal"}), ("warm start", {"warm_start": False})],
 )
 def test_a_setting_that_is_left_out_is_left_out_of_the_run(kind: str, settings: dict) -> None:
-    """It adds what a plain loop shows, of the place and of some arcs. Once it added nothing."""
+    """It adds the effect that a plain loop shows, of the place and of some arcs; once nothing."""
     scene, places = sc.loads(SLIDING), []
     for own in (scene, scene.with_settings(**settings)):
         sim = sc.Sim(own)
@@ -271,7 +271,7 @@ def test_bad_arguments_are_refused(arguments: dict, message: str) -> None:
 
 
 def test_a_model_that_explodes_at_its_own_step_is_refused() -> None:
-    """Finite at the end of the motion, and 1e30 m away: nothing could be said of its features."""
+    """Finite at the end of the motion, and 1e30 m away: its features had no result."""
     scene = unstable().with_settings(dt=0.02)
     scene.add_key(qpos=[0.01, 0.01])
     scene.joints[1].stiffness = 1e5
@@ -349,7 +349,7 @@ def test_a_gain_is_named_only_if_timing_can_tell_it() -> None:
 
 def test_mujoco_ablates_by_its_flags() -> None:
     result = sc.ablate(sc.loads(KNOWN.format(mu=0.5, v=1.0)), engine="mujoco", **SHORT)
-    # What the scene does not have is not left out of it: no equality, loss, damper or motor.
+    # Features that the scene lacks are not ablated: no equality, loss, damper or motor.
     kinds = {row.removal.kind for row in result.rows}
     assert kinds == {"limit", "contact", "gravity", "spring", "constraint"}
     assert row(result, "limit").trial.error == 0.0

@@ -20,7 +20,7 @@ GRID = {
 
 
 def slide(world):
-    """Where a box comes to that was pushed: of one world, or of all."""
+    """The place to which a pushed box comes: in one world, or in all."""
     world.qvel[..., 0] = 2.0
     world.step(40)
     return {"way": np.array(world.qpos[..., 0]), "speed": np.array(world.qvel[..., 0])}

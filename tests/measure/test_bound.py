@@ -1,4 +1,4 @@
-"""What is printed of starts that nobody ran holds for them: a proof's bound covers the truth."""
+"""The printed bound for starts that were not run covers the truth."""
 
 import functools
 
@@ -7,7 +7,7 @@ import pytest
 import stepcore as sc
 from stepcore.experiment import Study
 
-# A rod that stands on its end: the start decides how far it falls, and how wrong a step is.
+# A rod upright on its end: the start decides how far it falls, and how wrong a step is.
 STANDING = """<mujoco><option timestep="0.01"/><worldbody><body pos="0 0 1"><joint axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 .4" size=".02" mass="1"/></body></worldbody></mujoco>"""
 REPETITIONS, HORIZON = 100, 0.8
@@ -17,7 +17,7 @@ REPETITIONS, HORIZON = 100, 0.8
     "error", [2e-3, *(pytest.param(e, marks=pytest.mark.long) for e in (1e-3, 4e-3))]
 )
 def test_the_bound_covers_the_true_share_of_misses(error):
-    """In at least 95 of 100 repetitions, each with starts of its own; the truth has a thousand."""
+    """In at least 95 of 100 repetitions, each with other starts; the truth has a thousand."""
     model = sc.loads(STANDING).compile()
     many = Study(model, sc.Motion(horizon=HORIZON, starts=1000, seed=10**6))
 

@@ -18,14 +18,14 @@ G = 9.81
 def checked(text, **options):
     options = {"horizon": 0.2, "threads": 1, "progress": False} | options
     with warnings.catch_warnings():
-        # What a load warns of is what the diagnosis says.
+        # The warning at load is the diagnosis.
         warnings.simplefilter("ignore", sc.StiffnessWarning)
         scene = sc.loads(text)
     return sc.check(scene, **options)
 
 
 def findings(text, **options):
-    """What the scene and its run show; the time step is not diagnosed."""
+    """The findings of the scene and its run; the time step is not diagnosed."""
     with mock.patch("stepcore.measure.check._diagnosis", return_value=(None, [])):
         return checked(text, **options).findings
 
@@ -182,7 +182,7 @@ def test_densities(mass, said):
 
 @pytest.mark.parametrize(("inertia", "found"), [(4e-3, []), (1.0, ["inertia"])])
 def test_inertias_that_belong_to_another_body(inertia, found):
-    """A ball of 1 kg and 0.1 m has 0.004 kg·m²; 1 kg·m² is that of mass 1.2 m away."""
+    """A ball of 1 kg and 0.1 m has 0.004 kg·m²; 1 kg·m² would need mass 1.2 m away."""
     inertial = f'<inertial pos="0 0 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/>'
     text = arm().replace("<geom", f"{inertial}<geom")
     assert kinds(text) == found
@@ -242,7 +242,7 @@ def test_a_motor_that_cannot_hold_the_start(of, arm):
 
 
 def test_thrusters_lift_a_body_by_as_much_as_they_push():
-    """Of 4 N of thrust against 1 kg × g; with the gear that is named, it rises."""
+    """4 N of thrust against 1 kg × g; with the proposed gear, it rises."""
     text = """<mujoco><worldbody><body name="hull" pos="0 0 1"><freejoint/>
     <geom type="box" size=".1 .1 .02" mass="1"/><site name="s" pos=".0 .0 0"/></body></worldbody>
     <actuator><motor name="fan" site="s" gear="0 0 {} 0 0 0" ctrlrange="0 1"/></actuator>
@@ -263,7 +263,7 @@ def test_a_limit_that_a_motor_overpowers():
     assert one.value == pytest.approx(yielding((0.05, 1), (0.9, 0.95, 0.001, 0.5, 2), load, 0.002))
     assert one.text.startswith("Motor `m` can push joint `knee` ") and "with 4 N·m" in one.text
     assert kinds(arm(limits, mass, rest=motor.format(0.5))) == []
-    # It goes there under a full control, and is told once.
+    # It goes there under a full control, and is reported once.
     pushed = checked(arm(limits, mass, rest=motor.format(4)), horizon=2.0, ctrl=[[1.0]])
     (run,) = pushed.findings
     assert run.value == pytest.approx(one.value, rel=0.02) and "pushes" in run.text
@@ -288,7 +288,7 @@ def test_a_run_that_fails_and_its_diagnosis():
 
 
 def test_what_the_run_shows_is_found():
-    """The ball sinks in under its solref, and is asked to sink in less."""
+    """The ball sinks in under its solref, and should sink in less."""
     text = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .05"><freejoint/>
     <geom size=".05" solref="{}" mass="1"/></body></worldbody></mujoco>"""
     assert the(text.format("0.2 1"), "depth at rest", horizon=4.0).severity == "warning"
@@ -307,7 +307,7 @@ def test_a_worm_whose_inertia_is_lost_is_told(scale, told):
 
 
 def test_the_motion_is_the_users():
-    """A servo that follows a sine is at the end of its force range."""
+    """A servo that follows a sine saturates."""
     text = arm(rest=servo('forcerange="-.1 .1" kv="1"', 100))
     assert kinds(text) == []
     sine = the(text, "servo does not follow", control=lambda time, sim: [math.sin(9 * time)])
@@ -339,7 +339,7 @@ def test_bad_arguments(options, said):
 
 
 def test_a_heap_is_checked():
-    """Its pairs are too many to be listed; the balls rest on each other's floor."""
+    """It has too many pairs to list; the balls rest on each other's floor."""
     ball = '<body pos="{} {} .0996"><freejoint/><geom size=".1" mass="1"/></body>'
     balls = "".join(ball.format(0.3 * (k % 9), 0.3 * (k // 9)) for k in range(81))
     text = f'<mujoco><worldbody><geom type="plane" size="9 9 1"/>{balls}</worldbody></mujoco>'

@@ -44,7 +44,7 @@ def test_smaller_steps_gain_more_than_sweeps(heavy):
 
 
 def test_errors_are_those_of_runs_by_hand(heavy):
-    """The end of the shipped run, by hand, against a run with ever so many sweeps."""
+    """The end of the shipped run, by hand, against a run with very many sweeps."""
     ends = []
     for more in ({}, {"sweeps": 20_000, "tolerance": 1e-13, "dt": 0.0005}):
         sim = sc.Sim(heavy_stack(), **more)
@@ -72,7 +72,7 @@ def test_well_solved_is_said_so(scene):
     assert found.verdict == "solved"
     said = found.sentences[0]
     assert said.startswith("Solved: ")
-    # The shorter step that is named was run, and has the error that is told; or none helps.
+    # The proposed shorter step was run, and has the reported error; or none helps.
     errors = {f"a dt of {seconds(t.dt)} leaves {metres(t.error)}": t.error for t in found.dts}
     told = [error for words, error in errors.items() if words in said]
     assert all(error <= 0.6 * found.shipped.error for error in told)
@@ -118,14 +118,14 @@ def test_what_explodes_asks_for_no_nanometres():
 
 
 def test_without_rows_the_error_of_the_time_step_is_told():
-    """The step was said to have no effect on a servo that turns at 1e232 rad/s."""
+    """The step was reported to have no effect on a servo that turns at 1e232 rad/s."""
     found = sc.converge(lesson.spring(), horizon=0.3, starts=1, progress=False)
     said = f"The time step causes an error of {metres(found.shipped.error)}"
     assert said in found.sentences[0]
 
 
 def test_the_converged_motion_is_as_fine_as_the_worst_start_needs_it():
-    """The first start swings by 1 µm, the others by 1 mm: its error asked for steps of 2 µs."""
+    """The first start swings by 1 µm, the others by 1 mm: its error required steps of 2 µs."""
     spring = """<mujoco><option gravity="0 0 0"/><worldbody>
       <body><joint type="slide" stiffness="400" springref="1e-6"/>
       <geom size=".1" mass="1"/></body></worldbody></mujoco>"""
@@ -134,7 +134,7 @@ def test_the_converged_motion_is_as_fine_as_the_worst_start_needs_it():
 
 
 def test_a_motion_that_is_exact_to_rounding_asks_for_no_finer_one(tmp_path):
-    """A hinge that its damper all but stops moves by 1e-18 m more or less: it took over 60 s."""
+    """A hinge that its damper nearly stops moves by about 1e-18 m: it took over 60 s."""
     file = tmp_path / "damped.xml"
     file.write_text("""<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody>
       <body><joint name="j" damping="13"/><geom size=".1"/></body></worldbody>
@@ -237,7 +237,7 @@ def test_the_page_says_what_is_so():
     exec(blocks[0], {})
 
 
-# --- what is said where runs fail ----------------------------------------------------------------
+# --- the report where runs fail ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def check(scene, name, integrators, steps=4000, near=2.0, within=0.02):
     d = diagnosed(scene, integrators)
     model = scene.compile()
     for integrator in integrators:
-        # What the explicit rule makes grow takes more than a thousand steps to show.
+        # Growth by the explicit rule takes more than a thousand steps to show.
         limit = d.held(integrator) if integrator == "explicit" else d.limit(integrator)
         assert d.stiffest(integrator) == name, integrator
         real = stiff.bisected(
@@ -150,8 +150,8 @@ def rattles(model, integrator, dt, depth):
 
 @first(1, solref=[(-1e6, -1000.0), (-1e6, -200.0), (-1e5, -1500.0)])
 def test_a_stiff_contact_in_direct_form(solref):
-    """Within 20 % of where the ball at rest begins to bounce on the real step. With little damping
-    it begins with a fall of one step that never ends: there what it bears held is the same."""
+    """Within 20 % of where the ball at rest starts to bounce on the real step. With little damping
+    a fall of one step that never ends is the start of it: the held limit is the same there."""
     scene = stiff.pad(solref, dt=5e-3, integrator="euler")
     d = diagnosed(scene)
     assert d.stiffest("euler") == "contact `floor`/`ball`"
@@ -166,8 +166,8 @@ def test_a_stiff_contact_in_direct_form(solref):
 
 @first(1, joint=["free", "slide"])
 def test_a_state_at_a_switch_does_not_decide(joint):
-    """Two balls that begin exactly on the floor and rebound: a step in which a row ends to act is
-    no step that could be repeated. Within 20 % of the contact's own limit, and named after it."""
+    """Two balls that start exactly on the floor and rebound: a step in which a row stops acting
+    cannot be repeated. Within 20 % of the contact's limit, which it names."""
     scene = sc.Scene(name="two").with_settings(dt=1e-3)
     scene.add_geom("world", "plane", name="floor", solref=(-1e8, -100.0))
     for i in range(2):
@@ -208,7 +208,7 @@ def test_refsafe_is_told_as_it_is():
 
 
 def rows_scene(kind):
-    """One row of a kind, as stiff as it says and damped enough not to rebound."""
+    """One row of a kind, with its nominal stiffness and enough damping not to rebound."""
     scene = sc.Scene(gravity=(0, 0, 0)).with_settings(dt=5e-3)
     body = scene.add_body("body", pos=(0, 0, 1))
     stiffly = (-1e6, -1500.0)
@@ -334,7 +334,7 @@ def test_a_random_stiff_servo_is_named(seed):
 @pytest.mark.long
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
 def test_a_stiff_table(cone):
-    """Four feet on the floor: within 20 % of where it begins to bounce."""
+    """Four feet on the floor: within 20 % of where it starts to bounce."""
     scene = stiff.table((-1e5, -500.0), dt=5e-3, integrator="euler", cone=cone)
     d = diagnosed(scene, horizon=0.5)
     assert all(name.startswith("contact `floor`/`foot") for name in d.together("euler"))

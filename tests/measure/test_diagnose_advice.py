@@ -1,4 +1,4 @@
-"""`diagnose`: cures by bisection on the real step, names, and a warning that never fails a load."""
+"""`diagnose`: fixes by bisection on the real step, names, and a warning that never fails a load."""
 
 import copy
 import math
@@ -24,7 +24,7 @@ def diagnosed(scene, **options):
 def series(count, k, mass=1.0, **options):
     """Equal masses in a row, an equal spring between neighbours: the last is free.
 
-    The fastest mode is ω = 2 √(k/m) cos(π / (2 n + 1)), √2 times that of a spring alone.
+    The fastest mode is ω = 2 √(k/m) cos(π / (2 n + 1)), √2 times the frequency of one spring.
     """
     scene = sc.Scene(gravity=(0, 0, 0), name="series").with_settings(**options)
     parent = scene.world
@@ -153,13 +153,13 @@ def test_ten_equal_springs_are_named_together():
     assert diagnosed(scene).together() == ["spring of joint `h4`"]
 
 
-# --- cures --------------------------------------------------------------------------------------
+# --- fixes --------------------------------------------------------------------------------------
 
 MARGIN = 1.5
 
 
 def cured(scene, advice):
-    """A copy of the scene with a piece of advice made by hand, from what it says."""
+    """A copy of the scene with a piece of advice made by hand, from its text."""
     scene = copy.deepcopy(scene).with_settings(**advice.settings)
     for value in advice.values:
         names = value.owner.split("`")[1::2]
@@ -175,7 +175,7 @@ def cured(scene, advice):
 
 
 def check_cures(scene, whats, within=0.2, wanted=5e-3, least=True):
-    """Every cure is bisected on the real step: its limit is the margin times the wanted dt, and
+    """Every fix is bisected on the real step: its limit is the margin times the wanted dt, and
     not much beyond where the least change was searched for."""
     d = diagnosed(scene, dt=wanted)
     met = [a for a in d.advice if a.met]
@@ -226,7 +226,7 @@ def test_a_higher_kv_cures_where_a_lower_one_does_not():
 
 @first(2, integrator=["implicitfast", "rk4", "semi-implicit"])
 def test_cures_of_a_stiff_servo(integrator):
-    """kp 4e5 on 1 kg m² at 5 ms, under three integrators; verified cures, the least first."""
+    """kp 4e5 on 1 kg m² at 5 ms, under three integrators; verified fixes, the least first."""
     whats = {"kp", "armature", "integrator"}
     check_cures(servo(4e5, 20.0, integrator, damping=0.1), whats)
 
@@ -250,7 +250,7 @@ def test_armature_on_the_whole_chain():
 
 
 def bounces(scene, dt):
-    """Whether a ball that rests on the floor begins to bounce at a step [s]."""
+    """Whether a ball that rests on the floor starts to bounce at a step [s]."""
     model = scene.compile()
     rest = sc.Sim(model, integrator="euler", dt=2e-5)
     rest.step(20_000)
@@ -262,7 +262,7 @@ def bounces(scene, dt):
 
 @pytest.mark.parametrize("solref", [(-1e6, -200.0), (-1e5, -1500.0)])
 def test_cures_of_a_contact_in_direct_form(solref):
-    """A softer solref in direct form, and one of the standard form in its place: at rest at 1.5
+    """A softer solref in direct form, and one of the standard form instead: at rest at 1.5
     times the wanted dt where the ball bounced before; the direct one within 20 % of its limit."""
     scene = stiff.pad(solref, dt=5e-3, integrator="euler")
     assert bounces(scene, 5e-3)
@@ -276,7 +276,7 @@ def test_cures_of_a_contact_in_direct_form(solref):
 
 
 def test_a_cure_that_is_smaller_comes_first():
-    """Law: the size of a change is |log| of its factor; that of armature is beside the inertia."""
+    """Law: the size of a change is |log| of its factor; armature counts relative to the inertia."""
     d = check_cures(servo(4e5, 20.0, "semi-implicit"), {"kp", "armature"})
     met = {a.what: a for a in d.advice if a.met}
     kp, armature = met["kp"].values[0], met["armature"].values[0]
@@ -301,7 +301,7 @@ def test_a_cure_that_is_smaller_comes_first():
 )
 def test_an_answer_or_a_named_refusal_never_a_failure_of_algebra(fields, integrator):
     """Law: SVD, inverses and squares that leave their range end in a sentence, without numbers
-    that nobody asked for, or in a ValueError that says what is wrong with the scene."""
+    that were not requested, or in a ValueError that names the defect of the scene."""
     scene = servo(3e3, 1e-3, integrator, **fields)
     scene.add_geom(scene.body("wheel"), "sphere", 0.1, pos=(0, 1, 0), mass=1e-6)
     try:
@@ -318,14 +318,14 @@ def test_an_answer_or_a_named_refusal_never_a_failure_of_algebra(fields, integra
 
 @pytest.mark.long
 def test_rows_that_begin_to_act_within_the_step_are_compared_where_they_act():
-    """dm_control's humanoid: its rows at the limit are not those of the state that decides."""
+    """dm_control's humanoid: its rows at the limit differ from the rows of the limiting state."""
     d = sc.diagnose("dm_control:suite/humanoid", horizon=0.5, progress=False)
     assert d.limit() > 0.005 and d.stiffest()
 
 
 def test_growth_faster_than_any_step_is_not_told_in_numbers():
-    """Law: a spring that pushes away, k = −1e40 on 1 kg, grows e-fold in 1e-20 s: no number of a
-    wrong question is printed, of the growth or of a solref of 1e-20 s."""
+    """Law: a spring that pushes away, k = −1e40 on 1 kg, grows e-fold in 1e-20 s: no meaningless
+    number is printed, of the growth or of a solref of 1e-20 s."""
     text = diagnosed(stiff.slider(-1e40, dt=2e-3, integrator="euler"), horizon=0.02).text(full=True)
     assert "diverge e-fold in less than " in text and not re.search(r"e-\d+ n?s\b", text)
     soft = diagnosed(stiff.pad((1e-20, 1.0), dt=2e-3), horizon=0.02)
@@ -335,7 +335,7 @@ def test_growth_faster_than_any_step_is_not_told_in_numbers():
 
 def test_control_functions_get_advice():
     """Law: an inertia I under −kd q̇ held over dt is stable for dt < 2 I/kd. Armature on its joint
-    cures it, run with the function itself at nearly 1.5 times the wanted dt."""
+    fixes it, run with the function itself at nearly 1.5 times the wanted dt."""
     scene = servo(0.0, 0.0, "implicitfast")
     scene.actuators[0].type = "motor"
     scene.actuators[0].kp = scene.actuators[0].kv = None
@@ -371,7 +371,7 @@ def test_a_softer_penalty_spring():
 
     def rests(dt):
         sim = sc.Sim(scene.with_settings(**advice.settings).compile(), dt=dt)
-        # Where the spring carries the weight.
+        # The position at which the spring carries the weight.
         sim.qpos[:] = -0.0005 - 1.0001 * 9.81 / advice.settings["penalty_stiffness"]
         sim.step(3000)
         return abs(float(sim.qvel[0])) < 1e-4
@@ -422,7 +422,7 @@ def test_the_motion_is_told():
 
 def test_cures_of_a_saturated_servo_hold_in_the_motion():
     """A light wrist (1.5e-4 kg m²) on a strong servo, thrown to hundreds of rad/s from one end of
-    its force range to the other: every cure is run with the real step at up to 1.5 times the
+    its force range to the other: every fix is run with the real step at up to 1.5 times the
     wanted dt, kicked by 2 rad/s, and throws it to no more than four times that."""
     scene = servo(500.0, 50.0, "implicitfast").with_settings(dt=2e-3)
     scene.body("wheel").inertia = (1.5e-4,) * 3

@@ -1,4 +1,4 @@
-"""`diagnose` states what was run: limits below which no run fails, and none that was not found."""
+"""`diagnose` reports only limits that were found, below which no run fails."""
 
 import itertools
 import math
@@ -28,14 +28,14 @@ WRIST_LIMIT = 2 * 3e-3 / 50
 
 
 def clocked(monkeypatch, step=1):
-    """A clock that goes on whenever it is asked: nothing depends on the machine."""
+    """A clock that advances at each reading: nothing depends on the machine."""
     ticks = itertools.count(0, step)
     monkeypatch.setattr(deadline, "clock", lambda: next(ticks))
 
 
 @pytest.mark.parametrize("measure", [sc.diagnose, sc.check])
 def test_a_limit_is_stated_only_after_it_was_found(monkeypatch, measure):
-    """At every time that ends it: NaN, what was run, and no limit in text, data or plot."""
+    """For every deadline: NaN, the steps that were run, and no limit in text, data or plot."""
     known = set()
     for power in range(8, 30):
         clocked(monkeypatch)
@@ -141,7 +141,7 @@ def test_steps_that_hold_by_luck_are_an_erratic_range_and_no_limit():
 
 
 def test_of_chatter_an_actuator_is_named():
-    """A spring has the limit by chance: softened, it moves it by 1.6, the servo by 3.5."""
+    """A spring has the limit by chance: softening it moves the limit by 1.6, the servo by 3.5."""
     d = sc.diagnose(str(HERE / "tendon_finger.xml"), integrators=(), progress=False)
     assert d.own.outcome == "chatters" and d.stiffest() == "servo `a`" and d.own.state == -1
 
@@ -187,7 +187,7 @@ def test_a_control_that_feeds_a_failure_is_named_before_the_limit_is_known(monke
 
 
 def test_changes_that_remain_untried_are_counted(monkeypatch):
-    """After every time: all kinds of changes are tried or untried."""
+    """For every deadline: all kinds of changes are tried or untried."""
     scene, seen = sc.loads(WRIST).with_settings(dt=1e-3), set()
     for power in range(14, 36):
         clocked(monkeypatch)

@@ -20,7 +20,7 @@ QUIET = {"horizon": 1.0, "threads": 1, "progress": False}
 
 
 def leg(joint="", option=""):
-    """One hinge of a known inertia, with a motor."""
+    """One hinge of given inertia, with a motor."""
     return sc.loads(
         f"""<mujoco><option timestep="0.002" gravity="0 0 0" {option}/><worldbody>
         <body name="leg"><joint name="ankle" axis="0 1 0" {joint}/>
@@ -34,7 +34,7 @@ def pd(time, sim, kp=KP, kd=KD):
 
 
 class Delayed:
-    """The PD, so many samples late."""
+    """The PD, delayed by this many samples."""
 
     def __init__(self, samples):
         self.waiting = collections.deque([0.0] * samples)
@@ -67,7 +67,7 @@ class Integrating:
 
 
 def stays(scene, control, dt, hold=1, seconds=3.0, **settings):
-    """Whether the real step brings a small kick to rest, with controls held for so many steps."""
+    """Whether the real step brings a small kick to rest, with controls held for this many steps."""
     sim = unwatched(sc.Sim(scene, dt=dt, **settings))
     sim.qvel[:] = 1e-3
     count = max(400, math.ceil(seconds / dt))
@@ -230,7 +230,7 @@ def test_a_spring_beside_a_held_control_keeps_its_own_limit():
 
 
 class Player:
-    """Plays recorded controls: it counts its calls, and never looks at the time."""
+    """Plays recorded controls: it counts its calls, and never reads the time."""
 
     def __init__(self, rows):
         self.rows, self.calls = rows, 0
@@ -243,7 +243,7 @@ class Player:
 
 def test_recorded_controls_are_played_from_their_beginning_in_every_run():
     """Law: a player that counts its calls is one that reads the clock. From 0.4 s on the table
-    drives the leg into its limit, so a run that begins anywhere else in it is another motion."""
+    drives the leg into its limit, so a run that starts anywhere else in it is another motion."""
     scene = leg('range="-.5 .5" solreflimit="-4e5 -40" damping=".1"')
     table = np.zeros((50, 1))
     table[20:] = 3.0
@@ -254,7 +254,7 @@ def test_recorded_controls_are_played_from_their_beginning_in_every_run():
         return table[min(int(time / 0.02 + 1e-9), 49)]
 
     given = sc.diagnose(scene, control=by_time, **fields)
-    # Its controls begin with a call, not at a time, so steps that do not divide a period differ.
+    # Its controls start with a call, not at a time, so steps that do not divide a period differ.
     for name in given.limits:
         assert played.limit(name) == pytest.approx(given.limit(name), rel=0.03)
     assert "limit of joint" in given.stiffest()

@@ -1,4 +1,4 @@
-"""`diagnose`: every cure was run and diagnosed again before it is printed."""
+"""`diagnose`: every fix was run and diagnosed again before it is printed."""
 
 import math
 
@@ -17,11 +17,11 @@ MARGIN = 1.5
 
 
 def advised(d):
-    """The advice that is printed as a cure, by name."""
+    """The advice that is printed as a fix, by name."""
     return {advice.what: advice for advice in d.advice if advice.met}
 
 
-# --- a servo in place of a control --------------------------------------------------------------
+# --- a servo instead of a control --------------------------------------------------------------
 
 # Rebuilt from a thread of 2015: three links of 0.1 kg on motors, moved by PID controllers of
 # Gazebo with p = 100 and d = 10, explode.
@@ -70,7 +70,7 @@ def planar(kp):
 @first(1, kp=[1e6, 1e4, 1e8])
 def test_what_is_called_stable_at_a_step_is_stable_beyond_it(kp):
     """Law: "makes 2 ms stable" and "up to 1.5 ms" exclude each other. At a kp of 1e6 no fine run
-    reaches the horizon, so nothing can be told of 2 ms."""
+    reaches the horizon, so nothing is known about 2 ms."""
     d = sc.diagnose(planar(kp), **QUIET)
     assert d.limit() < 2e-3
     for advice in advised(d).values():
@@ -128,7 +128,7 @@ def scara(integrator):
 
 @first(1, integrator=["Euler", "implicitfast"])
 def test_values_of_a_scara_leave_the_margin_when_they_are_made(integrator):
-    """Law: the changed scene's own diagnosis finds the limit that was promised."""
+    """Law: the diagnosis of the changed scene finds the promised limit."""
     dt = {"Euler": 4e-3, "implicitfast": 0.03}[integrator]
     options = {"dt": dt, "kind": "sines"} | QUIET
     d = sc.diagnose(scara(integrator), **options)

@@ -25,7 +25,7 @@ def diagnosed(scene, **options):
 
 
 def test_advice_is_true():
-    """Every value named is stable at 1.5 times the wanted dt on the real step, the margin of cures,
+    """Every value named is stable at 1.5 times the wanted dt on the real step, the margin of fixes,
     and 3 % less change is not."""
     scene = stiff.chain((50.0, 20.0, 4e4, 20.0), dt=1e-3, integrator="semi-implicit")
     d = diagnosed(scene, dt=5e-3)
@@ -163,7 +163,7 @@ ROPE = """<mujoco><option timestep="{dt}" integrator="implicitfast" gravity="0 0
     ],
 )
 def test_a_stiff_tendon_warns_from_its_limit_on(rope, servo, name):
-    """Of two masses it is 2/ω, ω² = k (1/m + 1/M); a rope that is slack says nothing."""
+    """Two masses have 2/ω, ω² = k (1/m + 1/M); a slack rope gives no message."""
     limit = 2 / (1e5 * (1 + 1 / 3)) ** 0.5
     for share in (0.98, 1.02):
         with warnings.catch_warnings(record=True) as caught:
@@ -214,7 +214,7 @@ def test_the_command_tells_names_and_data(tmp_path, capsys):
     told = capsys.readouterr()
     said = " ".join(told.out.split())
     assert "servo `elbow`" in said and "stability margin of 1.07×" in said
-    # What would be warned of at load is told in full.
+    # A warning at load is reported in full.
     assert told.err == ""
     data = json.loads(out.read_text())
     assert data["wanted"] == 0.001
@@ -264,7 +264,7 @@ def test_a_point_of_a_contact_that_is_about_to_open_is_no_stiff_one():
 
 @pytest.mark.parametrize("rate", [10.0, 30.0, 40.0])
 def test_a_thin_plate_is_named_at_every_rate(rate):
-    """Its nutation is as fast as its spin: two equal eigenvalues, which no vectors tell apart."""
+    """Its nutation is as fast as its spin: two equal eigenvalues, which no vectors separate."""
     scene = sc.Scene(gravity=(0.0, 0.0, 0.0)).with_settings(dt=0.02, integrator="explicit")
     plate = scene.add_body("plate")
     scene.add_joint(plate, "free")

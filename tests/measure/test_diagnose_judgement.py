@@ -1,5 +1,5 @@
 """`diagnose` judges the motion itself: saturated servos, slow growth, fast rotation, contacts that
-are not there at the start; each against the real step, run here on its own."""
+are not there at the start; each against the real step, run here separately."""
 
 import dataclasses
 import functools
@@ -16,13 +16,13 @@ import stepcore as sc
 pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 
 
-# --- servos at the ends of their force ranges ---------------------------------------------------
+# --- saturated servos ---------------------------------------------------------------------------
 
 INERTIA, KP, KV, FORCE = 1.5e-4, 500.0, 50.0, 52.0
 
 
 def wrist(kick=0.0, force=FORCE, inertia=INERTIA, kv=KV):
-    """An arm with a light wrist and a servo of limited force; kicked at so many rad/s."""
+    """An arm with a light wrist and a servo of limited force; kicked at this speed [rad/s]."""
     light = " ".join([f"{inertia}"] * 3)
     return sc.loads(f"""<mujoco><option timestep="0.002" integrator="implicitfast" gravity="0 0 0"/>
     <worldbody><body name="arm"><joint name="shoulder" axis="0 1 0"/>
@@ -49,7 +49,7 @@ def test_a_servo_that_the_motion_saturates_fails_the_step():
 
 
 def test_a_step_that_holds_where_shorter_ones_fail_is_not_said_to_fail():
-    """Runs hold by luck, as where a body tumbles and comes to rest earlier."""
+    """Runs are stable by luck, as where a body tumbles and comes to rest earlier."""
     _, d = kicked()
     lucky = dataclasses.replace(d, observed=dataclasses.replace(d.observed, kind="holds"))
     assert lucky.sentences[0].startswith(
@@ -73,7 +73,7 @@ SWINGING = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody>
 
 @pytest.mark.parametrize("bound", ["", 'forcerange="-25 25"'])
 def test_a_servo_that_swings_without_a_damper_does_not_chatter(bound):
-    """Seen at every eleventh step its force changes as much as chatter does: 15.9 ms were told."""
+    """At every eleventh step its force changes as much as chatter does: 15.9 ms was reported."""
     step = {"ctrl": [[0.0], [0.2]], "control_dt": 0.1}
     for integrator, times in (("euler", 2), ("rk4", 2 * math.sqrt(2))):
         found = diagnosed(sc.loads(SWINGING.format(bound)), [integrator], **step)
@@ -91,13 +91,13 @@ FLUNG = """<mujoco><option timestep=".0005"/><worldbody>
 
 
 def test_what_bears_two_hundred_times_the_step_is_not_named_by_a_linearisation_alone():
-    """Where the servo is at its bound and the link spins, a damper of 11/s has the only slope."""
+    """While the servo saturates and the link spins, only a damper of 11/s has a slope."""
     d = sc.diagnose(sc.loads(FLUNG), integrators=("euler",), progress=False)
     assert 5e-4 < d.limit() < 1.1e-3 and d.stiffest() == "servo `servo`"
 
 
 def test_cures_of_chatter_are_tried_on_the_motion():
-    """What is advised makes the real wrist come to rest at 2 ms."""
+    """The advice makes the real wrist come to rest at 2 ms."""
     scene, d = kicked()
     advice = [a for a in d.advice if a.met and a.values]
     assert advice
@@ -139,8 +139,8 @@ def test_inertial_forces_limit_links_in_the_plural():
 
 
 def test_growth_at_every_step_is_physical_and_named():
-    """A servo that pushes with the velocity, e-fold in 50 ms: no dt is to blame, and it is said
-    first. Its kinetic energy is 1e16 times that of a slow motion after 0.77 s at any fine step."""
+    """A servo that pushes with the velocity, e-fold in 50 ms: no dt is the cause, which comes
+    first. Its kinetic energy is 1e16 times a slow motion's after 0.77 s at any fine step."""
     scene = sc.loads("""<mujoco><option timestep=".002" integrator="implicitfast" gravity="0 0 0"/>
     <worldbody><body name="cart"><joint name="rail" type="slide" axis="1 0 0"/>
       <geom size=".1" mass="1" contype="0" conaffinity="0"/></body></worldbody>
@@ -157,7 +157,7 @@ def test_growth_at_every_step_is_physical_and_named():
 
 @pytest.mark.parametrize(("damping", "told"), [(0.0, True), (0.5, False)])
 def test_growth_that_is_lost_again_is_not_told(damping, told):
-    """A pendulum that falls over hangs in the end, with damping, wherever it began."""
+    """A pendulum that falls over hangs in the end, with damping, from any start."""
     scene = sc.loads(f"""<mujoco><option integrator="implicitfast"/><worldbody><body>
       <joint axis="0 1 0" damping="{damping}"/><geom type="capsule" fromto="0 0 0 0 0 .5" size=".02"
         mass="1"/></body></worldbody><keyframe><key qpos=".1"/></keyframe></mujoco>""")
@@ -180,7 +180,7 @@ CRANKS = """<mujoco><default><position ctrlrange="-.1 .1" kp="30"/><joint dampin
 
 
 def test_a_kink_that_two_runs_pass_in_different_steps_is_no_limit():
-    """They are apart for a moment, 2.4 s into a run; where 1000 steps end then, this counted as
+    """The runs differ for a moment, 2.4 s into a run; if 1000 steps end then, this counted as
     growth without end. Dampers alone limit dt, as in the held pose."""
     d = diagnosed(sc.loads(CRANKS), ["rk4"])
     assert d.limit("rk4") == pytest.approx(d.held("rk4"), rel=0.02)
@@ -272,13 +272,13 @@ SLIPPING = """<mujoco><option timestep="0.005" gravity="0 0 0" integrator="impli
 def test_a_servo_that_friction_would_hold_at_rest_limits_dt_where_it_moves():
     """Beyond 10 ms refsafe softens the friction loss, which slips, with its force, however soft.
 
-    SO-101 by its shape: a step beyond the servo's limit chatters at the ends of the force range.
+    SO-101 by its shape: a step beyond the servo's limit chatters between the force bounds.
     """
     found = diagnosed(sc.loads(SLIPPING))
     omega = math.sqrt(1040 / 0.03)
     ratio = 3.5 / (2 * 0.03 * omega)
     limit = (2 * ratio + 2 * math.sqrt(ratio**2 + 1)) / omega
-    # In steps that are little too long friction brings it to rest again: up to 15.4 ms, 5.6 % more.
+    # In slightly longer steps friction brings it to rest again: up to 15.4 ms, 5.6 % more.
     assert found.limit() == pytest.approx(limit, rel=0.06) and limit > 0.01
     speeds = {}
     for part in (0.9, 1.3):
@@ -291,7 +291,7 @@ def test_a_servo_that_friction_would_hold_at_rest_limits_dt_where_it_moves():
 
 @pytest.mark.parametrize("integrator, times", [("euler", 2), ("rk4", 2.7853)])
 def test_chatter_within_a_force_range_is_no_step_that_holds(integrator, times):
-    """Beyond it a servo swings between its ends, and no perturbation grows."""
+    """Beyond it a servo swings between its bounds, and no perturbation grows."""
     found = diagnosed(sc.loads(stiff.damped_servo()), [integrator])
     assert found.limit(integrator) == pytest.approx(times / stiff.POLE, rel=0.03)
 
@@ -310,7 +310,7 @@ def test_chatter_within_the_bounds_of_a_user_s_function_is_no_step_that_holds(dt
     """In the shipped step, too, where it would be the converged motion."""
     scene = sc.loads(stiff.damped_servo(MOTOR, dt))
     found = diagnosed(scene, ["rk4"], control=clipped, horizon=1.0)
-    # What is held during a step acts as in euler.
+    # Forces that are held during a step act as in euler.
     assert found.limit("rk4") == pytest.approx(2 / stiff.POLE, rel=0.03)
 
 
@@ -318,7 +318,7 @@ def test_a_control_period_in_which_a_function_chatters_is_told():
     scene = sc.loads(stiff.damped_servo(MOTOR))
     found = diagnosed(scene, ["euler"], control=clipped, control_dt=0.004, horizon=1.0)
     assert "the control function is sampled too rarely" in found.sentences[0]
-    # Of whole steps.
+    # In whole steps.
     assert found.longest_period == pytest.approx(0.003)
 
 

@@ -1,5 +1,5 @@
-"""`diagnose` names limits that a run confirms: the same one for every wanted dt, at steps between
-those at which a motion holds by luck, and by elements that move the limit."""
+"""`diagnose` names limits that a run confirms: the same for every wanted dt, none where a
+motion is stable by luck, with the elements that move the limit."""
 
 import math
 
@@ -29,7 +29,7 @@ def run(scene, dt, seconds=1.0, integrator=None):
 
 def apart(scene, integrator, dt, key=None):
     """How much further apart two runs are towards the end of a thousand steps than at the start,
-    in velocity; inf if one explodes. One begins 1e-6 m or rad aside."""
+    in velocity; inf if one explodes. One starts 1e-6 m or rad away."""
     ways = []
     for nudge in (0.0, 1e-6):
         sim = sc.Sim(scene.compile(), integrator=integrator, dt=dt)
@@ -66,7 +66,7 @@ SCENES = {
 
 @every_pair(name=list(SCENES), integrator=["euler", "semi-implicit", "implicitfast", "rk4"])
 def test_a_run_holds_below_the_limit_and_fails_above(name, integrator):
-    """Law: at 0.98 of the limit two runs that begin 1e-6 apart come no further apart than a spring
+    """Law: at 0.98 of the limit two runs that start 1e-6 apart come no further apart than a spring
     swings, at 1.03 of it by orders of magnitude; stepped here, both held at the start."""
     scene = SCENES[name]()
     limit = diagnosed(scene, [integrator], kind=None if not scene.actuators else "hold").limit(
@@ -79,7 +79,7 @@ def test_a_run_holds_below_the_limit_and_fails_above(name, integrator):
 
 
 def test_every_wanted_dt_names_the_same_limit():
-    """Law: the limit belongs to the motion, so it does not depend on the step that is asked for."""
+    """Law: the limit belongs to the motion, so it does not depend on the requested step."""
     every = [diagnosed(SCENES["chain"](), dt=dt) for dt in (0.0011, 0.02)]
     limits = [d.limit() for d in every]
     assert math.isfinite(limits[0]) and limits == [limits[0]] * len(limits)
@@ -124,7 +124,7 @@ def test_a_stack_that_settles_has_not_exploded():
 
 
 def plate(height=0.3):
-    """A ball that falls onto a thin plate high above nothing."""
+    """A ball that falls onto a thin plate without a floor below."""
     return sc.loads(f"""<mujoco><option timestep="0.002"/><worldbody>
     <geom name="plate" type="box" size=".5 .5 .005"/>
     <body name="ball" pos="0 0 {height}"><freejoint/><geom name="ball" size=".03" mass=".1"/></body>

@@ -1,4 +1,4 @@
-"""What a watched run shows of contacts: numbers against closed forms, each cure made and measured.
+"""Findings about contacts: numbers against closed forms, each fix made and measured.
 
 A row of solref at rest under a force f yields by r with R f = k r (MuJoCo's documentation,
 "Computation"): r = f Â (1 − d)/d² dmax² (tc ζ)², with the impedance d = d(r).
@@ -24,7 +24,7 @@ SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 
 
 def watched(scene, time=1.0, key=None, control=None, depth=None, **settings):
-    """A recorded run of a scene, and its findings with the cures that hold in the same run."""
+    """A recorded run of a scene, and its findings with the fixes that hold in the same run."""
 
     def run(model, share=1.0):
         start, held = home(model, key)
@@ -45,7 +45,7 @@ def the(findings, kind):
 
 
 def pair(text, name="solref"):
-    """The two numbers that a sentence gives an attribute, the last time it is named."""
+    """The two numbers for an attribute in a sentence, where it is last named."""
     return tuple(map(float, re.findall(rf'{name}="(\S+) (\S+)"', text)[-1]))
 
 
@@ -78,7 +78,7 @@ def test_the_depth_of_a_ball_at_rest(solref, solimp, mass):
     predicted = yielding(tuple(map(float, solref.split())), values, G, dt=0.002)
     assert rest.depth == pytest.approx(predicted, rel=1e-6)
     assert rest.force == pytest.approx(mass * G, rel=1e-6)
-    # By the equation itself, not by the iteration that solves it.
+    # From the equation itself, not from the iteration that solves it.
     d, (tc, ratio) = impedance(values, rest.depth), map(float, solref.split())
     square = (tc * ratio) ** 2 if tc > 0 else -1 / tc
     assert rest.depth == pytest.approx(G * (1 - d) / d**2 * values[1] ** 2 * square, rel=1e-6)
@@ -109,7 +109,7 @@ def test_a_ball_that_sinks_in_is_told_without_being_asked():
 
 
 def test_a_ball_that_an_impact_presses_into_the_floor_is_told():
-    """At 4 m/s and 30 ms, a critically damped contact yields by 4 × 0.03 / e; the cure is run."""
+    """At 4 m/s and 30 ms, a critically damped contact yields by 4 × 0.03 / e; the fix is run."""
     scene = ball(0.05, "0.03 1", height=0.15)
     scene.add_key("fast", qvel=(0, 0, -4, 0, 0, 0))
     one = the(watched(scene, time=1.0)[1], "depth under load")
@@ -203,7 +203,7 @@ def test_a_ball_creeps_out_of_a_gripper(cone):
     """Faster and faster, as the pads come onto its upper half, until it falls."""
     watch, findings = watched(sc.loads(GRIPPER.format(cone=cone, solref="0.02 1")))
     one = the(findings, "creep")
-    # Both pads hold it alike.
+    # Both pads hold it equally.
     assert one.element in ("contact `ball`/`left`", "contact `ball`/`right`")
     assert 5e-3 < one.value < 5e-2
     impratio = float(re.search(r'impratio="(\S+)"', one.text)[1])
@@ -418,7 +418,7 @@ def test_what_leaves_out_two_bodies_is_told_once_for_all_of_their_geoms():
 
 
 def test_two_bodies_are_left_out_once_whichever_geom_comes_first():
-    """A pair of geoms begins with the simpler type, whose body may be either."""
+    """The simpler type is the first of a pair of geoms; its body may be either."""
     other = '<geom name="hub" type="capsule" size=".05 .1" pos=".02 0 0"/><body name="wheel"'
     also = '<geom type="box" size=".06 .06 .06" pos=".02 .05 0" mass="1"/></body>'
     scene = HUB.replace('<body name="wheel"', other).replace("</body>", also)
@@ -446,7 +446,7 @@ WELD = """<mujoco><option><flag contact="disable"/></option><compiler angle="rad
 
 @pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
 def test_the_gap_that_a_weld_s_cure_leaves_is_that_of_a_run():
-    """Rotation leaks in over 0.5 m, which the closed form does not know (60 µm)."""
+    """Rotation leaks in over 0.5 m, which the closed form neglects (60 µm)."""
     text = the(watched(sc.loads(WELD.format("")), time=4.0)[1], "gap").text
     solref, solimp = (re.search(rf'{name}="([^"]+)"', text)[1] for name in ("solref", "solimp"))
     solref = re.findall(r'solref="([^"]+)"', text)[-1]
@@ -476,7 +476,7 @@ def test_nothing_is_told_of_a_healthy_scene(name):
 
 @pytest.mark.parametrize("law", ["gaintype='fixed'", "gaintype='affine'"])
 def test_a_general_servo_that_sags_gets_a_stronger_gain(law):
-    """Of its own gain and bias, by the same factor: the cure is a servo again."""
+    """Its gain and bias change by the same factor: the fixed actuator is still a servo."""
     model = sc.loads(f"""<mujoco><worldbody><body><joint name="a" axis="0 1 0"/>
      <geom size=".05" pos=".5 0 0" mass="1"/></body></worldbody><actuator>
      <general name="hold" joint="a" {law} biastype="affine" gainprm="20" biasprm="0 -20 -8"/>

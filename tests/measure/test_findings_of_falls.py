@@ -1,4 +1,4 @@
-"""Robots that fall over: a column with a servo, which leans or stands."""
+"""Robots that fall over: a column with a servo, which leans or is upright."""
 
 import math
 from unittest import mock

@@ -1,4 +1,4 @@
-"""Joints that creep under less than their friction loss: the closed form, and cures when made."""
+"""Joints that creep under less than their friction loss: the closed form, and fixes when made."""
 
 import re
 
@@ -18,7 +18,7 @@ WRITTEN = r'solreffriction="([^"]+)" with solimpfriction="([^"]+)" leaves ([\d.]
 
 
 def creep(scene, time=1.0):
-    """The one finding, and the solver parameters and the creep [rad/s] of its cure."""
+    """The one finding, and the solver parameters and the creep [rad/s] of its fix."""
     one = the(watched(scene, time)[1], "creep")
     solref, solimp, left = re.search(WRITTEN, one.text).groups()
     fields = f' solreffriction="{solref}" solimpfriction="{solimp}"'

@@ -1,4 +1,4 @@
-"""Grips: what is held between opposing forces, and what slips out of it, against MuJoCo."""
+"""Grips: bodies that opposing forces hold, or that slip out of them, against MuJoCo."""
 
 import math
 import sys
@@ -151,7 +151,7 @@ def test_friction_that_is_named_holds_in_mujoco():
     assert in_mujoco(text.replace('friction=".7', f'friction="{named}'), control, 1.5) > 0.2
 
 
-# Cures and their doubts.
+# Fixes and their doubts.
 
 
 def test_a_cure_that_leaves_a_gap_leaves_no_depth():

@@ -1,4 +1,4 @@
-"""What a watched run shows of connections, limits and actuators; contacts: `test_findings`."""
+"""Findings about connections, limits and actuators; contacts: `test_findings`."""
 
 import math
 import re
@@ -26,7 +26,7 @@ def hung(solref, mass=2.0):
 
 @pytest.mark.parametrize("solref", ["0.1 1", "-100 -20"])
 def test_the_gap_of_a_hung_mass(solref):
-    """Its load is g: the gap is that of a contact with this solref."""
+    """Its load is g: the gap is the same as for a contact with this solref."""
     numbers = tuple(map(float, solref.split()))
     _, findings = watched(hung(solref), time=4.0)
     one = the(findings, "gap")
@@ -74,7 +74,7 @@ def test_how_far_a_motor_pushes_beyond_a_limit():
     harder = stop(5.0, f"{new[0]} {new[1]}")
     harder.joint("elbow").solimplimit = pair_of_three(one.text) or SOLIMP
     again, findings = watched(harder, time=3.0, control=push, dt=min(0.002, new[0] / 2))
-    # What is written leaves a tenth of what is worth saying, 5 % of the range.
+    # The proposed value leaves a tenth of the threshold of 5 % of the range.
     ((beyond, _),) = excesses(again)
     assert beyond.rest == pytest.approx(0.005 * math.radians(120), rel=0.05)
     assert findings == []
@@ -135,7 +135,7 @@ def test_an_equality_that_takes_away_the_backlash_is_told():
     sim.reset(0)
     sim.step(500)
     assert abs(float(sim.qpos[1])) / math.radians(2.3) == pytest.approx(used, rel=0.03)
-    # Free, it falls onto its limit, and nothing is told.
+    # Free, it falls onto its limit, and nothing is reported.
     watch, findings = watched(sc.loads(PLAY.format("false")))
     assert share_used(watch, 1) > 1 and not [one for one in findings if one.kind == "backlash"]
 
@@ -155,7 +155,7 @@ def lift(kp, mass=2.0, force=None):
 
 
 def test_how_far_a_servo_sags():
-    """m g / kp; with the kp that is named, a tenth of what is worth saying."""
+    """m g / kp; with the proposed kp, a tenth of the threshold."""
     one = the(watched(lift(80), time=6.0)[1], "servo sags")
     assert one.value == pytest.approx(2 * G / 80, rel=1e-3) and one.element == "servo `hoist`"
     assert "load of 19.6 N" in one.text
@@ -194,7 +194,7 @@ def test_a_servo_that_its_joint_s_limit_stops_is_not_too_weak():
 
 
 def driven(count, force):
-    """Servos that are too stiff for their forces, each on a flywheel of its own."""
+    """Servos that are too stiff for their forces, each on a separate flywheel."""
     wheel = (
         """<body pos="{k} 0 0"><joint name="j{k}" axis="0 0 1"/><geom size=".1" mass="1"/></body>"""
     )
@@ -212,7 +212,7 @@ def test_saturated_servos_are_named_in_one_sentence(count):
         return np.full(count, np.sin(9 * time))
 
     one = the(watched(driven(count, 0.1), control=sines)[1], "servo does not follow")
-    # No nearer than a servo that stands still, whose error is the sines' RMS.
+    # No nearer than a servo at rest, whose error is the sines' RMS.
     assert one.value > 0.7
     force = 100 if count < 3 else 200
     assert f"because its force ends at {force} mN·m for 99" in one.text
@@ -258,9 +258,9 @@ def test_a_servo_beyond_its_bandwidth_is_told_with_the_share_that_passes(hertz):
 
 @pytest.mark.parametrize("damping", [1.0, 20.0])
 def test_a_servo_on_a_joint_with_much_damping_is_told_and_has_the_gains_of_a_lag(damping):
-    """Of kp / (kp + iωc), 1/√2 is left at kp = ωc, with as much error; a quarter of it at 4ωc.
+    """kp / (kp + iωc) is 1/√2 at kp = ωc, with as much error; a quarter of it at 4ωc.
 
-    As it is, its error is less than that of a servo that stands still.
+    As shipped, its error is less than for a servo at rest.
     """
     damped = LEG.replace('120"/>', f'120" damping="{damping}"/>').format(axis="0 0 1", kp=2, kv=0)
 
@@ -274,7 +274,7 @@ def test_a_servo_on_a_joint_with_much_damping_is_told_and_has_the_gains_of_a_lag
 
 
 def test_dry_friction_that_holds_a_servo_is_the_reason_that_it_does_not_follow():
-    """It never puts more on the servo than its own bound, and most of that half of the time."""
+    """Friction never loads the servo by more than its bound, and half of the time by most of it."""
     hard = 'frictionloss="0.3" solreffriction="0.004 1" solimpfriction="0.999 0.999"'
     scene = sc.loads(LEG.replace('120"/>', f'120" {hard}/>').format(axis="0 0 1", kp=2, kv=0.1))
 
@@ -288,7 +288,7 @@ def test_dry_friction_that_holds_a_servo_is_the_reason_that_it_does_not_follow()
 
 @pytest.mark.parametrize("force", [5, 100])
 def test_a_servo_that_grips_is_neither_weak_nor_saturated(force):
-    """It asks for more than the thing between its pads lets it have: so it holds it."""
+    """The object between its pads keeps it from its target: so it holds the object."""
     servos = (
         f'<position joint="l" kp="500" kv="20" forcerange="-{force} {force}"/>'
         f'<position joint="r" kp="500" kv="20" forcerange="-{force} {force}"/>'
@@ -303,7 +303,7 @@ def test_a_servo_that_grips_is_neither_weak_nor_saturated(force):
 
 @pytest.mark.parametrize("kv, damping", [(0, 12), (12, 0)])
 def test_a_joint_that_damps_its_servo_makes_up_for_a_missing_kv(kv, damping):
-    """A servo on its way to where it is asked is neither undamped nor loaded by its damper."""
+    """A servo on its way to its target is neither undamped nor loaded by its damper."""
     scene = sc.loads(
         f"""<mujoco><worldbody><body><joint name="s" type="slide" axis="1 0 0" damping="{damping}"/>
         <geom size=".1" mass=".05"/></body></worldbody>
@@ -336,7 +336,7 @@ def test_what_slips_out_of_a_grip_is_told_with_the_friction_that_carries_it(pres
 
 
 def test_a_target_that_moves_by_rounding_is_held():
-    """A leg that swings about its held target asks for the same gains as one without rounding."""
+    """A leg that swings about its held target needs the same gains as one without rounding."""
     scene = sc.loads(LEG.format(axis="0 1 0", kp=0.5, kv=0.001))
 
     def texts(size):
@@ -388,7 +388,7 @@ def test_settings_that_let_a_joint_chatter_are_not_recommended_without_a_word():
 def test_a_vibration_is_no_chatter():
     """Not even where readings, five steps apart, see it at one phase: it has a period of ten."""
     steps = 2 * math.pi / 0.01
-    # Where semi-implicit steps turn by 2π/10 each.
+    # Semi-implicit steps turn by 2π/10 each here.
     omega = 2 * math.sin(math.pi / 10) / 0.001
     for rate in (steps, omega):
         found = watched(sc.loads(SPRING.format(rate**2)), key=0)[1]

@@ -13,12 +13,12 @@ from stepcore.measure.check.described import Described
 from stepcore.measure.check.plausible import alike, outside, plausibility
 
 ROD = 'type="capsule" fromto="0 0 0 .3 0 0" size=".03"'
-# Of a rod of 0.3 m with two half balls, of 1 kg, about an axis across its middle [kg·m²].
+# A rod of 0.3 m with two half balls, 1 kg, about an axis across its middle [kg·m²].
 FITS = 0.012
 
 
 def link(x=0.15, y=0.0, inertia=FITS, more=""):
-    """A rod on a hinge at one of its ends, with an inertia of its own."""
+    """A rod on a hinge at one of its ends, with an explicit inertia."""
     inertial = f'<inertial pos="{x} {y} 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/>'
     return arm(geom=f"{ROD} {more}").replace("<geom", f"{inertial}<geom", 1)
 
@@ -121,7 +121,7 @@ def test_the_smallest_eigenvalue_of_the_scaled_mass_matrix(pitch):
 
 @pytest.mark.parametrize(("time", "found"), [(0.3, ["soft contact"]), (0.05, [])])
 def test_a_soft_floor(time, found):
-    """Of two geoms the mean counts, that of `time` and 0.02."""
+    """The mean of the two geoms counts, of `time` and 0.02."""
     text = f"""<mujoco><worldbody><geom name="floor" type="plane" size="3 3 .1" solref="{time} 1"/>
     <body name="cube" pos="0 0 .04"><freejoint/><geom name="cube" type="box" size=".04 .04 .04"
      mass="2"/></body></worldbody></mujoco>"""

@@ -1,4 +1,4 @@
-"""What a run shows of bodies that touch nothing, squeezes, undamped hinges and coupling."""
+"""Findings about bodies that touch nothing, squeezes, undamped hinges and coupling."""
 
 import math
 
@@ -64,7 +64,7 @@ def test_the_bits_that_are_named_stop_the_fall():
         dropped(cube=NONE, more='<equality><weld body1="cube" body2="world"/></equality>'),
         # Without another geom nothing could be touched.
         dropped(cube=NONE).replace('<geom name="floor" type="plane" size="3 3 .1" />', ""),
-        # It misses what it could touch.
+        # It misses the geoms that it could touch.
         dropped(floor="", pos=-9).replace('type="plane" size="3 3 .1"', 'type="box" size="1 1 .1"'),
     ],
     ids=["rests", "no gravity", "hinge", "held", "alone", "misses"],

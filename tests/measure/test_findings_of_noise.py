@@ -1,4 +1,4 @@
-"""Noise of contact forces and force sensors: its size, and the knob that lowers it, as run."""
+"""Noise of contact forces and force sensors: its size, and the parameter that lowers it, as run."""
 
 import re
 

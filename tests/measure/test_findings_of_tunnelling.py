@@ -1,4 +1,4 @@
-"""Geoms that pass through thin ones: told with cures when made."""
+"""Geoms that pass through thin ones: reported with fixes when made."""
 
 import math
 import re
@@ -8,7 +8,7 @@ from test_findings import the, watched
 
 import stepcore as sc
 
-# robosuite's issue 482: a cube that falls on a table; here it begins just above.
+# robosuite's issue 482: a cube that falls on a table; here it starts just above.
 TABLE = """<mujoco><option timestep="{dt}"/><worldbody>
 <geom name="floor" type="plane" size="3 3 .125"/>
 <body pos="0 0 .8"><geom name="table" type="box" size=".4 .4 .025"/></body>
@@ -70,7 +70,7 @@ CUP = """<mujoco><worldbody><body name="cup"><joint name="x" type="slide" axis="
 
 
 def test_a_ball_that_soft_contact_lets_through_a_wall_is_told():
-    """MuJoCo's issue 441: it moves by less than the wall in a step; shorter ones cure nothing."""
+    """MuJoCo's issue 441: it moves by less than the wall in a step; shorter ones fix nothing."""
     walls = "".join(
         f'<geom name="w{k}" type="box" size=".001 .05 .05" pos="{x} 0 .05"/>'
         for k, x in enumerate((-0.05, 0.05))

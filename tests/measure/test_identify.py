@@ -21,7 +21,7 @@ def test_hidden_values_of_a_log_that_mujoco_made():
     assert found.values == pytest.approx(HIDDEN, rel=1e-6)
     assert found.alike == [] and found.unknown == []
     assert max(found.residuals.values()) < 1e-6 < min(found.before.values())
-    # What the step leaves out is told: it is more than the residual.
+    # The effect of the step is reported: it is more than the residual.
     assert found.integration["qpos[elbow]"] > found.residuals["qpos[elbow]"]
     assert "take shorter steps" in str(found).replace("\n", " ")
     assert found.model.with_values({}).scene.joint("shoulder").damping == pytest.approx(0.3)
@@ -44,7 +44,7 @@ def test_noise_gaps_and_velocities_that_were_not_measured():
         assert residual == pytest.approx(1e-3, rel=0.3)
 
 
-# By path: what is wrong of the model and not searched, and other values in MuJoCo's.
+# By path: values of the model that are wrong and not searched, and others in MuJoCo's.
 LACKS = {
     "joint/shoulder/armature": ({}, {"dof_armature": 0.05}),
     "joint/elbow/frictionloss": ({"loss": 0.0}, {}),
@@ -80,7 +80,7 @@ def test_a_missing_value_is_named_before_the_others(path):
     ids=["mass and gain", "dampings", "all and a delay"],
 )
 def test_the_intervals_hold_the_truth(wanted):
-    """95 % of them in 20 repetitions: at least 80 %, and errors of about the size that is told."""
+    """95 % of them in 20 repetitions: at least 80 %, and errors of about the reported size."""
     log, true = mujoco_log(400), HIDDEN | {"joint/elbow/damping": 0.05, "delay": 0.0}
     wanted, off = {path: ends or (0.01, 2.0) for path, ends in wanted.items()}, []
     for seed in range(20):
@@ -109,7 +109,7 @@ def test_what_steps_do_not_read_as_a_number_is_not_looked_for():
 
 
 def test_pieces_that_the_time_leaves_out_leave_what_was_found(monkeypatch):
-    """A log beyond what can be predicted is fitted whole first, and that is kept."""
+    """A log beyond the predictable time is fitted whole first, and that fit is kept."""
     double = """<mujoco><option timestep="0.01"/><default><geom contype="0" conaffinity="0"
     size=".02" mass="1"/></default><worldbody><body><joint name="a" axis="0 1 0" damping=".01"/>
     <geom type="capsule" fromto="0 0 0 0 0 -1"/><body pos="0 0 -1"><joint name="b" axis="0 1 0"/>
@@ -129,7 +129,7 @@ def test_pieces_that_the_time_leaves_out_leave_what_was_found(monkeypatch):
 
 
 def wheels(damping, armature):
-    """Servos at the ends of their forces, in turn: fits of a whole log end where they begin."""
+    """Servos that saturate one after the other: fits of a whole log end where they start."""
     body = """<body pos="{k} 0 0"><joint name="j{k}" axis="0 0 1" damping="{d}" armature="{a}"
       frictionloss=".05"/><geom size=".05" mass=".1"/></body>"""
     servo = """<position name="s{k}" joint="j{k}" kp="1000" kv="3" forcerange="-3 3"/>"""
@@ -145,7 +145,7 @@ RANGED = {"joint/*/damping": (0.01, 5), "joint/*/armature": (0.001, 1)}
 
 
 def turning():
-    """A run of these wheels, in which each follows a sine of its own."""
+    """A run of these wheels, in which each follows another sine."""
     rng = np.random.default_rng(0)
     rate, phase = rng.uniform(0.3, 1.5, 3), rng.uniform(0, 6, 3)
 
@@ -166,7 +166,7 @@ def test_short_pieces_lead_to_the_values_where_the_whole_log_does_not():
 
 
 def test_what_is_measured_at_the_end_alone_is_in_no_short_piece():
-    """The search goes on with what the pieces have; once an internal error."""
+    """The search goes on with the values of the pieces; once an internal error."""
     ran = turning()
     speeds = np.where(np.arange(len(ran["qvel"])) < 395, np.nan, ran["qvel"][:, 2])
     columns = {"time": 0.005 * np.arange(len(speeds)), "j2.velocity": speeds}
@@ -192,7 +192,7 @@ def test_a_log_that_leaves_out_a_body_is_cut_into_pieces():
 
 
 def test_several_entries_and_pieces_of_a_log():
-    """Of a motion that is cut every 0.4 s each piece has a first state of its own."""
+    """If a motion is cut every 0.4 s, each piece has a separate first state."""
     damping = {"joint/*/damping": (0.01, 2.0)}
     found = sc.identify(guess(**TRUE), mujoco_log(), damping, pieces="0.4s")
     true = {DAMPING: 0.3, "joint/elbow/damping": 0.05}
@@ -218,7 +218,7 @@ def test_the_time_ends_the_search_and_threads_change_nothing(monkeypatch):
 
 
 def test_what_cannot_be_told_apart_is_named():
-    """Of a spring alone, the mass and the stiffness have one frequency."""
+    """For a spring alone, mass and stiffness give only one frequency."""
     model = lesson.spring().compile().with_settings(dt=0.005, integrator="semi-implicit")
     sim = sc.Sim(model)
     sim.reset("start")
@@ -233,7 +233,7 @@ def test_what_cannot_be_told_apart_is_named():
 
 
 def test_a_value_that_is_zero_in_the_model_is_found():
-    """It begins in the middle of its range: a damper that is not there has no derivative."""
+    """It starts in the middle of its range: a missing damper has no derivative."""
     text = """<mujoco><option timestep=".005"/><worldbody><body><joint name="z" type="slide"
      axis="0 0 1" damping="{}"/><joint name="x" type="slide" axis="1 0 0"/>
      <geom name="g" size=".1" mass="1"/></body></worldbody></mujoco>"""
@@ -241,7 +241,7 @@ def test_a_value_that_is_zero_in_the_model_is_found():
     found = sc.identify(sc.loads(text.format(0.0)), sim.run(0.25), {"joint/z/damping": (0.1, 10)})
     assert found.start["joint/z/damping"] == pytest.approx(1.0)
     assert found.values["joint/z/damping"] == pytest.approx(2.0, rel=1e-9)
-    # By a pattern, as one that is not zero; within the smallest numbers too.
+    # Given by a pattern, as one that is not zero; within the smallest numbers too.
     again = sc.identify(sc.loads(text.format(0.0)), sim.run(0.25), {"joint/z*/damping": (0.1, 10)})
     assert again.values["joint/z/damping"] == pytest.approx(2.0, rel=1e-9)
     tiny = {"joint/z/damping": (1e-200, 1e-180)}
@@ -266,7 +266,7 @@ def test_a_search_that_is_cut_off_says_so():
 
 
 def test_a_delay_of_the_controls_is_found_with_the_values():
-    """Of 12.3 ms, which are no steps of 2 ms, under controls that change every 10 ms."""
+    """A delay of 12.3 ms, no multiple of 2 ms, under controls that change every 10 ms."""
     ctrl, dt = controls(600)[::5], 0.002
     late = ControlLog(5 * dt * np.arange(120), ctrl).steps(-0.0123, dt, 600)
     run = sc.Sim(guess().with_values(HIDDEN)).run(1.2, control=late, record=("qpos", "qvel"))
@@ -277,7 +277,7 @@ def test_a_delay_of_the_controls_is_found_with_the_values():
 
 
 def test_what_was_measured_late_is_found_with_the_values():
-    """Positions 31.7 ms late, which are no steps, and speeds at once."""
+    """Positions 31.7 ms late, no whole number of steps, and speeds without delay."""
     ctrl, dt, begin = controls(600)[::5], 0.002, 25
     control = ControlLog(5 * dt * np.arange(120), ctrl).steps(0.0, dt, 600)
     run = sc.Sim(guess().with_values(HIDDEN)).run(1.2, control=control, record=("qpos", "qvel"))
@@ -295,7 +295,7 @@ def test_what_was_measured_late_is_found_with_the_values():
 
 
 def test_the_jacobian_is_that_of_the_residuals():
-    """By parameters, delays and the first states: differences of residuals, 1e-5 of them."""
+    """For parameters, delays and first states: differences of residuals, to 1e-5 of them."""
     sensor = guess(SENSORS).called("sensor")[0]
     labels = [*RANGES, "delay", f"delay/{sensor}", "delay/qvel"]
     log = mujoco_log(100, sensors=SENSORS)

@@ -36,7 +36,7 @@ def found_in(log, model=None):
 
 
 def write_mcap(path, log):
-    """Joint states of ROS on one topic, commands by name on another, which begins later."""
+    """Joint states of ROS on one topic, commands by name on another, which starts later."""
     writer = pytest.importorskip("mcap.writer").Writer
     with open(path, "wb") as file:
         out = writer(file)
@@ -113,7 +113,7 @@ def test_columns_that_are_nothing_of_the_model_are_named():
 
 
 def test_sensors_of_a_recorded_run_belong_to_the_step_before():
-    """A run records with each instant what sensors read where the step began."""
+    """A run records with each instant the sensor readings at the start of the step."""
     sensors = '<jointvel name="speed" joint="elbow"/>'
     model = guess(sensors)
     run = sc.Sim(model).run(0.1, control=controls(50), record=("qpos", "ctrl", "sensordata"))
@@ -168,7 +168,7 @@ def test_units_are_doubted(change, said):
 
 
 def spoiled(kind):
-    """A noisy log, one of whose columns is not what its name says; None: a clean one."""
+    """A noisy log, one of whose columns does not match its name; None: a clean one."""
     log, ahead = noisy(mujoco_log()), slice(3, None)
     if kind == "sign":
         log["ctrl"][:, 0] *= -1
@@ -229,7 +229,7 @@ PENDULUM = """<mujoco><option timestep="0.01" integrator="RK4"/>
 
 
 def test_a_log_beyond_what_can_be_predicted_says_from_when():
-    """A double pendulum from a raised pose: the time is that of `predict`, to a third."""
+    """A double pendulum from a raised pose: the time agrees with `predict` to a third."""
     sim = sc.Sim(sc.loads(PENDULUM))
     sim.qpos[:] = 2.0, 0.5
     run = sim.run(8.0)
@@ -274,7 +274,7 @@ def test_delays_are_times_of_a_model_with_controls(given, message):
 
 
 def shifted(rows):
-    """A noisy log whose motion is told so many rows late."""
+    """A noisy log whose motion is recorded this many rows late."""
     log = noisy(mujoco_log())
     states = {key: log[key][: len(log["time"]) - rows] for key in ("qpos", "qvel")}
     return {key: log[key][rows:] for key in ("time", "ctrl")} | states

@@ -26,8 +26,8 @@ def link():
 def swing(seconds=1.0, every=1, noise=0.0, within=0.0, **hidden):
     """A log of the link with hidden values.
 
-    within: the part of a step at which its command was the one that is held; rows have those of
-    their own times.
+    within: the part of a step at which its held command was sampled; rows have the commands at
+    their times.
     """
     steps = np.arange(round(seconds / 0.002))
     ctrl, told = (np.sin((steps + part) / 40)[:, None] for part in (within, 0.0))
@@ -62,7 +62,7 @@ def test_as_many_values_as_measured_numbers_have_no_intervals(rows):
 
 
 def test_intervals_of_few_numbers_hold_the_truth():
-    """Student's t, of few degrees of freedom, in place of a normal distribution's."""
+    """Student's t, of few degrees of freedom, instead of a normal distribution's."""
     held = []
     for seed in range(5):
         log = {key: np.array(value[:200:33]) for key, value in swing().items()}

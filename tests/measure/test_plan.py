@@ -1,4 +1,4 @@
-"""The plan says what the step does: counted on the step itself."""
+"""The plan lists the operations of a step: counted on the step itself."""
 
 import json
 from pathlib import Path
@@ -73,7 +73,7 @@ def test_what_is_left_out_has_its_reason() -> None:
 
 
 def test_friction_that_is_none_is_left_out_under_coulombs_law() -> None:
-    """MuJoCo's law has a least coefficient, and the plan says so; Coulomb's has none."""
+    """MuJoCo's law has a least coefficient, which the plan reports; Coulomb's has none."""
     kept = [e for e in scene().compile().plan().used if e.name == "friction of contacts, μ 0"]
     assert set(kept[0].names) == {"floor/ball", "wall/ball"} and "1e-5" in kept[0].why
     model = scene("rigid").compile()
@@ -96,7 +96,7 @@ def test_pairs_are_counted_as_they_are_tested() -> None:
     solid = 9
     assert tested + out == solid * (solid - 1) // 2
     assert tested == len(model.pairs) - sum(model.core.plan()["apart"])
-    # A law that looks at the guess tests all of them.
+    # A law that uses the guess tests all of them.
     guess = scene("rigid").compile()
     assert sum(e.count for e in guess.plan().used if e.kind == "pair") == len(guess.pairs)
 
@@ -180,7 +180,7 @@ def test_time_is_measured_when_asked() -> None:
 
 
 def test_surfaces_that_touch_nothing_are_left_out() -> None:
-    """Belts and adhesion of geoms without a pair; the plan and what ablate removes agree."""
+    """Belts and adhesion of geoms without a pair; the plan agrees with ablate."""
     scene = sc.loads("""<mujoco><worldbody>
       <geom name="still" type="plane" size="5 5 1" surfacevel="1 0 0 0 0 0" contype="0"
         conaffinity="0"/>

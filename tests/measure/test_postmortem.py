@@ -1,4 +1,4 @@
-"""A run that fails says which step, which element, how fast, which dt; and can be run again."""
+"""The error of a run names step, element, growth and dt; the run can be repeated."""
 
 import math
 import pickle
@@ -29,7 +29,7 @@ def spring(z, **settings):
     return fails(lesson.spring(), key="start", dt=z / 10, **({"ledger": True} | settings))
 
 
-# What is said.
+# The message.
 
 
 @pytest.mark.parametrize("z", [2.02, 2.05, 2.5])
@@ -220,7 +220,7 @@ def test_a_replay_is_the_same_failure(tmp_path, precision):
     assert again.same and again.paragraph == str(error)
     assert again.time[-1] == pytest.approx(error.time, abs=1e-12)
     assert len(again.time) == error.replay.steps > 0
-    # Told otherwise, it is not the same.
+    # With another recorded state, it is not the same.
     error.replay.happened["state"] = "0" * 64
     assert not error.replay.run().same
 
@@ -419,7 +419,7 @@ def test_a_motor_that_only_drives_is_not_blamed():
 
 
 def test_an_unstable_controller_is_named_by_its_motor():
-    """A spring of one's own, applied by ctrl with ω dt = 2.5: the motor does have that energy."""
+    """A user's spring, applied by ctrl with ω dt = 2.5: the motor does have that energy."""
     scene = sc.Scene(gravity=(0, 0, 0))
     body = scene.add_body("load")
     scene.add_joint(body, "slide", name="rail")

@@ -1,4 +1,4 @@
-"""Whom a post-mortem names, which dt it says is stable, and what can be read after a failure."""
+"""The element that a post-mortem names, its stable dt, and the data after a failure."""
 
 import itertools
 import warnings
@@ -54,7 +54,7 @@ def test_a_servo_at_its_bounds_is_named_with_what_passed_its_energy_on():
 
 
 def test_an_element_that_is_not_there_is_not_blamed():
-    """Where nothing is a number any more, neither is the force of a damper of nothing."""
+    """If the state is NaN, so is the force of a damper of zero."""
     text = """<mujoco><worldbody><body><joint/><geom size=".3"/><body><joint type="slide"/>
     <geom size=".3"/><body><joint axis="1 1 0" damping="6"/><geom size=".2" mass="7e-05"/></body>
     </body></body></worldbody></mujoco>"""

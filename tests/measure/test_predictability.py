@@ -1,4 +1,4 @@
-"""How long scenes can be predicted, against known growth; what is said of them after that."""
+"""The time for which scenes can be predicted, against closed forms; the report after it."""
 
 import json
 import math
@@ -50,7 +50,7 @@ OWN = {
 
 @pytest.mark.parametrize("measure", OWN)
 def test_every_error_of_a_part_of_the_horizon_says_so(measure):
-    """Errors over what can be predicted, 1.6 s of this motion, say nothing of the rest of it."""
+    """Errors over the predictable 1.6 s of this motion do not bound the rest of it."""
     of = "from 2 of 2 starts" if "starts" in OWN[measure] else "at 2 of 2 values"
     said = f"Errors count only while the motion can be predicted: {of}"
     for horizon, whole in ((2.0, False), (1.0, True)):
@@ -60,14 +60,14 @@ def test_every_error_of_a_part_of_the_horizon_says_so(measure):
 
 def test_the_double_pendulum_from_the_horizontal():
     # Runs of point masses part 13 times in 8 s, 1.4e2 in 10 s, 1.5e4 in 15 s, 9.4e5 in 20 s, to
-    # a factor of three, for how far depends on how they began.
+    # a factor of three, which depends on the initial states.
     found = sc.predict(pendulum(), horizon=20.0, starts=1, **QUIET)
     factor, times = found.growth.factor[0], found.growth.times
     for time, wanted in ((8, 13), (10, 1.4e2), (20, 9.4e5)):
         near = np.abs(times - time) <= 0.81
         assert wanted / 3 < factor[near].max() < 3 * wanted
     assert 10 < found.time < 15
-    # The scene is the one that the figures are of: its angles from below at 5 s.
+    # The figures are for this scene: its angles from below at 5 s.
     sim = sc.Sim(pendulum(), dt=1e-3)
     sim.reset(key=0)
     sim.step(5000)
@@ -176,7 +176,7 @@ def test_the_command_predicts(capsys, tmp_path):
 
 
 def test_runs_that_reconverge_count_as_predictable():
-    """Near the top of a pendulum each passage parts the runs by e^λt, and closes them again."""
+    """Near the top of a pendulum each passage separates the runs by e^λt, and closes them again."""
     scene = sc.Scene(gravity=(0, 0, -9.81))
     bob = scene.add_body("bob", mass=1.0, ipos=(0, 0, -1), inertia=(1e-9, 1e-9, 1e-9))
     scene.add_joint(bob, "hinge", axis=(0, 1, 0))
@@ -229,7 +229,7 @@ def test_servos_too_quick_for_rk4_are_no_chaos(seed):
 
 
 def test_what_falls_freely_beside_a_damper_that_rk4_does_not_bear():
-    """As gymnasium_robotics' goals beside its hands: 490 m of a free fall are no failure."""
+    """As gymnasium_robotics' goals next to its hands: 490 m of a free fall are no failure."""
     locked = '<joint type="slide" axis="1 0 0" damping="1e4"/><geom size=".1" mass="1"/>'
     falls = '<freejoint/><geom size=".1" mass="1"/>'
     scene = sc.loads(
@@ -248,7 +248,7 @@ class Steps:
 
 
 def ladder(monkeypatch, rungs, known):
-    """What `settled` makes of rungs that end so, and may fail, beside another method's end."""
+    """The result of `settled` for the ends of rungs, which may fail, and another method's end."""
 
     def grown(engine, change, schedule, starts, size, directions):
         end, failure = rungs[change]
@@ -269,7 +269,7 @@ def ladder(monkeypatch, rungs, known):
         # So are two that fall short of it, unless one fails.
         ([(0.5, ""), (1.0, ""), (0.4, ""), (0.8, "")], 0),
         ([(0.5, "diverged"), (1.0, ""), (1.9, "")], 2),
-        # What lasts longer has to show it twice.
+        # A longer end has to occur twice.
         ([(3.0, ""), (4.0, ""), (4.1, "")], 1),
     ],
 )
@@ -285,7 +285,7 @@ class Ways:
 
 
 def asked_and_answered(told):
-    """The runs that `growing` asks for, and what it answers; told: end and growth of each run."""
+    """The runs that `growing` requests, and its result. told: end and growth of each run."""
     schedule, asked = Driven(), []
     asking = growing(Ways(), schedule)
     run, over = next(asking)
@@ -312,10 +312,10 @@ INF, COARSE, FINEST, OTHER = math.inf, ("implicitfast", 2), ("implicitfast", 5),
 @pytest.mark.parametrize(
     ("told", "end"),
     [
-        # What does not grow is believed at once; what grows, where the other method agrees.
+        # A run without growth is accepted at once; one that grows, if the other method agrees.
         ({COARSE: (INF, 3.0)}, INF),
         ({COARSE: (INF, 300.0), OTHER: (INF, 900.0)}, INF),
-        # Where it does not, the shortest steps of the first decide.
+        # If it does not, the shortest steps of the first decide.
         (
             {COARSE: (INF, 300.0), OTHER: (2.3, 1e6), ("rk4", 3): (2.3, 1e6), FINEST: (2.4, 1e6)},
             2.4,

@@ -40,7 +40,7 @@ def test_it_is_the_motion_of_a_sim(cart):
 
 @pytest.mark.parametrize("form", [dict, sc.Motion])
 def test_sines_are_the_controls_of_a_measurement(cart, form):
-    """Those of a measurement of one start with this seed: an impulse each period, m Δv = Σ F Δt."""
+    """A measurement of one start with this seed has these controls: impulses, m Δv = Σ F Δt."""
     motion = form(horizon=0.2, kind="sines", control_dt=0.02, seed=3)
     result = sc.run(cart, motion) if form is sc.Motion else sc.run(cart, **motion)
     (rows,) = scheduled(sc.Motion(horizon=0.2, starts=1, seed=3, kind="sines"), cart, 0.02).ctrl

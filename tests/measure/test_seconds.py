@@ -1,6 +1,6 @@
-"""Measurements whose time is over: a valid answer that says what was not done, or none in a line.
+"""Measurements whose time is over: a valid answer that lists the work not done, or none in a line.
 
-The clock of these tests counts how often it is asked, so that nothing depends on the machine.
+The clock of these tests counts its readings, so that nothing depends on the machine.
 """
 
 import itertools
@@ -24,7 +24,7 @@ from stepcore.report.progress import Progress
 
 @pytest.fixture
 def clock(monkeypatch):
-    """A clock that goes on by a second whenever it is asked."""
+    """A clock that advances by a second at each reading."""
     ticks = itertools.count()
     monkeypatch.setattr(deadline, "clock", lambda: next(ticks))
     return ticks
@@ -66,7 +66,7 @@ NAMES = ("check", "diagnose", "trade", "predict", "ablate", "converge", "stabili
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_measurement_ends_at_its_deadline_with_what_it_has(hinge, clock, name):
-    """From too early for any answer up to all the time that it takes."""
+    """From too early for any answer up to the whole time needed."""
     measure, ends = measurements(hinge)[name], []
     for power in range(6, 50):
         try:
@@ -87,7 +87,7 @@ def test_a_measurement_ends_at_its_deadline_with_what_it_has(hinge, clock, name)
             ends.append("all")
             break
         said = re.match(r"Stopped after ([\d.e+]+) s\. Not done: ", result.unfinished)
-        # Every stage that is left out asks the clock a few times.
+        # Every stage that is left out reads the clock a few times.
         assert said and float(said[1]) <= 1.2 * 1.3**power + 60
         assert result.not_done and not result.interrupted
         ends.append("part")
@@ -126,7 +126,7 @@ def test_stages_end_at_their_shares_and_an_answer_is_still_completed(clock):
 
 @pytest.mark.parametrize("interrupted", [False, True])
 def test_all_closings_share_the_time_kept_for_them(clock, interrupted):
-    """As those of `diagnose` within `check`: three that each take what they get."""
+    """Stages like `diagnose` within `check`: three that each take all the time they get."""
     with Deadline(None if interrupted else 100.0).opened() as limit:
         with limit.stage("the work"):
             while True:
@@ -174,7 +174,7 @@ def test_long_work_looks_at_the_deadline(monkeypatch):
 
 
 def press(monkeypatch, after):
-    """Press Ctrl-C when so many of the runs are done."""
+    """Press Ctrl-C when this many of the runs are done."""
     advance, begin = Progress.advance, Progress.__enter__
     done = itertools.count(1)
 

@@ -1,4 +1,4 @@
-"""Measurements take scenes whose islands sleep: what they compare with is awake."""
+"""Measurements take scenes whose islands sleep: the reference is awake."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Stability maps: cells against theory and closed forms, theory against the engine's own step."""
+"""Stability maps: cells against theory and closed forms, theory against the engine's step."""
 
 import itertools
 import json
@@ -32,7 +32,7 @@ def states(panel):
     return [cell.state for cell in panel.cells]
 
 
-# --- the boundary that theory gives -------------------------------------------------------------
+# --- the boundary by theory ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("omega", (1.0, 300.0))
@@ -106,7 +106,7 @@ def test_by_default_the_first_of_a_vector_and_the_mass_of_geoms_are_varied():
 
 
 def test_values_whose_truth_the_time_left_out_are_unknown(monkeypatch):
-    """Runs are judged as far as they can: what failed has exploded, the rest is only finite."""
+    """Runs are judged as far as possible: failed ones exploded, the rest is only finite."""
     grid = {"path": SPRING, "values": [100.0, 1e6], "dts": [1e-3, 1e-1], "integrators": "euler"}
 
     def late(*_, **__):
@@ -143,7 +143,7 @@ def test_the_spring_explodes_where_theory_says(integrator, limit):
 
 
 def test_the_error_of_a_cell_is_that_of_every_measurement():
-    """v-first turns by φ a step, sin(φ/2) = ω dt/2, and starts 1/2 ω dt behind: its own formula."""
+    """v-first turns by φ a step, sin(φ/2) = ω dt/2, and starts 1/2 ω dt behind: a closed form."""
     dt, omega = 0.01, 10.0
     found = spring_map(values=[omega**2], dts=[dt], integrators="semi-implicit", horizon=1.0)
     turn = 2 * np.arcsin(omega * dt / 2)
@@ -152,7 +152,7 @@ def test_the_error_of_a_cell_is_that_of_every_measurement():
     ours = np.cos((n + 0.5) * turn) / np.cos(turn / 2)
     off = np.sqrt(np.mean((ours - np.cos(omega * n * dt)) ** 2))
     (cell,) = found.panels[0].cells
-    # The true motion is known to a tenth of the deviation, of 20 cm; rk4 gets much nearer.
+    # The uncertainty of the converged motion is a tenth of the 20 cm of deviation; for rk4 less.
     assert cell.error == pytest.approx(off, abs=2e-2)
     strict = spring_map(
         values=[omega**2], dts=[dt], integrators="semi-implicit", horizon=1.0, deviation="1um"
@@ -160,11 +160,11 @@ def test_the_error_of_a_cell_is_that_of_every_measurement():
     assert strict.panels[0].cells[0].error == pytest.approx(off, rel=1e-3)
 
 
-# --- scenes of the user's own -------------------------------------------------------------------
+# --- scenes of the user -------------------------------------------------------------------------
 
 
 def test_turns_count_as_ways():
-    """A hinge through the centre of mass moves no centre: its turning is seen all the same."""
+    """A hinge through the centre of mass moves no centre: its rotation counts all the same."""
     scene = sc.Scene(gravity=(0, 0, 0))
     wheel = scene.add_body("wheel", mass=1, inertia=(0.1, 0.1, 0.1))
     scene.add_joint(wheel, "hinge", name="axle", stiffness=10, damping=0.01)
@@ -190,7 +190,7 @@ def test_contacts_are_judged_by_a_converged_run():
 
 
 def test_what_has_no_converged_run_is_not_judged(monkeypatch):
-    """A true motion that is not sure enough: finite cells get a question mark, and no error."""
+    """A converged motion of too much uncertainty: finite cells get a question mark, no error."""
     monkeypatch.setattr("stepcore.experiment.truth.RUNGS", 2)
     grid = {"path": SPRING, "values": [1e4], "dts": [0.01, 0.3]}
     found = spring_map(**grid, deviation="1nm")
@@ -239,7 +239,7 @@ def test_a_deviation_is_a_length_or_a_share_of_the_size():
     assert "is at most 1 µm" in strict.text()
 
 
-# --- what leaves ---------------------------------------------------------------------------------
+# --- output --------------------------------------------------------------------------------------
 
 
 def test_text_data_and_picture(tmp_path):
@@ -256,7 +256,7 @@ def test_text_data_and_picture(tmp_path):
         return [line.split()[1] for line in text.splitlines() if line.startswith("1e+05")]
 
     assert printed(found.text(full=True)) == list(marks.values())
-    # A screen has the map of the scene's integrator, and says what it leaves out.
+    # The text has the map of the scene's integrator, and lists the others.
     assert printed(text) == [marks["semi-implicit"]]
     assert found.sentences[0].startswith("semi-implicit: of 6 runs, ")
     assert "Not shown: the maps of 7 other integrators (--all" in " ".join(text.split())

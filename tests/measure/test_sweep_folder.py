@@ -1,4 +1,4 @@
-"""A sweep that ends early keeps what it has, and goes on in a folder."""
+"""A sweep that ends early keeps its results, and goes on in a folder."""
 
 import json
 import os
@@ -64,7 +64,7 @@ def test_what_was_done_is_kept_and_the_rest_is_measured_later(tmp_path, error):
     assert later.calls == 3
     same(sc.sweep(model, GRID, later, threads=2, folder=tmp_path / "sweep"), whole)
     assert later.calls == 3
-    # A larger grid measures what is new.
+    # A larger grid measures only new points.
     larger = GRID | {"dt": [0.001, 0.002, 0.004]}
     table = sc.sweep(model, larger, later, threads=1, folder=tmp_path / "sweep")
     assert later.calls == 6 and len(table) == 9

@@ -259,7 +259,7 @@ def test_a_run_that_is_nowhere_near_is_a_failure_with_its_reason():
 
 
 def test_the_default_horizon_is_a_whole_number_of_samples():
-    # Four steps of 20 ms do not divide a second: 0.96 s are what is traded; asked for, a remark.
+    # Four steps of 20 ms do not divide a second: 0.96 s are traded; if requested, with a remark.
     assert default_horizon(0.08) == pytest.approx(0.96)
 
 
@@ -272,7 +272,7 @@ def test_a_recommendation_keeps_to_the_error_and_says_what_less_would_cost(ball)
     row = ball.recommended
     assert row.bound <= 0.9e-4 and row.settings == ball.best() == ball.best(1e-4)
     assert ball.proof.starts == 8 and ball.proof.missed == 0
-    # What is cheaper and was run from the same starts is worse.
+    # Cheaper settings that were run from the same starts are worse.
     cheaper = [r for r in ball.rows if r.starts == row.starts and r.cost < row.cost]
     assert all(r.failure or r.bound > 0.9e-4 for r in cheaper)
     better = ball.next_better()
@@ -393,13 +393,13 @@ def test_what_ran_for_the_converged_motion_is_an_answer_where_nothing_else_holds
     assert result.ended and result.shipped.error > 1e-3 >= row.error
     assert row.change != result.reference.change and len(row.starts) == 4
     assert row.error >= result.reference.error
-    # Where the user names the settings to try, no others are an answer.
+    # If the user names the settings to try, no others are an answer.
     euler = few(scene, error=1e-5, starts=4, dts=[0.004], integrators=["euler"], effort=1e5)
     assert euler.recommended is None and {r.settings.integrator for r in euler.rows} == {"euler"}
 
 
 def test_a_motion_that_is_exact_asks_for_no_accuracy_below_the_least():
-    """A rotor without load: half of an error of 3e-15 m was asked of steps within an accuracy."""
+    """A rotor without load: half of an error of 3e-15 m was the tolerance of adaptive steps."""
     rotor = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="j"/>
       <geom size=".1"/></body></worldbody><actuator><motor joint="j"/></actuator></mujoco>"""
     options = {"ctrl": [[0.0], [0.1]], "control_dt": 0.05, "further": 0, "progress": False}
@@ -417,7 +417,7 @@ def test_the_untouched_starts_are_those_of_no_choice(ball):
 
 
 def test_recommended_steps_can_be_written_down(ball):
-    """The shipped step times or divided by a whole number; what divides a control period."""
+    """The shipped step times or divided by a whole number; divisors of a control period."""
     ratio = 0.004 / ball.recommended.dt
     whole = max(ratio, 1 / ratio)
     assert whole == pytest.approx(round(whole), rel=1e-9)
@@ -460,7 +460,7 @@ def test_what_cannot_be_verified_is_said():
     assert result.recommended is None
     known = "1 pm cannot be verified: the uncertainty of the converged motion is "
     assert result.sentences[0].startswith(known) and result.reference.error > 1e-12
-    # It says what can be verified instead, and the settings for that.
+    # It names an error that can be verified instead, and the settings for it.
     assert result.verified >= result.reference.error
     if result.nearest is not None:
         said = f"Recommended for an error of at most {metres(result.verified)}: "
@@ -478,14 +478,14 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     assert next(worse._answer()).startswith("Recommended for an error of at most 100 µm from 0 of ")
     worse.rows = [row for row in ball.rows if row.error > 1e-4]
     assert next(worse._answer()).startswith("No setting tried has an error of at most 100 µm in")
-    # A truth that became finer since shows it: what holds is chosen (a G1 on a board).
+    # A truth that became finer since shows it: settings that hold are chosen (a G1 on a board).
     study = SimpleNamespace(schedule=ball.schedule, lasts=lambda starts: 1.0)
     finer = SimpleNamespace(truth=ball.reference, study=study, moved=1.0, ended=False)
     finer.trials, finer.whole = {row.change: row for row in ball.rows}, ball.whole
     finer.row = lambda change, error: finer.trials[change]
     worse.take(finer)
     assert worse.chosen.error <= 1e-4 and worse.chosen.cost <= ball.chosen.cost
-    # Where the time ended the search, settings that ran from some of the starts are an answer.
+    # If time ended the search, settings that ran from some of the starts are an answer.
     some = {row.change: row.part((0,)) for row in ball.whole if row.error <= 1e-4}
     finer.trials, worse.chosen = {ball.shipped.change: ball.shipped} | some, None
     finer.whole = [ball.shipped]
@@ -498,7 +498,7 @@ def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
 
 
 def test_what_finer_runs_of_the_search_have_shown_to_be_unknown_is_said(ball):
-    """A robot that falls: known to 309 µm when the search began, and to 1.3 mm at its end."""
+    """A robot that falls: uncertainty 309 µm at the start of the search, 1.3 mm at its end."""
     found, surer = copy.copy(ball), copy.copy(ball)
     found.reference, surer.unsure = replace(ball.reference, unsure=np.full(8, 1.3e-3)), 2e-4
     assert "cannot be verified: the uncertainty of the converged motion is 1.3 mm" in next(
@@ -507,7 +507,7 @@ def test_what_finer_runs_of_the_search_have_shown_to_be_unknown_is_said(ball):
     assert "cannot be verified: the uncertainty of the converged motion was 200 µm" in next(
         surer._answer()
     )
-    # From other starts enough is known for the choice.
+    # The data from other starts suffice for the choice.
     found.reference = replace(ball.reference, unsure=np.array([1e-6] * 7 + [1.3e-3]))
     assert "100 µm cannot be verified from 1 of 8 starts: the con" in next(found._answer())
 
@@ -536,7 +536,7 @@ def test_a_start_from_which_no_run_converges_has_no_error_in_kilometres(ball):
 
 
 def test_an_answer_counts_errors_only_as_long_as_motions_can_be_predicted():
-    """A double pendulum from high up: the first sentence says until when."""
+    """A double pendulum from high up: the first sentence has the time."""
     scene = sc.Scene(gravity=(0, 0, -G), name="double pendulum")
     upper = scene.add_body("upper", mass=1.0, ipos=(0, 0, -1), inertia=(1e-9, 1e-9, 1e-9))
     lower = scene.add_body("lower", upper, pos=(0, 0, -1), mass=1.0, ipos=(0, 0, -1))

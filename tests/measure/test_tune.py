@@ -29,7 +29,7 @@ RESTING = """<mujoco><option timestep="0.002" cone="{}"/><worldbody>
 
 
 def pasted(xml, tuning):
-    """The scene with the attributes that were printed, in place of those that the file has."""
+    """The scene with the printed attributes instead of the file's."""
     for line in tuning.mjcf.splitlines():
         tag, name, values = re.fullmatch(r'<(\w+) name="(\w+)" (.*)/>', line).groups()
         for attribute in values.split('" '):
@@ -76,7 +76,7 @@ def test_a_joint_of_a_narrow_range_is_not_pushed_against_its_ends():
 
 
 def test_a_spring_that_bears_much_of_a_target_is_told():
-    """kp/(kp + k) of the way: what falls to 1/√2 at 8 Hz need not begin near 1."""
+    """kp/(kp + k) of the way: a response that falls to 1/√2 at 8 Hz need not start near 1."""
     tuned = sc.tune(sc.loads(HINGE.format('stiffness="50"')), bandwidth=8.0).found[0]
     kp = float(re.search(r'kp="([\d.]+)"', tuned.lines[0])[1])
     way = f"the joint's spring lets it come {kp / (kp + 50):.0%} of the way"
@@ -88,7 +88,7 @@ def test_a_spring_that_bears_much_of_a_target_is_told():
 def test_a_pasted_bandwidth_is_the_gain_at_this_frequency(tag):
     """A sine of 3 Hz comes out at 1/√2 of its amplitude: another measure than the step of tune.
 
-    Motors get the servo of a PD controller, with their bounds, which is pasted in their place.
+    Motors get the servo of a PD controller, with their bounds, which is pasted instead of them.
     """
     scene = sc.loads(ARM.replace("<position", f"<{tag}"))
     tuning = sc.tune(scene, bandwidth=3.0)
@@ -162,7 +162,7 @@ def test_pasted_contacts_are_as_stiff(cone, goal):
 
 
 def test_a_soft_contact_is_given_the_time_to_come_to_rest():
-    """It falls in by 9 mm and comes back over 10 s: what 2 s show is not its rest."""
+    """It falls in by 9 mm and comes back over 10 s: after 2 s it is not at rest."""
     xml = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .04">
     <freejoint/><geom name="rod" type="capsule" size=".04" fromto="0 -.1 0 0 .1 0" condim="6"
     friction=".12 .01 .001"/></body></worldbody></mujoco>"""
@@ -214,7 +214,7 @@ def test_beyond_the_step_its_limit_and_an_integrator_are_said(goal, wanted, unit
 
 
 def test_a_robot_on_a_free_base_hangs_while_its_servos_are_tuned():
-    """On the floor it would fall; its gains are those of the same legs on a base that is fixed."""
+    """On the floor it would fall; its gains are the same as for these legs on a fixed base."""
     legs = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="9 9 9"/>
     <body name="trunk" pos="0 0 .45"><freejoint/><geom type="box" size=".2 .1 .05" mass="5"
     contype="0" conaffinity="0"/>
@@ -248,7 +248,7 @@ def test_what_dry_friction_holds_is_said_of_its_servo_alone():
     ("goal", "kp"), [({"bandwidth": 5.0}, 0.1 * 2 * np.pi * 5), ({"settling": 0.2}, 19.56 * 0.1)]
 )
 def test_servos_on_light_joints_with_much_damping_are_lags(goal, kp):
-    """Of kp/c, where inertia counts for nothing: -3 dB at kp/c, settled after ln 50 times c/kp."""
+    """kp/c, where inertia is negligible: -3 dB at kp/c, settled after ln 50 times c/kp."""
     roll = """<mujoco><worldbody><body><joint name="roll" axis="1 0 0" damping="0.1"/>
       <geom type="box" size=".02 .01 .01" mass=".02"/></body></worldbody>
       <actuator><position name="roll" joint="roll" kp="25"/></actuator></mujoco>"""
@@ -259,7 +259,7 @@ def test_servos_on_light_joints_with_much_damping_are_lags(goal, kp):
 
 
 def test_of_what_jumps_the_nearest_round_is_taken():
-    """Friction lets go between two gains: what was near stays, though the last round is off."""
+    """Friction lets go between two gains: the near value stays, though the last round is off."""
     rounds = iter([0.14, 0.095, 0.14, 0.096, 0.05])
     shown = functools.cache(lambda asked: next(rounds))
     asked, settled = Goal("settling", 0.1).corrected(1, np.vectorize(shown, otypes=[float]))
@@ -339,7 +339,7 @@ QUAD, LEGS = Path(__file__).with_name("quad.xml"), ("FR", "FL", "RR", "RL")
 
 
 def stood(scene):
-    """The height at which a robot rests after 10 s under its keyframe, as a share of its own."""
+    """The height at which a robot rests after 10 s under its keyframe, over the keyframe's."""
     sim = sc.Sim(scene)
     sim.reset(key=0)
     sim.step(round(10.0 / sim.settings.dt))
@@ -348,7 +348,7 @@ def stood(scene):
 
 @pytest.mark.parametrize("goal", [{"sag": 0.05}, {"sag": 0.2}, {"bandwidth": 5.0}])
 def test_a_robot_stands_with_gains_that_are_reached(goal):
-    """A quadruped falls with its own kp of 20, and with those that bear its legs in the air."""
+    """A quadruped falls with the shipped kp of 20, and with gains for its legs in the air."""
     tuning, xml = sc.tune(QUAD, **goal), QUAD.read_text()
     assert stood(sc.loads(xml)) < 0.3 and all(tuned.reached for tuned in tuning.found)
     assert stood(pasted(xml, tuning)) > 0.8
@@ -384,6 +384,6 @@ def test_the_servos_of_legs_carry_the_contact_forces():
     feet = [sim.geom_xpos[model.index("geom", leg)][0] for leg in LEGS]
     knees = [sim.xpos[model.index("body", f"{leg}_calf")][0] for leg in LEGS]
     weight = 9.81 * float(model.body_mass.sum()) / 4
-    # The shank's own weight of 0.19 kg hangs between both.
+    # The shank's weight, 0.19 kg, hangs between both.
     lever = weight * np.subtract(feet, knees)
     assert np.abs(ground.load(dofs)) == pytest.approx(np.abs(lever), rel=0.25)

@@ -1,4 +1,4 @@
-"""Measurements of a model whose steps keep an accuracy and have no length of their own."""
+"""Measurements of a model with adaptive steps, which has no fixed step length."""
 
 import pytest
 
@@ -20,7 +20,7 @@ def model(text, accuracy="1mm"):
 def test_a_diagnosis_names_the_body_and_the_contact_that_make_steps_short():
     found = sc.diagnose(model(BALL), horizon=0.6, progress=False)
     inner = found.inner
-    # It falls 0.5 m, for 0.319 s; that is in the step which begins at 0.30 s.
+    # It falls 0.5 m, for 0.319 s; that is in the step which starts at 0.30 s.
     step = inner.hardest["body `ball`"]
     assert step.time == pytest.approx(0.30)
     assert [element.name for element in step.begins] == ["contact `floor`/`skin`"]

@@ -57,7 +57,7 @@ __all__ = ["Diagnosis", "diagnose"]
 
 # The control period over the horizon, unless one step of the scene is longer.
 PERIOD = 1 / 200
-# The share of the time (`seconds`) at which the runs that find limits end: cures take the rest.
+# The share of the time (`seconds`) for the runs that find limits; finding fixes takes the rest.
 LIMITS = 0.6
 
 
@@ -72,22 +72,22 @@ def diagnose(
 ) -> Diagnosis:
     """Find the element that limits the time step, and changes that make a wanted step stable.
 
-    The limit of an integrator is what runs of the motion show: the motion, then its last control
-    held, for at least 1000 steps in all, beside a run from a start that is moved by 1e-6 of the
-    scene's size. At 0.98 of the limit the run holds; at 1.03 of it, it diverges, gains energy,
-    lets the perturbation grow without end, or chatters between bounds of forces where the motion
-    rests. Both were run. `Diagnosis.held` has what the linearised
-    step (`Sim.linearize`) bears where the motion ends and is held.
+    The limit of an integrator is found by runs. A run makes the motion, then holds its last
+    control, for at least 1000 steps in all; a perturbed run starts 1e-6 of the scene's size away.
+    At 0.98 of the limit the run is stable. At 1.03 of it, the run diverges, gains energy, lets the
+    perturbation grow without end, or chatters between bounds of forces where the motion rests.
+    Both were run. `Diagnosis.held` is the limit of the linearised step (`Sim.linearize`) where the
+    motion ends and is held.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: the `Motion`; or write its fields as arguments, except `starts`, because there is one
         start. The horizon is 1 s by default. If no controls are given, the motion is chosen from
         the model; see `Motion.kind`.
-    dt: the wanted time step [s]; by default the scene's own. If it is too long, changes are
-        searched for, made and run. A model whose steps keep an accuracy has no such step: the
-        result says what its steps are made of, and which bodies make them short
-        (`Diagnosis.inner`), and judges fixed steps of the mean length.
-    integrators: whose limits are found; by default of all. The scene's own is always among them.
+    dt: the wanted time step [s]; by default the scene's. If it is too long, changes are searched
+        for, made and run. A model with adaptive steps has no such step: the result reports its
+        inner steps and the bodies that make them short (`Diagnosis.inner`), and judges fixed steps
+        of the mean length.
+    integrators: the integrators to diagnose; by default all. The scene's is always among them.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, for a scene in which nothing can move, and
@@ -107,7 +107,7 @@ def diagnose(
     setup = set_up(diagnose, model, motion, fields, missing="no step to diagnose")
     workers, compiled, shipped = setup.workers, setup.model, setup.model.settings
     if setup.motion.control is not None:
-        # What a function remembers between calls is of one run.
+        # A control function may keep state between calls, which belongs to a single run.
         workers = dataclasses.replace(workers, threads=1)
     motion = dataclasses.replace(setup.motion, horizon=setup.motion.horizon or HORIZON)
     horizon = motion.horizon or HORIZON
@@ -129,7 +129,7 @@ def diagnose(
     limits, observed = dict[str, Limit](), None
     with workers.deadline.stage(f"the limit under {own}, beyond the steps that hold"):
         observed = case.observed(own)
-        # The cause of a failure takes less time than the limit.
+        # Finding the cause of a failure takes less time than finding the limit.
         case.fed(own)
         limits[own] = case.limit(own)
     if own not in limits:
@@ -191,7 +191,7 @@ class Case:
 
     motions: the runs. wanted: the step in question [s]. judge: the converged motion.
     controlled: whether a control function of the user may limit dt.
-    states: of the converged motion, the last one at its end. held: the linearised step at each.
+    states: states of the converged motion, the last at its end. held: the linearised step at each.
     untried: the changes that were not tried yet.
     """
 
@@ -206,7 +206,7 @@ class Case:
         self.judge = Judge.calm(motions, safe)
         self.controlled = motions.users is not None
         if self.judge.runaway is not None and self.controlled:
-            # If the motion does not blow up by itself, the control makes it.
+            # If the motion without the function does not blow up, the function is the cause.
             alone = Judge.of(motions.without_control(), safe)
             self.controlled = alone.runaway is None
             if self.controlled:
@@ -232,7 +232,7 @@ class Case:
             bears = self.held[-1].limit(integrator, near)
             return Limit(integrator, 0.0, bears, shortest=short)
         if ran and self.motions.costly and self.motions.users is None:
-            # What nobody may wait for comes first; the linearised step of such a scene takes long.
+            # Run first: the linearised step of such a scene takes long and may not finish.
             dt, longest = run_limit(self.judge, change, [])
         if dt == 0 or (math.isinf(dt) and self.judge.outcome(change, self.wanted).holds):
             return Limit(integrator, dt, self.held[-1].limit(integrator, near), longest=longest)
@@ -245,7 +245,7 @@ class Case:
             dt, longest = run_limit(self.judge, change, [last, *each])
         outcome = self.judge.outcome(change, FAILS * dt) if 0 < dt < math.inf else None
         if dt >= self.wanted and not self.judge.outcome(change, self.wanted).holds:
-            # A step below the limit fails where failure is not monotonic.
+            # Failure is not monotonic in dt: a step below the limit fails.
             dt, _ = run_limit(self.judge, change, [], top=self.wanted)
             outcome = self.judge.outcome(change, self.wanted)
         limit = Limit(integrator, dt, last, self._state(dt, each), longest=longest)
@@ -253,14 +253,14 @@ class Case:
             return limit
         limit = dataclasses.replace(limit, outcome=outcome.kind, time=outcome.time)
         if outcome.kind == "chatters" and limit.state >= 0:
-            # Actuators chatter: another element with this limit has it by chance.
+            # Only actuators chatter: any other element has this limit by chance.
             linear = linear_limiters(self.model, self.held[limit.state], integrator, dt)
             if {element.kind for element in linear} - {"actuator"}:
                 return dataclasses.replace(limit, state=-1)
         return limit
 
     def known(self, integrator: str) -> Limit:
-        """Return what was run under an integrator when the time is over: its limit is NaN."""
+        """Return the steps run under an integrator before the time was over; its limit is NaN."""
         limit = Limit(integrator, math.nan, math.nan, ran=self.judge.runaway is None)
         return self._with_runs(limit, self.judge.tried(Change(integrator=integrator)))
 
@@ -271,17 +271,17 @@ class Case:
         return dataclasses.replace(limit, longest=longest, holds=good, fails=bad)
 
     def _state(self, dt: float, each: Sequence[float]) -> int:
-        """Return the state whose linearised step has a limit; -1 if none has."""
+        """Return the index of the state whose linearised step has this limit; -1 if none has."""
         if not 0 < dt < math.inf:
             return -1
         gaps = [abs(math.log(one / dt)) if 0 < one < math.inf else math.inf for one in each]
-        # Both are known to the shares of a limit.
+        # Each of the two limits is uncertain by a factor of up to STEP.
         return int(np.argmin(gaps)) if min(gaps) <= 2 * math.log(STEP) else -1
 
     def limiters(self, limit: Limit) -> tuple[Element, ...]:
         """Return the elements that limit an integrator, or the fastest one if nothing does.
 
-        A limit that is not known has none.
+        An unknown limit has no elements except controls.
         """
         name, dt = limit.integrator, limit.dt
         controls = tuple(Element.of(self.motions.model, "control", k) for k in self.fed(name))
@@ -290,7 +290,7 @@ class Case:
         if dt == math.inf or (dt <= 0 and not self.controlled):
             at = self.held[-1]
             own = list(shares(at, name, min(limit.longest, 1.0) if dt else self.wanted))
-            # Where no step holds, softening one of several equals shows nothing.
+            # If no step is stable, softening one of several equal elements shows nothing.
             first = own[:1] if dt or not own else equals(self.model, own[0], own)
             return tuple(self._theirs(first))
         order = list(shares(self.held[max(limit.state, -1)], name, FAILS * dt))
@@ -301,13 +301,13 @@ class Case:
             alone = figures(held) if linear and limit.ran else {}
             known = [alone[e] for e in linear if e in alone and e.kind != "spin"]
             rates = [max(one.omega, one.rate) for one in known]
-            # One that by itself bears ten times the step, 2/ω or 2/rate, has to be shown by runs.
+            # Runs must confirm an element whose limit by itself, 2/ω or 2/rate, is above 10 dt.
             if linear and (not rates or max(rates) * dt > 0.2):
                 return tuple(self._theirs(self._seen(linear, limit)))
         nu = self.motions.model.nu if self.controlled else 0
         if self.judge.runaway is not None or dt <= 0:
             return tuple(Element.of(self.motions.model, "control", k) for k in range(nu))
-        # A rope that the converged motion leaves slack may be what a longer step pulls taut.
+        # A longer step may pull a rope taut that is slack in the converged motion.
         ropes = [Element.of(self.model, "tendon spring", k) for k in slack_lengths(self.model)]
         every = list(dict.fromkeys((*every_element(self.model, self.states), *ropes)))
         every.sort(key=lambda e: order.index(e) if e in order else len(order))
@@ -319,9 +319,9 @@ class Case:
         return tuple(self._theirs(found or self._lost(limit) or controls or last))
 
     def _seen(self, elements: tuple[Element, ...], limit: Limit) -> tuple[Element, ...]:
-        """Leave out forces of inertia where the motion is too slow for these to have a limit.
+        """Return the elements, without inertial forces if the motion is too slow for those.
 
-        A step makes a rotation at a rate ω grow by (ω dt)²/2 at most, of itself.
+        In one step, a rotation at a rate ω grows by a factor of at most 1 + (ω dt)²/2.
         """
         states = self.states if limit.state < 0 else [self.states[limit.state]]
         fastest = max(float(np.abs(state.qvel).max(initial=0.0)) for state in states)
@@ -330,9 +330,9 @@ class Case:
         return tuple(e for e in elements if not (slow and (e.kind == "spin" or e == INERTIAL)))
 
     def _lost(self, limit: Limit) -> tuple[Element, ...]:
-        """Return contacts that end the converged motion, and not a run that gains energy.
+        """Return contacts at the end of the converged motion that a run that gains energy has lost.
 
-        A body has passed through the other one, and falls.
+        There a body has passed through another one, and falls.
         """
         pair = self.motions.pair(Change(integrator=limit.integrator), FAILS * limit.dt)
         ran = pair.ran
@@ -345,21 +345,22 @@ class Case:
         return tuple(sorted(left))
 
     def _theirs(self, elements: Sequence[Element]) -> Iterator[Element]:
-        """Yield elements, the servos of the default motion as controls of its motors."""
+        """Yield the elements, with servos of the default motion as controls of its motors."""
         for element in elements:
             ours = element.kind == "actuator" and element.index in self.motions.ours
             yield Element.of(self.motions.model, "control", element.index) if ours else element
 
     def observed(self, integrator: str) -> Outcome | None:
-        """Return what the motion does at the wanted step; None if it blows up at every step."""
+        """Return the outcome of the wanted step; None if the motion blows up at every step."""
         if self.judge.runaway is not None:
             return None
         return self.judge.outcome(Change(integrator=integrator), self.wanted)
 
     def fed(self, integrator: str) -> range:
-        """Return the controls of a user's function if these make the wanted step fail.
+        """Return the controls of a user's function if they make the wanted step fail.
 
-        With the controls of the converged motion it holds, or fails after the motion only.
+        They do if it is stable, or fails only after the motion, under the controls of the converged
+        motion.
         """
         seen, nu = self.observed(integrator), self.motions.model.nu
         if seen is None or seen.holds or self.motions.usual is None:
@@ -369,7 +370,7 @@ class Case:
         return range(nu if held.holds or seen.time < self.horizon < held.time else 0)
 
     def saturated(self, limit: Limit, elements: Sequence[Element]) -> tuple[Element, ...]:
-        """Return the servos among elements whose force is at an end of its range beyond a limit."""
+        """Return the servos among elements whose force saturates just above a limit."""
         servos = [e for e in elements if e.kind == "actuator"]
         if not limit.ran or not servos or not 0 < limit.dt < math.inf:
             return ()
@@ -379,7 +380,7 @@ class Case:
     def figures(self, limiting: Sequence[Element], state: int) -> list[Figures]:
         """Return frequency and damping of every element, those that limit first.
 
-        state: the one that decides, whose figures count; -1 for none.
+        state: the index of the limiting state, whose figures take precedence; -1 for none.
         """
         found: dict[Element, Figures] = {}
         with (current() or Deadline()).stage("the figures of the elements of some states"):
@@ -403,7 +404,7 @@ class Case:
         if not elements:
             self.untried.append("changes of the element that limits dt")
         if own.ran:
-            # One word in the file, whatever was asked for: the integrator of the converged motion.
+            # Always try the converged motion's integrator: it changes one word of the file.
             fine = "implicitfast"
             more = {} if fine in limits else {fine: self.limit(fine)}
             yield from other_integrators(search, limits | more)

@@ -1,10 +1,10 @@
-"""Cures: the least change that leaves the wanted margin, made and run before it is printed.
+"""Fixes: the least change that leaves the wanted margin, made and run before it is printed.
 
 A change has one number x: a gain is multiplied by x, an armature grows by x times the inertia that
 the joint moves, a damping by x times the critical damping of the element, and a solref becomes
-slower by 1/x. The least x is searched for by the linearised step where that has the limit that the
-run has, else by runs. Then the change is made and the same motion run again, beside its own
-converged motion: what leaves less than the margin is searched for again with a larger one.
+slower by 1/x. The least x is searched for with the linearised step if this has the limit of the
+runs, else with runs. Then the change is made, and runs of the changed model are compared with its
+converged motion. If the change leaves less than the margin, a larger margin is searched for.
 """
 
 from __future__ import annotations
@@ -39,24 +39,23 @@ from stepcore.scene.layout import Layout
 
 # The stability margin of every change: the largest stable dt over the wanted one.
 MARGIN = 1.5
-# The octaves of x that are tried: all of them down, a third up; of what is added, a third to each
-# side of 1.
-# The servo of ur3e.xml at kp 1e6 needs 20.
+# The octaves of x that are tried: all of them down, a third up; for added values, a third on each
+# side of 1. The servo of ur3e.xml at kp 1e6 needs 20.
 OCTAVES = 24
-# The margin is searched for so often, each time by as much more as a limit is known to; and the
-# most elements that one change is made to.
+# The number of searches for the margin, the factor by which each raises it (the uncertainty of two
+# limits), and the most elements of one change.
 SEARCHES, SURPLUS, TOGETHER = 3, STEP * STEP, 8
 # The most integrators that are proposed.
 INTEGRATORS = 3
-# A gain of zero starts at this part of the critical damping, which is also the least damping ratio
-# to which an added damping is compared.
+# The part of the critical damping at which a gain of zero starts; also the least damping ratio with
+# which added damping is compared.
 FROM_NOTHING = 1 / 64
-# Changes of what a robot is built of; they are proposed last.
+# Changes of the robot's hardware; they are proposed last.
 ARMATURE, CHAIN, DAMPING = "armature", "armature of the whole chain", "more damping"
 HARDWARE = (ARMATURE, CHAIN, DAMPING)
 SOLREF, ROW_DAMPING, STANDARD = "solref", "damping of solref", "standard form of solref"
 GAINS, LOOP_GAIN, PERIOD = "kp and kv", "control gain", "control_dt"
-# What can be changed of each kind of element.
+# The possible changes, by kind of element.
 WAYS: dict[str, tuple[str, ...]] = {
     "spring": ("stiffness", *HARDWARE),
     "damper": ("damping", ARMATURE, CHAIN),
@@ -75,9 +74,9 @@ WAYS: dict[str, tuple[str, ...]] = {
 class NewValue:
     """A value of the scene before and after a change.
 
-    element: whose it is. field: as in `Scene`. before, after: the numbers, in `unit`.
+    element: the changed element. field: as in `Scene`. before, after: the numbers, in `unit`.
     size: |log| of the factor by which the change multiplies the gain, the inertia or the damping.
-    gain: of a value that is a row of parameters, the gain in it and its value before and after.
+    gain: in a row of parameters, the name of the changed gain, and the gain before and after.
     """
 
     element: Element = dataclasses.field(repr=False)
@@ -127,12 +126,12 @@ class Advice:
 
     @property
     def hardware(self) -> bool:
-        """Whether the change is one of the robot itself: inertia or friction of its joints."""
+        """Whether the change is one of the robot's hardware: inertia or damping of its joints."""
         return self.what in HARDWARE
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
-        """The order of a list of advice: what works first, hardware last, small changes first."""
+        """The sort key of advice: changes that work first, hardware last, small changes first."""
         return not self.met, self.hardware, self.size
 
 
@@ -154,7 +153,7 @@ class Making:
     beyond: float
 
     def values(self, group: Sequence[Element], what: str, x: float) -> dict[str, Any]:
-        """Return the new values by path; see `listed` for what they are in words."""
+        """Return the new values by path; `listed` describes them."""
         return {path: value for path, (value, _) in self._made(group, what, x).items()}
 
     def listed(self, group: Sequence[Element], what: str, x: float) -> tuple[NewValue, ...]:
@@ -206,7 +205,7 @@ class Making:
         if joint is not None:
             unit = unit_of(name, Layout(self.model.scene).joints[joint].type in ("hinge", "ball"))
         if knob.path in made:
-            # kp and kv stand in one row.
+            # kp and kv are in one row.
             row = list(made[knob.path][0])
             row[knob.part] = whole[knob.part]
             whole = tuple(row)
@@ -218,7 +217,7 @@ class Making:
     def _from_nothing(
         self, element: Element, fields: Mapping[str, SceneField], x: float
     ) -> dict[str, tuple[Any, NewValue | None]]:
-        """Return a kv in place of none, as a part of the critical damping."""
+        """Return a kv for a servo without one, as a part of the critical damping."""
         kv, joint, (omega, _) = fields.get("kv"), self._joint(element), self.figures(element)
         if kv is None or kv.value or x <= 1 or joint is None or omega <= 0:
             return {}
@@ -230,7 +229,7 @@ class Making:
     def _added(
         self, element: Element, what: str, x: float
     ) -> dict[str, tuple[Any, NewValue | None]]:
-        """Return armature or damping added to the joint of an element, or to all of its tree."""
+        """Return armature or damping added to the joint of an element, or to all its tree."""
         own, (omega, damped) = self._joint(element), self.figures(element)
         layout, made = Layout(self.model.scene), dict[str, tuple[Any, NewValue | None]]()
         if own is None:
@@ -270,7 +269,7 @@ class Making:
         return {path_of(f): (new, one) for f in fields}
 
     def figures(self, element: Element) -> tuple[float, float]:
-        """Return ω [rad/s] and the damping ratio of an element on its own; 0 if unknown."""
+        """Return ω [rad/s] and the damping ratio of an element by itself; 0 if unknown."""
         own = self._known.get(element)
         return (0.0, 0.0) if own is None else (own.omega, np.nan_to_num(own.ratio))
 
@@ -297,7 +296,7 @@ class Making:
         ]
 
     def _mass(self, joint: int) -> float:
-        """Return the inertia that a force on a joint moves [kg·m² or kg], the others free."""
+        """Return the inertia that a force on a joint moves [kg·m² or kg], other joints free."""
         weight = float(self.model.dof_invweight0[self.model.jnt_dofadr[joint]])
         return 1 / weight if weight > 0 else 0.0
 
@@ -367,9 +366,9 @@ def text_of(what: str, values: Sequence[NewValue], x: float) -> str:
 class Search:
     """The search for changes that make a wanted step stable.
 
-    judge: runs of the unchanged model. limit: what it has. held: the state that shows this limit,
-    or the held end. linear: whether the linearised step there has the limit that the run has.
-    wanted: the step [s]. elements: that limit it. every: all elements that act at some state.
+    judge: runs of the unchanged model. limit: its limit. held: the state that shows this limit, or
+    the held end. linear: whether the linearised step there has the limit of the runs.
+    wanted: the step [s]. elements: the limiting ones. every: all that act at some state.
     """
 
     judge: Judge
@@ -386,7 +385,7 @@ class Search:
         return self.judge.motions.of(Change())
 
     def candidates(self) -> dict[str, Callable[[], Advice | None]]:
-        """Return the kinds of changes to try, each with what finds the least that is enough."""
+        """Return the kinds of changes to try, each with a function that finds the least one."""
         settings, found = self.model.settings, dict[str, Callable[[], Advice | None]]()
         if settings.law == "solref" and not settings.refsafe:
             words = "use refsafe=True, which softens rows that are too stiff"
@@ -433,11 +432,11 @@ class Search:
         return made or Advice(name, text=name)
 
     def _margins(self) -> Iterator[float]:
-        """Yield the margins to search for, one after the other until one is left in runs."""
+        """Yield the margins to search for, in order; the caller stops when runs confirm one."""
         return (MARGIN * SURPLUS**k for k in range(SEARCHES))
 
     def _least(self, what: str) -> Advice | None:
-        """Return the least change of the limiting elements, extended to the next ones if needed."""
+        """Return the least change of the limiting elements, extended to more elements if needed."""
         group, failed = list(self.elements), Advice(what, text=what)
         for margin in self._margins():
             made = Making(self.model, self.held, margin * self.wanted)
@@ -483,9 +482,9 @@ class Search:
     def _enough(
         self, holds: Callable[[float], bool], xs: Sequence[float], adds: bool = False
     ) -> float | None:
-        """Return the x nearest to no change that holds, refined by bisection, or None."""
+        """Return the stable x nearest to no change, refined by bisection, or None."""
         if not self.linear:
-            # Runs cost more: every second octave.
+            # Runs cost more: try every second octave.
             xs = xs[1::2] if adds else [x for x in xs if math.log2(x) % 2 == 0]
         jump = 2.0 if self.linear else 4.0
         for x in xs:
@@ -507,9 +506,9 @@ class Search:
         return all(softer.stable(integrator, dt) for dt in steps)
 
     def confirmed(self, change: Change, integrator: str | None = None) -> tuple[float, float]:
-        """Return the limit of the changed model, and the longest step tried, by its own runs [s].
+        """Return the limit of the changed model by its runs, and the longest step tried [s].
 
-        The limit is 0 where the motion blows up, or a run at the wanted step fails.
+        The limit is 0 if the motion blows up, or a run at the wanted step fails.
         """
         own = Change(integrator=integrator or self.limit.integrator)
         try:
@@ -528,9 +527,9 @@ class Search:
         return min(limit) >= HOLDS * MARGIN * self.wanted
 
     def _alike(self, group: Sequence[Element]) -> list[Element]:
-        """Return a group of rows, and all others that have the kind and the solref of its first.
+        """Return a group of rows, and all others with the kind and the solref of its first.
 
-        Such rows have their solref from one default, and are changed there.
+        Such rows take their solref from one default, and are changed there.
         """
         first, model = group[0], self.model
         like, every = solref_of(model, first), [e for e in self.every if e.kind == first.kind]
@@ -564,7 +563,7 @@ class Search:
     def _loop(self, what: str) -> Advice | None:
         """Return the largest gain, or the longest period, of the control that leaves the margin."""
         motions, own = self.judge.motions, Change(integrator=self.limit.integrator)
-        # What is rounded still leaves the margin.
+        # A rounded gain still leaves the margin.
         beyond = SURPLUS * MARGIN * self.wanted
 
         def holds(x: float) -> bool:
@@ -594,7 +593,7 @@ class Search:
 
 
 def longest_period(judge: Judge, change: Change, dt: float) -> float:
-    """Return the longest control period at which a step holds [s]; inf beyond the horizon."""
+    """Return the longest control period at which a step is stable [s]; inf beyond the horizon."""
     motions = judge.motions
     most = max(1, math.floor(motions.horizon / dt))
 
@@ -615,7 +614,7 @@ def longest_period(judge: Judge, change: Change, dt: float) -> float:
 def other_integrators(search: Search, limits: Mapping[str, Limit]) -> Iterator[Advice]:
     """Yield other integrators whose runs leave the margin, the largest limit first.
 
-    The explicit integrator is none: it adds energy at every dt.
+    The explicit integrator is excluded: it adds energy at every dt.
     """
     own, left = search.limit.integrator, INTEGRATORS
     others = [limit for name, limit in limits.items() if name not in (own, "explicit")]
@@ -650,7 +649,7 @@ def _repeats(advice: Advice, met: Sequence[Advice]) -> bool:
 
 
 def stable(limit: tuple[float, float]) -> str:
-    """Return up to which dt a changed model is stable. limit: it, and the longest step tried."""
+    """Describe up to which dt a changed model is stable. limit: it, and the longest dt tried."""
     if not math.isinf(limit[0]):
         return f"stable up to {seconds(limit[0])}"
     return f"stable at every dt tried, up to {seconds(limit[1])}"

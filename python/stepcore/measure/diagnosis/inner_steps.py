@@ -1,4 +1,4 @@
-"""What the steps of a model that keeps an accuracy are made of, and who makes them short."""
+"""The inner steps of a model with adaptive steps, and the bodies that make them short."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from stepcore.report.units import counted, metres, percent, seconds
 
 @dataclass(frozen=True)
 class HardStep:
-    """A step that was made of shorter ones.
+    """An adaptive step that was made of shorter ones.
 
-    time: when it begins [s]. evaluations: how often forces were evaluated in it.
-    shortest: the shortest of the steps that it is made of [s].
-    body: the name of the body whose error made them short; "" if they diverged.
-    begins, ends: the rows that act at its end and not at its start, and the reverse.
+    time: its start [s]. evaluations: the number of force evaluations in it.
+    shortest: its shortest inner step [s].
+    body: the name of the body whose error made them short; "" if longer ones diverged.
+    begins, ends: the rows that act at its end but not at its start, and the reverse.
     """
 
     time: float
@@ -39,13 +39,13 @@ class HardStep:
 
 @dataclass(frozen=True)
 class InnerSteps:
-    """What the steps of a motion within an accuracy are made of.
+    """The inner steps of a motion with adaptive steps.
 
-    accuracy: the error asked for [m per simulated second]. period: the length of a step [s].
-    time: the simulated time [s]. evaluations: how often forces were evaluated.
+    accuracy: the tolerance [m per simulated second]. period: the length of a step [s].
+    time: the simulated time [s]. evaluations: the number of force evaluations.
     shortest: the shortest inner step [s].
     shares: by body, the share of the evaluations in steps that it makes short.
-    hardest: by body, its step of the most evaluations.
+    hardest: by body, its step with the most evaluations.
     failure: why the run ended early, "" if it did not.
     """
 
@@ -65,7 +65,7 @@ class InnerSteps:
 
     @property
     def sentences(self) -> Iterator[str]:
-        """What the steps are made of, and the bodies that make them short, the costliest first."""
+        """The inner steps in words, and the bodies that make them short, the costliest first."""
         steps = max(1, round(self.time / self.period))
         yield (
             f"Within {metres(self.accuracy)} a second, a step of {seconds(self.period)} takes "
@@ -93,9 +93,9 @@ class InnerSteps:
 
 
 def inner_steps(model: Model, schedule: Schedule) -> InnerSteps:
-    """Run a motion once from its start, and return what its steps are made of.
+    """Run a motion once from its start, and return its inner steps.
 
-    model: its settings have an accuracy. schedule: its controls are held for whole steps.
+    model: a model with adaptive steps. schedule: its controls are held for whole steps.
     """
     dt, failure = model.settings.dt, ""
     sim = unwatched(Sim(schedule.on(model)))

@@ -1,4 +1,4 @@
-"""The largest stable dt of an integrator: what runs of the motion show, and a held pose bears."""
+"""The largest stable dt of an integrator, by runs of the motion and by the linearised step."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from stepcore.experiment.change import Change
 from stepcore.measure.diagnosis.linear import Held, bisected
 from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Judge, Loop
 
-# The shares of a limit at which the run holds, and at which it fails; limits that differ by less
-# than both of these leave are one.
+# The shares of a limit at which the run is stable, and at which it fails; limits that differ by
+# less than the ratio STEP count as one.
 HOLDS, FAILS = 0.98, 1.03
 STEP = FAILS / HOLDS
-# The relative resolution of a limit where runs cost little; else it is that of these shares.
+# The relative resolution of a limit if runs are cheap; else it is STEP.
 FINE = 0.01
-# Steps are tried one after the other, from the converged motion's up to the limit. Where runs cost
-# little, they are so dense that a body that makes whole turns in a step cannot hide the shorter
-# steps that fail; where they cost more, twice as long each.
+# The ratios of successive steps that are tried, from the converged motion's up to the limit. Cheap
+# runs are DENSE: a body that makes whole turns in a step cannot hide shorter steps that fail.
+# Costly runs are SPARSE.
 DENSE, SPARSE = 1.2, 2.0
-# Around a limit at contacts, runs hold and fail by luck: this share of the longest that holds must
-# hold, too (G1 holds at 26.64 ms and not at 26.6; dm-control's quadruped at 12.88 ms and not at
+# Near a limit at contacts, stability is erratic: this share of the longest stable step must be
+# stable, too (G1 is at 26.64 ms and not at 26.6; dm-control's quadruped at 12.88 ms and not at
 # 12.8). Under a control function it need not: each call is a step of another phase.
 NEAR = 0.995
-# These shares of the limit must hold, too; the first one alone where runs cost much. At the limits
-# of sensitive motions steps hold by luck: under `implicitfast` gymnasium's inverted double pendulum
-# holds at 70.7 ms, and diverges at 68.5 and 64.9 ms.
+# These shares of the limit must be stable, too; only the first one if runs are costly. At limits of
+# sensitive motions, stability is erratic: under `implicitfast` gymnasium's inverted double pendulum
+# is stable at 70.7 ms, and diverges at 68.5 and 64.9 ms.
 BELOW = (0.95, 0.9, 0.85, 0.8)
 
 
@@ -34,16 +34,16 @@ BELOW = (0.95, 0.9, 0.85, 0.8)
 class Limit:
     """The largest stable dt of an integrator.
 
-    integrator: the integrator. dt: what runs of the motion show [s]: they hold at 0.98 dt and fail
-        at 1.03 dt; inf if none fails up to `longest`, 0 if none holds down to `shortest`. Where
-        nothing was `ran`, because the motion blows up at every step: what the linearised step
-        bears at all states.
-    held: what the linearised step bears where the motion ends and is held [s]; inf and 0 as above,
-        NaN if the time was over before.
+    integrator: the integrator. dt: the limit by runs [s], which are stable at 0.98 dt and fail at
+        1.03 dt; inf if none fails up to `longest`, 0 if none is stable down to `shortest`. If
+        nothing was `ran`, because the motion blows up at every step: the least limit of the
+        linearised step over all states.
+    held: the limit of the linearised step where the motion ends and is held [s]; inf and 0 as
+        above, NaN if the time was over before.
     state: the index of the state whose linearised step has this limit, too; -1 if none has.
     outcome: how the run fails beyond dt: the `Outcome.kind`; "" if it does not.
-    time: when it does [s].
-    holds: the longest step that was run and holds [s]; 0 if none does.
+    time: the time of this failure [s].
+    holds: the longest step that was run and is stable [s]; 0 if none is.
     fails: the shortest step that was run and fails [s]; inf if none does.
     """
 
@@ -66,12 +66,12 @@ class Limit:
 
     @property
     def erratic(self) -> tuple[float, float] | None:
-        """The range of steps [s] in which some runs hold and some fail; None if there is none."""
+        """The range of steps [s] in which some are stable and some fail; None if there is none."""
         return (self.fails, self.holds) if STEP * self.fails < self.holds else None
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The steps up to which runs, and the held pose, are known to be stable [s]."""
+        """The steps up to which runs, and the held pose, were found to be stable [s]."""
         ran = min(self.dt, self.longest)
         if not self.known:
             ran = self.holds if self.holds < self.fails else 0.0
@@ -85,12 +85,12 @@ def run_limit(
     loop: Loop | None = None,
     top: float = math.inf,
 ) -> tuple[float, float]:
-    """Return the largest dt at which the motion holds, and the longest step that was tried [s].
+    """Return the largest stable dt of the motion, and the longest step that was tried [s].
 
-    The run holds at 0.98 of the limit and at shorter steps, and fails at 1.03 of it. Steps are
-    tried from that of the converged motion up, because failure is not monotonic in dt.
+    The run is stable at 0.98 of the limit and at shorter steps, and fails at 1.03 of it. Steps are
+    tried from the converged motion's step upwards, because failure is not monotonic in dt.
 
-    guesses: limits of the linearised step, which are tried first where they may be the run's.
+    guesses: limits of the linearised step, which are tried first if they may be the run's.
     top: a step that fails [s]; none longer is tried.
     """
 
@@ -122,9 +122,9 @@ def run_limit(
 def _lower(
     holds: Callable[[float], bool], bad: float, guesses: Sequence[float]
 ) -> tuple[float, float]:
-    """Return a step that holds, 0 if none does, and a longer one that fails.
+    """Return a stable step, 0 if there is none, and a longer one that fails.
 
-    Guesses are tried first: halving down to a limit of µs takes as many steps again.
+    Guesses are tried first: halving down to a limit of µs takes as many runs again.
     """
     for guess in sorted(guesses, reverse=True):
         dt = HOLDS * guess
@@ -142,7 +142,7 @@ def _lower(
 def _matching(
     holds: Callable[[float], bool], good: float, bad: float, guesses: Sequence[float]
 ) -> float | None:
-    """Return the guess that is the limit between a step that holds and one that fails, or None."""
+    """Return the guess that is the limit between a stable step and one that fails, or None."""
     for g in sorted(guesses, key=lambda g: abs(math.log(g / good)) if g > 0 else math.inf):
         if not 0 < g < math.inf or good > FAILS * g or bad < HOLDS * g:
             continue
@@ -159,7 +159,7 @@ def ladder(judge: Judge, low: float, top: float = math.inf) -> list[float]:
 
 
 def _between(holds: Callable[[float], bool], good: float, bad: float, fine: float) -> float:
-    """Return a limit between a step that holds and one that fails; beyond it a run fails."""
+    """Return a limit between a stable step and one that fails; beyond it a run fails."""
     low, high = good, bad
     while high / low > STEP:
         count = math.ceil(math.log(high / low) / math.log(STEP) - 1e-9)
@@ -172,7 +172,7 @@ def _between(holds: Callable[[float], bool], good: float, bad: float, fine: floa
 
 
 def _settled(judge: Judge, change: Change, limit: float, loop: Loop | None) -> float:
-    """Return the limit below which no run fails nearby."""
+    """Return the limit, lowered until no run just below it fails."""
     while True:
         below = _below(judge, limit)
         failed = next((dt for dt in below if not judge.lasts(change, dt, loop)), None)
@@ -182,7 +182,7 @@ def _settled(judge: Judge, change: Change, limit: float, loop: Loop | None) -> f
 
 
 def _below(judge: Judge, limit: float) -> Iterator[float]:
-    """Yield the steps below a limit that must hold: more of them where runs cost little."""
+    """Yield the steps below a limit that must be stable: more of them if runs are cheap."""
     motions, highest = judge.motions, HOLDS * limit
     yield highest
     if NEAR * highest > judge.fine.dt and motions.users is None:
@@ -195,9 +195,9 @@ def _below(judge: Judge, limit: float) -> Iterator[float]:
 def held_limits(
     states: Sequence[Held], integrator: str, near: float, fine: float
 ) -> tuple[float, list[float]]:
-    """Return what the held end of the motion bears, and the limits of all states [s].
+    """Return the limit at the held end of the motion, and the limits of all states [s].
 
-    states: those of the motion, the last one at its end. Limits above the least known are not
+    states: states of the motion, the last one at its end. Limits above the least one found are not
     searched for: such states have inf. fine: the resolution of the others.
     """
     last = least = states[-1].limit(integrator, near)

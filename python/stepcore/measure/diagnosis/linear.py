@@ -1,4 +1,4 @@
-"""The linearised step: what a held pose bears, and which elements limit it.
+"""The linearised step: the largest stable dt of a held pose, and the elements that limit it.
 
 An eigenvalue μ of a linearised step grows at the rate Re log(μ)/dt. It belongs to the rate s of the
 motion itself that is nearest to log(μ)/dt; these are the eigenvalues of J, of which the explicit
@@ -31,20 +31,20 @@ from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Motions, Pair,
 from stepcore.scene.frames import Vec
 
 DAMPED, FASTER, PER_RADIAN = 1e-3, 1.5, 0.05
-# Rounding may cause |μ| − 1 of this size; and |log μ| of its root, because an error ε moves a
+# Rounding may cause |μ| − 1 of this size, and |log μ| of its root, because an error ε moves a
 # double eigenvalue of 1 by √ε.
 ROUNDING = 1e-8
-# The step from which the motion's own rates are read [s].
+# The step at which the rates of the motion itself are computed [s].
 TINY = SHORTEST / 10
 # The relative resolution of a limit of the linearised step.
 FINE = 5e-4
-# The steps until a row that refsafe softens is at rest again.
+# The number of steps until a row softened by refsafe is at rest again.
 SETTLING = 30
 # The elements that a diagnosis names. All other forces count with the inertial forces.
 NAMED = ("spring", "damper", "actuator", "tendon spring", "tendon damper", "spin", *ROWS)
 # Laws whose rows act on velocities: the rows have the stiffness 1/dt² in every scene.
 VELOCITY_LAWS = ("lesson", "relaxed", "rigid")
-# The most states along a motion, and the most dofs of all together.
+# The most states along a motion, and the most dofs of all these states.
 STATES, DOFS = 6, 200
 
 
@@ -68,8 +68,8 @@ def acting_elements(sim: Sim) -> tuple[Element, ...]:
 def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
     """Return states of the converged motion: the start, its end, and one for each set of rows.
 
-    A tendon with slack that is taut counts as a row. Each set has its last state. A large model
-    has fewer states: its linearised step takes long.
+    A taut tendon that has slack counts as a row. The last state of each set is returned. A large
+    model has fewer states, because its linearised step takes long.
     """
     ran = fine.ran
     if ran is None:
@@ -83,7 +83,7 @@ def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
         try:
             sim.forward()
         except SimulationError:
-            # A run that blew up kept a state whose accelerations overflow.
+            # A run that blew up may contain a state whose accelerations overflow.
             continue
         seen.append(k)
         rows.append(acting(sim))
@@ -113,7 +113,7 @@ def step_matrix(model: Model, state: State, integrator: str, dt: float) -> Float
     checkpoint()
     n = 2 * model.nv
     if float(np.abs(state.qvel).max(initial=0.0)) * dt > 1 / SHORTEST:
-        # Nothing is left of the angles of a state that blew up, and this would take minutes.
+        # The angles of a state that blew up have no precision left, and this would take minutes.
         return None
     try:
         sim = state.sim(model.with_settings(integrator=integrator, dt=dt))
@@ -163,7 +163,7 @@ def without_rows(model: Model) -> Model:
 
 
 def allowed_growth(rates: Floats, horizon: float) -> Floats:
-    """Return the growth [1/s] that a step may show of a motion with these rates [1/s]."""
+    """Return the allowed growth [1/s] in a step, for a motion with these rates [1/s]."""
     size = np.abs(rates)
     neutral = np.minimum(1 / horizon, PER_RADIAN * np.maximum(size, 1 / horizon))
     grows = np.maximum(FASTER * np.maximum(rates.real, 0.0), neutral)
@@ -190,7 +190,7 @@ def softened_from(model: Model, element: Element) -> float:
 class Held:
     """The linearised step of a model at one state, as if the motion were held there.
 
-    model: the model. state: the state. horizon: in which neutral growth counts [s].
+    model: the model. state: the state. horizon: the time of an e-fold neutral growth [s].
     rates: the rates of the motion itself [1/s].
 
     Raises ValueError if the accelerations are not finite.
@@ -215,8 +215,8 @@ class Held:
     def at(self, integrator: str, dt: float) -> tuple[State, Floats]:
         """Return the state and the motion's rates [1/s] for a step.
 
-        Rows that `refsafe` softens with dt come to rest elsewhere, after some steps, and have
-        other rates.
+        Rows that `refsafe` softens with dt come to rest at another state, after some steps, and
+        have other rates.
         """
         if dt <= self.softened:
             return self.state, self.rates
@@ -238,7 +238,7 @@ class Held:
         return state, self.rates if values is None else values
 
     def worst(self, integrator: str, dt: float) -> tuple[float, complex]:
-        """Return the largest growth beyond what is allowed [1/s], and its μ."""
+        """Return the largest growth beyond the allowed one [1/s], and its μ."""
         state, rates = self.at(integrator, dt)
         values = eigenvalues(step_matrix(self.model, state, integrator, dt))
         if values is None:
@@ -253,13 +253,13 @@ class Held:
         return float(excess[k]), complex(values[k])
 
     def stable(self, integrator: str, dt: float) -> bool:
-        """Return whether the step grows no faster than the motion itself may."""
+        """Return whether no growth of the step exceeds the allowed one."""
         return self.worst(integrator, dt)[0] <= 0
 
     def limit(self, integrator: str, near: float, fine: float = FINE) -> float:
         """Return the largest stable dt [s]: inf up to `LONGEST`, 0 down to `SHORTEST`.
 
-        near: where the search begins.
+        near: the step at which the search starts [s].
         """
         if not self.state.rows and integrator == "midpoint":
             # The midpoint rule is stable for every linear motion.
@@ -268,7 +268,7 @@ class Held:
 
 
 def largest(stable: Callable[[float], bool], near: float, fine: float) -> float:
-    """Return the dt up to which steps are stable: by doubling from `near`, and bisection."""
+    """Return the dt up to which steps are stable, by doubling from `near` and bisection."""
     good = min(near, LONGEST / 2)
     while not stable(good):
         good /= 2
@@ -282,7 +282,7 @@ def largest(stable: Callable[[float], bool], near: float, fine: float) -> float:
 
 
 def bisected(holds: Callable[[float], bool], good: float, bad: float, fine: float) -> float:
-    """Return the number nearest to `bad` that holds, to a relative resolution."""
+    """Return the stable number nearest to `bad`, to the relative resolution `fine`."""
     while max(good / bad, bad / good) > 1 + fine:
         middle = math.sqrt(good * bad)
         good, bad = (middle, bad) if holds(middle) else (good, middle)
@@ -290,10 +290,10 @@ def bisected(holds: Callable[[float], bool], good: float, bad: float, fine: floa
 
 
 def shares(held: Held, integrator: str, dt: float) -> dict[Element, float]:
-    """Return how much each element moves the worst eigenvalue of a step, the most first.
+    """Return the share by which each element moves the worst eigenvalue of a step, largest first.
 
-    To first order the force of an element moves μ by w·M⁻¹(K x + D v) for the vectors w, (x, v) of
-    μ: what the element adds to the acceleration, as far as μ feels it.
+    To first order the force of an element moves μ by w·M⁻¹(K x + D v), with the left eigenvector w
+    and the right one (x, v) of μ: the acceleration by the element, projected onto w.
     """
     matrix = step_matrix(held.model, held.state, integrator, dt)
     if matrix is None:

@@ -1,4 +1,4 @@
-"""Which elements limit a step: those whose softening raises the limit most."""
+"""The elements that limit a step: softening them raises the limit most."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from stepcore.measure.diagnosis.linear import (
 from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Judge, Loop
 from stepcore.scene.layout import Layout
 
-# The part of its strength to which an element is softened.
+# The factor that multiplies the strength of a softened element.
 SOFT = 0.1
-# The least share of an element that may be named.
+# The least share (see `shares`) of an element that may be named.
 SHARE = 0.02
-# An element limits dt by itself if softening it raises the limit so much. Below this, elements
-# whose gains are equal to this factor are softened together.
+# An element limits dt by itself if softening it raises the limit by the factor ALONE. Otherwise,
+# elements whose gains are equal to within the factor EQUAL are softened together.
 ALONE, EQUAL = 1.4, 1.25
-# The fields that make an element strong; those of a row are of its kind.
+# The fields that make an element strong; the kind of a row decides which solref it has.
 STRENGTH = ("stiffness", "damping", "kp", "kv", "solref", "solreflimit", "solreffriction")
 
 
-# The further coefficients of springs and dampers: whose they are, and their names.
+# The further coefficients of springs and dampers: the part that has them, and their name.
 POLYNOMIALS = {
     f"{owner}{kind}": (part, f"{name}poly")
     for owner, part in (("", "joint"), ("tendon ", "tendon"))
@@ -48,7 +48,7 @@ POLYNOMIALS = {
 class Knob:
     """A number of the scene that makes an element stronger or weaker.
 
-    element: whose it is. field: where it stands. name: what it is called: "kp", "stiffness", …
+    element: the element. field: the field with the number. name: such as "kp" or "stiffness".
     part: its place in a row of parameters, such as biasprm; -1 for a field of one number.
     """
 
@@ -92,7 +92,7 @@ def knobs(model: Model, element: Element) -> tuple[Knob, ...]:
 
 
 def scaled(model: Model, knob: Knob, x: float) -> dict[str, Any]:
-    """Return the values of the scene with a knob turned by x; rows become slower by 1/x."""
+    """Return the values of the scene with a knob times x; a solref becomes slower by 1/x."""
     field, value = knob.field, knob.field.value
     if knob.part >= 0:
         row = [float(v) for v in value]
@@ -119,7 +119,7 @@ def softened(model: Model, elements: Sequence[Element], x: float = SOFT) -> Chan
         for knob in knobs(model, element):
             own = scaled(model, knob, x)
             if knob.part >= 0 and knob.path in values:
-                # kp and kv stand in one row.
+                # kp and kv are in one row.
                 row = list(values[knob.path])
                 row[knob.part] = own[knob.path][knob.part]
                 own[knob.path] = tuple(row)
@@ -138,7 +138,7 @@ def softened(model: Model, elements: Sequence[Element], x: float = SOFT) -> Chan
 def linear_limiters(model: Model, held: Held, integrator: str, limit: float) -> tuple[Element, ...]:
     """Return the elements that limit the linearised step at a state, by softening them.
 
-    limit: of this state [s].
+    limit: the limit of this state [s].
     """
     beyond = min(max(limit, SHORTEST), LONGEST)
     own = shares(held, integrator, 1.05 * beyond)
@@ -158,7 +158,7 @@ def linear_limiters(model: Model, held: Held, integrator: str, limit: float) -> 
         return group
     if rise((best,)) > 1.02:
         return (best,)
-    # Nothing that can be softened limits it: a spin, or the motion itself.
+    # No element that can be softened limits it: a spin, or the motion itself.
     first = likely[0]
     return (first,) if softened(model, [first]) == Change() else ()
 
@@ -183,7 +183,7 @@ def _rise(
 
 
 def equals(model: Model, first: Element, own: Iterable[Element]) -> tuple[Element, ...]:
-    """Return the elements of the kind and the gains of one, itself first among those."""
+    """Return the elements with the kind and the gains of `first`, itself among them."""
     alike = [knob.value for knob in knobs(model, first)]
     if not alike:
         return (first,)
@@ -208,11 +208,11 @@ def run_limiters(
     nu: int = 0,
     linear: tuple[Element, ...] = (),
 ) -> tuple[Element, ...]:
-    """Return the elements whose softening raises the limit of the runs, by halving kinds.
+    """Return the elements whose softening raises the limit of the runs, by halving each kind.
 
-    elements: those that could limit it, the likeliest first. limit: [s]. nu: the number of controls
-    of a user's function, which are frozen to what they are in the converged motion. linear: those
-    that limit the linearised step, which are tried first.
+    elements: the candidates, the likeliest first. limit: the limit [s]. nu: the number of controls
+    of a user's function, which are frozen to their values in the converged motion. linear: the
+    elements that limit the linearised step, which are tried first.
     """
     motions, change = judge.motions, Change(integrator=integrator)
     controls = [Element.of(motions.model, "control", k) for k in range(nu)]
@@ -230,7 +230,7 @@ def run_limiters(
             rest = [element for element in group if element.kind != "control"]
             softer = change.also(softened(motions.of(Change()), rest))
             found = judge.outcome(softer, dt, Loop(frozen=frozen) if frozen else None)
-            # After the motion, a frozen control pushes on and on.
+            # After the motion, a frozen control goes on pushing.
             late = frozen and judge.outcome(change, dt).time < motions.horizon < found.time
             return found.holds or bool(late)
 
@@ -238,14 +238,14 @@ def run_limiters(
             return linear
         for group in kinds.values():
             if holds(group):
-                # The linearised step tells best which of a kind it is.
+                # Within a kind, the linearised step identifies the element best.
                 known = set(linear) <= set(group) and linear
                 return known or tuple(sorted(_fewest(holds, group)))
     return linear
 
 
 def _fewest(holds: Callable[[Sequence[Element]], bool], group: list[Element]) -> list[Element]:
-    """Return the fewest elements of a group that holds which still hold, by halving."""
+    """Return the fewest elements of a group that suffice, by halving: `holds` is true of them."""
     if len(group) < 2:
         return group
     half = len(group) // 2
@@ -257,7 +257,7 @@ def _fewest(holds: Callable[[Sequence[Element]], bool], group: list[Element]) ->
 
 @dataclass(frozen=True)
 class Figures:
-    """An element on its own, on the mass matrix of a state.
+    """The frequency and damping of an element by itself, with the mass matrix of a state.
 
     element: the element. omega: √ of the largest eigenvalue of M⁻¹K [rad/s]; 0 without stiffness.
     ratio: its damping ratio along that direction; NaN without stiffness. rate: the largest
@@ -278,7 +278,7 @@ class Figures:
 
 
 def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict[Element, Figures]:
-    """Return the figures of the elements that act at a state, without those that are known."""
+    """Return the figures of the elements that act at a state, except those in `known`."""
     sim = held.state.sim(held.model)
     try:
         sim.forward()
@@ -290,7 +290,7 @@ def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict
         if element in known or element.kind not in NAMED:
             continue
         dofs = slopes.dofs
-        # The eigenvalues of half·m·halfᵀ are those over the element's own dofs, and zeros.
+        # Over the dofs of the element alone, half·m·halfᵀ has the same nonzero eigenvalues.
         own = np.linalg.qr(half[:, dofs]).R
         with np.errstate(all="ignore"):
             stiff, damp = own @ slopes.blocks @ own.T
@@ -301,15 +301,15 @@ def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict
         rate = max(float(np.linalg.eigvalsh((damp + damp.T) / 2)[-1]), 0.0)
         omega, ratio = math.sqrt(max(float(values[-1]), 0.0)), math.nan
         if element.kind == "spin":
-            # A gyroscopic torque turns what moves: its rate is that of the nutation.
+            # A gyroscopic torque turns the velocity, at the rate of the nutation.
             omega = float(np.abs(np.linalg.eigvals(damp)).max())
         elif element.kind in FRICTION_LOSSES:
-            # What is left of its stiffness is rounding.
+            # Its stiffness is only rounding.
             omega = 0.0
         elif omega > 0:
             ratio = float(vectors[:, -1] @ damp @ vectors[:, -1]) / (2 * omega)
             if ratio < 0 and element.kind in ROWS:
-                # The row takes away what dampers beside it push with, which is not its own damping.
+                # The row cancels forces of other dampers, which is no damping of the row.
                 ratio = math.nan
         if omega > 0 or rate > 0:
             soft = softened_from(held.model, element)

@@ -33,7 +33,7 @@ from stepcore.report.units import counted, hertz, round_number, seconds, times
 DT, HELD = "largest stable dt [s]", "held pose [s]"
 # The number of elements that are printed.
 PRINTED = 6
-# Frequencies and rates beyond this [1/s] are those of a state that was blowing up, and not printed.
+# Frequencies and rates above this [1/s] belong to a state that blew up, and are not printed.
 HIGH = 1e9
 # Rows that can open.
 OPEN = ("contact", "limit", "tendon limit")
@@ -41,25 +41,25 @@ OPEN = ("contact", "limit", "tendon limit")
 
 @dataclass(eq=False, repr=False)
 class Diagnosis(Result):
-    """Which element limits the time step of a scene; `stepcore.diagnose` returns it.
+    """The elements that limit the time step of a scene; `stepcore.diagnose` returns it.
 
     settings: the settings of the scene, with constraint rows solved to rounding.
     motion: the motion; see `diagnose`. wanted: the time step in question [s].
     states: states of the motion at which the step was linearised, the last one at its end.
     limits: the largest stable dt, by integrator.
-    limiters: by integrator, the elements that limit dt; several where no single element does. Where
+    limiters: by integrator, the elements that limit dt; several if no single element does. If
         nothing limits dt, the element of the fastest motion.
-    rows: the elements, each on its own: those that limit dt, then the others by frequency.
-    advice: changes that make the wanted step stable. untried: those not tried before the time was
-        over.
+    rows: the figures of each element: first the limiting ones, then the others by frequency.
+    advice: changes that make the wanted step stable. untried: changes not tried before the time
+        was over.
     physical: the fastest growth of the motion itself [1/s].
-    observed: what the motion does at the wanted step; None where it blows up at every step.
-    saturated: the limiting servos whose force is at an end of its range beyond the limit.
+    observed: the outcome of the wanted step; None if the motion blows up at every step.
+    saturated: the limiting servos whose force saturates just above the limit.
     runaway: how the motion blows up at every step that was tried; None if it does not.
-    confirmed: whether two short steps agree on the motion itself. covered: its runs.
-    longest_period: the longest control period at which the wanted step holds [s], inf beyond the
-        horizon; None without a control function and a control_dt.
-    inner: what the steps of a model that keeps an accuracy are made of; None of others.
+    confirmed: whether two short steps agree on the motion itself. covered: the converged motion.
+    longest_period: the longest control period at which the wanted step is stable [s], inf beyond
+        the horizon; None without a control function and a control_dt.
+    inner: the inner steps of a model with adaptive steps; None for others.
     """
 
     kind = "diagnosis"
@@ -112,16 +112,16 @@ class Diagnosis(Result):
     def limit(self, integrator: str | None = None) -> float:
         """Return the largest stable dt [s] under an integrator (default: the scene's).
 
-        Runs of the motion hold at 0.98 of it and fail at 1.03 of it; both were run. The value is
-        inf if no step that was tried fails, 0 if none holds, and NaN if the time was over before
-        the limit was found. Raises ValueError for an integrator that was not diagnosed.
+        Runs of the motion are stable at 0.98 of it and fail at 1.03; both were run. The value is
+        inf if no step that was tried fails, 0 if none is stable, and NaN if the time was over
+        before the limit was found. Raises ValueError for an integrator that was not diagnosed.
         """
         return self.limits[self._known(integrator)].dt
 
     def held(self, integrator: str | None = None) -> float:
-        """Return the largest dt [s] that the linearised step bears where the motion ends.
+        """Return the largest stable dt [s] of the linearised step where the motion ends.
 
-        Values and errors are those of `limit`.
+        Special values and errors are as for `limit`.
         """
         return self.limits[self._known(integrator)].held
 
@@ -129,8 +129,8 @@ class Diagnosis(Result):
         """Return the name of the element that limits dt under an integrator (default: the scene's).
 
         It is the element whose softening raises the limit most. Equal elements that limit dt only
-        as a group are named as a group (`together`). If nothing limits dt, the name is that of the
-        element of the fastest motion, or "".
+        as a group are named as a group (`together`). If nothing limits dt, the element of the
+        fastest motion is named, or "".
         """
         return Elements(self._limiters(integrator)).together
 
@@ -139,7 +139,7 @@ class Diagnosis(Result):
         return [element.name for element in self._limiters(integrator)]
 
     def limiting(self, integrator: str | None = None) -> Figures | None:
-        """Return the figures of the element that `stiffest` names, on its own, or None."""
+        """Return the figures of the element that `stiffest` names, or None."""
         elements = self._limiters(integrator)
         return next((row for row in self.rows if row.element in elements), None)
 
@@ -151,8 +151,8 @@ class Diagnosis(Result):
     def _bounded(self) -> bool:
         """Whether saturation takes away the damping that the limiting element has.
 
-        It is no cause where the linearised step has the limit of the runs, where the element has no
-        damping, and where chatter saturates it.
+        Saturation is not the cause if the linearised step has the limit of the runs, if the element
+        has no damping, or if chatter saturates it.
         """
         row, limit = self.limiting(), self.own
         damped = row is not None and (row.ratio > 0 or row.rate > 0)
@@ -167,7 +167,7 @@ class Diagnosis(Result):
     @property
     def _grows(self) -> bool:
         """Whether nearby motions diverge within the converged motion, and still are apart at its
-        end: what grows at a state for a while may be lost again.
+        end: growth at one state may be lost again later.
         """
         apart = self.covered.apart
         calm = self.runaway is None and apart[-1] <= math.e * apart[0]
@@ -179,7 +179,7 @@ class Diagnosis(Result):
         return () if math.isinf(self.limits[name].dt) and INERTIAL in elements else elements
 
     def _unknown(self) -> str:
-        """Return what was run where the limit is not known."""
+        """Return the sentence about the runs if the limit is unknown."""
         limit, step = self.own, f"step of {seconds(self.wanted)}"
         own = limit.integrator
         if self.observed is None:
@@ -219,7 +219,7 @@ class Diagnosis(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """The sentences of the report: the answer, where the two witnesses differ, the advice."""
+        """The sentences of the report: the answer, how runs and linear step differ, the advice."""
         return list(self._sentences())
 
     def _sentences(self) -> Iterator[str]:
@@ -285,9 +285,9 @@ class Diagnosis(Result):
         return f"{holds}: {cause}.{accurate}"
 
     def _traits(self, elements: Sequence[Element]) -> str:
-        """Return frequency and damping of the limiting element, in brackets, or that it saturates.
+        """Return frequency and damping of the limiting element in brackets, or that it saturates.
 
-        The frequency of an element on its own has nothing to do with a limit while it saturates.
+        While an element saturates, its frequency by itself has nothing to do with the limit.
         """
         if self.saturated and self.own.state < 0 and self.own.outcome == "chatters":
             return ""
@@ -301,7 +301,7 @@ class Diagnosis(Result):
             speed = 0.0 if state is None else float(abs(state.qvel).max())
             return f" (at {speed:.3g} rad/s)" if 0 < round(speed, 3) < HIGH else ""
         traits = []
-        # What is damped 100 times critically has no frequency.
+        # An element damped 100 times critically has no frequency.
         if 0 < row.omega < HIGH and not row.ratio > 100:
             traits.append(f"{hertz(row.omega)}, {row.omega:.4g} rad/s")
             if not math.isnan(row.ratio):
@@ -330,7 +330,7 @@ class Diagnosis(Result):
             return
         elements = self._limiters(None)
         if self.motion.control is not None and "control" in {of.kind for of in elements}:
-            # The linearised step closes no loop of a user's function.
+            # The linearised step does not include the feedback of a user's function.
             return
         if limit.longest <= held if math.isinf(run) else 1 / STEP < held / run < STEP:
             return
@@ -469,7 +469,7 @@ class Diagnosis(Result):
     # --- tables and data --------------------------------------------------------------------------
 
     def text(self, width: int | None = None, full: bool = False) -> str:
-        """Return the report, which begins with the answer.
+        """Return the report, which starts with the answer.
 
         width: as in `Result.text`. full: whether to list every element.
         """
@@ -477,7 +477,7 @@ class Diagnosis(Result):
 
     @property
     def table(self) -> Table:
-        """The elements on their own, those that limit dt first.
+        """The figures of the elements, those that limit dt first.
 
         The columns are: frequency [Hz], omega [rad/s], ratio (damping ratio), rate (the element's
         damping over the mass that it moves [1/s]), softened (the dt [s] above which refsafe softens
@@ -500,7 +500,7 @@ class Diagnosis(Result):
         }
 
     def tables(self, full: bool) -> list[Table]:
-        """Return the limits by integrator, and the elements on their own.
+        """Return the limits by integrator, and the figures of the elements.
 
         full: whether to list every element, not only the first ones.
         """

@@ -1,18 +1,18 @@
-"""Runs of a motion at any time step, each beside a perturbed one: the witness that judges a step.
+"""Runs of a motion at any time step, each with a perturbed run: they judge the step.
 
-A run makes the motion, then holds its last control, for at least `LEAST` steps in all. Beside it
-runs the same motion from a start that is moved by 1e-6 of the scene's size. A step fails if
+A run makes the motion, then holds its last control, for at least `LEAST` steps in all. A perturbed
+run makes the same motion from a start that is moved by 1e-6 of the scene's size. A step fails if
 
 - a run does not stay finite, or has `LARGE` times the kinetic energy of the converged motion;
 - the perturbation grows without end: towards the end of the run it is `GROWN` times as large as it
-  ever was in the converged motion. Growth of the motion itself (chaos, a fall) is there in the
+  ever was in the converged motion. Growth of the motion itself (chaos, a fall) is in the
   converged motion, too, and is no limit;
-- it chatters: forces of actuators jump between their bounds, as in the converged motion they do
-  not, or stand at the ends of their ranges where that rests. Bounds give chatter a size of its own,
-  and no perturbation grows in it.
+- it chatters: forces of actuators jump between their bounds, unlike in the converged motion, or
+  saturate where the converged motion rests. Bounds set the size of chatter, and no perturbation
+  grows in it.
 
-The converged motion is such a pair of runs at a short step, which a shorter one confirms. Where a
-run lasts longer than that, its energy and its perturbation are continued by a power of time.
+The converged motion is such a pair of runs at a short step, which a shorter one confirms. If a run
+is longer, energy and perturbation of the converged motion are continued by a power of time.
 """
 
 from __future__ import annotations
@@ -41,35 +41,35 @@ from stepcore.experiment.price import OVERHEAD
 from stepcore.experiment.schedule import SPEED, SPIN, Schedule
 from stepcore.report.units import seconds
 
-# The longest and the shortest step that is tried [s]. Of a scene whose runs cost much none is tried
-# that is longer than the wanted one by `AMPLE`: from this stability margin on, accuracy limits dt.
+# The longest and the shortest step that is tried [s]. If the runs of a scene are costly, no step is
+# longer than `AMPLE` times the wanted one: from this stability margin on, accuracy limits dt.
 LONGEST, SHORTEST, AMPLE = 1.0, 1e-6, 10.0
 # The perturbation of the start, relative to the scene's size or in radians.
 NUDGE = 1e-6
-# The least number of steps of a run, and how many samples it has; the converged motion has one of
-# every step, because a contact may last that long.
+# The least number of steps of a run, and the number of its samples. The converged motion is sampled
+# at every step, because a contact may last a single step.
 LEAST, SAMPLES = 1000, 100
-# The growth of the perturbation over that in the converged motion. Below its limit, a step makes
-# the swing of a spring at most 1/√(1 − 0.98²) = 5 times as wide; above it, 1000 steps make it grow
-# by orders of magnitude, until contacts open or servos saturate.
+# The largest ratio of the perturbation to the converged motion's. A step below its limit makes the
+# swing of a spring at most 1/√(1 − 0.98²) = 5 times as wide; above it, 1000 steps make it grow by
+# orders of magnitude, until contacts open or servos saturate.
 GROWN = 30.0
-# A run that grew by less than GROWN² is made so many times as long, to see whether that has an end.
+# A run that grew by less than GROWN² is made this many times as long, to see if the growth ends.
 LONGER = 4
-# The part of a run after which growth counts, and motion that should rest.
+# The part of a run after which growth counts, and after which motion should rest.
 CALM = 0.75
-# The kinetic energy over that of the converged motion. Below its limit, a step makes that of a
-# spring that swings at most 1/(1 − 0.98²) = 25 times as large.
+# The largest ratio of the kinetic energy to the converged motion's. A step below its limit makes
+# the energy of a swinging spring at most 1/(1 − 0.98²) = 25 times as large.
 LARGE = 50.0
 # The integrator of the converged motion, and the parts of a short step that are tried for it; the
-# ratio of two kinetic energies, and of two perturbations, that agree.
+# largest ratios of two kinetic energies, and of two perturbations, that agree.
 FINE, FINER = Change(integrator="implicitfast"), (1.0, 0.5, 0.125, 0.03, 0.008)
 SAME, ALIKE = 1.5, 10.0
-# A motion has blown up at this many times the kinetic energy of a slow one, or where a body is so
-# many sizes away, or has been pushed so far by as many m/s²: its steps take long.
+# A motion has blown up at BLOWN times the kinetic energy of a slow one, or if a body is further
+# away than FAR times the size plus FAR m/s² times time²: its steps take long.
 BLOWN, FAR = 1e16, 1e4
-# Growth by a power of time above this is exponential: it has no end within a longer run.
+# Growth by a power of time above this is exponential: it does not end within a longer run.
 BALLISTIC = 2.5
-# What a call of a user's function takes, in operations.
+# The cost of a call of a user's function, in operations.
 CALL = 50_000
 # The most operations of one pair of runs, half a second of a core. A motion that would take more is
 # cut short.
@@ -91,10 +91,10 @@ def with_converged_rows(model: Model) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class UntilTheEnd:
-    """A user's control function; after the motion its time stands still at the last call's.
+    """A user's control function; after the motion it gets the time of its last call.
 
-    gain: multiplies what it answers beyond what it answered in the converged motion (`usual`).
-    frozen: the controls that are those of the converged motion.
+    gain: multiplies the difference of the controls from the converged motion's (`usual`).
+    frozen: the controls that are taken from the converged motion.
     """
 
     inner: Control
@@ -132,7 +132,7 @@ class Loop:
 class State:
     """A state of the motion, at which the step is linearised.
 
-    label: its place in the motion. time: [s]. qpos, qvel, ctrl, act: as of a Sim.
+    label: its place in the motion. time: [s]. qpos, qvel, ctrl, act: as in a Sim.
     rows: the elements whose rows act there, and under the law `penalty` the contacts that overlap.
     """
 
@@ -158,13 +158,13 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A motion and its perturbed twin.
+    """A run and its perturbed run.
 
-    dt: the step [s]. times: of the samples [s]. apart: the root of the kinetic energy of their
-    difference, dof by dof, the largest [√J]. energy: the larger kinetic energy of both [J]; gained:
-    what it has with the potential energy more than at the start.
-    failure: why it ended early, "" if it did not. reached: how far it went [s].
-    ran: what was recorded; None if the run was refused.
+    dt: the step [s]. times: the times of the samples [s]. apart: for each dof, the root of the
+    kinetic energy of their difference; the largest [√J]. energy: the larger kinetic energy [J];
+    gained: the larger gain of kinetic and potential energy since the start [J].
+    failure: why the run ended early, "" if it did not. reached: the simulated time [s].
+    ran: the recorded run; None if it was refused.
     """
 
     dt: float
@@ -183,14 +183,14 @@ class Pair:
         return mask
 
     def blows_up(self, floor: float) -> float:
-        """Return when it has blown up [s]; inf if it has not. floor: the energy of slow motion."""
+        """Return when the run has blown up [s]; inf if never. floor: the energy of slow motion."""
         over = self.times[self.energy > BLOWN * floor]
         if len(over):
             return float(over[0])
         return self.reached if self.failure else math.inf
 
     def grows(self) -> bool:
-        """Whether its energy still grows exponentially at the end."""
+        """Return whether the energy still grows exponentially at the end."""
         return power(self.times, self.energy) > BALLISTIC
 
 
@@ -201,7 +201,7 @@ def power(times: Floats, values: Floats) -> float:
 
 
 def continued(times: Floats, values: Floats, until: Floats) -> Floats:
-    """Return the largest value up to each time; beyond the last one, as it grew until there."""
+    """Return the largest value up to each time, continued beyond the last one by its growth."""
     largest = np.maximum.accumulate(np.nan_to_num(values, nan=0.0))
     known = np.interp(until, times, largest)
     beyond, grown = until > times[-1], power(times, values)
@@ -215,13 +215,13 @@ def continued(times: Floats, values: Floats, until: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a motion does at a step.
+    """The outcome of a motion at a step.
 
     kind: "holds", "diverges" (not finite), "gains energy", "grows" (the perturbation), "chatters".
-    time: when it failed, or how far the run went [s].
-    energy, growth: the largest kinetic energy, and the perturbation towards the end, over those of
-        the converged motion. early: the energy in the first half. brief: whether the growth may be
-        a pulse.
+    time: the time of the failure, or the simulated time [s].
+    energy, growth: the largest kinetic energy, and the perturbation towards the end, relative to
+        the converged motion. early: `energy` in the first half. brief: whether the growth may be a
+        pulse.
     """
 
     kind: str
@@ -238,7 +238,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Runaway:
-    """A motion that blows up at every step: when it does, at the two shortest steps, `dts` [s]."""
+    """A motion that blows up at every step: the times, at the two shortest steps, `dts` [s]."""
 
     times: tuple[float, float]
     dts: tuple[float, float]
@@ -250,9 +250,9 @@ class Runaway:
 
 
 class Motions:
-    """Runs of one motion of a model and of changes of it, at any step.
+    """Runs of one motion of a model and of its changes, at any step.
 
-    model: with converged rows. schedule: the motion. size: of the scene [m]. wanted: the step in
+    model: it has converged rows. schedule: the motion. size: the scene's [m]. wanted: the step in
     question [s]. period: the user's control period [s]; None for a control at every step.
     """
 
@@ -276,7 +276,7 @@ class Motions:
             replace(start, qpos=moved.moved(start.qpos, nudge), qvel=start.qvel + push),
         )
         self.driven, self.users = schedule.on(model), schedule.control
-        # Motors that the default motion makes servos of its own.
+        # Motors that the default motion drives as servos.
         self.ours = frozenset(
             model.index("actuator", servo.actuator) for servo in schedule.controls.servos
         )
@@ -309,7 +309,7 @@ class Motions:
         return min(LONGEST, AMPLE * self.wanted) if self.costly else LONGEST
 
     def count(self, pair: Pair) -> None:
-        """Count the operations of a step where a run has ended, too: there contacts may act."""
+        """Count the operations of a step at the end of a run, too: contacts may act there."""
         if pair.ran is not None and not pair.failure:
             sim = unwatched(Sim(self.of(Change())))
             for name in ("qpos", "qvel", "act", "ctrl"):
@@ -335,40 +335,40 @@ class Motions:
         return State.of("the start", 0.0, (sim.qpos, sim.qvel, sim.ctrl, sim.act))
 
     def without_control(self) -> Motions:
-        """Return the motion under the controls of its start alone, in place of the function."""
+        """Return the motion with the controls of its start instead of the function."""
         log = ControlLog(np.zeros(1), self.first().ctrl[None])
         schedule = replace(self.schedule, controls=Controls(log))
         return Motions(self.model, schedule, self.size, self.wanted)
 
     def keep_usual(self, fine: Pair) -> None:
-        """Keep the controls of the converged motion, which a frozen control gives."""
+        """Keep the controls of the converged motion as the values of frozen controls."""
         if self.users is not None and fine.ran is not None and len(fine.times) > 1:
             self.usual = float(fine.times[1]), np.array(fine.ran["ctrl"][0, 1:])
 
     def saturated(self, change: Change, dt: float) -> np.ndarray:
-        """Return which actuators are at an end of their force range in a tenth of a run, (nu,)."""
+        """Return which actuators saturate in more than a tenth of a run, (nu,)."""
         ran = self.pair(change, dt).ran
         if ran is None:
             return np.zeros(self.driven.nu, bool)
         return _often(self.ends(ran["actuator_force"][0]))
 
     def ends(self, force: Floats) -> np.ndarray:
-        """Return where forces of actuators are at an end of their ranges."""
+        """Return where forces of actuators saturate."""
         low, high = self.driven.actuator_forcerange.T
         with np.errstate(invalid="ignore"):
             full: np.ndarray = (force <= low) | (force >= high)
         return full
 
     def jumps(self, pair: Pair, apart: float = 0.0) -> bool:
-        """Return whether a run moves at its end by forces of actuators that jump between bounds."""
+        """Return whether forces of actuators that jump between bounds move a run at its end."""
         return bool(self.jumping(pair, apart)[1].any())
 
     def jumping(self, pair: Pair, apart: float = 0.0) -> tuple[Floats, np.ndarray]:
         """Return how much forces of actuators change at the end of a run, and which of them jump.
 
-        From sample to sample, or from call to call of a user's function, these change by a quarter
-        of what they do in all of the motion, and again and again they are at their largest: the
-        force of a spring that swings without a damper changes as much, and has no bound.
+        A force jumps if it changes by a quarter of its span from sample to sample, or from call to
+        call of a user's function, and is often at an end of its span. The force of a spring that
+        swings without a damper changes as much, but has no bound.
 
         apart: the least time between samples [s].
         """
@@ -382,7 +382,7 @@ class Motions:
         return changes, (changes > span / 4) & _often(bound)
 
     def presses(self, pair: Pair) -> bool:
-        """Return whether a run moves at its end, where actuators are at ends of their ranges."""
+        """Return whether a run still moves at its end, where actuators saturate."""
         if self.rests(pair) or pair.ran is None:
             return False
         return bool(self.ends(pair.ran["actuator_force"][0, pair.late]).any())
@@ -406,12 +406,12 @@ class Motions:
         loop: Loop | None = None,
         samples: int = SAMPLES,
     ) -> Pair:
-        """Run the motion under a change, beside its perturbed twin.
+        """Run the motion and its perturbed run under a change.
 
-        steps: by default the motion and what follows. loop: a change of the user's control.
+        steps: by default the motion and the time after it. loop: a change of the user's control.
         """
         wanted = min(steps or self.steps(dt), self.most)
-        # Odd, so that no sample misses a force that jumps from step to step.
+        # The stride is odd, so that samples show a force that jumps from step to step.
         every = max(1, wanted // samples) | 1
         count = every * math.ceil(wanted / every)
         names = ("qpos", "qvel", "act", "ctrl", "energy", "actuator_force")
@@ -420,7 +420,7 @@ class Motions:
             how = self._driven(dt, count, loop)
             far, runs = FAR * (self.size + (count * dt) ** 2), list[Followed]()
             for start in self.starts:
-                # One by one: two worlds in lanes take more time, and one that fails is enough.
+                # Run one by one: two worlds in lanes take more time, and one failure is enough.
                 ran = follow(model, [start], count, every, record=names, bound=far, **how)
                 runs.append(ran)
                 if ran.failures:
@@ -438,7 +438,7 @@ class Motions:
             gained = (total - total[:, :1]).max(axis=0)
         ended = ran.failures.get(0)
         reached = float(ran.times[-1]) if ended is None else float(ended.time)
-        # The text of the error itself takes an analysis of the last steps.
+        # The text of the error itself would need an analysis of the last steps.
         why = "" if ended is None else f"diverged in step {ended.step} at {seconds(reached)}"
         return Pair(dt, ran.times, apart, kinetic, gained, why, reached, runs[0])
 
@@ -446,7 +446,7 @@ class Motions:
         if self.users is None:
             steps = min(count, max(1, math.ceil(self.horizon / dt * (1 - 1e-9))))
             rows, held = self.schedule.controls.rows([0], dt, steps)
-            # The motion ends with its horizon, though a table may go on.
+            # The motion ends with its horizon, even if a table is longer.
             return {"ctrl": rows if rows is None else rows[:, : -(-steps // held)], "hold": held}
         loop = loop or Loop()
         period = self.period if loop.period is None else loop.period
@@ -460,7 +460,7 @@ class Motions:
     def falling(self, dt: float) -> float:
         """Return the kinetic energy that gravity gives all bodies in one step [J].
 
-        A step moves bodies at rest by so much before a contact can hold them.
+        Bodies at rest gain this much in a step before a contact can hold them.
         """
         if not self.model.scene.features.gravity:
             return 0.0
@@ -482,11 +482,11 @@ def _counted(sim: Sim) -> float:
 
 @dataclass
 class Judge:
-    """The converged motion of a model, and the outcomes of other runs beside it.
+    """The converged motion of a model, and the outcomes of other runs compared with it.
 
-    motions: the runs. fine: the converged pair. confirmed: whether two steps agreed. long: one that
-    was made longer, because other runs fail later. runaway: how the motion blows up by itself.
-    loop: how the converged motion samples a user's control; None for as the other runs do.
+    motions: the runs. fine: the converged pair. confirmed: whether two steps agreed. long: a longer
+    converged pair, if other runs fail later. runaway: how the motion blows up by itself.
+    loop: how the converged motion samples a user's control; None if as the other runs do.
     """
 
     motions: Motions
@@ -520,7 +520,7 @@ class Judge:
 
     @classmethod
     def calm(cls, motions: Motions, dt: float) -> Judge:
-        """Return the judge of a motion, without its control period where that flutters."""
+        """Return the judge of a motion, without its control period if that makes it flutter."""
         own = cls.of(motions, dt)
         if motions.period is None or motions.users is None:
             return own
@@ -533,7 +533,7 @@ class Judge:
         return closed if flutters else own
 
     def _ended(self) -> Judge:
-        """Make a motion that grows at its end longer, until it is calm or blows up by itself."""
+        """Extend a motion that grows at its end, until it is calm or blows up by itself."""
         motions, run, steps = self.motions, self.fine, round(self.fine.reached / self.fine.dt)
         while run.grows() and LONGER * steps <= motions.most:
             steps *= LONGER
@@ -551,8 +551,8 @@ class Judge:
         return self
 
     def outcome(self, change: Change, dt: float, loop: Loop | None = None) -> Outcome:
-        """Return what the motion does under a change at a step; each is run once."""
-        # Steps that differ by rounding are one: a chaotic motion may hold at one of them alone.
+        """Return the outcome of a step under a change; each is run once."""
+        # Steps that differ by rounding are one: a chaotic motion may be stable at only one of them.
         key = change, float(f"{dt:.12g}"), loop
         if key not in self._known:
             pair = self.motions.pair(change, dt, loop=loop)
@@ -560,7 +560,7 @@ class Judge:
             gains = found.holds and found.energy > SAME * max(found.early, SAME)
             unclear = found.brief or found.growth < self.clear
             if gains or (found.kind == "grows" and unclear):
-                # Growth without end goes on; what contacts did to a motion dies out.
+                # Growth without end goes on; the effects of contacts die out.
                 pair = self.motions.pair(change, dt, LONGER * self.motions.steps(dt), loop)
                 self._cover(float(pair.times[-1]))
                 longer = self.judged(pair)
@@ -573,7 +573,7 @@ class Judge:
         return self._known[key]
 
     def lasts(self, change: Change, dt: float, loop: Loop | None = None) -> bool:
-        """Return whether a step holds; for a sensitive motion, in a longer run as well.
+        """Return whether a step is stable; for a sensitive motion, in a longer run as well.
 
         Steps of a sensitive motion hold by luck. A longer run that fails replaces the outcome.
         """
@@ -593,18 +593,18 @@ class Judge:
         return float(np.nanmax(apart)) > GROWN**2 * float(apart[0])
 
     def tried(self, change: Change) -> dict[float, bool]:
-        """Return the steps that were run under a change, and whether each holds."""
+        """Return the steps that were run under a change, and whether each is stable."""
         known = self._known.items()
         return {dt: found.holds for (own, dt, loop), found in known if own == change and not loop}
 
     def _longer(self, found: Outcome, pair: Pair) -> Outcome:
-        """Judge a run again that fails later than the converged motion ends, by a longer one."""
+        """Judge a run that fails after the end of the converged motion again, with a longer one."""
         known = (self.long or self.fine).times[-1]
         late = found.kind in ("gains energy", "grows") and found.time > known
         return self.judged(pair) if late and self._cover(found.time) else found
 
     def _cover(self, time: float) -> bool:
-        """Make the converged motion as long as a time [s], as the work allows."""
+        """Extend the converged motion to a time [s], within `WORK`; return whether it is longer."""
         dt, known = self.fine.dt, self.long or self.fine
         steps = min(math.ceil(1.1 * time / dt), self.motions.most)
         if steps <= 1.05 * known.times[-1] / dt:
@@ -615,11 +615,11 @@ class Judge:
         return not longer.failure
 
     def usual(self, name: str, times: Floats) -> Floats:
-        """Return what the converged motion has had up to some times, of `energy` or `apart`."""
+        """Return the largest `energy` or `apart` of the converged motion up to some times."""
         fine, long = self.fine, self.long
         known = continued(fine.times, getattr(fine, name), times)
         if long is not None:
-            # Its samples may be far between: each counts from the one before.
+            # Its samples may be far apart: each counts from the one before.
             later = times > fine.times[-1]
             ahead = times[later] + long.times[1]
             known[later] = np.maximum(
@@ -629,7 +629,7 @@ class Judge:
 
     @property
     def clear(self) -> float:
-        """The growth that needs no longer run: more where the motion itself makes it grow."""
+        """The growth from which no longer run is needed: more if the motion itself grows."""
         apart = self.fine.apart
         return max(GROWN**2, GROWN * float(np.nanmax(apart)) / max(float(apart[0]), 1e-300))
 
@@ -640,13 +640,13 @@ class Judge:
         least = max(self.motions.floor, 4 * self.motions.falling(pair.dt))
         with np.errstate(all="ignore"):
             known = self.usual("apart", times)
-            # Where the motion itself has grown apart by then, what falls may fall earlier: there
-            # only energy counts that nothing has lost.
+            # If the converged pair has grown apart by then, a body may fall earlier: there only a
+            # gain of total energy counts.
             lost = known > GROWN**2 * self.fine.apart[0]
             energy = np.where(lost, np.minimum(pair.energy, pair.gained), pair.energy)
             energy /= np.maximum(usual, least)
             growth = pair.apart / known
-        # Two runs that never part, and a motion whose own growth has no bound.
+        # NaN: two runs that stay equal, or a motion whose growth has no bound.
         growth[np.isnan(growth)] = 0.0
         late, most = float(growth[pair.late].max()), float(energy.max())
         over = times[energy > LARGE]
@@ -654,17 +654,16 @@ class Judge:
             return Outcome("gains energy", float(over[0]), most, late)
         if late > GROWN:
             wide = growth > GROWN
-            # Two runs that pass a kink in different steps are apart for a moment.
+            # Two runs that pass a kink in different steps differ for a moment.
             brief = not all(half.any() for half in np.array_split(wide[pair.late], 2))
             return Outcome("grows", float(times[wide][0]), most, late, brief=brief)
         early = float(energy[times <= 0.5 * times[-1]].max())
         return Outcome("holds", pair.reached, most, late, early)
 
     def _chatters(self, change: Change, loop: Loop | None, pair: Pair) -> bool:
-        """Return whether forces of actuators keep a run moving as they do not the converged motion.
+        """Return whether forces of actuators keep a run moving, unlike the converged motion.
 
-        They jump, or are at the ends of their ranges where the converged motion rests; both go on
-        for as long as the motion took.
+        They jump, or saturate where the converged motion rests, for as long as the motion took.
         """
         motions, dt = self.motions, pair.dt
         steps = math.ceil(2 * motions.horizon / dt)
