@@ -41,7 +41,7 @@ COMMANDS = {
     "identify": "find masses, friction or gains in logs of a robot's motion",
     "tune": "find gains, or solref and solimp, for a wanted behaviour",
     "stability-map": "map stability and accuracy over the time step and one value of a model",
-    "converge": "test whether the contact forces are converged, and what would converge them",
+    "converge": "split the error into the parts of the time step and of the sweeps",
     "plan": "list what a step computes and what it leaves out",
     "ablate": "measure the cost and the effect of each modelled feature",
     "info": "print versions and the machine",
