@@ -79,7 +79,7 @@ class Convergence(Result):
     """
 
     kind = "convergence"
-    units: ClassVar = {}
+    units: ClassVar = dict.fromkeys(("error", "median", "largest"), "m")
 
     settings: Any
     motion: Motion
@@ -140,6 +140,11 @@ class Convergence(Result):
     def setup(self) -> str:
         """The runs that were made."""
         return f"Settings: {label(self.settings)}. {self.reference.words}"
+
+    @property
+    def rows(self) -> list[Trial]:
+        """The trials: time steps, sweeps, converged forces."""
+        return [*self.dts, *self.sweeps, self.solved]
 
     @property
     def table(self) -> Table:

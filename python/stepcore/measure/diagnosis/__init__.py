@@ -297,7 +297,7 @@ class Case:
         linear = tuple[Element, ...]()
         if limit.state >= 0:
             held = self.held[limit.state]
-            linear = linear_limiters(self.model, held, name, dt)
+            linear = linear_limiters(self.model, held, name, held.limit(name, dt))
             alone = figures(held) if linear and limit.ran else {}
             known = [alone[e] for e in linear if e in alone and e.kind != "spin"]
             rates = [max(one.omega, one.rate) for one in known]
