@@ -102,7 +102,7 @@ def test_every_face_takes_it(capsys):
     assert (
         sc.Sim(lesson.drop("solref"), solver="newton", sweeps="auto", tolerance=1e-9).step() is None
     )
-    ask = ["run", "lesson:stack", "--duration", "0.02", "--set", "sweeps=auto"]
+    ask = ["run", "lesson:stack", "--horizon", "0.02", "--set", "sweeps=auto"]
     assert main(ask) == 2
     assert "tolerance = 0: must be > 0 m/s with sweeps = 'auto'" in capsys.readouterr().err
     assert main([*ask, "--set", "tolerance=1e-9"]) == 0

@@ -97,5 +97,5 @@ def test_the_element_is_the_one_that_gave_most(ledger):
 def test_the_command_line_balances_a_run_of_few_steps(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = ["run", "lesson:spring", "--dt", "0.5", "--set", "integrator=semi-implicit"]
-    assert main([*run, "--duration", "3"]) == 1
+    assert main([*run, "--horizon", "3"]) == 1
     assert "diverged in step 6 " in capsys.readouterr().err

@@ -209,7 +209,7 @@ def test_mutations_of_a_real_file(real, tmp_path, changes):
 def scene(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "all.xml").write_text(EVERYTHING)
-    return ["run", "all.xml", "--key", "0", "--duration", "5"]
+    return ["run", "all.xml", "--key", "0", "--horizon", "5"]
 
 
 def test_a_failure_with_a_mesh_is_saved_by_the_command(scene, capsys):
@@ -250,7 +250,7 @@ def test_a_page_that_cannot_be_written_does_not_hide_the_failure(scene, capsys, 
         raise OSError(28, "No space left on device", "x.html")
 
     monkeypatch.setattr(sc.Trajectory, "save_html", full)
-    assert main(["view", "all.xml", "--duration", "5", "--html", "x.html"]) != 0
+    assert main(["view", "all.xml", "--horizon", "5", "--html", "x.html"]) != 0
     said = capsys.readouterr().err.splitlines()
     assert (
         "diverged in step" in said[-2] and said[-1] == "stepcore: x.html: No space left on device"

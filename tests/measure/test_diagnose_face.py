@@ -226,7 +226,7 @@ def test_the_command_tells_names_and_data(tmp_path, capsys):
 def test_other_commands_warn_in_one_line(capsys):
     with warnings.catch_warnings():
         warnings.simplefilter("default")
-        assert main(["run", ARM, "--duration", "0"]) == 0
+        assert main(["run", ARM, "--horizon", "0"]) == 0
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     assert told.startswith("stepcore: dt 5 ms may be unstable under implicitfast: servo `elbow`")

@@ -262,7 +262,7 @@ def test_a_file_that_is_none_or_damaged_or_of_another_version(tmp_path):
 @pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 def test_the_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    run = ["run", "lesson:spring", "--dt", "0.205", "--duration", "100"]
+    run = ["run", "lesson:spring", "--dt", "0.205", "--horizon", "100"]
     assert main([*run, "--set", "integrator=semi-implicit"]) == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "stepcore replay spring-step64.replay.json" in said
@@ -275,7 +275,7 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     assert "with the same bits" in capsys.readouterr().out
     assert main(["replay", "work.png"]) == 2
     assert main([*run, "--replay", "nowhere/x.json"]) == 2
-    assert main([*run, "--set", "ledger=false", "--duration", "2.05"]) == 0
+    assert main([*run, "--set", "ledger=false", "--horizon", "2.05"]) == 0
 
 
 # Servos.

@@ -509,7 +509,7 @@ def test_what_finer_runs_of_the_search_have_shown_to_be_unknown_is_said(ball):
     )
     # The data from other starts suffice for the choice.
     found.reference = replace(ball.reference, unsure=np.array([1e-6] * 7 + [1.3e-3]))
-    assert "100 µm cannot be verified from 1 of 8 starts: the con" in next(found._answer())
+    assert "100 µm cannot be verified from 1 of 8 starts: the unc" in next(found._answer())
 
 
 def test_why_settings_that_seem_better_are_not_chosen_is_said(ball):

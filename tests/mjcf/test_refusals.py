@@ -141,7 +141,7 @@ def test_every_result_says_what_was_left_out(
     assert said in sc.check(scene, horizon=0.01, progress=False).ran
     assert said in sc.converge(scene, horizon=0.01, progress=False).text(1000)
     options = [word for kind in KINDS for word in ("--without", kind)]
-    assert main(["run", str(file), "--duration", "0.01", "--json", *options]) == 0
+    assert main(["run", str(file), "--horizon", "0.01", "--json", *options]) == 0
     assert said in json.loads(capsys.readouterr().out)["ran"]
     assert main(["check", str(file), "--horizon", "0.01", "--json", *options]) == 0
     result = json.loads(capsys.readouterr().out)

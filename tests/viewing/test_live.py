@@ -335,10 +335,10 @@ def picture(chrome):
 
 def test_the_command_writes_a_page(tmp_path, capsys):
     out = tmp_path / "run.html"
-    assert cli.main(["view", "lesson:drop", "--duration", "0.4", "--html", str(out)]) == 0
+    assert cli.main(["view", "lesson:drop", "--horizon", "0.4", "--html", str(out)]) == 0
     assert capsys.readouterr().out == f"{out}: 0.4 s of motion\n"
     assert "<canvas" in out.read_text()
-    assert cli.main(["view", "lesson:drop", "--duration", "1"]) == 2
+    assert cli.main(["view", "lesson:drop", "--horizon", "1"]) == 2
     assert "--html" in capsys.readouterr().err
 
 
