@@ -121,6 +121,14 @@ class Following(NamedTuple):
         return self.damping / 2 / self.actuator.inertia < 1
 
     @property
+    def saturates(self) -> bool:
+        """Whether the bound of its force explains the error.
+
+        A servo without damping swings between the ends of its force: a wider range damps nothing.
+        """
+        return self.full > THIRD and (self.need > self.actuator.bound or not self.rings)
+
+    @property
     def passes(self) -> float:
         """The frequency at which the gain falls to 1/√2, at small amplitudes [Hz]."""
         x = 1 - (self.damping / self.omega / self.actuator.inertia) ** 2 / 2
@@ -146,7 +154,7 @@ def _reason(model: Model, at: Following) -> str:
     """Return why a servo does not follow, in words; "" if no reason is found."""
     of, said = at.actuator, ""
     say: Callable[[float], str] = functools.partial(strength, model, of.index)
-    if at.full > THIRD and not at.rings:
+    if at.saturates:
         more = f", and the motion needs {say(at.need)}" if at.need > of.bound else ""
         return f"its force ends at {say(of.bound)} for {percent(at.full)} of the run{more}"
     if at.weak:
@@ -234,8 +242,7 @@ def _behind(run: Recording, found: list[Following]) -> Finding:
         does += f" ({say(first.error)} of error)"
     problem = f"{listed(elements, 'servo')} {does}, because {_reason(model, first)}"
     ways = [tuple(_gained(model, found, part, False) for part in PARTS)]
-    # A servo without damping swings between the ends of its force: a wider range damps nothing.
-    if first.full > THIRD and not first.rings:
+    if first.saturates:
         ways = [tuple(_gained(model, found, part, True) for part in PARTS)]
 
     def left(other: Recording) -> float:
