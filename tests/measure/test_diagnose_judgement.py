@@ -211,13 +211,13 @@ def drop(height=0.5, dt=2e-3, **law):
 
 @first(1, height=[0.5, 0.1])
 def test_a_contact_that_begins_in_the_air_limits_dt(height):
-    """Law: a ball at rest needs dt < 2(√(ζ² + 1) - ζ)/ω. This one touches for 3 ms, a few steps at
-    a time: what grows takes more to be thrown ever higher, and a lucky touch takes less (from 0.1 m
-    a plain loop at 0.88 of that step has 24 times the energy after 4 s)."""
+    """Law: a ball at rest needs dt < 2(√(ζ² + 1) - ζ)/ω. This ball touches for 3 ms, a few steps at
+    a time, and a lucky touch throws it higher below that step: a plain loop at 0.93 of it throws
+    the ball from 0.5 m to 4 m within 8 s; from 0.1 m, 0.88 gives 24 times the energy in 4 s."""
     d = diagnosed(drop(height, law="penalty", penalty_stiffness=1e6, penalty_damping_ratio=0.1))
     resting = 2 * (math.sqrt(1.01) - 0.1) / 1e3
     assert d.stiffest() == "contact `floor`/`ball`"
-    assert {0.5: 0.98, 0.1: 0.85}[height] * resting < d.limit() < 1.5 * resting
+    assert {0.5: 0.9, 0.1: 0.85}[height] * resting < d.limit() < 1.5 * resting
     assert [row.name for row in d.rows] == ["contact `floor`/`ball`"]
 
 
