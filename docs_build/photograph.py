@@ -40,7 +40,7 @@ def browser() -> str | None:
 
 def one_run(page: Path) -> None:
     """A run of a command."""
-    printed(f"stepcore run {MODEL} --duration 2 --motion sines --save {page}", ROOT)
+    printed(f"stepcore run {MODEL} --horizon 2 --motion sines --save {page}", ROOT)
 
 
 @cache

@@ -124,10 +124,9 @@ class _Chunks(Generic[T, R]):
                 self._submit(range(first, min(first + self.size, total)))
             while self.pending:
                 future = self._next()
-                indices = self.pending[future]
-                self._keep(indices, future.result())
+                results, indices = future.result(), self.pending.pop(future)
+                self._keep(indices, results)
                 self.bar.advance(len(indices))
-                del self.pending[future]
         except BrokenExecutor as error:
             count = sum(map(len, self.pending.values()))
             raise RuntimeError(

@@ -258,7 +258,7 @@ def test_text_data_and_picture(tmp_path):
     assert printed(found.text(full=True)) == list(marks.values())
     # The text has the map of the scene's integrator, and lists the others.
     assert printed(text) == [marks["semi-implicit"]]
-    assert found.sentences[0].startswith("semi-implicit: of 6 runs, ")
+    assert found.sentences[0].startswith("semi-implicit: of 6 cells, ")
     assert "Not shown: the maps of 7 other integrators (--all" in " ".join(text.split())
     data = json.loads(found.to_json())
     assert len(data["rows"]) == 8 * 2 * 3 and data["units"]["dt"] == "s"

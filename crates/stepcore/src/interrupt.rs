@@ -30,6 +30,14 @@ pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> Result<T>) -> R
     caught(work)
 }
 
+/// Run `work` without interruption: it repairs what an interruption has left incomplete.
+pub(crate) fn unasked<T>(work: impl FnOnce() -> T) -> T {
+    let before = ASK.take();
+    let result = work();
+    ASK.set(before);
+    result
+}
+
 /// Run `work`; return `Error::Interrupted` if it was unwound.
 pub(crate) fn caught<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(ended)

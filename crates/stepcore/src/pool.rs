@@ -141,6 +141,7 @@ impl Pool {
         let mut state = lock(&shared.state);
         assert!(state.work.is_none(), "a pool has one caller at a time");
         shared.next.store(0, Ordering::Relaxed);
+        shared.ended.store(false, Ordering::Relaxed);
         state.work = Some((work, parts));
         shared.round.fetch_add(1, Ordering::Release);
         let asleep = state.asleep > 0;
@@ -148,7 +149,6 @@ impl Pool {
         if asleep {
             shared.begin.notify_all();
         }
-        shared.ended.store(false, Ordering::Relaxed);
         let own = catch_unwind(AssertUnwindSafe(|| shared.take_parts(work, parts)));
         // Threads that arrive from now on find no work.
         lock(&shared.state).work = None;

@@ -190,8 +190,6 @@ impl<R: Real> Sim<R> {
         self.next = Next::new(model, &self.plan);
         self.solver.renew();
         self.noslip = Noslip::new();
-        self.sleeper =
-            if self.settings.sleep { Sleeper::new(&self.models[0]) } else { Sleeper::off() };
         if self.extrapolation.is_some() {
             self.extrapolation = Some(Box::new(Extrapolation::new(&self.placed, model)));
         }
@@ -212,9 +210,11 @@ impl<R: Real> Sim<R> {
             return;
         }
         let stands = self.placed.effective.is_none() && self.model.stands_as(&models.model);
+        // An interruption here leaves the former models.
+        let placed = (!stands).then(|| Placed::for_steps(&models.model, &self.settings));
         (self.models, self.model) = (models.models.clone(), models.model.clone());
-        if !stands {
-            self.placed = Placed::for_steps(&self.model, &self.settings);
+        if let Some(placed) = placed {
+            self.placed = placed;
         }
     }
 

@@ -8,7 +8,7 @@ use crate::detect::Detected;
 use crate::elements::force::Moment;
 use crate::error::{Error, Result};
 use crate::integrator::Stages;
-use crate::interrupt::caught;
+use crate::interrupt::{caught, unasked};
 use crate::observer::Observer;
 use crate::plan::Commit;
 use crate::real::{Mask, Real, Stage};
@@ -21,7 +21,7 @@ impl<R: Real> Sim<R> {
     pub(crate) fn whole<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         let outcome = caught(|| work(self));
         if matches!(outcome, Err(Error::Interrupted)) {
-            self.renew();
+            unasked(|| self.renew());
         }
         outcome
     }

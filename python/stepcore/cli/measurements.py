@@ -314,7 +314,7 @@ MEASUREMENTS = {
     ),
     "ablate": Measurement(
         "ablation",
-        "gymnasium:half_cheetah --error 5mm --save small.xml",
+        "gymnasium:half_cheetah --added 5mm --save small.xml",
         {
             "added": {"default": "1mm", "metavar": "LENGTH"},
             "further": "N",

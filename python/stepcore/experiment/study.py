@@ -422,9 +422,13 @@ class Study:
         """Return the answer to a question as a result: text, table, JSON, page and plot.
 
         title: the quantity measured. sentences: the answer first. rows: the numbers, by column.
-        units: of the columns. plot: the columns along the axes; by default the first two.
+        units: of the columns. plot: the columns along the axes; by default the first two that have
+        numbers. Raises ValueError without rows of numbers.
         """
-        columns = list(dict.fromkeys(name for row in rows for name in row))
+        cells = [(name, checks.number(value)) for row in rows for name, value in row.items()]
+        columns = list(dict.fromkeys(name for name, value in cells if value is not None))
+        if not columns:
+            raise ValueError("rows: must have at least one column of numbers")
         return Answer(
             name=self.engine.title,
             ran=self.motion_ran,
@@ -433,7 +437,7 @@ class Study:
             said=list(sentences),
             rows=list(rows),
             of_columns=dict(units or {}),
-            axes=plot or (columns[0], columns[1]),
+            axes=plot or (columns[0], columns[min(1, len(columns) - 1)]),
             motion=self.motion,
             settings=self.engine.shipped,
         )

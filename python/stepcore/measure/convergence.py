@@ -118,15 +118,18 @@ class Convergence(Result):
         """The largest work that both were run with, and the errors of smaller steps and of sweeps.
 
         work: operations per simulated second. Errors are interpolated on log axes [m]; inf if all
-        runs fail, NaN if there are no rows or no number of sweeps.
+        runs fail, NaN if there are no rows, no number of sweeps, or no runs.
         """
-        if not (self.has_rows and self.sweeps):
-            return math.nan, math.nan, math.nan
         shorter = [t for t in self.dts if t.dt < self.shipped.dt]
+        if not (self.has_rows and self.sweeps and shorter):
+            return math.nan, math.nan, math.nan
         ran = [[t for t in trials if not t.failure] for trials in (shorter, self.sweeps)]
         work = min((max(t.work for t in trials) for trials in ran if trials), default=math.nan)
         first = [] if self.shipped.failure else [self.shipped]
-        steps, sweeps = (_error_at(work, first + trials) if trials else math.inf for trials in ran)
+        least = self.reference.error
+        steps, sweeps = (
+            _error_at(work, first + trials, least) if trials else math.inf for trials in ran
+        )
         return work, steps, sweeps
 
     # --- tables and data -------------------------------------------------------------------------
@@ -210,11 +213,13 @@ class Convergence(Result):
     def _shorter(self) -> str:
         """Name the longest step that about halves the error, or state that none does."""
         tried = [t for t in self.dts if t.dt < self.shipped.dt and not t.failure]
+        if self.shipped.error <= 2 * self.reference.error:
+            return ""
         better = [trial for trial in tried if trial.error <= 0.6 * self.shipped.error]
         if better:
             best = max(better, key=lambda trial: trial.dt)
             return f"; a dt of {seconds(best.dt)} leaves {self._error(best)}"
-        if not tried or self.shipped.error <= 2 * self.reference.error:
+        if not tried:
             return ""
         least = min(tried, key=lambda trial: trial.dt)
         return f", which shorter steps, down to {seconds(least.dt)}, hardly lower"
@@ -243,6 +248,8 @@ class Convergence(Result):
                 f"{why} Converged forces do not help; a time step of {seconds(max(smaller))} does. "
                 "`stepcore diagnose` names the element that limits it."
             )
+        if all(trial.dt >= self.shipped.dt for trial in self.dts):
+            return f"{why} Converged forces do not help; smaller time steps were not run."
         return f"{why} Neither converged forces nor the smaller time steps tried help."
 
     def _exceeds_uncertainty(self, trial: Trial) -> bool:
@@ -257,21 +264,21 @@ class Convergence(Result):
         """Compare smaller steps and more sweeps at equal work."""
         work, steps, sweeps = self.at_equal_work
         if math.isnan(work):
-            fails = self.has_rows and self.sweeps
-            return "Both smaller steps and more sweeps fail." if fails else ""
-        if max(self.shipped.error, steps, sweeps) <= self.reference.error * (1 + 1e-9):
+            return "Both smaller steps and more sweeps fail." if math.isinf(steps) else ""
+        tiny = float(np.finfo(float).tiny)
+        if max(self.shipped.error, steps, sweeps) <= self.reference.error * (1 + 1e-9) + tiny:
             least = metres(self.reference.error)
             return f"With more sweeps or smaller steps no error exceeds the uncertainty, {least}."
         answer = {"neither": "Smaller steps and more sweeps are equally accurate"}
         words = answer.get(self.better, f"Use {self.better}")
         price = "" if self.shipped.failure else f" ({times(work / self.shipped.work)} the shipped)"
-        left = ["they fail" if math.isinf(error) else metres(error) for error in (steps, sweeps)]
-        return f"{words}: at equal work{price}, smaller steps leave {left[0]}, sweeps {left[1]}."
+        left = ["fail" if math.isinf(x) else f"leave {metres(x)}" for x in (steps, sweeps)]
+        return f"{words}: at equal work{price}, smaller steps {left[0]}, more sweeps {left[1]}."
 
 
-def _error_at(work: float, trials: Sequence[Trial]) -> float:
-    """Return the error of trials at a work, interpolated on log axes [m]."""
-    known = sorted((t.work, max(t.error, np.finfo(float).tiny)) for t in trials)
+def _error_at(work: float, trials: Sequence[Trial], least: float) -> float:
+    """Return the error of trials at a work, interpolated on log axes; `least`: uncertainty [m]."""
+    known = sorted((t.work, max(t.error, least, np.finfo(float).tiny)) for t in trials)
     x, y = np.log(np.array(known).T)
     return float(np.exp(np.interp(math.log(work), x, y)))
 

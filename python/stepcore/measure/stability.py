@@ -123,7 +123,8 @@ class StabilityMap(Result):
         if unjudged:
             self.notes.append(
                 f"{counted(unjudged, 'finite run')}, marked {SYMBOLS[FINITE]}, cannot be judged "
-                "for accuracy, because the uncertainty of the converged motion is too large"
+                "for accuracy, because the converged motion is too uncertain or was not run in the "
+                "time available"
             )
 
     @property
@@ -149,7 +150,7 @@ class StabilityMap(Result):
         for panel in sorted(self.panels, key=lambda panel: panel is not self._first):
             count = Counter(cell.state for cell in panel.cells)
             states = ", ".join(f"{count[state]} {state}" for state in SYMBOLS if count[state])
-            sentences.append(f"{panel.label}: of {counted(len(panel.cells), 'run')}, {states}.")
+            sentences.append(f"{panel.label}: of {counted(len(panel.cells), 'cell')}, {states}.")
             if number := self._beyond_twice(panel):
                 sentences.append(
                     f"{number} of the accurate runs have steps of more than twice the {SPRINGS}: "
@@ -209,7 +210,9 @@ class StabilityMap(Result):
             row = {"value": value, across: "".join(SYMBOLS[cell.state] for cell in cells)}
             good = [cell.dt for cell in cells if cell.state == ACCURATE]
             unknown = not good and any(cell.state in (FINITE, UNTRIED) for cell in cells)
-            row["largest accurate"] = "unknown" if unknown else _dt(max(good, default=0.0))
+            most = max(good, default=0.0)
+            longer = any(c.dt > most and c.state in (FINITE, UNTRIED) for c in cells)
+            row["largest accurate"] = "unknown" if unknown else "≥ " * longer + _dt(most)
             if panel.boundary is not None:
                 row[SPRINGS] = _dt(panel.boundary[k])
             rows.append(row)

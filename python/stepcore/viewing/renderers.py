@@ -39,14 +39,14 @@ class Renderer:
         for field, value in (("width", width), ("height", height)):
             checks.whole(2, LARGEST)("picture", field, value)
         mujoco = need("mujoco", "MuJoCo's renderer", "video")
-        if sys.platform == "linux" and not {"DISPLAY", "MUJOCO_GL"} & os.environ.keys():
-            # MuJoCo reads MUJOCO_GL when it is imported, which may be long ago.
-            context: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
-            context.GLContext = need("mujoco.egl", "OpenGL", "video").GLContext
         self.mujoco, self.drawing = mujoco, drawing
         self.model = self._model(width, height)
         self.data = mujoco.MjData(self.model)
         try:
+            if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "MUJOCO_GL"))):
+                # MuJoCo reads MUJOCO_GL when it is imported, which may be long ago.
+                context: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
+                context.GLContext = importlib.import_module("mujoco.egl").GLContext
             self.renderer = mujoco.Renderer(self.model, height, width, max_geom=20_000)
         except Exception as error:
             raise RuntimeError(f"OpenGL does not work here: {error}. {ADVICE}") from None

@@ -3,9 +3,10 @@
 use super::failed::Standing;
 use crate::arrays::{ArraySet, Given, Givens};
 use crate::error::{Divergence, Error, Result};
+use crate::interrupt::{caught, unasked};
 use crate::model::SideBySide;
 use crate::real::Real;
-use crate::sim::Stretches;
+use crate::sim::{Sim, Stretches};
 use crate::state::{Inputs, State};
 use crate::warm::Sleep;
 use crate::watch::{Care, Ledger, Past, Watched};
@@ -40,6 +41,8 @@ pub(super) struct Group<R: Real> {
     pub before: State<R>,
     /// One entry for each lane.
     pub last: Vec<Last>,
+    /// Whether this call has begun, so that `start` is its start.
+    pub begun: bool,
     /// Steps done in this call before one failed, and the error.
     pub failed: Option<(u64, Error)>,
     /// Worlds that failed while the others continued.
@@ -53,7 +56,7 @@ pub(super) struct Group<R: Real> {
 }
 
 room!(Group<R>: models, mirrored, state, inputs, initial, qacc, actuator, keeps_actuator, start, before, last,
-    standing, ended, past, ledger; stretches, failed);
+    standing, ended, past, ledger; stretches, begun, failed);
 
 impl<R: Real> Group<R> {
     /// Makes a lane's next step start without impulses, and removes its last solve; a failed world
@@ -112,6 +115,7 @@ impl<R: Real> Group<R> {
             start: State::new(model),
             before: State::new(model),
             last: vec![Last::Nothing; R::LANES],
+            begun: false,
             failed: None,
             standing: Standing::new(worlds),
             ended: vec![false; R::LANES],
@@ -198,6 +202,28 @@ impl<R: Real> Group<R> {
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
 
+    /// Begins a call, to whose start `go_back` returns.
+    pub fn begin_call(&mut self) {
+        self.state.copy_to(&mut self.start);
+        self.begun = true;
+    }
+
+    /// Does part of a call. If it is interrupted, the working space is made anew.
+    pub fn attempt(
+        &mut self,
+        watched: &mut Watched<R>,
+        work: impl FnOnce(&mut Self, &mut Watched<R>),
+    ) {
+        let outcome = caught(|| {
+            work(self, watched);
+            Ok(())
+        });
+        if let Err(error) = outcome {
+            unasked(|| watched.sim.renew());
+            self.failed = Some((0, error));
+        }
+    }
+
     /// Stops all worlds because one failed, the one in lane `failed` if it is here. Readings are
     /// then for the present states, and do not depend on how calls divided the steps.
     pub fn stop(&mut self, watched: &mut Watched<R>, failed: Option<usize>) {
@@ -212,7 +238,7 @@ impl<R: Real> Group<R> {
         self.keeps_actuator = false;
         watched.sim.qacc.fill(R::zero());
         // If that fails there is no acceleration.
-        let _ = self.look(watched, |watched| watched.sim.forward());
+        let _ = self.look(watched, |watched| watched.sim.whole(Sim::forward));
         for lane in 0..R::LANES {
             let qacc = watched.sim.qacc.iter().map(|a| a.lane(lane));
             let some = qacc.clone().all(f64::is_finite);

@@ -403,12 +403,19 @@ impl<R: Real> Batch<R> {
         evaluate: impl Fn(&mut Watched<R>) -> Result<()> + Sync,
     ) -> Result<()> {
         let Self { workers, groups, layout, goes_on, .. } = self;
+        groups.iter_mut().for_each(|group| group.begun = false);
         workers.share(groups, 1, |workspace, index, group| {
             let one = |_, watched: &mut Watched<R>| evaluate(watched);
-            let watched = workspace.space(layout.kind(index));
             let none = |_, _: &mut Watched<R>| Ok(());
-            group.run(watched, layout.worlds(index), 1, last, *goes_on, one, none)
+            group.begin_call();
+            group.attempt(workspace.space(layout.kind(index)), |group, watched| {
+                group.run(watched, layout.worlds(index), 1, last, *goes_on, one, none);
+            });
         });
+        if interrupted(groups) {
+            self.undo();
+            return Err(Error::Interrupted);
+        }
         first_failure(groups, layout).map_or(Ok(()), |(_, error)| Err(error))
     }
 
@@ -458,21 +465,20 @@ impl<R: Real> Batch<R> {
                 None => Ok(()),
                 Some((part, start)) => lock(part).check(start + k as usize, watched),
             };
-            let watched = workspace.space(layout.kind(index));
-            group.run(watched, layout.worlds(index), n, Last::Step, *goes_on, one, check);
+            group.attempt(workspace.space(layout.kind(index)), |group, watched| {
+                group.run(watched, layout.worlds(index), n, Last::Step, *goes_on, one, check);
+            });
         };
+        groups.iter_mut().for_each(|group| group.begun = false);
         workers.share(groups, n, |workspace, index, group| {
-            group.state.copy_to(&mut group.start);
+            group.begin_call();
             run(workspace, index, group, n);
         });
-        let Some((done, error)) = first_failure(groups, layout) else { return Ok(()) };
-        if error == Error::Interrupted {
-            groups.iter_mut().for_each(|group| {
-                drop(group.take_said());
-                group.go_back(0);
-            });
-            return Err(error);
+        if interrupted(groups) {
+            self.undo();
+            return Err(Error::Interrupted);
         }
+        let Some((done, error)) = first_failure(groups, layout) else { return Ok(()) };
         let failed = match &error {
             Error::Diverged(divergence) => Some(layout.of(divergence.world)),
             _ => None,
@@ -482,10 +488,32 @@ impl<R: Real> Batch<R> {
             group.go_back(done);
             run(workspace, index, group, done);
             let lane = failed.filter(|(group, _)| *group == index).map(|(_, lane)| lane);
-            group.stop(workspace.space(layout.kind(index)), lane);
+            if group.failed.is_none() {
+                group.attempt(workspace.space(layout.kind(index)), |group, watched| {
+                    group.stop(watched, lane);
+                });
+            }
         });
+        if interrupted(groups) {
+            self.undo();
+            return Err(Error::Interrupted);
+        }
         Err(error)
     }
+
+    /// Puts all worlds back to the start of an interrupted call.
+    fn undo(&mut self) {
+        for group in self.groups.iter_mut().filter(|group| group.begun) {
+            drop(group.take_said());
+            group.failed = None;
+            group.go_back(0);
+        }
+        self.unsolved();
+    }
+}
+
+fn interrupted<R: Real>(groups: &[Group<R>]) -> bool {
+    groups.iter().any(|group| matches!(group.failed, Some((_, Error::Interrupted))))
 }
 
 /// The failure after the fewest steps, with its world's place in the batch.

@@ -18,6 +18,9 @@ const CHAIN: usize = 4;
 /// Rows of at most this many entries are short: see `factor_next`.
 const SHORT: usize = 7;
 
+/// Rows that are factored between two checks for an interruption.
+const LONG: usize = 64;
+
 /// The factors of one symmetric matrix with the pattern of the mass matrix, or of the metric of
 /// `discrete` (`model/coupling.rs`).
 pub struct Metric<R: Real> {
@@ -155,9 +158,27 @@ impl<R: Real> Metric<R> {
     /// Factors the rows `dofs` of a matrix that was copied into `l`: dofs of one chain together, so that
     /// a row above them is read and written once for all of them.
     pub fn factor(&mut self, dofs: Range<usize>) {
+        if dofs.len() > LONG {
+            return self.factor_interruptibly(dofs);
+        }
+        self.factor_all(dofs);
+    }
+
+    /// Factors many rows in parts, and checks for an interruption between them.
+    #[cold]
+    fn factor_interruptibly(&mut self, dofs: Range<usize>) {
         let (mut end, mut meter) = (dofs.end, Meter::default());
         while end > dofs.start {
-            meter.count(self.rows[end - 1].len);
+            meter.count(LONG * self.rows[end - 1].len);
+            end = self.factor_all(dofs.start.max(end.saturating_sub(LONG))..end);
+        }
+    }
+
+    /// Factors rows without interruption, and returns the first one.
+    #[inline(always)]
+    fn factor_all(&mut self, dofs: Range<usize>) -> usize {
+        let mut end = dofs.end;
+        while end > dofs.start {
             end -= match self.chained[end - 1] {
                 1 => self.factor_next::<1>(end),
                 2 => self.factor_next::<2>(end),
@@ -167,6 +188,7 @@ impl<R: Real> Metric<R> {
                 _ => self.factor_chain::<CHAIN>(end),
             };
         }
+        end
     }
 
     /// Factors the last N rows before `end`, each the next one of a chain. A single world's sums are

@@ -9,6 +9,7 @@ use super::post_mortem::{look_into, Run};
 use super::tape::{taped, StepGains, Tape};
 use crate::arrays::{ArraySet, Given, Plain};
 use crate::error::{Error, Result};
+use crate::interrupt::caught;
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::Real;
@@ -213,7 +214,12 @@ impl<R: Real> Watched<R> {
             }
             let ledger = self.ledger.as_deref().filter(|_| self.sim.settings.ledger);
             let run = Run { sim: &self.sim, past: &self.past, ledger, worlds: self.others.worlds };
-            *divergence = run.explain(*divergence);
+            let plain = divergence.clone();
+            return match caught(|| Ok(run.explain(*plain))) {
+                Ok(explained) => Error::Diverged(Box::new(explained)),
+                // Ctrl-C ends the analysis, not the failure.
+                Err(_) => Error::Diverged(divergence),
+            };
         }
         Error::Diverged(divergence)
     }

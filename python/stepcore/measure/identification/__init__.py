@@ -286,8 +286,8 @@ def _bounds(
         low, high = (checks.number(x) for x in pair) if len(pair) == 2 else (None, None)
         if low is None or high is None or not low < high:
             raise ValueError(f"parameters[{checks.shown(path)}]: must be a range (low, high)")
-        small = math.copysign(min(1e-6, 1e-3 * max(high, -low)), high)
-        limit = f"a range without 0: use {small:g} in its place"
+        small = math.copysign(min(1e-6, 1e-3 * max(high, -low)), high or -1)
+        limit = "a range without 0" + f": use {small:g} in its place" * (low * high == 0)
         allowed, own = low > 0 or high < 0, {path: min(max(0.0, low), high)}
         if path == DELAY:
             limit, allowed = "of a model with controls", model.nu > 0

@@ -272,7 +272,7 @@ def _gained(model: Model, found: Sequence[Following], part: int, bound: bool) ->
         values |= gained(model, of.index, kp, kv)
         words.append(f"kp {kp:g} and kv {kv:g}")
         if bound:
-            force = rounded(part * at.need, 2, up=True)
+            force = rounded(max(part * at.need, of.bound), 2, up=True)
             values[f"actuator/#{of.index}/forcerange"] = (-force, force)
             words[-1] += f" with a forcerange of ±{force:g}"
     more = f" ({len(words) - 1} more in proportion)" if len(words) > 1 else ""

@@ -299,6 +299,8 @@ class Trade(Result):
 
     def _same(self) -> Trial | None:
         """Return a notably cheaper row with at most the shipped error."""
+        if math.isinf(self.shipped.error):
+            return None
         row = self.cheapest(max(self.shipped.error, 1e-300))
         return row if row.cost < 0.9 * self.shipped.cost else None
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stepcore import checks
 from stepcore.report.plot.style import (
     BLUE,
     COLOURS,
@@ -88,8 +89,8 @@ def answer(answer: Answer) -> Any:
     """Draw one column of a user's answer over another; axes of positive numbers are logarithmic."""
     figure = new_figure()
     axes, (across, up) = figure.add_subplot(), answer.axes
-    pairs = [(row[across], row[up]) for row in answer.rows if None not in (row[across], row[up])]
-    pairs = [pair for pair in pairs if np.isfinite(pair).all()]
+    numbers = [[checks.number(row.get(name)) for name in (across, up)] for row in answer.rows]
+    pairs = [(x, y) for x, y in numbers if x is not None and y is not None]
     axes.plot(*np.reshape(pairs, (-1, 2)).T, "o-", color=BLUE)
     for scale, axis, column in (
         (axes.set_xscale, axes.xaxis, [x for x, _ in pairs]),
@@ -276,9 +277,9 @@ def convergence(result: Convergence) -> Any:
         if len(good) > 1:
             axes.plot(*zip(*good, strict=True), color=colour, lw=1.6, marker="o", ms=4, label=name)
     shipped, solved = result.shipped, result.solved
-    if not shipped.failure:
+    if shipped.error > 0 and not shipped.failure:
         axes.plot(shipped.work, shipped.error, "D", ms=7, color="black", label="as shipped")
-    if not solved.failure:
+    if solved.error > 0 and not solved.failure:
         axes.axhline(solved.error, color="black", lw=1.2, ls="--", label="converged forces")
     if not axes.lines:
         say(axes, "all of these runs fail")
