@@ -227,7 +227,9 @@ impl<R: Real> Placed<R> {
         if !model.tendons.is_empty() {
             self.place_tendons(model, qpos, |tendon| tendon.used);
         }
-        self.place_linkages(model);
+        if !model.linkages.is_empty() {
+            self.place_linkages(model);
+        }
     }
 
     /// Computes the poses of some bodies, each after its parent, and of some geoms on them.
