@@ -4,6 +4,7 @@
 use super::contact::{axes_of, bodies};
 use super::friction::Ways;
 use crate::detect::Contact;
+use crate::interrupt::{Meter, TEST};
 use crate::real::{Constant, Mask, Real, Value};
 use crate::settings::{Cone, Law};
 use crate::solve::law::Spring;
@@ -13,7 +14,9 @@ impl<R: Real> Rows<R> {
     /// Makes MuJoCo's contacts. Contacts of one pair are adjacent, and are made by fours and twos if
     /// their directions are the same.
     pub(super) fn soft_contacts(&mut self, now: &Situation<R>, contacts: &[Contact<R>]) {
+        let mut meter = Meter::default();
         for own in contacts.chunk_by(|a, b| a.pair.index == b.pair.index) {
+            meter.count(TEST * own.len());
             let rest = self.by_pyramids::<4>(now, own);
             for contact in self.by_pyramids::<2>(now, rest) {
                 self.soft_contact(now, contact);
