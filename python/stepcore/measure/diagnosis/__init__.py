@@ -297,7 +297,9 @@ class Case:
         linear = tuple[Element, ...]()
         if limit.state >= 0:
             held = self.held[limit.state]
-            linear = linear_limiters(self.model, held, name, held.limit(name, dt))
+            # If a longer step was stable, the limit of the state names the elements.
+            bears = held.limit(name, dt) if limit.holds > FAILS * dt else dt
+            linear = linear_limiters(self.model, held, name, bears)
             alone = figures(held) if linear and limit.ran else {}
             known = [alone[e] for e in linear if e in alone and e.kind != "spin"]
             rates = [max(one.omega, one.rate) for one in known]
