@@ -1,7 +1,7 @@
 """`Study`: runs changes of one scene in one motion, and scores them against the converged motion.
 
-Every measurement uses a Study: vary (a list of `Change`s), run, score (`Trial`s), choose
-(`stepcore.experiment.choose`), validate on held-out starts, report.
+Measurements that compare settings use a Study: vary (a list of `Change`s), run, score (`Trial`s),
+choose (`stepcore.experiment.choose`), validate on held-out starts, report.
 """
 
 from __future__ import annotations
