@@ -202,6 +202,13 @@ impl<R: Real> Group<R> {
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
 
+    /// Records that nothing is solved at the present states.
+    pub fn unsolved(&mut self) {
+        self.state.copy_to(&mut self.before);
+        self.last.fill(Last::Nothing);
+        self.qacc.fill(R::zero());
+    }
+
     /// Begins a call, to whose start `go_back` returns.
     pub fn begin_call(&mut self) {
         self.state.copy_to(&mut self.start);

@@ -283,11 +283,7 @@ impl<R: Real> Batch<R> {
 
     /// Records that the present states did not come from a solve.
     pub fn unsolved(&mut self) {
-        for group in &mut self.groups {
-            group.state.copy_to(&mut group.before);
-            group.last.fill(Last::Nothing);
-            group.qacc.fill(R::zero());
-        }
+        self.groups.iter_mut().for_each(Group::unsolved);
     }
 
     /// Records that a world's last solve started with these arrays, and gave this acceleration.
@@ -412,10 +408,7 @@ impl<R: Real> Batch<R> {
                 group.run(watched, layout.worlds(index), 1, last, *goes_on, one, none);
             });
         });
-        if interrupted(groups) {
-            self.undo();
-            return Err(Error::Interrupted);
-        }
+        undo_if_interrupted(groups)?;
         first_failure(groups, layout).map_or(Ok(()), |(_, error)| Err(error))
     }
 
@@ -474,10 +467,7 @@ impl<R: Real> Batch<R> {
             group.begin_call();
             run(workspace, index, group, n);
         });
-        if interrupted(groups) {
-            self.undo();
-            return Err(Error::Interrupted);
-        }
+        undo_if_interrupted(groups)?;
         let Some((done, error)) = first_failure(groups, layout) else { return Ok(()) };
         let failed = match &error {
             Error::Diverged(divergence) => Some(layout.of(divergence.world)),
@@ -494,26 +484,25 @@ impl<R: Real> Batch<R> {
                 });
             }
         });
-        if interrupted(groups) {
-            self.undo();
-            return Err(Error::Interrupted);
-        }
+        undo_if_interrupted(groups)?;
         Err(error)
     }
+}
 
-    /// Puts all worlds back to the start of an interrupted call.
-    fn undo(&mut self) {
-        for group in self.groups.iter_mut().filter(|group| group.begun) {
+/// Puts all worlds back to the start of the call, if it was interrupted.
+fn undo_if_interrupted<R: Real>(groups: &mut [Group<R>]) -> Result<()> {
+    if !groups.iter().any(|group| matches!(group.failed, Some((_, Error::Interrupted)))) {
+        return Ok(());
+    }
+    for group in groups {
+        if group.begun {
             drop(group.take_said());
             group.failed = None;
             group.go_back(0);
         }
-        self.unsolved();
+        group.unsolved();
     }
-}
-
-fn interrupted<R: Real>(groups: &[Group<R>]) -> bool {
-    groups.iter().any(|group| matches!(group.failed, Some((_, Error::Interrupted))))
+    Err(Error::Interrupted)
 }
 
 /// The failure after the fewest steps, with its world's place in the batch.
