@@ -172,9 +172,6 @@ class Check(Result):
     @property
     def sentences(self) -> list[str]:
         """The problems with their fixes, the diagnosis' answer, and the commands to run next."""
-        fails = self.diagnosis and (
-            self.diagnosis.fails or self.diagnosis.limit() < self.settings.dt
-        )
         said = [
             text
             for finding in self.findings
@@ -185,26 +182,36 @@ class Check(Result):
         ]
         said += _for_urdf(shlex.split(self.file)[0], self.findings)
         unknown = [what for what in (AS_SHIPPED, TIME_STEP) if what in self.not_done]
-        if not said and not fails and self.examined:
+        if not said and not self._unstable and self.examined:
             *first, last = self.examined
             examined = f"{', '.join(first)} and {last}" if first else last
             said = [f"No problems found in {examined}."]
         if unknown:
             said.insert(0, f"Not known yet: {' and '.join(unknown)}.")
-        # A motion that grows at every time step has no largest stable step.
-        if self.diagnosis is not None and not self.endless:
-            answers, fails = self.diagnosis.sentences, self.diagnosis.fails
-            known = fails and math.isfinite(self.diagnosis.limit())
-            if not known:
-                # After a failed run, the stability of another part of the motion is left out.
-                answers = [f"{beginning(answers[0])}."] if fails or not self.failed else []
-            # The failure has the answer already, and the motion is said once, below.
-            told = bool(answers) and any(
-                answers[0].rstrip(".")[1:] in f.problem for f in self.findings
-            )
-            once = (f"The motion: {self.diagnosis.ran}.", *answers[: int(told)])
-            said += [text for text in answers if text not in once]
+        if self.diagnosis is not None:
+            said += self._stability(self.diagnosis)
         return [*said, "Next:", *(f"- {command} ({why})" for command, why in self.commands)]
+
+    @property
+    def _unstable(self) -> bool:
+        """Whether the shipped time step fails, or is beyond the stability limit."""
+        diagnosis = self.diagnosis
+        return diagnosis is not None and (diagnosis.fails or diagnosis.limit() < self.settings.dt)
+
+    def _stability(self, diagnosis: Diagnosis) -> list[str]:
+        """Return the diagnosis' answer, without the part that a finding has already."""
+        if self.endless:
+            # A motion that grows at every time step has no largest stable step.
+            return []
+        answers = diagnosis.sentences
+        if not (diagnosis.fails and math.isfinite(diagnosis.limit())):
+            # After a failed run, the stability of another part of the motion is left out.
+            shown = diagnosis.fails or not self.failed
+            answers = [f"{beginning(answers[0])}."] if shown else []
+        found = any(finding.kind == UNSTABLE for finding in self.findings)
+        found |= self.failed and diagnosis.names_cause
+        motion = f"The motion: {diagnosis.ran}."
+        return [text for text in answers[int(found) :] if text != motion]
 
     @property
     def table(self) -> Table:
@@ -396,9 +403,7 @@ def _monitored(
 
 def _caused(failure: Finding, diagnosis: Diagnosis | None) -> Finding:
     """Return a failure with the cause that the diagnosis of the same motion found."""
-    if diagnosis is None or not diagnosis.fails:
-        return failure
-    if not math.isfinite(diagnosis.limit()) and not diagnosis.together():
+    if diagnosis is None or not diagnosis.names_cause:
         return failure
     answer = diagnosis.sentences[0].rstrip(".")
     said = f"The run fails: {answer[0].lower()}{answer[1:]}"
@@ -411,7 +416,7 @@ def _unstable(diagnosis: Diagnosis) -> Finding:
     elements = () if limiting is None else (limiting.element,)
     limit = diagnosis.limit()
     value, unit = (limit, "s") if math.isfinite(limit) else (None, "")
-    problem = next(iter(diagnosis.sentences)).rstrip(".")
+    problem = diagnosis.sentences[0].rstrip(".")
     return Finding(UNSTABLE, "error", problem, "", elements, value, unit)
 
 
@@ -422,8 +427,7 @@ def _unblamed(findings: list[Finding]) -> Iterator[Finding]:
     """
     for finding in findings:
         if finding.kind == "servo does not follow":
-            does = finding.problem.partition(", because ")[0]
-            problem = f"{does}, in a run whose time step fails"
+            problem = f"{finding.observation}, in a run whose time step fails"
             yield dataclasses.replace(finding, problem=problem, cure="", commands=())
         elif finding.kind != "saturation":
             yield finding

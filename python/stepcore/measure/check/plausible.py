@@ -31,10 +31,11 @@ SOFT, DEFAULT = 0.1, 0.02
 
 def plausibility(scene: Described) -> Iterator[Finding]:
     """Yield the findings on values that no real object has."""
-    bodies = _given(scene)
+    sim = Sim(scene.model)
+    bodies = _given(scene, sim)
     yield from _inertias(scene, bodies)
     yield from _centres(scene, bodies)
-    yield from _singular(scene)
+    yield from _singular(scene, sim)
     yield from _soft(scene.model)
 
 
@@ -58,9 +59,9 @@ class _Body(NamedTuple):
         return float(np.linalg.norm(self.points, axis=1).max())
 
 
-def _given(scene: Described) -> dict[int, _Body]:
+def _given(scene: Described, sim: Sim) -> dict[int, _Body]:
     """Return the bodies with an explicit inertia and with geoms of finite size."""
-    model, sim, found = scene.model, Sim(scene.model), dict[int, _Body]()
+    model, found = scene.model, dict[int, _Body]()
     turns = np.reshape(sim.xmat, (-1, 3, 3))
     for body in scene.moving:
         mass, geoms = float(model.body_mass[body]), scene.geoms(body)
@@ -162,9 +163,9 @@ def outside(points: Floats) -> tuple[float, float]:
 # The mass matrix.
 
 
-def _singular(scene: Described) -> Iterator[Finding]:
+def _singular(scene: Described, sim: Sim) -> Iterator[Finding]:
     """Yield joints that move the same masses in the same way, at the start or in a keyframe."""
-    model, sim = scene.model, Sim(scene.model)
+    model = scene.model
     states = [(f"{name[:1].lower()}{name[1:]}", qpos) for name, qpos, _ in scene.keys]
     if scene.key is None:
         states.insert(0, ("the start", scene.start.qpos))

@@ -109,6 +109,11 @@ class Diagnosis(Result):
             return True
         return self.own.dt < self.wanted
 
+    @property
+    def names_cause(self) -> bool:
+        """Whether the wanted step fails, and its limit or the elements that cause it are known."""
+        return self.fails and (math.isfinite(self.limit()) or bool(self.together()))
+
     def limit(self, integrator: str | None = None) -> float:
         """Return the largest stable dt [s] under an integrator (default: the scene's).
 

@@ -120,6 +120,7 @@ class Finding:
     remedy: fixes that have not been tried yet; `verified` tries them and adds the results.
     lines: MJCF elements to paste, if the fix consists of several.
     ran: whether `cure` states for each change if it was run.
+    observation: the problem without its reason, for findings that give one.
     """
 
     kind: str
@@ -134,6 +135,7 @@ class Finding:
     remedy: Remedy | None = field(default=None, repr=False, compare=False)
     lines: tuple[str, ...] = ()
     ran: bool = False
+    observation: str = ""
 
     @property
     def element(self) -> str:

@@ -240,7 +240,8 @@ def _behind(run: Recording, found: list[Following]) -> Finding:
         late = f"{math.degrees(first.lag):.0f}° late"
         does = f"follows {first.hertz:.3g} Hz with {percent(first.share)} of the amplitude, {late}"
         does += f" ({say(first.error)} of error)"
-    problem = f"{listed(elements, 'servo')} {does}, because {_reason(model, first)}"
+    observation = f"{listed(elements, 'servo')} {does}"
+    problem = f"{observation}, because {_reason(model, first)}"
     ways = [tuple(_gained(model, found, part, False) for part in PARTS)]
     if first.saturates:
         ways = [tuple(_gained(model, found, part, True) for part in PARTS)]
@@ -254,7 +255,7 @@ def _behind(run: Recording, found: list[Following]) -> Finding:
     cure = "a slower or smaller motion" if first.late else ""
     unit, value = unit_of(model, joint), first.error / abs(of.gear)
     what = "servo does not follow", "warning", problem, cure, elements, value, unit, PLOT
-    return Finding(*what, remedy=remedy)
+    return Finding(*what, remedy=remedy, observation=observation)
 
 
 def _gained(model: Model, found: Sequence[Following], part: int, bound: bool) -> Cure:
