@@ -353,10 +353,11 @@ class Study:
             if start not in self.schedule.indices:
                 known = f"below {len(self.schedule.indices)}; fresh() makes others"
                 raise ValueError(f"starts: {checks.shown(start)}: must be {known}")
-        for change in dict.fromkeys(changes):
-            self.steps(change)
-            self.engine.compile(change, self.schedule)
         starts = self.starts if starts is None else starts
+        for change in dict.fromkeys(changes):
+            if not any(self.ran(change, start) for start in starts):
+                self.steps(change)
+                self.engine.compile(change, self.schedule)
         made = zip(changes, self.tracks(changes, starts, bar), strict=True)
         return [
             self.score(change, tracks, self.truth(error, starts, change.physics))

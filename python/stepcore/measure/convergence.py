@@ -126,11 +126,15 @@ class Convergence(Result):
         ran = [[t for t in trials if not t.failure] for trials in (shorter, self.sweeps)]
         work = min((max(t.work for t in trials) for trials in ran if trials), default=math.nan)
         first = [] if self.shipped.failure else [self.shipped]
-        least = self.reference.error
         steps, sweeps = (
-            _error_at(work, first + trials, least) if trials else math.inf for trials in ran
+            _error_at(work, first + trials, self._least) if trials else math.inf for trials in ran
         )
         return work, steps, sweeps
+
+    @property
+    def _least(self) -> float:
+        """The uncertainty of errors, which have a logarithm [m]."""
+        return max(self.reference.error, float(np.finfo(float).tiny))
 
     # --- tables and data -------------------------------------------------------------------------
 
@@ -265,8 +269,7 @@ class Convergence(Result):
         work, steps, sweeps = self.at_equal_work
         if math.isnan(work):
             return "Both smaller steps and more sweeps fail." if math.isinf(steps) else ""
-        tiny = float(np.finfo(float).tiny)
-        if max(self.shipped.error, steps, sweeps) <= self.reference.error * (1 + 1e-9) + tiny:
+        if max(self.shipped.error, steps, sweeps) <= self._least * (1 + 1e-9):
             least = metres(self.reference.error)
             return f"With more sweeps or smaller steps no error exceeds the uncertainty, {least}."
         answer = {"neither": "Smaller steps and more sweeps are equally accurate"}
@@ -278,7 +281,7 @@ class Convergence(Result):
 
 def _error_at(work: float, trials: Sequence[Trial], least: float) -> float:
     """Return the error of trials at a work, interpolated on log axes; `least`: uncertainty [m]."""
-    known = sorted((t.work, max(t.error, least, np.finfo(float).tiny)) for t in trials)
+    known = sorted((t.work, max(t.error, least)) for t in trials)
     x, y = np.log(np.array(known).T)
     return float(np.exp(np.interp(math.log(work), x, y)))
 
