@@ -111,10 +111,6 @@ def resting(run: Recording) -> Iterator[Contact]:
             yield Contact(pair, float(depth.max()), force, settled=False)
 
 
-def _gravity(model: Model) -> float:
-    return float(np.linalg.norm(model.scene.gravity)) if model.scene.features.gravity else 0.0
-
-
 # Overlaps.
 
 
@@ -209,7 +205,7 @@ def _overlaps(
         return
     of, share = deep[0], deep[0].depth / run.thick(deep[0].pair)
     # Thrown further apart than they overlapped: v²/2g > depth.
-    thrown = of.speed > (2 * _gravity(run.model) * of.depth) ** 0.5
+    thrown = of.speed > (2 * run.gravity * of.depth) ** 0.5
     becomes = f", and are thrown apart at {speed(of.speed)}" if thrown else ""
     if not of.movable:
         becomes = ", and no joint can move them apart"
@@ -394,8 +390,7 @@ def _carries(run: Recording, at: Contact) -> bool:
     model = run.model
     roots = run.roots[_bodies(model, at.pair)].tolist()
     free = [root for root in roots if root in free_bodies(model)]
-    masses = [model.body_mass[run.roots == root].sum() for root in free]
-    weights = [_gravity(model) * float(mass) for mass in masses]
+    weights = map(run.weight, free)
     return roots[0] != roots[1] and any(at.force > DEEP * weight > 0 for weight in weights)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,7 +56,7 @@ def slips(run: Recording) -> Iterator[Slip]:
     model, things = run.model, _things(run)
     if not things or model.is_heap:
         return
-    gravity, drives = np.asarray(model.scene.gravity, float), roots(model, actuators(model))
+    drives = roots(model, actuators(model))
     sticks = STICKS / math.sqrt(2 if model.settings.cone == "pyramidal" else 1)
     for body in things:
         grip = Grip(run, body, drives)
@@ -68,7 +68,7 @@ def slips(run: Recording) -> Iterator[Slip]:
         some = slid if len(slid) else places
         force, count = seen.force[some], 1 + int(np.ptp(seen.reading[some]))
         friction = np.array([friction_of(model, pair) for pair in seen.pair[some].tolist()])
-        weight = _size(gravity) * float(model.body_mass[run.roots == body].sum())
+        weight = run.weight(body)
         pairs = tuple(dict.fromkeys(seen.pair[places].tolist()))
         pressed, held = float(force.sum()) / count, float(force @ friction) / count
         yield Slip(body, pairs, pressed, held, weight, int(grip.readings[-1]), at)
@@ -77,7 +77,7 @@ def slips(run: Recording) -> Iterator[Slip]:
 def _things(run: Recording) -> list[int]:
     """Return the free bodies that nothing drives and no connection holds, if there is gravity."""
     model, scene = run.model, run.model.scene
-    if not (scene.features.gravity and any(scene.gravity) and model.npair):
+    if not (run.gravity and model.npair):
         return []
     index, tied = Layout(scene).index, set[int]()
     for equality in scene.equalities:
@@ -122,23 +122,16 @@ class Grip:
         if not len(readings):
             return None
         first, last, size = int(readings[0]), int(readings[-1]), run.sizes.bodies[self.body]
-        height = self._height
+        height = run.height(self.body)
         # A body that falls into a hand and past it was never held.
         if height[0] - height[first] >= size:
             return None
         place = self._in_hand(run.centre_of_mass(self.body))
-        way = _size(place[last] - place[first])
+        way = float(np.linalg.norm(place[last] - place[first]))
         fell = np.flatnonzero(way + height[last] - height[last + 1 :] > size)
         if not len(fell):
             return None
         return None if self._opens(last, size) else last + 1 + int(fell[0])
-
-    @property
-    def _height(self) -> Floats:
-        """The height of the body's centre of mass against gravity [m], (n,)."""
-        gravity = np.asarray(self.run.model.scene.gravity, float)
-        height: Floats = -self.run.centre_of_mass(self.body) @ gravity / _size(gravity)
-        return height
 
     @functools.cached_property
     def _palm(self) -> int:
@@ -162,7 +155,7 @@ class Grip:
         It does if the last forces on the body would do negative work, in the frame of the palm.
         """
         run, seen, work = self.run, self.seen, 0.0
-        time = math.sqrt(2 * size / _size(run.model.scene.gravity))
+        time = math.sqrt(2 * size / run.gravity)
         end = min(last + math.ceil(time / run.spacing), len(run) - 1)
         back = run["xquat"][last, self._palm] * BACK
         for k in np.flatnonzero(seen.reading[self.places] == last).tolist():
@@ -172,10 +165,6 @@ class Grip:
             way = self._in_hand(run["xpos"][:, hand] + rotated(run["xquat"][:, hand], arm))
             work += float(seen.force[place] * rotated(back, self.push[k]) @ (way[end] - way[last]))
         return work < 0
-
-
-def _size(vector: Sequence[float] | Floats) -> float:
-    return float(np.linalg.norm(vector))
 
 
 def grip_findings(run: Recording) -> Iterator[Finding]:

@@ -57,10 +57,8 @@ def motion_findings(run: Recording) -> Iterator[Finding]:
 
 def _fallen(run: Recording, root: int) -> float:
     """Return the distance that a tree has fallen along gravity [m]."""
-    gravity = np.asarray(run.model.scene.gravity, float)
-    strength = float(np.linalg.norm(gravity)) if run.model.scene.features.gravity else 0.0
-    path = run.centre_of_mass(root)
-    return float((path[-1] - path[0]) @ gravity) / strength if strength else 0.0
+    height = run.height(root)
+    return float(height[0] - height[-1])
 
 
 def _untouched(run: Recording) -> Iterator[Finding]:
@@ -69,7 +67,7 @@ def _untouched(run: Recording) -> Iterator[Finding]:
     if model.is_heap:
         return
     span = float(run.times[-1] - run.times[0])
-    free = HALF * float(np.linalg.norm(model.scene.gravity)) * span**2 / 2
+    free = HALF * run.gravity * span**2 / 2
     sizes = run.sizes.bodies
     falling = worst(free_bodies(model), lambda b: _fallen(run, b) / max(free, sizes[b]))
     trees = run.roots[model.geom_body[model.pair_geoms]]
@@ -150,10 +148,9 @@ def _of_joints(model: Model) -> list[Actuator]:
 def _crushed(run: Recording) -> Iterator[Finding]:
     """Yield contacts that hold a free body with far more than its weight."""
     model, forces = run.model, pressing(run)
-    gravity = float(np.linalg.norm(model.scene.gravity)) if model.scene.features.gravity else 0.0
 
     def over(at: tuple[int, int]) -> float:
-        weight = gravity * float(model.body_mass[run.roots == at[1]].sum())
+        weight = run.weight(at[1])
         return forces[at] / (CRUSHED * weight) if weight else 0.0
 
     hard = worst(forces, over)

@@ -127,6 +127,22 @@ class Recording:
         return centre
 
     @functools.cached_property
+    def gravity(self) -> float:
+        """The strength of gravity [m/s²]; 0 if it is switched off."""
+        scene = self.model.scene
+        return float(np.linalg.norm(scene.gravity)) if scene.features.gravity else 0.0
+
+    def weight(self, root: int) -> float:
+        """Return the weight of a tree [N]."""
+        return self.gravity * float(self.model.body_mass[self.roots == root].sum())
+
+    def height(self, root: int) -> Floats:
+        """Return the height of a tree's centre of mass against gravity [m], (n,); 0 without it."""
+        up = -np.asarray(self.model.scene.gravity, float) / (self.gravity or math.inf)
+        height: Floats = self.centre_of_mass(root) @ up
+        return height
+
+    @functools.cached_property
     def contacts(self) -> Contacts:
         """The contacts with a positive force, at all readings."""
         return Contacts(self)
