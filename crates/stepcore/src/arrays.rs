@@ -36,12 +36,12 @@ impl Index<Array> for Given<'_> {
 }
 
 impl<'a> Given<'a> {
-    /// Create from a function that returns each array.
+    /// Creates from a function that returns each array.
     pub fn new(list: impl FnMut(Array) -> &'a [f64]) -> Self {
         Self(Array::ALL.map(list))
     }
 
-    /// Return the arrays in the order of `Array::ALL`.
+    /// Returns the arrays in the order of `Array::ALL`.
     pub fn lists(&self) -> &[&'a [f64]; Array::COUNT] {
         &self.0
     }
@@ -144,13 +144,13 @@ pub struct Givens<'a> {
 }
 
 impl<'a> Givens<'a> {
-    /// Create from a function that returns each array, with this many worlds.
+    /// Creates from a function that returns each array, with this many worlds.
     pub fn new(worlds: usize, list: impl FnMut(Array) -> &'a [f64]) -> Self {
         let lists = Array::ALL.map(list);
         Self { lists, lengths: lists.map(|list| list.len() / worlds) }
     }
 
-    /// Return one world.
+    /// Returns one world.
     #[inline]
     pub fn of(&self, world: usize) -> Given<'a> {
         let mut own: [&[f64]; Array::COUNT] = [&[]; Array::COUNT];
@@ -160,14 +160,14 @@ impl<'a> Givens<'a> {
         Given(own)
     }
 
-    /// Return one array of one world.
+    /// Returns one array of one world.
     #[inline(always)]
     fn list(&self, array: Array, world: usize) -> &'a [f64] {
         let length = self.lengths[array as usize];
         &self.lists[array as usize][world * length..(world + 1) * length]
     }
 
-    /// Return whether all numbers of some worlds are finite in the engine's number: without a
+    /// Returns whether all numbers of some worlds are finite in the engine's number: without a
     /// branch for each, so that the loop vectorises.
     pub(crate) fn all_finite<R: Real>(&self, worlds: Range<usize>) -> bool {
         Array::ALL
@@ -175,7 +175,7 @@ impl<'a> Givens<'a> {
             .fold(true, |all, array| all & self.all(*array, &worlds, |x| R::One::of(x).is_finite()))
     }
 
-    /// Return whether no force is applied in some worlds.
+    /// Returns whether no force is applied in some worlds.
     pub(crate) fn no_forces(&self, worlds: Range<usize>) -> bool {
         let forces = [Array::QfrcApplied, Array::XfrcApplied];
         forces.iter().fold(true, |none, array| none & self.all(*array, &worlds, |x| x == 0.0))
@@ -189,7 +189,7 @@ impl<'a> Givens<'a> {
 }
 
 impl<N: Constant> Model<N> {
-    /// Return whether there are truths or quaternions, which `Given::check_forms` checks.
+    /// Returns whether there are truths or quaternions, which `Given::check_forms` checks.
     pub(crate) fn has_forms(&self) -> bool {
         let turns = |joint: &Joint<N>| matches!(joint.kind, JointType::Ball | JointType::Free);
         let others = !(self.equalities.is_empty() && self.mocaps.is_empty());
@@ -216,7 +216,7 @@ fn put<R: Real>(to: &mut [R], lane: usize, from: &[f64]) {
 }
 
 impl<R: Real> State<R> {
-    /// Copy one world's state in; return whether any of it differed.
+    /// Copies one world's state in; returns whether any of it differed.
     pub fn put(&mut self, lane: usize, given: &Given) -> bool {
         let differs =
             |now: &[R], new: &[f64]| now.iter().zip(new).any(|(now, new)| now.lane(lane) != *new);
@@ -230,7 +230,7 @@ impl<R: Real> State<R> {
         changed
     }
 
-    /// Copy a world's state into one lane; return whether any of it differed.
+    /// Copies a world's state into one lane; returns whether any of it differed.
     #[inline]
     pub(crate) fn put_of(&mut self, lane: usize, given: &Givens, world: usize) -> bool {
         let differs = |now: &[R], new: &[f64]| {
@@ -247,7 +247,7 @@ impl<R: Real> State<R> {
         changed
     }
 
-    /// Copy out one world's part of an array that a step changes.
+    /// Copies out one world's part of an array that a step changes.
     pub fn take(&self, lane: usize, array: Array, out: &mut [f64]) {
         for (to, from) in out.iter_mut().zip(self.lists()[array as usize]) {
             *to = from.lane(lane);
@@ -256,7 +256,7 @@ impl<R: Real> State<R> {
 }
 
 impl<R: Real> Sim<R> {
-    /// Copy in one world's checked arrays; return whether its state changed. Lane 0 comes first.
+    /// Copies in one world's checked arrays; returns whether its state changed. Lane 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given) -> bool {
         self.put_some(lane, given, ArraySet::ALL)
     }
@@ -267,7 +267,7 @@ impl<R: Real> Sim<R> {
         some.meets(ArraySet::STATE) && self.state.put(lane, given)
     }
 
-    /// Return the world of lane 0 in plain numbers.
+    /// Returns the world of lane 0 in plain numbers.
     pub fn plain(&self) -> Plain {
         Plain {
             model: self.model_of(0).clone(),
@@ -300,7 +300,7 @@ pub struct Plain {
 }
 
 impl Plain {
-    /// Return the world in numbers as accurate as `f64`: the same model, settings, state and inputs.
+    /// Returns the world in numbers as accurate as `f64`: the same model, settings, state and inputs.
     pub fn sim<R: Real>(&self) -> Result<Sim<R>> {
         self.under(self.settings.clone())
     }
@@ -318,7 +318,7 @@ impl Plain {
         Ok(sim)
     }
 
-    /// Copy this world's state into a world of the same model.
+    /// Copies this world's state into a world of the same model.
     pub(crate) fn give<R: Real>(&self, sim: &mut Sim<R>) {
         sim.put(0, &Given::new(|array| &self.lists[array as usize]));
         sim.state.warm.clear();
@@ -328,7 +328,7 @@ impl Plain {
     }
 }
 
-/// Return one lane of state and inputs, in the order of `Array::ALL`.
+/// Returns one lane of state and inputs, in the order of `Array::ALL`.
 pub fn lists<R: Real>(state: &State<R>, inputs: &Inputs<R>, lane: usize) -> Vec<Vec<f64>> {
     let plain = |list: &[R]| list.iter().map(|x| x.lane(lane)).collect();
     let state = state.lists().into_iter().map(|list| plain(list));
@@ -336,13 +336,13 @@ pub fn lists<R: Real>(state: &State<R>, inputs: &Inputs<R>, lane: usize) -> Vec<
 }
 
 impl<R: Real> Inputs<R> {
-    /// Copy a world's inputs into one lane; no force is applied, in either.
+    /// Copies a world's inputs into one lane; no force is applied, in either.
     #[inline]
     pub(crate) fn put_idle(&mut self, lane: usize, given: &Givens, world: usize) {
         self.set_idle_lane(lane, |array| given.list(array, world));
     }
 
-    /// Copy in some of one world's inputs. Lane 0 comes first.
+    /// Copies in some of one world's inputs. Lane 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given, some: ArraySet) {
         let (_, inputs) = given.lists().split_at(Array::CHANGED);
         self.set_lane(lane, inputs, some);

@@ -1,6 +1,6 @@
 //! Sets of small numbers as bits of words.
 
-/// Iterate over the set bits, ascending.
+/// Iterates over the set bits, ascending.
 pub(crate) fn ones(words: &[u64]) -> impl Iterator<Item = usize> + '_ {
     words.iter().enumerate().flat_map(|(at, word)| {
         let mut rest = *word;

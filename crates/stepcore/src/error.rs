@@ -85,7 +85,7 @@ impl Error {
         self
     }
 
-    /// Return the places in the scene's text of the elements that the error names.
+    /// Returns the places in the scene's text of the elements that the error names.
     pub fn mentions(&self) -> &[Mention] {
         match self {
             Self::Value { field, .. } => field.mentions(),

@@ -84,7 +84,7 @@ impl Scheme {
         map: Map::Split,
     };
 
-    /// Return the damping that is evaluated at the end of a step, for a model with or without
+    /// Returns the damping that is evaluated at the end of a step, for a model with or without
     /// `eulerdamp`.
     pub fn late(&self, eulerdamp: bool) -> Option<Late> {
         self.damping.filter(|late| *late == Late::All || eulerdamp)

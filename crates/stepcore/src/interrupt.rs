@@ -17,7 +17,7 @@ thread_local! {
 /// The payload that unwinds a computation.
 struct Interruption;
 
-/// Run `work`, which calls `ask` now and then, in this thread, to check for an interruption.
+/// Runs `work`, which calls `ask` now and then, in this thread, to check for an interruption.
 pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> Result<T>) -> Result<T> {
     /// Restores the previous check, after a panic too.
     struct Before(Option<fn() -> bool>);
@@ -30,7 +30,7 @@ pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> Result<T>) -> R
     caught(work)
 }
 
-/// Run `work` without interruption: it repairs what an interruption has left incomplete.
+/// Runs `work` without interruption: it repairs what an interruption has left incomplete.
 pub(crate) fn unasked<T>(work: impl FnOnce() -> T) -> T {
     let before = ASK.take();
     let result = work();
@@ -38,7 +38,7 @@ pub(crate) fn unasked<T>(work: impl FnOnce() -> T) -> T {
     result
 }
 
-/// Run `work`; return `Error::Interrupted` if it was unwound.
+/// Runs `work`; returns `Error::Interrupted` if it was unwound.
 pub(crate) fn caught<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(ended)
 }
@@ -51,12 +51,12 @@ fn ended<T>(panic: Box<dyn Any + Send>) -> Result<T> {
     resume_unwind(panic)
 }
 
-/// Use this check for later computations of this thread.
+/// Uses this check for later computations of this thread.
 pub(crate) fn ask(ask: fn() -> bool) {
     ASK.set(Some(ask));
 }
 
-/// Return whether the computation should end.
+/// Returns whether the computation should end.
 pub(crate) fn asked() -> bool {
     ASK.get().is_some_and(|ask| ask())
 }
@@ -85,7 +85,7 @@ pub(crate) const STRETCH: usize = 1024;
 pub(crate) struct Meter(usize);
 
 impl Meter {
-    /// Add this much work, finished or next, in units of some nanoseconds.
+    /// Adds this much work, finished or next, in units of some nanoseconds.
     #[inline(always)]
     pub fn count(&mut self, work: usize) {
         self.0 += work;

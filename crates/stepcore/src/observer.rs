@@ -14,7 +14,7 @@ pub trait Observer<R: Real> {
     /// their solution for `share` of the step.
     fn solved(&mut self, _sim: &Sim<R>, _at: At, _share: f64) {}
 
-    /// Return whether it reads more than the states of steps: the output of stages.
+    /// Returns whether it reads more than the states of steps: the output of stages.
     fn looks_inside(&self) -> bool {
         true
     }

@@ -82,7 +82,7 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Return the contents of a lock that nothing else can hold.
+/// Returns the contents of a lock that nothing else can hold.
 pub(crate) fn inside<T>(mutex: &mut Mutex<T>) -> &mut T {
     mutex.get_mut().unwrap_or_else(PoisonError::into_inner)
 }
@@ -122,12 +122,12 @@ impl Pool {
         Ok(Some(Arc::new(pool)))
     }
 
-    /// Return the number of threads, including the caller's.
+    /// Returns the number of threads, including the caller's.
     pub fn threads(&self) -> usize {
         self.threads
     }
 
-    /// Do the work on every part from 0 to `parts`, and return when all are done. One caller at a
+    /// Does the work on every part from 0 to `parts`, and returns when all are done. One caller at a
     /// time.
     pub fn share(&self, parts: usize, work: Work) {
         if self.process != std::process::id() {
@@ -223,7 +223,7 @@ impl Shared {
     }
 }
 
-/// Wait awake, for no longer than `AWAKE`.
+/// Waits awake, for no longer than `AWAKE`.
 fn awake_until(holds: impl Fn() -> bool) {
     if holds() {
         return;

@@ -92,7 +92,7 @@ pub struct PostMortem {
 }
 
 impl fmt::Display for PostMortem {
-    /// Write sentences, a space before each: the cause, the growth, and the dt that would help.
+    /// Writes sentences, a space before each: the cause, the growth, and the dt that would help.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.element {
             None => write!(f, " No single element stands out")?,

@@ -3,7 +3,7 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
-/// Return whether this many bytes can be allocated. The black box makes them used: the optimiser
+/// Returns whether this many bytes can be allocated. The black box makes them used: the optimiser
 /// may omit memory that is never used, and then never allocates it.
 pub(crate) fn can_be_had(bytes: usize) -> bool {
     let mut room = Vec::<u8>::new();

@@ -39,7 +39,7 @@ named!(
     }
 );
 impl Law {
-    /// Return whether the law uses the guess instead of the present positions: rows exist where the
+    /// Returns whether the law uses the guess instead of the present positions: rows exist where the
     /// guess overlaps, and their friction is Coulomb's.
     pub fn on_guess(self) -> bool {
         matches!(self, Self::Lesson | Self::Relaxed | Self::Rigid)
@@ -110,7 +110,7 @@ impl RecoverySpeed {
     pub const AUTO: &'static str = "auto";
     pub const NONE: &'static str = "none";
 
-    /// Return the limit under a law, if there is one [m/s].
+    /// Returns the limit under a law, if there is one [m/s].
     pub fn under(self, law: Law) -> Option<f64> {
         match self {
             Self::Auto => law.on_guess().then_some(Self::USUAL),
@@ -182,7 +182,7 @@ pub struct Settings {
     pub sleep_tolerance: f64,
     /// The time for which it must have been below it [s].
     pub sleep_time: f64,
-    /// Keep the time constants of solref at 2 dt or above: MuJoCo's `refsafe`.
+    /// Keeps the time constants of solref at 2 dt or above: MuJoCo's `refsafe`.
     pub refsafe: bool,
 }
 
@@ -235,7 +235,7 @@ impl Settings {
         self.law.on_guess().then_some(self.dt)
     }
 
-    /// Return the rows that act at the stages of a step: the hard ones, or forces. A softness
+    /// Returns the rows that act at the stages of a step: the hard ones, or forces. A softness
     /// applies to the end of the step.
     pub(crate) fn inside(&self) -> Inside {
         let scheme = self.integrator.scheme();
@@ -248,17 +248,17 @@ impl Settings {
         }
     }
 
-    /// Return whether contacts are solved once, at the start of a step of several stages.
+    /// Returns whether contacts are solved once, at the start of a step of several stages.
     pub(crate) fn rows_after_stages(&self) -> bool {
         self.law.on_guess() && self.integrator.scheme().stages != Stages::Start
     }
 
-    /// Return whether equalities act within the step.
+    /// Returns whether equalities act within the step.
     pub fn connects_inside(&self) -> bool {
         self.inside() == Inside::Equalities
     }
 
-    /// Convert a tolerance on the cost of accelerations to one on the cost of a step's impulses
+    /// Converts a tolerance on the cost of accelerations to one on the cost of a step's impulses
     /// [m²/s²].
     pub(crate) fn cost_floor(&self, tolerance: f64) -> f64 {
         if self.law == Law::SolRef {
@@ -268,7 +268,7 @@ impl Settings {
         }
     }
 
-    /// Check every field against its limit.
+    /// Checks every field against its limit.
     pub fn check(&self) -> Result<()> {
         let number = |field: &str, value: f64, ok: bool, limit: &str| {
             if value.is_finite() && ok {
@@ -356,7 +356,7 @@ impl Settings {
         Err(Error::value("accuracy", accuracy, limit))
     }
 
-    /// Check the accuracy, and that the other settings do not depend on the length of steps.
+    /// Checks the accuracy, and that the other settings do not depend on the length of steps.
     fn check_accuracy(&self, accuracy: f64) -> Result<()> {
         let least = match self.precision {
             Precision::F64 => LEAST_ACCURACY[0],

@@ -56,7 +56,7 @@ pub struct Stretches {
 }
 
 impl Stretches {
-    /// Explain why adaptive steps of `dt` are slow.
+    /// Explains why adaptive steps of `dt` are slow.
     pub fn slow(&self, dt: f64, accuracy: Option<f64>, model: &Model) -> Option<String> {
         let (accuracy, (_, refused)) = (accuracy?, self.refused?);
         let why = match refused {
@@ -146,7 +146,7 @@ impl At {
         }
     }
 
-    /// Return the activations there, in steps of `clock`.
+    /// Returns the activations there, in steps of `clock`.
     pub(crate) fn activations<'a, R: Real>(
         self,
         state: &'a State<R>,
@@ -169,7 +169,7 @@ room!(Sim<R>: model, models, plan, clock, state, inputs, placed, detected, rows,
     next, stands, solver, noslip, sleeper, extrapolation; settings, period, most);
 
 impl<R: Real> Sim<R> {
-    /// Create a world at qpos0 and at rest; reject settings outside their limits.
+    /// Creates a world at qpos0 and at rest; reject settings outside their limits.
     pub fn new(model: Arc<Model>, settings: Settings) -> Result<Self> {
         Self::side_by_side(SideBySide::new([model].into())?, settings)
     }
@@ -179,7 +179,7 @@ impl<R: Real> Sim<R> {
         Self::solved_by(Box::new(Solvers::new()), models, settings)
     }
 
-    /// Reset the working space that an interrupted step has left inconsistent.
+    /// Resets the working space that an interrupted step has left inconsistent.
     #[cold]
     pub(crate) fn renew(&mut self) {
         let (model, pool) = (&self.model, self.rows.pool.take());
@@ -199,12 +199,12 @@ impl<R: Real> Sim<R> {
         self.clear_solve();
     }
 
-    /// Return the models of its worlds.
+    /// Returns the models of its worlds.
     pub(crate) fn models(&self) -> SideBySide<R> {
         SideBySide { models: self.models.clone(), model: self.model.clone() }
     }
 
-    /// Replace the models of its worlds by models that differ in numbers.
+    /// Replaces the models of its worlds by models that differ in numbers.
     pub(crate) fn take_models(&mut self, models: &SideBySide<R>) {
         if Arc::ptr_eq(&self.model, &models.model) {
             return;
@@ -281,7 +281,7 @@ impl<R: Real> Sim<R> {
         Ok(sim)
     }
 
-    /// Share the work of each step among this many threads. The motion has the same bits with any
+    /// Shares the work of each step among this many threads. The motion has the same bits with any
     /// number.
     pub fn use_threads(&mut self, threads: usize) -> Result<()> {
         let pool = Pool::new(threads)?;
@@ -290,12 +290,12 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Return the model of the first world.
+    /// Returns the model of the first world.
     pub fn model(&self) -> &Arc<Model> {
         &self.models[0]
     }
 
-    /// Return the model of the world in a lane.
+    /// Returns the model of the world in a lane.
     pub(crate) fn model_of(&self, lane: usize) -> &Arc<Model> {
         &self.models[lane.min(self.models.len() - 1)]
     }
@@ -304,17 +304,17 @@ impl<R: Real> Sim<R> {
         &self.settings
     }
 
-    /// Return the time of the state [s].
+    /// Returns the time of the state [s].
     pub fn time(&self) -> f64 {
         self.state.time(self.period)
     }
 
-    /// Return the time by which a step advances [s].
+    /// Returns the time by which a step advances [s].
     pub fn period(&self) -> f64 {
         self.period
     }
 
-    /// Start the built rows from the last step's impulses, if these are stored, except equalities
+    /// Starts the built rows from the last step's impulses, if these are stored, except equalities
     /// that the stages held (`inside`).
     pub(crate) fn warm_start(&mut self, inside: bool) {
         if self.plan.warm_start {
@@ -328,7 +328,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// Solve the built rows, from their current impulses.
+    /// Solves the built rows, from their current impulses.
     pub(crate) fn solve(&mut self) -> Result<()> {
         let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
         let dof_lists = self.detected.dof_lists(model);
@@ -345,20 +345,20 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Return the error for the lanes in `failed`, whose step cannot be committed: the error of the
+    /// Returns the error for the lanes in `failed`, whose step cannot be committed: the error of the
     /// first one.
     pub(crate) fn diverged(&self, failed: R::Mask, fault: impl FnOnce(usize) -> Fault) -> Error {
         let lane = (0..R::LANES).find(|lane| failed.lane(*lane)).unwrap_or(0);
         Error::Diverged(Box::new(self.divergence(lane, fault(lane))))
     }
 
-    /// Return the divergence at the present state of a lane, without an explanation.
+    /// Returns the divergence at the present state of a lane, without an explanation.
     pub(crate) fn divergence(&self, lane: usize, fault: Fault) -> Divergence {
         let (step, time) = (self.state.steps, self.time());
         Divergence { step, time, world: lane, batch: false, fault, post: None }
     }
 
-    /// Return the first dof whose `quantity`, in `numbers`, is not finite in a lane.
+    /// Returns the first dof whose `quantity`, in `numbers`, is not finite in a lane.
     pub(crate) fn not_finite(&self, lane: usize, quantity: &'static str, numbers: &[R]) -> Fault {
         let Some(dof) = numbers.iter().position(|x| !x.is_finite().lane(lane)) else {
             return Fault::Position;
@@ -367,7 +367,7 @@ impl<R: Real> Sim<R> {
         Fault::NotFinite { quantity, joint: self.model.named(joint) }
     }
 
-    /// Return the first velocity in a lane that is beyond `BEYOND`, if there is one.
+    /// Returns the first velocity in a lane that is beyond `BEYOND`, if there is one.
     pub(crate) fn beyond(&self, lane: usize) -> Option<Fault> {
         let velocities = self.state.qvel.iter().map(|velocity| velocity.lane(lane));
         let (dof, velocity) = velocities.enumerate().find(|(_, v)| v.abs() > BEYOND)?;
@@ -375,7 +375,7 @@ impl<R: Real> Sim<R> {
         Some(Fault::Beyond { velocity, joint: self.model.named(joint) })
     }
 
-    /// Return the first activation after the step that is not finite in a lane.
+    /// Returns the first activation after the step that is not finite in a lane.
     pub(crate) fn act_not_finite(&self, lane: usize) -> Fault {
         let bad = self.next.act.iter().position(|x| !x.is_finite().lane(lane));
         let Some(entry) = bad else { return Fault::Position };
@@ -383,7 +383,7 @@ impl<R: Real> Sim<R> {
         Fault::NotFinite { quantity: "activation", joint: self.model.named(element) }
     }
 
-    /// Clear the last solve.
+    /// Clears the last solve.
     pub fn clear_solve(&mut self) {
         self.rows.clear();
         self.detected.contacts.clear();
@@ -392,18 +392,18 @@ impl<R: Real> Sim<R> {
         self.velocity.copy_from_slice(&self.state.qvel);
     }
 
-    /// Return the memory of the state and of all working space [bytes], without the model.
+    /// Returns the memory of the state and of all working space [bytes], without the model.
     pub fn bytes(&self) -> usize {
         size_of::<Self>() + self.room()
     }
 
-    /// Return the residual of the last solve [m/s]; 0 without rows.
+    /// Returns the residual of the last solve [m/s]; 0 without rows.
     pub fn residual(&self) -> R {
         self.rows.residual(self.detected.dof_lists(&self.model))
     }
 }
 
-/// Check the requirements of adaptive steps. They consist of first-order steps of any length, under
+/// Checks the requirements of adaptive steps. They consist of first-order steps of any length, under
 /// a law that does not depend on it.
 fn extrapolates<R: Real>(settings: &mut Settings) -> Result<()> {
     if !R::ALONE {
@@ -417,7 +417,7 @@ fn extrapolates<R: Real>(settings: &mut Settings) -> Result<()> {
     Ok(())
 }
 
-/// Check that the precision can represent every mass and its inverse, and for Newton, whose costs
+/// Checks that the precision can represent every mass and its inverse, and for Newton, whose costs
 /// are energies of impulses, their squares.
 pub(crate) fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
     for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {

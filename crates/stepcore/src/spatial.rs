@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 pub type V3<R> = Vector3<R>;
 pub type M3<R> = Matrix3<R>;
 
-/// Return the same constant vector in every lane.
+/// Returns the same constant vector in every lane.
 #[inline(always)]
 pub fn splat<R: Real, N: Value<R>>(v: &Vector3<N>) -> V3<R> {
     V3::new(v.x.get(), v.y.get(), v.z.get())
@@ -257,25 +257,25 @@ impl Pose<f64> {
         Self { pos, rot: rotation(quat) }
     }
 
-    /// Return the world point of a local one.
+    /// Returns the world point of a local one.
     pub(crate) fn point(&self, local: Vector3<f64>) -> Vector3<f64> {
         self.pos + self.rot * local
     }
 
-    /// Return the world pose of a frame given in this one.
+    /// Returns the world pose of a frame given in this one.
     pub(crate) fn then(&self, local: &Self) -> Self {
         Self { pos: self.point(local.pos), rot: self.rot * local.rot }
     }
 }
 
 impl<R: Real> Pose<R> {
-    /// Return one of the shape's axes, in the world.
+    /// Returns one of the shape's axes, in the world.
     #[inline(always)]
     pub fn axis(&self, i: usize) -> V3<R> {
         V3::new(self.rot[(0, i)], self.rot[(1, i)], self.rot[(2, i)])
     }
 
-    /// Return a world vector along the shape's axes.
+    /// Returns a world vector along the shape's axes.
     #[inline(always)]
     pub fn to_local(&self, v: &V3<R>) -> V3<R> {
         V3::new(self.axis(0).dot(v), self.axis(1).dot(v), self.axis(2).dot(v))

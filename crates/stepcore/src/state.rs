@@ -28,7 +28,7 @@ pub struct State<R: Real> {
 room!(State<R>: steps, start, qpos, qvel, act, ctrl_history, warm, sleep);
 
 impl<R: Real> State<R> {
-    /// Create a state at qpos0 and at rest.
+    /// Creates a state at qpos0 and at rest.
     pub fn new(model: &Model<R::Value>) -> Self {
         Self {
             steps: 0,
@@ -42,7 +42,7 @@ impl<R: Real> State<R> {
         }
     }
 
-    /// Return the user's part of it, in the order of `arrays::Array`.
+    /// Returns the user's part of it, in the order of `arrays::Array`.
     pub(crate) fn lists(&self) -> [&Vec<R>; Array::CHANGED] {
         [&self.qpos, &self.qvel, &self.act, &self.ctrl_history]
     }
@@ -51,7 +51,7 @@ impl<R: Real> State<R> {
         [&mut self.qpos, &mut self.qvel, &mut self.act, &mut self.ctrl_history]
     }
 
-    /// Copy into a state of the same model, reusing its memory.
+    /// Copies into a state of the same model, reusing its memory.
     pub(crate) fn copy_to(&self, to: &mut Self) {
         (to.steps, to.start) = (self.steps, self.start);
         for (to, from) in to.lists_mut().into_iter().zip(self.lists()) {
@@ -61,7 +61,7 @@ impl<R: Real> State<R> {
         self.sleep.copy_to(&mut to.sleep);
     }
 
-    /// Start one lane's next step without impulses.
+    /// Starts one lane's next step without impulses.
     pub(crate) fn forget_impulses(&mut self, lane: usize) {
         if R::ALONE {
             return self.warm.clear();
@@ -70,7 +70,7 @@ impl<R: Real> State<R> {
         impulses.for_each(|impulse| impulse.set_lane(lane, 0.0));
     }
 
-    /// Return the time [s] of this state in steps of `dt`.
+    /// Returns the time [s] of this state in steps of `dt`.
     pub fn time(&self, dt: f64) -> f64 {
         self.start + self.steps as f64 * dt
     }
@@ -96,7 +96,7 @@ pub struct Inputs<R: Real> {
 room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat, applied);
 
 impl<R: Real> Inputs<R> {
-    /// Create inputs without control or force; equalities and mocap bodies as in the scene.
+    /// Creates inputs without control or force; equalities and mocap bodies as in the scene.
     pub fn new(model: &Model<R::Value>) -> Self {
         let initial = |array: Array| {
             let mut all = vec![R::zero(); array.count(model)];
@@ -117,7 +117,7 @@ impl<R: Real> Inputs<R> {
         }
     }
 
-    /// Return the generalised forces by dof [N or N·m].
+    /// Returns the generalised forces by dof [N or N·m].
     pub fn qfrc_applied(&self) -> &[R] {
         &self.qfrc_applied
     }
@@ -128,30 +128,30 @@ impl<R: Real> Inputs<R> {
         &self.xfrc_applied
     }
 
-    /// Return false if every applied force is zero, so that a step need not add them.
+    /// Returns false if every applied force is zero, so that a step need not add them.
     pub fn applied(&self) -> bool {
         self.applied
     }
 
-    /// Change the applied forces with `write(qfrc_applied, xfrc_applied)`.
+    /// Changes the applied forces with `write(qfrc_applied, xfrc_applied)`.
     pub fn apply(&mut self, write: impl FnOnce(&mut [R], &mut [R])) {
         self.edit(|[_, qfrc, xfrc, ..]| write(qfrc, xfrc));
     }
 
-    /// Return the lanes in which an equality acts.
+    /// Returns the lanes in which an equality acts.
     #[inline(always)]
     pub(crate) fn eq_active(&self, index: usize) -> R::Mask {
         let (active, zero) = (self.eq_active[index], R::zero());
         active.gt(zero).or(active.lt(zero))
     }
 
-    /// Return the poses of mocap bodies.
+    /// Returns the poses of mocap bodies.
     pub(crate) fn mocap(&self) -> impl Iterator<Item = (V3<R>, Quat<R>)> + '_ {
         let quats = self.mocap_quat.chunks(4).map(|quat| Quat::of(quat).normalized());
         self.mocap_pos.chunks(3).map(|pos| V3::new(pos[0], pos[1], pos[2])).zip(quats)
     }
 
-    /// Return the arrays in the order of `arrays::Array`.
+    /// Returns the arrays in the order of `arrays::Array`.
     pub(crate) fn arrays(&self) -> [&[R]; INPUTS] {
         let Self { ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat, .. } = self;
         [ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat]
@@ -169,7 +169,7 @@ impl<R: Real> Inputs<R> {
         self.applied = forces.any(|force| !force.is_zero());
     }
 
-    /// Copy in some of one world's arrays, in the order of `arrays`. Lane 0 comes first.
+    /// Copies in some of one world's arrays, in the order of `arrays`. Lane 0 comes first.
     pub(crate) fn set_lane(&mut self, lane: usize, given: &[&[f64]], some: ArraySet) {
         if some.has(Array::QfrcApplied) || some.has(Array::XfrcApplied) {
             let applied = given[1..3].iter().copied().flatten().any(|force| *force != 0.0);
@@ -183,7 +183,7 @@ impl<R: Real> Inputs<R> {
         }
     }
 
-    /// Copy a world's numbers into one lane; no force is applied there, and none was before.
+    /// Copies a world's numbers into one lane; no force is applied there, and none was before.
     #[inline(always)]
     pub(crate) fn set_idle_lane<'a>(&mut self, lane: usize, given: impl Fn(Array) -> &'a [f64]) {
         for (to, array) in self.arrays_mut().into_iter().zip(&Array::ALL[Array::CHANGED..]) {
@@ -195,7 +195,7 @@ impl<R: Real> Inputs<R> {
         }
     }
 
-    /// Return, by array, whether it differs from the one in `old`.
+    /// Returns, by array, whether it differs from the one in `old`.
     pub(crate) fn changes(&self, old: &Self) -> [bool; INPUTS] {
         let (new, applied) = (self.arrays(), self.applied || old.applied);
         let mut changes = [false; INPUTS];
@@ -209,7 +209,7 @@ impl<R: Real> Inputs<R> {
         changes
     }
 
-    /// Copy into inputs of the same model, reusing their memory.
+    /// Copies into inputs of the same model, reusing their memory.
     pub(crate) fn copy_to(&self, to: &mut Self) {
         self.copy_some([true; INPUTS], to);
     }

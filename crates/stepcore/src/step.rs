@@ -17,7 +17,7 @@ use crate::sim::{At, Sim};
 use crate::solve::{Choice, Part, Situation};
 
 impl<R: Real> Sim<R> {
-    /// Run `work`; if it is interrupted, state and inputs stay at the last whole step.
+    /// Runs `work`; if it is interrupted, state and inputs stay at the last whole step.
     pub(crate) fn whole<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         let outcome = caught(|| work(self));
         if matches!(outcome, Err(Error::Interrupted)) {
@@ -26,7 +26,7 @@ impl<R: Real> Sim<R> {
         outcome
     }
 
-    /// Advance by `n` steps, or to the last finite state before an error.
+    /// Advances by `n` steps, or to the last finite state before an error.
     pub fn step(&mut self, n: u64) -> Result<()> {
         self.step_watched(n, &mut ())
     }
@@ -48,7 +48,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Swap the state and the next one.
+    /// Swaps the state and the next one.
     #[inline(always)]
     pub(crate) fn swap_states(&mut self) {
         let (state, next) = (&mut self.state, &mut self.next);
@@ -84,7 +84,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Return the inputs of forces, with the current placement.
+    /// Returns the inputs of forces, with the current placement.
     pub(crate) fn moment(&self, at: At) -> Moment<'_, R> {
         let (qpos, qvel) = at.of(&self.state, &self.next);
         let frames = self.placed.frames();
@@ -150,7 +150,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Add impulses of contacts without rows to the start of the rows.
+    /// Adds impulses of contacts without rows to the start of the rows.
     pub(crate) fn take_pushes(&mut self) {
         if !self.rows.pushes.is_empty() {
             self.next.smooth.copy_from_slice(&self.placed.guess);
@@ -169,7 +169,7 @@ impl<R: Real> Sim<R> {
         self.detected.detect(&self.model, &self.placed, self.settings.ahead(), qpos)
     }
 
-    /// Build the rows of the current contacts.
+    /// Builds the rows of the current contacts.
     pub(crate) fn make_rows(&mut self, at: At, part: Part) {
         R::enter(Stage::Rows);
         if !self.model.makes_rows(self.detected.contacts.len()) {
@@ -193,7 +193,7 @@ impl<R: Real> Sim<R> {
         self.rows.make(&now, &mut self.detected.contacts);
     }
 
-    /// Return the contacts of the current placement, for reading: the last solve's contacts remain.
+    /// Returns the contacts of the current placement, for reading: the last solve's contacts remain.
     pub(crate) fn detect_again(&self) -> Detected<R> {
         let mut detected = Detected::new(&self.model, 0);
         // If a step had room there is room again; else it has failed already.
@@ -229,7 +229,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Compute the acceleration from the smooth forces and equalities alone; the model has some.
+    /// Computes the acceleration from the smooth forces and equalities alone; the model has some.
     pub(crate) fn smooth_and_connected(
         &mut self,
         at: At,
@@ -252,7 +252,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Solve the equalities alone from the current guess; `velocity` gets their change. Their
+    /// Solves the equalities alone from the current guess; `velocity` gets their change. Their
     /// impulses act for a share of the step.
     pub(crate) fn connect(&mut self, at: At, part: Part, share: f64, choice: Choice) -> Result<()> {
         self.make_rows(at, part);
@@ -274,7 +274,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Compute the acceleration from the smooth forces alone.
+    /// Computes the acceleration from the smooth forces alone.
     pub(crate) fn smooth(&mut self, at: At) {
         self.effort.evaluations += 1;
         let (qpos, qvel) = at.of(&self.state, &self.next);
@@ -289,7 +289,7 @@ impl<R: Real> Sim<R> {
         R::enter(Stage::Commit);
     }
 
-    /// Check that the next state is finite: others are never committed.
+    /// Checks that the next state is finite: others are never committed.
     pub(crate) fn check_next(&self) -> Result<()> {
         let Next { qpos, qvel, act, .. } = &self.next;
         let bad = all_finite(qvel).and(all_finite(qpos)).not();
@@ -309,7 +309,7 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// Return the lanes in which every number is finite.
+/// Returns the lanes in which every number is finite.
 pub(crate) fn all_finite<R: Real>(numbers: &[R]) -> R::Mask {
     numbers.iter().fold(R::Mask::of(true), |finite, x| finite.and(x.is_finite()))
 }

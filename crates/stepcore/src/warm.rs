@@ -41,7 +41,7 @@ impl<R: Real> Warm<R> {
         }
     }
 
-    /// Return whether it acts: an impulse of zero counts as none.
+    /// Returns whether it acts: an impulse of zero counts as none.
     pub fn acts(&self) -> bool {
         self.impulse.iter().any(|x| !x.is_zero())
     }
@@ -72,17 +72,17 @@ impl<R: Real> Default for Sleep<R> {
 }
 
 impl<R: Real> Sleep<R> {
-    /// Create it with no sleeping tree.
+    /// Creates it with no sleeping tree.
     pub fn new() -> Self {
         Self { slow: vec![], island: vec![], qpos: vec![], kept: vec![] }
     }
 
-    /// Return whether some tree sleeps.
+    /// Returns whether some tree sleeps.
     pub fn any(&self) -> bool {
         self.island.iter().any(|island| *island != AWAKE)
     }
 
-    /// Return whether a tree sleeps.
+    /// Returns whether a tree sleeps.
     pub fn has(&self, tree: usize) -> bool {
         self.island.get(tree).is_some_and(|island| *island != AWAKE)
     }
@@ -94,7 +94,7 @@ impl<R: Real> Sleep<R> {
         to.kept.clone_from(&self.kept);
     }
 
-    /// Convert to other numbers, from lane 0, as no tree sleeps in lanes.
+    /// Converts to other numbers, from lane 0, as no tree sleeps in lanes.
     pub fn cast<Q: Real>(&self) -> Sleep<Q> {
         let number = |x: R| Q::of(x.lane(0));
         let warm = |w: &Warm<R>| Warm::of(&w.in_lane(0));

@@ -145,7 +145,7 @@ impl<R: Real> Damped<R> {
 }
 
 impl<R: Real> Placed<R> {
-    /// Add dt·B of a single free body.
+    /// Adds dt·B of a single free body.
     fn add_gyroscopic(
         &self,
         model: &Model<R::Value>,
@@ -175,7 +175,7 @@ impl<R: Real> Placed<R> {
     }
 }
 
-/// Return the block of a free body in a symmetric matrix, given by its entries (i, j ≤ i).
+/// Returns the block of a free body in a symmetric matrix, given by its entries (i, j ≤ i).
 fn free_block<R: Real>(first: usize, entry: impl Fn(usize, usize) -> R) -> [[R; 6]; 6] {
     let mut block = [[R::zero(); 6]; 6];
     for i in 0..6 {
@@ -188,7 +188,7 @@ fn free_block<R: Real>(first: usize, entry: impl Fn(usize, usize) -> R) -> [[R; 
     block
 }
 
-/// Return the matrix of v × ·.
+/// Returns the matrix of v × ·.
 fn cross_matrix<R: Real>(v: &V3<R>) -> M3<R> {
     let zero = R::zero();
     M3::new(zero, -v.z, v.y, v.z, zero, -v.x, -v.y, v.x, zero)

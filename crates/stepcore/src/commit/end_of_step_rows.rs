@@ -77,7 +77,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Add adhesion through the step: the last velocity changes by twice as much as the mean.
+    /// Adds adhesion through the step: the last velocity changes by twice as much as the mean.
     fn adhere(&mut self, dt: R) {
         let model = self.model.clone();
         self.next.change.copy_from_slice(&self.placed.force);
@@ -96,7 +96,7 @@ impl<R: Real> Sim<R> {
         self.placed.metric.to_factored(judged, &mut self.placed.guess);
     }
 
-    /// Set `velocity` to the rows' change since the guess: exactly zero in a tree without rows.
+    /// Sets `velocity` to the rows' change since the guess: exactly zero in a tree without rows.
     fn changed(&mut self) {
         let change = &mut self.next.change;
         for k in 0..self.model.nv {
@@ -105,7 +105,7 @@ impl<R: Real> Sim<R> {
         self.placed.metric.from_factored(change, &mut self.velocity);
     }
 
-    /// Add multiples of `velocity` to the last velocity and to the mean.
+    /// Adds multiples of `velocity` to the last velocity and to the mean.
     fn add_change(&mut self, last: f64, mean: f64) {
         // Velocities that the rows do not change keep their bits, even the sign of a zero.
         let add = |x: &mut R, change: R| {
@@ -120,7 +120,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// The second solve: add the rest to the last velocity.
+    /// The second solve: adds the rest to the last velocity.
     fn second(&mut self, answers: bool, observer: &mut dyn Observer<R>) -> Result<()> {
         let nv = self.model.nv;
         // v₁ − v̄, unaffected by the first solve.

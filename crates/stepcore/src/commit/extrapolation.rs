@@ -77,7 +77,7 @@ impl<R: Real> Settling<R> {
         }
     }
 
-    /// Return the displacement from a change of velocities, and of activations.
+    /// Returns the displacement from a change of velocities, and of activations.
     fn way(
         &mut self,
         now: &Now<R>,
@@ -93,7 +93,7 @@ impl<R: Real> Settling<R> {
         self.way.iter().map(|x| *x * self.time)
     }
 
-    /// Add the impulse from a change of activations.
+    /// Adds the impulse from a change of activations.
     fn pull(&mut self, now: &Now<R>, activations: impl Iterator<Item = R>) {
         let Now { model, placed, inputs, state, clock } = now;
         let (pulls, own) = (placed.pulls(), state.activations(*clock));
@@ -130,13 +130,13 @@ impl<R: Real> Extrapolation<R> {
         }
     }
 
-    /// Update the damping of velocities.
+    /// Updates the damping of velocities.
     pub fn settle(&mut self, now: &Moment<R>, placed: &Placed<R>) {
         let Settling { effective, metric, .. } = &mut self.settling;
         effective.factor(now, &placed.mass, metric);
     }
 
-    /// Store the end of the stretch in `CUTS[nth]` steps.
+    /// Stores the end of the stretch in `CUTS[nth]` steps.
     pub fn take(&mut self, model: &Model<R::Value>, end: &State<R>, nth: usize) {
         difference(model, &self.from, end, &mut self.table[nth]);
         for place in (0..nth).rev() {
@@ -149,7 +149,7 @@ impl<R: Real> Extrapolation<R> {
         }
     }
 
-    /// Write the best estimate of the end of the stretch.
+    /// Writes the best estimate of the end of the stretch.
     pub fn store(&self, model: &Model<R::Value>, to: &mut State<R>) {
         let (dq, rest) = self.table[0].split_at(model.nv);
         let (dv, dw) = rest.split_at(model.nv);
@@ -161,7 +161,7 @@ impl<R: Real> Extrapolation<R> {
         sum(&mut to.act, &self.from.act, dw);
     }
 
-    /// Return the difference of the last two results [m].
+    /// Returns the difference of the last two results [m].
     pub fn error(&mut self, now: &Now<R>) -> Largest {
         let nv = now.model.nv;
         let Self { table: [best, before, ..], moved, levers, settling, .. } = self;
@@ -172,7 +172,7 @@ impl<R: Real> Extrapolation<R> {
         worse(position, velocity)
     }
 
-    /// Add the change of velocity of a step, the nth of `of` and one after the stretch. With equal
+    /// Adds the change of velocity of a step, the nth of `of` and one after the stretch. With equal
     /// steps of a smooth motion the highest difference falls with as high a power of their length;
     /// a sudden start or end within them, or after the last evaluation, remains in it undiminished.
     pub fn count(&mut self, nth: u32, of: u32, before: &[R], after: &[R]) {
@@ -186,7 +186,7 @@ impl<R: Real> Extrapolation<R> {
         }
     }
 
-    /// Return the displacement from `jump` [m].
+    /// Returns the displacement from `jump` [m].
     pub fn jump(&mut self, now: &Now<R>) -> Largest {
         let Self { jump, moved, levers, settling, .. } = self;
         let none = settling.act.len();
@@ -195,7 +195,7 @@ impl<R: Real> Extrapolation<R> {
     }
 }
 
-/// Return the larger of two.
+/// Returns the larger of two.
 pub(super) fn worse(one: Largest, two: Largest) -> Largest {
     // A number that is not finite is the worst of all.
     if one.0 >= two.0 || one.0.is_nan() {
@@ -218,7 +218,7 @@ pub(crate) struct Now<'a, R: Real> {
     pub clock: Clock<R>,
 }
 
-/// Return the tangent coordinates of `to` relative to `from`.
+/// Returns the tangent coordinates of `to` relative to `from`.
 fn difference<R: Real>(model: &Model<R::Value>, from: &State<R>, to: &State<R>, out: &mut [R]) {
     let minus = |out: &mut [R], to: &[R], from: &[R]| {
         out.iter_mut().zip(to.iter().zip(from)).for_each(|(out, (x, y))| *out = *x - *y);
@@ -244,7 +244,7 @@ fn difference<R: Real>(model: &Model<R::Value>, from: &State<R>, to: &State<R>, 
     }
 }
 
-/// Return the radius of gyration about the mean of the axes.
+/// Returns the radius of gyration about the mean of the axes.
 fn gyration<R: Real>(body: &Body<R::Value>) -> f64 {
     let inertia = value::matrix::<R, _>(&body.inertia);
     let (trace, mass) = (inertia.trace().lane(0), body.mass.get().lane(0));
@@ -255,7 +255,7 @@ fn gyration<R: Real>(body: &Body<R::Value>) -> f64 {
     }
 }
 
-/// Return the largest effect of a change of tangent coordinates on a body: the displacement of its
+/// Returns the largest effect of a change of tangent coordinates on a body: the displacement of its
 /// centre of mass, and its turn at the radius of gyration.
 fn largest<R: Real>(
     now: &Now<R>,

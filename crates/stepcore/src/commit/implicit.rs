@@ -90,7 +90,7 @@ impl<R: Real> Unsymmetric<R> {
         Self { lower: zeros(n), upper: zeros(n), inv_d: zeros(model.nv) }
     }
 
-    /// Copy a symmetric matrix.
+    /// Copies a symmetric matrix.
     fn fill(&mut self, model: &Model<R::Value>, dofs: Range<usize>, symmetric: &[R]) {
         for k in dofs {
             let row = model.dofs[k].row.range();
@@ -99,7 +99,7 @@ impl<R: Real> Unsymmetric<R> {
         }
     }
 
-    /// Add to the entry in row i and column j, if the pattern has it.
+    /// Adds to the entry in row i and column j, if the pattern has it.
     #[inline(always)]
     fn add(&mut self, model: &Model<R::Value>, i: usize, j: usize, x: R) {
         if let Some(at) = model.entry(i, j) {

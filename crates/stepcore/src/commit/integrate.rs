@@ -16,7 +16,7 @@ use crate::sim::{At, Sim};
 use crate::state::{Inputs, State};
 
 impl<R: Real> Sim<R> {
-    /// Make one step of the integrator, into `next`.
+    /// Makes one step of the integrator, into `next`.
     #[inline(always)]
     pub(crate) fn integrate(&mut self, observer: &mut dyn Observer<R>) -> Result<()> {
         match self.plan.scheme.stages {
@@ -74,7 +74,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// Add the gyroscopic forces of free bodies under `discrete`, whose acceleration covers the
+    /// Adds the gyroscopic forces of free bodies under `discrete`, whose acceleration covers the
     /// whole step, as in MuJoCo.
     pub(crate) fn spin(&mut self) {
         let Self { model, state, inputs, placed, rows, plan, clock, next, velocity, qacc, .. } =

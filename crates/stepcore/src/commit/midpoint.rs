@@ -28,7 +28,7 @@ const LONG: usize = 20;
 const PATIENCE: usize = 16;
 
 impl<R: Real> Sim<R> {
-    /// Make one step from `next.start` into `next`.
+    /// Makes one step from `next.start` into `next`.
     pub(super) fn midpoint(
         &mut self,
         inside: Inside,
@@ -109,7 +109,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Return the last correction's change of derivatives, relative to the largest.
+    /// Returns the last correction's change of derivatives, relative to the largest.
     fn last_slope(&self) -> f64 {
         let most = |list: &[R]| list.iter().map(|x| x.steepness()).fold(0.0, f64::max);
         let change = self.next.iteration.as_ref().map_or(0.0, |space| most(&space.correction));
@@ -120,7 +120,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// Return the change of velocities by forces other than contacts: if contacts cancel it, the
+    /// Returns the change of velocities by forces other than contacts: if contacts cancel it, the
     /// difference is rounding relative to this.
     fn smooth_gain(&self) -> R {
         let smooth =
@@ -129,7 +129,7 @@ impl<R: Real> Sim<R> {
         free.fold(R::zero(), |most, (guess, u)| most.max((*guess - *u).abs()))
     }
 
-    /// v⁺ += (M + dt/2·D + dt²/4·K)⁻¹ M (v + dt·a − v⁺); return the size of the correction relative
+    /// v⁺ += (M + dt/2·D + dt²/4·K)⁻¹ M (v + dt·a − v⁺); returns the size of the correction relative
     /// to the velocities of the step, and its displacement relative to the largest coordinate.
     fn correct_midpoint(
         &mut self,

@@ -102,7 +102,7 @@ impl<R: Real> Iteration<R> {
 }
 
 impl<R: Real> Next<R> {
-    /// Return the initial impulses of rows.
+    /// Returns the initial impulses of rows.
     pub(crate) fn last_impulses<'a>(&'a self, state: &'a State<R>) -> &'a [Warm<R>] {
         if self.stage > 0 {
             &self.warm

@@ -26,7 +26,7 @@ impl<R: Real> Sim<R> {
         outcome
     }
 
-    /// Set the state to the point where a step from here evaluates its forces last: under `rk4` its
+    /// Sets the state to the point where a step from here evaluates its forces last: under `rk4` its
     /// fourth stage, in lanes in which that is finite.
     #[inline(never)]
     pub(crate) fn go_to_last_stage(&mut self) -> Result<()> {
@@ -108,7 +108,7 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// Convert angular rates of balls and free joints to rates of the rotation vector `turned`.
+/// Converts angular rates of balls and free joints to rates of the rotation vector `turned`.
 fn rates_on_the_group<R: Real>(model: &Model<R::Value>, turned: &[R], rate: &mut [R]) {
     for joint in &model.joints {
         let first = match joint.kind {

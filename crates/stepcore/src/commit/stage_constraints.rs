@@ -8,7 +8,7 @@ use crate::sim::{At, Sim};
 use crate::solve::{Choice, Part};
 
 impl<R: Real> Sim<R> {
-    /// Make one step: `stages`, then the rows that do not act within them.
+    /// Makes one step: `stages`, then the rows that do not act within them.
     pub(super) fn after_stages(
         &mut self,
         stages: impl FnOnce(&mut Self, Inside, &mut dyn Observer<R>) -> Result<()>,
@@ -27,7 +27,7 @@ impl<R: Real> Sim<R> {
         self.rows_at_the_end(observer)
     }
 
-    /// Project the velocities at the start onto the equalities, and remove a share β of their
+    /// Projects the velocities at the start onto the equalities, and removes a share β of their
     /// violation. The stages change neither.
     fn start(&mut self, observer: &mut dyn Observer<R>) -> Result<()> {
         let model = self.model.clone();
@@ -42,7 +42,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Compute the acceleration of a stage, which acts for a share of the step.
+    /// Computes the acceleration of a stage, which acts for a share of the step.
     pub(super) fn accelerate(
         &mut self,
         at: At,

@@ -46,7 +46,7 @@ struct Tried {
 }
 
 impl<R: Real> Sim<R> {
-    /// Make one step, into `next`, that adds at most `asked` metres of error per second.
+    /// Makes one step, into `next`, that adds at most `asked` metres of error per second.
     pub(crate) fn integrate_within(&mut self, asked: f64) -> Result<()> {
         let Some(mut space) = self.extrapolation.take() else { return Ok(()) };
         self.state.copy_to(&mut space.period);
@@ -64,7 +64,7 @@ impl<R: Real> Sim<R> {
         outcome
     }
 
-    /// Advance the state to the end of the step.
+    /// Advances the state to the end of the step.
     fn stretches(&mut self, space: &mut Extrapolation<R>, asked: f64) -> Result<()> {
         let (whole, mut at, mut level) = (1_u64 << FINEST, 0, 0);
         let mut meter = Meter::default();
@@ -109,7 +109,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Advance the state over one stretch from `space.from`, the current state.
+    /// Advances the state over one stretch from `space.from`, the current state.
     fn stretch(
         &mut self,
         space: &mut Extrapolation<R>,
@@ -148,7 +148,7 @@ impl<R: Real> Sim<R> {
         Ok(tried)
     }
 
-    /// Make a step of the integrator, into `next`: the nth of `of`.
+    /// Makes a step of the integrator, into `next`: the nth of `of`.
     fn part(&mut self, space: &mut Extrapolation<R>, nth: u32, of: u32) -> Result<()> {
         self.integrate(&mut ())?;
         self.check_next()?;
@@ -166,7 +166,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// Set the length of steps from now on [s].
+    /// Sets the length of steps from now on [s].
     pub(crate) fn set_dt(&mut self, dt: f64) {
         if self.settings.dt != dt {
             self.settings.dt = dt;

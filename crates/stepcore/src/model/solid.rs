@@ -64,7 +64,7 @@ impl Solid {
     }
 }
 
-/// Refuse a volume that is only rounding next to the largest volume that this area could enclose.
+/// Refuses a volume that is only rounding next to the largest volume that this area could enclose.
 fn check(measure: f64, area: f64) -> Result<(), Unsolid> {
     let least = 1e-15 * area * area.sqrt();
     match measure {

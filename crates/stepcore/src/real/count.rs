@@ -15,7 +15,7 @@ impl Count {
         self.0[lane]
     }
 
-    /// Add `n` in the lanes of `mask`.
+    /// Adds `n` in the lanes of `mask`.
     #[inline(always)]
     pub fn add<M: Mask>(&mut self, mask: M, n: u64) {
         for (lane, count) in self.0[..M::LANES].iter_mut().enumerate() {
@@ -23,7 +23,7 @@ impl Count {
         }
     }
 
-    /// Add each lane's number in the lanes of `mask`.
+    /// Adds each lane's number in the lanes of `mask`.
     #[inline(always)]
     pub fn add_each<M: Mask>(&mut self, mask: M, more: &Self) {
         for (lane, count) in self.0[..M::LANES].iter_mut().enumerate() {
@@ -31,7 +31,7 @@ impl Count {
         }
     }
 
-    /// Raise to at least `least` in the lanes of `mask`.
+    /// Raises to at least `least` in the lanes of `mask`.
     #[inline(always)]
     pub fn raise_in<M: Mask>(&mut self, mask: M, least: u64) {
         for (lane, count) in self.0[..M::LANES].iter_mut().enumerate() {
@@ -39,7 +39,7 @@ impl Count {
         }
     }
 
-    /// Raise to the larger of both, lane by lane.
+    /// Raises to the larger of both, lane by lane.
     #[inline(always)]
     pub fn raise(&mut self, other: &Self) {
         for (count, other) in self.0.iter_mut().zip(other.0) {
@@ -47,7 +47,7 @@ impl Count {
         }
     }
 
-    /// Return the lanes whose count is `most` or less.
+    /// Returns the lanes whose count is `most` or less.
     #[inline(always)]
     pub fn at_most<M: Mask>(&self, most: u64) -> M {
         M::from_lanes(|lane| self.0[lane] <= most)

@@ -36,7 +36,7 @@ fn note(operations: u64) {
 }
 
 impl Counted {
-    /// Return this thread's counts since the last call, in the order of `Stage::ALL`.
+    /// Returns this thread's counts since the last call, in the order of `Stage::ALL`.
     pub fn take() -> [u64; Stage::ALL.len()] {
         TALLY.with(|tally| crate::real::array::from_fn(|stage| tally.counts[stage].take()))
     }

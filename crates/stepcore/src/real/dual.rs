@@ -23,7 +23,7 @@ impl Dual {
     fn with(value: f64, slope: impl Fn(usize) -> f64) -> Self {
         Self { value, slopes: crate::real::array::from_fn(slope) }
     }
-    /// Return a function's value, and its derivative times this number's.
+    /// Returns a function's value, and its derivative times this number's.
     #[inline(always)]
     fn chain(self, value: f64, rate: f64) -> Self {
         Self::with(value, |i| rate * self.slopes[i])
@@ -226,7 +226,7 @@ pub enum Sampled {
     Many(Box<[f64; 1 + AROUND * WAYS]>),
 }
 
-/// Return the derivative by the parameter of a way, times its distance.
+/// Returns the derivative by the parameter of a way, times its distance.
 fn slope(samples: &[f64; 1 + AROUND * WAYS], way: usize) -> f64 {
     let around = &samples[1 + way * AROUND..][..AROUND];
     let half = AROUND / 2;

@@ -89,7 +89,7 @@ pub use stage::Stage;
 /// The number of roundings allowed between numbers that should be equal.
 pub const ROUNDED: f64 = 16.0;
 
-/// Return whether two numbers are equal up to rounding.
+/// Returns whether two numbers are equal up to rounding.
 pub(crate) fn same(a: f64, b: f64) -> bool {
     (a - b).abs() <= ROUNDED * f64::EPSILON * a.abs().max(b.abs())
 }
@@ -171,7 +171,7 @@ pub trait Real:
     fn sin_cos(self) -> (Self, Self);
     fn atan2(self, x: Self) -> Self;
     fn powf(self, power: Self) -> Self;
-    /// Return this number; where the mask is true, with the slopes of `formula`, which gives the
+    /// Returns this number; where the mask is true, with the slopes of `formula`, which gives the
     /// same number in a way that is differentiable there.
     #[inline(always)]
     fn with_slopes_of(self, _mask: Self::Mask, _formula: impl FnOnce() -> Self) -> Self {
@@ -187,17 +187,17 @@ pub trait Real:
     ) -> [Self; N] {
         x
     }
-    /// Return the largest slope, without its sign; 0 for numbers without slopes.
+    /// Returns the largest slope, without its sign; 0 for numbers without slopes.
     #[inline(always)]
     fn steepness(self) -> f64 {
         0.0
     }
-    /// Return the largest of all lanes, for reports: no computation uses it.
+    /// Returns the largest of all lanes, for reports: no computation uses it.
     #[inline(always)]
     fn largest(self) -> f64 {
         (0..Self::LANES).map(|lane| self.lane(lane)).fold(f64::NEG_INFINITY, f64::max)
     }
-    /// Mark the start of a stage: only numbers that count operations use it.
+    /// Marks the start of a stage: only numbers that count operations use it.
     #[inline(always)]
     fn enter(_: Stage) {}
     #[inline(always)]
@@ -216,7 +216,7 @@ pub trait Real:
     fn clamp(self, lo: Self, hi: Self) -> Self {
         self.max(lo).min(hi)
     }
-    /// Return 1 / x, or 0 where x is not positive: a row that nothing can move.
+    /// Returns 1 / x, or 0 where x is not positive: a row that nothing can move.
     #[inline(always)]
     fn recip_or_zero(self) -> Self {
         Self::select(self.gt(Self::zero()), Self::one() / self, Self::zero())
@@ -227,7 +227,7 @@ pub trait Real:
 pub trait Constant: Clone + Debug + PartialEq + Send + Sync + 'static {
     /// From numbers by lane: in all lanes zero or in none, infinite or not.
     fn by_lane(numbers: &[f64]) -> Self;
-    /// Return the number of one lane.
+    /// Returns the number of one lane.
     fn lane(&self, lane: usize) -> f64;
 
     /// Whether it is zero, in every lane or in none.
@@ -249,7 +249,7 @@ pub trait Constant: Clone + Debug + PartialEq + Send + Sync + 'static {
 /// A number of a model, as steps of this `Real` read it.
 pub trait Value<R: Real>: Constant {
     fn get(&self) -> R;
-    /// Compute from several, in each lane in double precision, then round.
+    /// Computes from several, in each lane in double precision, then round.
     fn calc<const N: usize>(of: [&Self; N], f: impl Fn([f64; N]) -> f64) -> R;
     #[inline(always)]
     fn times(&self, by: f64) -> R {

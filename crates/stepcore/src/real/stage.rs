@@ -39,7 +39,7 @@ impl Stage {
         Self::Commit,
     ];
 
-    /// Return the name: one of the four stages, and its part.
+    /// Returns the name: one of the four stages, and its part.
     pub fn name(self) -> &'static str {
         match self {
             Self::Kinematics => "place/kinematics",

@@ -82,7 +82,7 @@ pub struct MassRules {
     pub bound_inertia: f64,
     /// Principal moments that no body can have become their mean, instead of an error.
     pub balance_inertia: bool,
-    /// Scale all masses and inertias to this total [kg]; not positive: leave them.
+    /// Scales all masses and inertias to this total [kg]; leaves them if not positive.
     pub total_mass: f64,
     /// Primitives are fitted to the bounding boxes of meshes, not to boxes of the same inertia.
     pub fit_aabb: bool,

@@ -55,12 +55,12 @@ impl<R: Real> ActiveSet<R> {
         }
     }
 
-    /// Return the lanes in which all rows of these blocks are intervals, and few.
+    /// Returns the lanes in which all rows of these blocks are intervals, and few.
     pub fn fits(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
         intervals_at_most(rows, blocks, MOST as u64)
     }
 
-    /// Solve an island from û in the lanes `mine`: write impulses, and u with their effect. Return
+    /// Solves an island from û in the lanes `mine`: writes impulses, and u with their effect. Returns
     /// the unsolved lanes.
     pub fn solve(
         &mut self,

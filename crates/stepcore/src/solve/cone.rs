@@ -31,7 +31,7 @@ const ROUNDINGS: f64 = 16.0;
 
 pub(super) type Matrix<R, const N: usize> = [[R; N]; N];
 
-/// Return the nearest point of the round cone |x_t| ≤ μ x_n.
+/// Returns the nearest point of the round cone |x_t| ≤ μ x_n.
 pub fn project_round<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
     let a = across(&x);
     let inside = a.le(mu * x[0]);
@@ -40,7 +40,7 @@ pub fn project_round<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
     from_fn(|i| R::select(inside, x[i], if i == 0 { n } else { k * x[i] }))
 }
 
-/// Return the nearest point of the box cone |x_i| ≤ μ x_n.
+/// Returns the nearest point of the box cone |x_i| ≤ μ x_n.
 ///
 /// n is the root of the increasing function n − x_n − μ Σ (|x_i| − μ n)₊. If the m largest ways are
 /// at their bound, the root is (x_n + μ Σ |x_i|)/(1 + m μ²); n is the largest of these, because the
@@ -64,7 +64,7 @@ pub fn project_box<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
     from_fn(|i| if i == 0 { n } else { x[i].clamp(-bound, bound) })
 }
 
-/// Return the nearest point of the round cone for vectors with `len` entries.
+/// Returns the nearest point of the round cone for vectors with `len` entries.
 #[inline(always)]
 pub(super) fn project_some<R: Real>(mu: R, x: [R; CONE], len: usize) -> [R; CONE] {
     if len > NARROW {
@@ -101,7 +101,7 @@ pub(super) struct InCone<R: Real, const N: usize> {
 }
 
 impl<R: Real, const N: usize> InCone<R, N> {
-    /// Prepare a positive definite Q, read from its lower half.
+    /// Prepares a positive definite Q, read from its lower half.
     pub fn new(q: Matrix<R, N>, mu: R) -> Self {
         let q = symmetric(&q);
         Self { factor: Factor::of(&unit_measure(&q, mu)), q, mu, axes: None }
@@ -117,7 +117,7 @@ impl<R: Real, const N: usize> InCone<R, N> {
         from_fn(|i| if i == 0 { x[0] } else { self.mu * x[i] })
     }
 
-    /// Return the minimiser of ½ λᵀQλ + b·λ over |λ_t| ≤ μ λ_n.
+    /// Returns the minimiser of ½ λᵀQλ + b·λ over |λ_t| ≤ μ λ_n.
     pub fn least(&mut self, b: &[R; N], mask: R::Mask) -> [R; N] {
         let x = self.minimiser(b, mask);
         R::implicit(x, |x| self.newton_step(b, &x))
@@ -136,7 +136,7 @@ impl<R: Real, const N: usize> InCone<R, N> {
         self.in_unit(&out)
     }
 
-    /// Return the minimiser in unit scale, in lanes in which it is not at the tip.
+    /// Returns the minimiser in unit scale, in lanes in which it is not at the tip.
     #[inline(never)] // For sliding contacts: copies in each caller would only be large.
     fn along_axes(&mut self, b: &[R; N], open: R::Mask) -> [R; N] {
         let axes = self.axes();
@@ -304,7 +304,7 @@ impl<R: Real, const N: usize> Axes<R, N> {
 }
 
 impl<R: Real, const N: usize> InBall<R, N> {
-    /// Prepare a positive semi-definite Q, read from its lower half.
+    /// Prepares a positive semi-definite Q, read from its lower half.
     pub fn new(q: Matrix<R, N>) -> Self {
         let q = symmetric(&q);
         Self { factor: Factor::of(&q), q, axes: None }
@@ -314,7 +314,7 @@ impl<R: Real, const N: usize> InBall<R, N> {
         *self.axes.get_or_insert_with(|| Axes::of(self.q))
     }
 
-    /// Return the minimiser of ½ xᵀQx + g·x over the ball |x| ≤ bound.
+    /// Returns the minimiser of ½ xᵀQx + g·x over the ball |x| ≤ bound.
     pub fn least(&mut self, g: &[R; N], bound: R, mask: R::Mask) -> [R; N] {
         let mut x = self.factor.minimiser(g);
         let inside = self.factor.sound.and(length(&x).le(bound));
@@ -365,7 +365,7 @@ impl<R: Real, const N: usize> InBall<R, N> {
         select::<R, N>(inside, free, rim)
     }
 
-    /// Make one Newton step from x: inside Qx + g = 0; on the rim (Q + m)x + g = 0 and |x| = bound.
+    /// Makes one Newton step from x: inside Qx + g = 0; on the rim (Q + m)x + g = 0 and |x| = bound.
     fn newton_step(&mut self, g: &[R; N], bound: R, x: &[R; N]) -> [R; N] {
         let (zero, Axes { ref v, d, inv_d }) = (R::zero(), self.axes());
         let turned = times(&self.q, x);
@@ -408,7 +408,7 @@ fn back<R: Real, const N: usize>(m: &Matrix<R, N>, x: &[R; N]) -> [R; N] {
     from_fn(|i| sum::<R, N>(|k| m[k][i] * x[k]))
 }
 
-/// Return Σ y ρ / e and Σ y² / e from an entry on.
+/// Returns Σ y ρ / e and Σ y² / e from an entry on.
 fn reach<R: Real, const N: usize>(y: &[R; N], rho: &[R; N], inv: &[R; N], first: usize) -> (R, R) {
     let (mut pull, mut give) = (R::zero(), R::zero());
     for i in first..N {
@@ -438,7 +438,7 @@ fn unit_measure<R: Real, const N: usize>(q: &Matrix<R, N>, mu: R) -> Matrix<R, N
     from_fn(|i| from_fn(|j| q[i][j] * (scale(i) * scale(j))))
 }
 
-/// Use the lower half for both halves: the upper one differs by rounding.
+/// Uses the lower half for both halves: the upper one differs by rounding.
 fn symmetric<R: Real, const N: usize>(q: &Matrix<R, N>) -> Matrix<R, N> {
     from_fn(|i| from_fn(|j| q[i.max(j)][i.min(j)]))
 }
@@ -461,7 +461,7 @@ fn diagonal<R: Real, const N: usize>(mut q: Matrix<R, N>, cone: bool) -> (Matrix
     (v, from_fn(|i| q[i][i]))
 }
 
-/// Eliminate q_ij where it is more than rounding; return whether some lane did.
+/// Eliminates q_ij where it is more than rounding; returns whether some lane did.
 fn turn<R: Real, const N: usize>(
     q: &mut Matrix<R, N>,
     v: &mut Matrix<R, N>,

@@ -19,7 +19,7 @@ pub(crate) struct ContactIslands {
 room!(ContactIslands: union, blocks);
 
 impl<R: Real> Rows<R> {
-    /// Set the island of every block, and the block's place in it.
+    /// Sets the island of every block, and the block's place in it.
     pub(crate) fn find_islands(&mut self, model: &Model<R::Value>, dof_lists: &[usize]) {
         let Some(ContactIslands { union, blocks: counts }) = &mut self.contact_islands else {
             return;

@@ -37,7 +37,7 @@ use num_traits::Zero;
 /// rows each time.
 const MOST_REMEMBERED: usize = 16;
 
-/// Solve in `f64` and add the slopes of the solution.
+/// Solves in `f64` and adds the slopes of the solution.
 pub(crate) struct Differentiated {
     plain: Solvers<f64>,
     given: Given,
@@ -135,7 +135,7 @@ impl Differentiated {
         }
     }
 
-    /// Solve the problem at hand; return the place of its solution.
+    /// Solves the problem at hand; returns the place of its solution.
     fn remember(&mut self, settings: &Settings, dof_lists: &[usize]) -> Result<usize> {
         let solution = self.given.solved(&mut self.plain, settings, dof_lists)?;
         let at = self.next;
@@ -148,7 +148,7 @@ impl Differentiated {
         Ok(at)
     }
 
-    /// Write the impulses and u of a solution, with their slopes.
+    /// Writes the impulses and u of a solution, with their slopes.
     fn differentiate(&mut self, at: usize, free: Unconstrained<Dual>, rows: &mut Rows<Dual>) {
         let Self { solutions, force, rhs, degenerate, .. } = self;
         let solution = &solutions[at];
@@ -189,7 +189,7 @@ impl Differentiated {
     }
 }
 
-/// Set these impulses, which move only with their bounds, and the effect on u.
+/// Sets these impulses, which move only with their bounds, and the effect on u.
 fn hold(impulses: &[f64], free: Unconstrained<Dual>, rows: &mut Rows<Dual>, force: &mut Vec<Dual>) {
     force.clear();
     force.resize(rows.u.len(), Dual::zero());

@@ -85,7 +85,7 @@ impl Envelope {
         Self { first: Vec::new(), start: Vec::new(), ends: Vec::new(), touched }
     }
 
-    /// Find the envelope of these rows; return false if elimination needs more than `MOST` products.
+    /// Finds the envelope of these rows; returns false if elimination needs more than `MOST` products.
     fn find<R: Real>(&mut self, rows: &[Row<R>], dof_lists: &[usize]) -> bool {
         self.first.clear();
         self.start.clear();
@@ -121,14 +121,14 @@ impl Envelope {
         self.start.last().copied().unwrap_or(0)
     }
 
-    /// Return the entries of a row.
+    /// Returns the entries of a row.
     fn row(&self, i: usize) -> std::ops::Range<usize> {
         self.start[i]..self.start[i + 1]
     }
 }
 
 impl<R: Real> Rows<R> {
-    /// Solve if all rows are equalities, and few enough; return whether they are. `u` must hold û.
+    /// Solves if all rows are equalities, and few enough; returns whether they are. `u` must hold û.
     pub(crate) fn solve_direct(
         &mut self,
         dof_lists: &[usize],
@@ -231,7 +231,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Set the impulse of every row.
+    /// Sets the impulse of every row.
     fn kick_direct(&mut self, dof_lists: &[usize], inv_d: &[R]) {
         let Self { rows, y, direct, u, .. } = self;
         for (row, impulse) in rows.iter_mut().zip(&direct.x) {

@@ -2,7 +2,7 @@
 
 use crate::model::MANY_TREES;
 
-/// Collect the dofs in some of these lists, ascending; `place` gets the place of each, and
+/// Collects the dofs in some of these lists, ascending; `place` gets the place of each, and
 /// `usize::MAX` for every other of the `nv` dofs.
 pub(super) fn distinct<'a>(
     lists: impl Iterator<Item = &'a [usize]>,
@@ -25,7 +25,7 @@ pub(super) fn distinct<'a>(
     }
 }
 
-/// Return whether Newton's method treats some of these islands, given by tree, as a pile. It
+/// Returns whether Newton's method treats some of these islands, given by tree, as a pile. It
 /// follows from the model alone, so that a lane equals its world.
 pub(crate) fn any_heap(islands: &[usize]) -> bool {
     let mut trees = vec![0; islands.len()];

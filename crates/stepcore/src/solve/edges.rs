@@ -38,8 +38,8 @@ pub(crate) struct Pyramids<R: Real, const N: usize> {
 }
 
 impl<R: Real> Rows<R> {
-    /// Compute the y of the edges J_n ± μ J_t for the relative velocity of two bodies at `at`,
-    /// `along` the normal and two tangents. Return None for several contacts if the bodies are not
+    /// Computes the y of the edges J_n ± μ J_t for the relative velocity of two bodies at `at`,
+    /// `along` the normal and two tangents. Returns None for several contacts if the bodies are not
     /// free, or if a direction may be rounding to be dropped: such contacts are built one by one.
     pub(crate) fn lift_pyramids<const N: usize>(
         &mut self,
@@ -61,7 +61,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Compute the same for free bodies only.
+    /// Computes the same for free bodies only.
     fn lift_free_pyramids<const N: usize>(
         &mut self,
         now: &Situation<R>,
@@ -104,7 +104,7 @@ impl<R: Real> Rows<R> {
         Some(made)
     }
 
-    /// Push the rows of one of the contacts.
+    /// Pushes the rows of one of the contacts.
     pub(crate) fn push_pyramid<const N: usize>(
         &mut self,
         made: &Pyramids<R, N>,
@@ -122,7 +122,7 @@ impl<R: Real> Rows<R> {
     }
 }
 
-/// Return one of two bodies if it is free, Some(None) if it cannot move; else None.
+/// Returns one of two bodies if it is free, Some(None) if it cannot move; else None.
 #[inline(always)]
 fn side<R: Real, const N: usize>(
     now: &Situation<R>,
@@ -205,7 +205,7 @@ impl<R: Real, const N: usize> Side<R, N> {
 }
 
 impl<R: Real, const N: usize> Pyramids<R, N> {
-    /// Add a body's part of the sums, and set its y of the edges.
+    /// Adds a body's part of the sums, and sets its y of the edges.
     #[inline(always)]
     fn add(
         &mut self,

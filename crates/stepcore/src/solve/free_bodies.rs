@@ -74,7 +74,7 @@ impl FreeBodies {
         1 + usize::from(self.two)
     }
 
-    /// Return the dofs of one of them.
+    /// Returns the dofs of one of them.
     #[inline(always)]
     pub fn body(&self, which: usize) -> std::ops::Range<usize> {
         let first = self.first[which] as usize;
@@ -132,7 +132,7 @@ fn products<R: Real>(y: &[R], x: &[R]) -> [R; SIX] {
     products
 }
 
-/// Return the first six numbers.
+/// Returns the first six numbers.
 #[inline(always)]
 pub(super) fn six<R: Real>(x: &[R]) -> [R; SIX] {
     let mut six = [R::zero(); SIX];

@@ -39,7 +39,7 @@ impl Islands {
         }
     }
 
-    /// Return the block indices of one island.
+    /// Returns the block indices of one island.
     pub fn of(&self, island: usize) -> &[usize] {
         let start = if island == 0 { 0 } else { self.ends[island - 1] };
         &self.blocks[start..self.ends[island]]
@@ -51,7 +51,7 @@ impl Islands {
 }
 
 impl<R: Real> Rows<R> {
-    /// Measure the islands of the current rows; `mass` in the layout of `Model::row_dofs`.
+    /// Measures the islands of the current rows; `mass` in the layout of `Model::row_dofs`.
     pub(crate) fn weigh_islands(&mut self, model: &Model<R::Value>, mass: &[R]) {
         let Self { islands, contact_islands: now, inertia, .. } = self;
         inertia.clear();
@@ -65,12 +65,12 @@ impl<R: Real> Rows<R> {
     }
 }
 
-/// Return the lanes in which an island has some block.
+/// Returns the lanes in which an island has some block.
 pub(super) fn alive<R: Real>(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
     blocks.iter().fold(R::Mask::of(false), |mask, b| mask.or(rows.blocks[*b].mask))
 }
 
-/// Return the lanes in which all rows of these blocks are intervals, at most `most` of them. A
+/// Returns the lanes in which all rows of these blocks are intervals, at most `most` of them. A
 /// lane's rows alone decide, whatever its neighbours have.
 pub(super) fn intervals_at_most<R: Real>(rows: &Rows<R>, blocks: &[usize], most: u64) -> R::Mask {
     let mut intervals = R::Mask::of(true);
@@ -82,7 +82,7 @@ pub(super) fn intervals_at_most<R: Real>(rows: &Rows<R>, blocks: &[usize], most:
     intervals.and(row_count(rows, blocks).at_most(most))
 }
 
-/// Return the number of rows of these blocks in each lane.
+/// Returns the number of rows of these blocks in each lane.
 pub(super) fn row_count<R: Real>(rows: &Rows<R>, blocks: &[usize]) -> Count {
     let mut count = Count::ZERO;
     for block in blocks.iter().map(|b| &rows.blocks[*b]) {

@@ -92,7 +92,7 @@ impl<R: Real> SolRef<R> {
         Spring::new(soft, dt, refsafe).at(r)
     }
 
-    /// Limit the spring to at most `most` [m/s] for an overlap r whose speed is u: u − dt·(b u + K
+    /// Limits the spring to at most `most` [m/s] for an overlap r whose speed is u: u − dt·(b u + K
     /// d r) ≤ max(most, u).
     pub fn at_most(self, u: R, r: R, most: R, dt: R) -> Self {
         let allowed = most.max(u) - u * (R::one() - dt * self.b);
@@ -285,7 +285,7 @@ impl OnGuess {
         self.soften(row);
     }
 
-    /// Return the speed at which an overlap is to be removed, without a limit.
+    /// Returns the speed at which an overlap is to be removed, without a limit.
     pub fn push<R: Real>(&self, phi: R) -> R {
         let push = R::of(-self.beta) * R::of(1.0 / self.dt);
         let phi = if self.law == Law::Rigid { phi + R::of(self.slop) } else { phi };

@@ -65,7 +65,7 @@ impl<R: Real> Report<R> {
         }
     }
 
-    /// Add the report of other islands.
+    /// Adds the report of other islands.
     pub fn join(&mut self, other: &Self) {
         self.sweeps.raise(&other.sweeps);
         self.updates.add_each(R::Mask::of(true), &other.updates);
@@ -75,7 +75,7 @@ impl<R: Real> Report<R> {
 }
 
 impl Report<f64> {
-    /// Convert to numbers that carry slopes.
+    /// Converts to numbers that carry slopes.
     pub fn in_numbers<R: Real<Mask = bool>>(self) -> Report<R> {
         let Self { sweeps, updates, decrement, open } = self;
         Report { sweeps, updates, decrement: R::of(decrement), open }

@@ -49,13 +49,13 @@ use crate::warm::{Warm, ACCELERATIONS, SLIP, WARM_ROWS};
 const SUSPECT: f64 = 1e8;
 const ROUNDED: f64 = 1024.0;
 
-/// Return where A = J M⁻¹ Jᵀ of a row may be rounding.
+/// Returns where A = J M⁻¹ Jᵀ of a row may be rounding.
 #[inline(always)]
 fn suspect<R: Real>(a: R, mass: R) -> R::Mask {
     (a * mass).lt(R::of(SUSPECT * R::epsilon() * R::epsilon()))
 }
 
-/// Return where the J of a row with this A, the relative velocity of two bodies' points at `at`, is
+/// Returns where the J of a row with this A, the relative velocity of two bodies' points at `at`, is
 /// only rounding from cancellation.
 ///
 /// `size`: the largest possible square of a dof's part, from its motion and the arm to `at`. 1/A of
@@ -91,7 +91,7 @@ fn without<R: Real>(none: R::Mask, x: R) -> R {
 }
 
 impl<R: Real> Rows<R> {
-    /// Clear the Jacobian of the next row on these dofs.
+    /// Clears the Jacobian of the next row on these dofs.
     #[inline(always)]
     pub(crate) fn clear_scratch(&mut self, dofs: &[usize]) {
         for &k in dofs {
@@ -99,7 +99,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Turn a row into one that nothing moves (J = 0) where its J is only rounding.
+    /// Turns a row into one that nothing moves (J = 0) where its J is only rounding.
     pub(crate) fn drop_rounding_of(
         &mut self,
         index: usize,
@@ -121,7 +121,7 @@ impl<R: Real> Rows<R> {
         row.velocity = without(none, row.velocity);
     }
 
-    /// Start every impulse from last step's, matched by slot and feature, except equalities that
+    /// Starts every impulse from last step's, matched by slot and feature, except equalities that
     /// the stages of the step held (`inside`). u is unchanged.
     pub fn warm_start(&mut self, warm: &[Warm<R>], inside: bool) {
         let mut at = 0;
@@ -161,7 +161,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Store the accelerations since the velocities `before` (factored) after the impulses, in
+    /// Stores the accelerations since the velocities `before` (factored) after the impulses, in
     /// lanes with rows.
     pub(crate) fn store_accelerations(&self, warm: &mut Vec<Warm<R>>, before: &[R], rate: R) {
         let none = R::Mask::of(false);
@@ -180,12 +180,12 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Return the impulse of a row from the main solve.
+    /// Returns the impulse of a row from the main solve.
     pub(crate) fn solved(&self, row: usize) -> R {
         self.main.get(row).copied().unwrap_or(self.rows[row].impulse)
     }
 
-    /// Store every finite impulse for the next step; for equalities that the stages of the step
+    /// Stores every finite impulse for the next step; for equalities that the stages of the step
     /// held (`inside`), the impulses there.
     pub fn store_warm(&self, warm: &mut Vec<Warm<R>>, inside: bool) {
         warm.clear();

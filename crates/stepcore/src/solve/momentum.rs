@@ -132,7 +132,7 @@ fn nonzero<R: Real>(x: R) -> R::Mask {
     x.lt(R::zero()).or(x.gt(R::zero()))
 }
 
-/// Insert the newest value at the front and drop the oldest.
+/// Inserts the newest value at the front and drop the oldest.
 #[inline(always)]
 fn remember<R: Real>(p: &mut [R; DEPTH], newest: R) {
     *p = [newest, p[0], p[1], p[2]];
@@ -158,7 +158,7 @@ impl<R: Real> Momentum<R> {
         }
     }
 
-    /// Start an island.
+    /// Starts an island.
     pub fn begin(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, blocks: &[usize]) {
         self.rows.clear();
         self.dofs.clear();
@@ -220,7 +220,7 @@ impl<R: Real> Momentum<R> {
         }
     }
 
-    /// Return the order of a sweep: the buckets in a new order, each forwards or backwards.
+    /// Returns the order of a sweep: the buckets in a new order, each forwards or backwards.
     pub fn order(&mut self, sweep: u32) -> &[usize] {
         for bucket in &mut self.buckets {
             bucket.key = hash(bucket.hash << 32 | u64::from(sweep));
@@ -261,7 +261,7 @@ impl<R: Real> Momentum<R> {
         self.errors[0] += R::select(keep, errors, zero);
     }
 
-    /// Add the sweep's move: products, slopes and errors of all moves at the current λ. Return the
+    /// Adds the sweep's move: products, slopes and errors of all moves at the current λ. Returns the
     /// energy of a move that is only rounding.
     fn measure(&mut self, rows: &Rows<R>, blocks: &[usize], gain: R) -> R {
         let (mut newest, mut second) = (Products::new(), Products::new());
@@ -309,7 +309,7 @@ impl<R: Real> Momentum<R> {
         R::of((NOISE * R::epsilon()).powi(2)) * energy
     }
 
-    /// Return the τ that minimise f, by LDLᵀ; a move that depends on newer ones, or of which only
+    /// Returns the τ that minimise f, by LDLᵀ; a move that depends on newer ones, or of which only
     /// rounding remains, gets 0.
     fn best(&self, noise: R) -> Step<R> {
         let zero = R::zero();
@@ -342,7 +342,7 @@ impl<R: Real> Momentum<R> {
         Step { tau, linear }
     }
 
-    /// Set `before.impulse` to the projection of λ + Σ τ p, and u to its effect; return the change
+    /// Sets `before.impulse` to the projection of λ + Σ τ p, and u to its effect; returns the change
     /// of f.
     fn propose(
         &mut self,
@@ -393,7 +393,7 @@ impl<R: Real> Momentum<R> {
     }
 
     /// Move lanes of `keep` to the proposal, others back to the end of the sweep. Store the whole
-    /// move, sweep and step, for the next sweeps. Return eᵀ(A + C)e of the step e.
+    /// move, sweep and step, for the next sweeps. Returns eᵀ(A + C)e of the step e.
     fn commit(&mut self, rows: &mut Rows<R>, blocks: &[usize], keep: R::Mask) -> R {
         let (mut products, mut own) = (Products::new(), R::zero());
         let mut start = 0;
@@ -445,8 +445,8 @@ struct Landing<'a, R: Real> {
 }
 
 impl<R: Real> Landing<'_, R> {
-    /// Move an impulse from `old` to `new`; u contains the effect of moving to `free` where the
-    /// step is linear, and the remaining effect is added. Return the impulse, `old` in lanes
+    /// Moves an impulse from `old` to `new`; u contains the effect of moving to `free` where the
+    /// step is linear, and the remaining effect is added. Returns the impulse, `old` in lanes
     /// without the row.
     #[inline(always)]
     fn at(&mut self, row: &Row<R>, old: R, free: R, new: R) -> R {

@@ -7,7 +7,7 @@
 //! The method starts from the last acceleration if that costs less than û, and the first step uses
 //! the zones of the step before (`newton/last_zones.rs`).
 
-/// Call `$of` with the number of registers per row that `$stride` has, as a compile-time constant;
+/// Calls `$of` with the number of registers per row that `$stride` has, as a compile-time constant;
 /// call `$other` if there are more, or if a row is not a whole number of registers.
 macro_rules! by_registers {
     ($stride:expr, $of:ident $arguments:tt, $other:expr) => {
@@ -100,7 +100,7 @@ impl<R: Real> Newton<R> {
         }
     }
 
-    /// Solve `rows`, starting at `rows.start`, or else `rows.u`, if that is better than û
+    /// Solves `rows`, starting at `rows.start`, or else `rows.u`, if that is better than û
     /// (`guess`); afterwards `rows.u` holds û plus the effect of the impulses.
     ///
     /// Stop at rounding, or with a tolerance once the residual is certainly within it, or after
@@ -174,7 +174,7 @@ impl<R: Real> Newton<R> {
 }
 
 impl<R: Real> Newton<R> {
-    /// Solve rows that all belong to one island, by the primal method.
+    /// Solves rows that all belong to one island, by the primal method.
     fn primal(
         &mut self,
         Primal { free, limits, todo }: Primal<R>,
@@ -194,7 +194,7 @@ impl<R: Real> Newton<R> {
     }
 }
 
-/// Check that every block has a penalty: it is convex, and has a regulariser if it can move.
+/// Checks that every block has a penalty: it is convex, and has a regulariser if it can move.
 fn check<R: Real>(rows: &Rows<R>) -> Result<()> {
     for block in &rows.blocks {
         if matches!(block.set, Set::CoulombRound | Set::CoulombBox) {

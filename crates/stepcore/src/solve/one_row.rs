@@ -7,9 +7,9 @@ use super::solver::Unconstrained;
 use crate::real::{Count, Mask, Real};
 
 impl<R: Real> Rows<R> {
-    /// Solve the blocks of an island with one update in lanes in which they are one interval row.
+    /// Solves the blocks of an island with one update in lanes in which they are one interval row.
     /// If that is `exact`, start from zero impulse and û: no previous impulse is subtracted, which
-    /// would leave rounding. Return these lanes.
+    /// would leave rounding. Returns these lanes.
     pub(super) fn solve_one_row(
         &mut self,
         free: Unconstrained<R>,

@@ -52,17 +52,17 @@ impl<R: Real> Pgs<R> {
         }
     }
 
-    /// Return the blocks of an island of the last solved rows.
+    /// Returns the blocks of an island of the last solved rows.
     pub(super) fn blocks_of(&self, island: usize) -> &[usize] {
         self.islands.of(island)
     }
 
-    /// Return √(A/m) of these rows.
+    /// Returns √(A/m) of these rows.
     pub(super) fn weight(&self) -> &[R] {
         &self.sweeps.weight
     }
 
-    /// Return whether the last island's contacts were side by side.
+    /// Returns whether the last island's contacts were side by side.
     #[cfg(test)]
     pub(super) fn side_by_side(&self) -> bool {
         self.sweeps.joined
@@ -168,7 +168,7 @@ impl<R: Real> Pgs<R> {
     }
 }
 
-/// Return the tolerance, raised to the rounding error of any row.
+/// Returns the tolerance, raised to the rounding error of any row.
 pub(super) fn reachable<R: Real>(
     dof_lists: &[usize],
     rows: &Rows<R>,

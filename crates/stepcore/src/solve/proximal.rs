@@ -57,7 +57,7 @@ impl<R: Real> Proximal<R> {
         Self { convex: Rows::bare(0), of: Vec::new(), best: Vec::new() }
     }
 
-    /// Solve the blocks of one island in the lanes `mine`; return the unsolved lanes.
+    /// Solves the blocks of one island in the lanes `mine`; returns the unsolved lanes.
     pub fn solve(
         &mut self,
         (newton, limits): (&mut Newton<R>, Limits),
@@ -100,7 +100,7 @@ impl<R: Real> Proximal<R> {
         large.or(mine.and(small).and(least.le(enough).not()))
     }
 
-    /// Build the convex problem's rows: their y, and the initial impulses.
+    /// Builds the convex problem's rows: their y, and the initial impulses.
     fn take(&mut self, free: Unconstrained<R>, rows: &Rows<R>, blocks: &[usize], mine: R::Mask) {
         let convex = &mut self.convex;
         convex.clear();
@@ -191,7 +191,7 @@ impl<R: Real> Proximal<R> {
         }
     }
 
-    /// Convert a round's impulses to the original rows.
+    /// Converts a round's impulses to the original rows.
     fn give(&self, rows: &mut Rows<R>, todo: R::Mask) {
         let Self { convex, of, .. } = self;
         for (block, at) in convex.blocks.iter().zip(of) {
@@ -211,7 +211,7 @@ impl<R: Real> Proximal<R> {
         }
     }
 
-    /// Store the current impulses as the best, in some lanes.
+    /// Stores the current impulses as the best, in some lanes.
     fn keep(&mut self, rows: &Rows<R>, blocks: &[usize], better: R::Mask) {
         let all = blocks.iter().flat_map(|at| rows.blocks[*at].rows.range());
         let count = all.clone().count();
@@ -241,7 +241,7 @@ fn sum<R: Real>(w: &[R]) -> R {
     w.iter().fold(R::zero(), |sum, w| sum + w.abs())
 }
 
-/// Return the corners of a box, each with its share of the impulses: a way within ±1 of its bound
+/// Returns the corners of a box, each with its share of the impulses: a way within ±1 of its bound
 /// is divided between two weights.
 fn corners<R: Real>(
     free: Unconstrained<R>,

@@ -48,7 +48,7 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
         Some(Self { chain, ang, lin: [[R::zero(); N]; 3] })
     }
 
-    /// Return J of one dof in each direction.
+    /// Returns J of one dof in each direction.
     #[inline(always)]
     fn of_dof(&self, now: &Situation<R>, k: usize) -> [R; N] {
         let Motion { ang, lin } = &now.placed.motion[k];
@@ -77,7 +77,7 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
         x
     }
 
-    /// Return whether the dofs that move the body start with this one.
+    /// Returns whether the dofs that move the body start with this one.
     pub fn begins(&self, first: usize) -> bool {
         self.chain.first() == Some(&first)
     }
@@ -94,7 +94,7 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
 }
 
 impl<R: Real> Rows<R> {
-    /// Push the rows of the relative velocity of two body points, each at its `at` (body 2 minus
+    /// Pushes the rows of the relative velocity of two body points, each at its `at` (body 2 minus
     /// body 1), along up to three directions; without `at`, of the angular velocity about them.
     /// `dofs`: the union of the bodies' chains.
     pub(crate) fn push_relative(
@@ -142,7 +142,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Compute y of the first `count` directions from `start` on; return A and J v of each.
+    /// Computes y of the first `count` directions from `start` on; returns A and J v of each.
     fn lift_any<const N: usize>(
         &mut self,
         now: &Situation<R>,
@@ -164,7 +164,7 @@ impl<R: Real> Rows<R> {
         sums
     }
 
-    /// Set the first of `scratch`, N numbers for each dof of the list, to y of all directions.
+    /// Sets the first of `scratch`, N numbers for each dof of the list, to y of all directions.
     /// `together`: both points coincide, so that a dof that moves both bodies does not separate them.
     #[inline(always)]
     fn lift_sides<const N: usize>(
@@ -244,7 +244,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Compute the y of the four edges J_n ± μ J_t of a contact; return their start, A and J v of
+    /// Computes the y of the four edges J_n ± μ J_t of a contact; returns their start, A and J v of
     /// the normal and two tangents, and A of the edges.
     pub(super) fn lift_pyramid(
         &mut self,
@@ -278,8 +278,8 @@ impl<R: Real> Rows<R> {
         (start, ways, edges)
     }
 
-    /// Write edges from `start` on, from the normal and two tangents whose y are side by side in
-    /// `scratch`; return the sums of these, and A of the edges.
+    /// Writes edges from `start` on, from the normal and two tangents whose y are side by side in
+    /// `scratch`; returns the sums of these, and A of the edges.
     #[inline(always)]
     fn edges_of_ways(
         &mut self,
@@ -331,7 +331,7 @@ impl<R: Real> Rows<R> {
         sums
     }
 
-    /// Remove the rows from `first` on, which share their dofs and are last; the edges pushed next
+    /// Removes the rows from `first` on, which share their dofs and are last; the edges pushed next
     /// are made of their y.
     pub(crate) fn take_ways(&mut self, first: usize) {
         let start = self.rows[first].y;
@@ -369,7 +369,7 @@ impl<R: Real> Rows<R> {
         self.push_row(dofs, start + len, b, one - k * two);
     }
 
-    /// Push the first of the removed rows again.
+    /// Pushes the first of the removed rows again.
     pub(crate) fn push_normal(&mut self, dofs: Span, a: R, velocity: R) {
         let start = self.y.len();
         self.y.extend_from_slice(&self.ways[..dofs.len]);
@@ -412,7 +412,7 @@ impl<R: Real, const N: usize> Sums<R, N> {
         Self { a: [R::zero(); N], velocity: [R::zero(); N] }
     }
 
-    /// Add a dof's part of the sums.
+    /// Adds a dof's part of the sums.
     #[inline(always)]
     fn add(&mut self, y: &[R; N], inv_d: R, u: R) {
         for i in 0..N {
@@ -422,7 +422,7 @@ impl<R: Real, const N: usize> Sums<R, N> {
     }
 }
 
-/// Return whether the list is of one or two free bodies, whose inertias are independent.
+/// Returns whether the list is of one or two free bodies, whose inertias are independent.
 fn all_free<R: Real, const N: usize>(
     model: &Model<R::Value>,
     list: &[usize],
@@ -433,7 +433,7 @@ fn all_free<R: Real, const N: usize>(
     apart && bodies().all(|side| is_free(model, side.chain))
 }
 
-/// Return whether one free body has these dofs.
+/// Returns whether one free body has these dofs.
 pub(super) fn is_free<N: Constant>(model: &Model<N>, chain: &[usize]) -> bool {
     let [first, .., last] = chain else { return false };
     chain.len() == SIX && *last == first + SIX - 1 && model.dofs[*first].row.len == 1

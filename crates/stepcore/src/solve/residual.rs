@@ -10,13 +10,13 @@ use super::rows::{Block, Row, Rows, Set, CONE, NARROW};
 use crate::real::{Mask, Real};
 
 impl<R: Real> Rows<R> {
-    /// Return w = J v + cλ − t of a row at the current impulses and u.
+    /// Returns w = J v + cλ − t of a row at the current impulses and u.
     pub fn slack(&self, dof_lists: &[usize], row: &Row<R>) -> R {
         let dofs = row.dofs.of(dof_lists);
         dot(dofs, &self.y[row.y..row.y + dofs.len()], &self.u) + row.c * row.impulse - row.t
     }
 
-    /// Call `each(row, δ, s)` for every row of a block.
+    /// Calls `each(row, δ, s)` for every row of a block.
     pub fn natural_map(
         &self,
         dof_lists: &[usize],
@@ -70,7 +70,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Return the scalar residual of one block [m/s]; 0 in lanes without it.
+    /// Returns the scalar residual of one block [m/s]; 0 in lanes without it.
     pub fn block_residual(&self, dof_lists: &[usize], block: &Block<R>) -> R {
         let per_mass = R::one() / block.mass;
         let mut worst = R::zero();
@@ -80,7 +80,7 @@ impl<R: Real> Rows<R> {
         R::select(block.mask, worst, R::zero())
     }
 
-    /// Return the scalar residual of the listed blocks [m/s].
+    /// Returns the scalar residual of the listed blocks [m/s].
     pub fn residual_of(&self, dof_lists: &[usize], blocks: &[usize]) -> R {
         let mut worst = R::zero();
         for block in blocks.iter().map(|b| &self.blocks[*b]) {
@@ -91,7 +91,7 @@ impl<R: Real> Rows<R> {
         worst
     }
 
-    /// Return the scalar residual of all rows [m/s].
+    /// Returns the scalar residual of all rows [m/s].
     pub fn residual(&self, dof_lists: &[usize]) -> R {
         let mut worst = R::zero();
         for block in &self.blocks {

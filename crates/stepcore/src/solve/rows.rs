@@ -52,30 +52,30 @@ pub struct Row<R: Real> {
 }
 
 impl<R: Real> Row<R> {
-    /// Return the total impulse of the step.
+    /// Returns the total impulse of the step.
     pub fn total(&self) -> R {
         self.impulse + self.beside
     }
 
-    /// Return t − Jv − cλ.
+    /// Returns t − Jv − cλ.
     #[inline(always)]
     pub(super) fn short(&self, dof_lists: &[usize], y: &[R], u: &[R]) -> R {
         let dofs = self.dofs.of(dof_lists);
         self.t - dot(dofs, &y[self.y..self.y + dofs.len()], u) - self.c * self.impulse
     }
 
-    /// Return λ + (t − Jv − cλ)/s within its bounds.
+    /// Returns λ + (t − Jv − cλ)/s within its bounds.
     #[inline(always)]
     pub(super) fn updated(&self, short: R) -> R {
         (self.impulse + short * self.inv_s).clamp(self.lo, self.hi)
     }
 
-    /// Return the row of one lane; numbers without their slopes.
+    /// Returns the row of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Row<S> {
         self.in_numbers(|x| S::of(x.lane(lane)))
     }
 
-    /// Convert to other numbers.
+    /// Converts to other numbers.
     pub(crate) fn in_numbers<S: Real>(&self, of: impl Fn(&R) -> S) -> Row<S> {
         let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, beside, velocity, gap } = self;
         Row {
@@ -145,7 +145,7 @@ pub struct Block<R: Real> {
 }
 
 impl<R: Real> Block<R> {
-    /// Return the entries of its curvature: one per row for intervals, n for a cone of n rows.
+    /// Returns the entries of its curvature: one per row for intervals, n for a cone of n rows.
     pub(super) fn curves(&self) -> usize {
         if self.set == Set::Interval {
             self.rows.len
@@ -154,12 +154,12 @@ impl<R: Real> Block<R> {
         }
     }
 
-    /// Return the block of one lane; numbers without their slopes.
+    /// Returns the block of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Block<S> {
         self.in_numbers(|mask| mask.lane(lane), |x| S::of(x.lane(lane)))
     }
 
-    /// Convert to other numbers.
+    /// Converts to other numbers.
     pub(crate) fn in_numbers<S: Real>(
         &self,
         lanes: impl Fn(&R::Mask) -> S::Mask,
@@ -287,7 +287,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Create rows without a model, for rows made by hand.
+    /// Creates rows without a model, for rows made by hand.
     pub(crate) fn bare(nv: usize) -> Self {
         let u = vec![R::zero(); nv];
         Self {
@@ -326,14 +326,14 @@ impl<R: Real> Rows<R> {
         self.unrecovered = R::zero();
     }
 
-    /// Return y·x over a row's dofs.
+    /// Returns y·x over a row's dofs.
     #[inline(always)]
     pub fn dot(&self, dof_lists: &[usize], row: &Row<R>, x: &[R]) -> R {
         let dofs = row.dofs.of(dof_lists);
         dot(dofs, &self.y[row.y..row.y + dofs.len()], x)
     }
 
-    /// Take J from `scratch` (set on `dofs`), lift it to y, and compute A and J v.
+    /// Takes J from `scratch` (set on `dofs`), lifts it to y, and computes A and J v.
     pub(crate) fn push_scratch(&mut self, now: &Situation<R>, dofs: Span) -> &mut Row<R> {
         let (list, metric) = (dofs.of(now.dof_lists), &now.placed.metric);
         let (start, path) = (self.y.len(), R::FILLS && metric.is_path(list));
@@ -347,7 +347,7 @@ impl<R: Real> Rows<R> {
         self.push_lifted(now, dofs, start)
     }
 
-    /// Set `scratch` to y of unit forces on the last dofs of a path, `WIDE` at most, side by side.
+    /// Sets `scratch` to y of unit forces on the last dofs of a path, `WIDE` at most, side by side.
     pub(crate) fn lift_last(&mut self, now: &Situation<R>, path: &[usize], count: usize) {
         let own = &mut self.scratch[..WIDE * path.len()];
         own.fill(R::zero());
@@ -357,14 +357,14 @@ impl<R: Real> Rows<R> {
         now.placed.metric.lift_path::<WIDE>(path, own);
     }
 
-    /// Push the row of one of them.
+    /// Pushes the row of one of them.
     pub(crate) fn push_last(&mut self, now: &Situation<R>, dofs: Span, which: usize) {
         let start = self.y.len();
         self.y.extend(self.scratch.chunks_exact(WIDE).map(|y| y[which]).take(dofs.len));
         self.push_lifted(now, dofs, start);
     }
 
-    /// Push the row whose y is last, and compute A and J v.
+    /// Pushes the row whose y is last, and computes A and J v.
     #[inline(always)]
     fn push_lifted(&mut self, now: &Situation<R>, dofs: Span, start: usize) -> &mut Row<R> {
         let (mut a, mut velocity) = (R::zero(), R::zero());
@@ -395,7 +395,7 @@ impl<R: Real> Rows<R> {
         &mut self.rows[at]
     }
 
-    /// Close the rows from `first` on into one block.
+    /// Closes the rows from `first` on into one block.
     pub(crate) fn push_block(
         &mut self,
         first: usize,
@@ -430,7 +430,7 @@ impl<R: Real> Rows<R> {
         &mut self.blocks[at]
     }
 
-    /// Return the guess along a row at distance φ.
+    /// Returns the guess along a row at distance φ.
     pub(crate) fn guessed(&self, now: &Situation<R>, row: usize, phi: R) -> Guessed<R> {
         let row = &self.rows[row];
         let velocity = self.dot(now.dof_lists, row, &now.placed.guess);
@@ -438,7 +438,7 @@ impl<R: Real> Rows<R> {
         Guessed { closing, gained: velocity - row.velocity }
     }
 
-    /// Remove the row pushed last.
+    /// Removes the row pushed last.
     pub(crate) fn pop_row(&mut self) {
         if let Some(row) = self.rows.pop() {
             self.y.truncate(row.y);
@@ -454,7 +454,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Add the effect of the rows' current impulses to u.
+    /// Adds the effect of the rows' current impulses to u.
     pub fn apply_impulses(&mut self, dof_lists: &[usize], inv_d: &[R]) {
         for block in &self.blocks {
             let mut own = &self.rows[block.rows.range()];
@@ -485,7 +485,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Return whether some block exists in some lane.
+    /// Returns whether some block exists in some lane.
     pub fn any(&self) -> bool {
         self.blocks.iter().any(|block| block.mask.any())
     }

@@ -65,7 +65,7 @@ impl<R: Real> Rows<R> {
         self.apply_impulses(dof_lists, inv_d);
     }
 
-    /// Return a row's impulse from the first solve.
+    /// Returns a row's impulse from the first solve.
     pub(crate) fn first_impulse(&self, row: usize) -> R {
         self.saved_solve.rows[row].impulse
     }

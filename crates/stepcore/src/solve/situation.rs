@@ -43,12 +43,12 @@ pub struct Situation<'a, R: Real> {
 }
 
 impl<R: Real> Situation<'_, R> {
-    /// Return whether a law on velocities constrains the mean velocity of `midpoint` or `rk4`.
+    /// Returns whether a law on velocities constrains the mean velocity of `midpoint` or `rk4`.
     pub fn halves(&self) -> bool {
         self.part == Part::End && self.settings.law.on_guess()
     }
 
-    /// Return whether a tree sleeps or is immovable (`NONE`).
+    /// Returns whether a tree sleeps or is immovable (`NONE`).
     pub fn rests(&self, tree: usize) -> bool {
         tree == NONE || self.asleep.get(tree).is_some_and(|asleep| *asleep)
     }

@@ -24,7 +24,7 @@ pub(crate) struct Unconstrained<'a, R: Real> {
 /// A method that finds the impulses of rows. A `Sim` holds one: `Solvers`, or in numbers that carry
 /// slopes `Differentiated`.
 pub(crate) trait Solve<R: Real>: Room + Send + Sync {
-    /// Solve from the impulses of `rows`. `rows.u` must hold û and their effect, or only û if
+    /// Solves from the impulses of `rows`. `rows.u` must hold û and their effect, or only û if
     /// `rows.start` gives the start; afterwards it holds û and the effect of the new impulses.
     fn solve(
         &mut self,
@@ -33,10 +33,10 @@ pub(crate) trait Solve<R: Real>: Room + Send + Sync {
         rows: &mut Rows<R>,
     ) -> Result<Report<R>>;
 
-    /// Reset the memory that an interrupted solve has left inconsistent.
+    /// Resets the memory that an interrupted solve has left inconsistent.
     fn renew(&mut self);
 
-    /// Return the elements with one-sided slopes since the last call; ascending.
+    /// Returns the elements with one-sided slopes since the last call; ascending.
     fn take_degenerate(&mut self) -> Vec<Element> {
         Vec::new()
     }
@@ -86,7 +86,7 @@ impl<R: Real> Solve<R> for Solvers<R> {
 }
 
 impl<R: Real> Solvers<R> {
-    /// Solve by sweeps, then by `proximal.rs` if unsolved. For `auto` sweeps: a requested number
+    /// Solves by sweeps, then by `proximal.rs` if unsolved. For `auto` sweeps: a requested number
     /// stays fixed, and under `solref` Newton's method is available.
     pub(super) fn solve_for_sure(
         &mut self,

@@ -22,7 +22,7 @@ pub(super) struct Square<R: Real, const N: usize> {
 }
 
 impl<R: Real, const N: usize> Square<R, N> {
-    /// Prepare a positive semi-definite Q.
+    /// Prepares a positive semi-definite Q.
     pub fn new(q: Matrix<R, N>) -> Self {
         let (i1, i2) = (q[0][0].recip_or_zero(), q[1][1].recip_or_zero());
         let schur = q[0][0] - q[1][0] * q[1][0] * i2;
@@ -31,7 +31,7 @@ impl<R: Real, const N: usize> Square<R, N> {
         Self { q, inv: [i1, i2, schur.recip_or_zero()] }
     }
 
-    /// Return the minimiser of ½ xᵀQx + g·x over |x_i| ≤ bound, searched from x.
+    /// Returns the minimiser of ½ xᵀQx + g·x over |x_i| ≤ bound, searched from x.
     pub fn least(&self, g: &[R; N], bound: R, x: &[R; N], mask: R::Mask) -> [R; N] {
         if N == 2 {
             let both = self.of_two(g, bound);
@@ -106,7 +106,7 @@ impl<R: Real, const N: usize> Square<R, N> {
         from_fn(|i| R::select(bound.gt(zero), x[i], zero))
     }
 
-    /// Return (Qx + g)ᵢ, and the size of its terms.
+    /// Returns (Qx + g)ᵢ, and the size of its terms.
     fn slope(&self, g: &[R; N], x: &[R; N], i: usize) -> (R, R) {
         let (mut sum, mut terms) = (g[i], g[i].abs());
         for j in 0..N {
@@ -117,7 +117,7 @@ impl<R: Real, const N: usize> Square<R, N> {
         (sum, terms)
     }
 
-    /// Return the minimiser with the held ways fixed; a way that nothing moves stays.
+    /// Returns the minimiser with the held ways fixed; a way that nothing moves stays.
     fn on_face(&self, g: &[R; N], x: &[R; N], held: &[R::Mask; N]) -> [R; N] {
         let zero = R::zero();
         let mut m = self.q;

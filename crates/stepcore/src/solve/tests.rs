@@ -75,7 +75,7 @@ impl Problem {
     pub fn free<'a>(&'a self, dof_lists: &'a [usize]) -> Unconstrained<'a, f64> {
         Unconstrained { dof_lists, inv_d: &self.inv_d, guess: &self.guess }
     }
-    /// Return the same problem with random changes of guess, target and y.
+    /// Returns the same problem with random changes of guess, target and y.
     pub fn shaken(&self, random: &mut Random) -> Self {
         let mut new = self.clone();
         new.guess.iter_mut().for_each(|g| *g += 0.3 * random.next());
@@ -171,7 +171,7 @@ pub(super) fn close(a: f64, b: f64, tolerance: f64) {
     assert!((a - b).abs() <= tolerance, "{a} against {b}");
 }
 
-/// Make a round cone contact with random y in front of a random body.
+/// Makes a round cone contact with random y in front of a random body.
 pub(super) fn contacts(set: Set, count: usize, c: f64, random: &mut Random) -> Problem {
     let nv = 6;
     let inv_d: Vec<f64> = (0..nv).map(|_| (2.0 * random.next()).exp()).collect();
@@ -217,7 +217,7 @@ fn no_rows_no_sweeps() {
     assert_eq!((report.sweeps.lane(0), report.updates.lane(0), rows.u[0]), (0, 0, -1.0));
 }
 
-/// Solve A x = b by Gauss-Jordan with pivoting; None when singular.
+/// Solves A x = b by Gauss-Jordan with pivoting; None when singular.
 fn dense_solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
     let n = b.len();
     for i in 0..n {
@@ -240,7 +240,7 @@ fn dense_solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
     Some((0..n).map(|i| b[i] / a[i][i]).collect())
 }
 
-/// Solve 0 ≤ λ ⟂ Kλ + q ≥ 0 by trying every active set.
+/// Solves 0 ≤ λ ⟂ Kλ + q ≥ 0 by trying every active set.
 fn enumerate(k: &[Vec<f64>], q: &[f64]) -> Option<Vec<f64>> {
     let n = q.len();
     (0..1usize << n).find_map(|set| {

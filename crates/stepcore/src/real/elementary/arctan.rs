@@ -77,7 +77,7 @@ pub fn atan2(y: f64, x: f64) -> f64 {
     }
 }
 
-/// Return over − t·under, with products of halves that are exact.
+/// Returns over − t·under, with products of halves that are exact.
 #[inline(always)]
 fn remainder(over: f64, t: f64, under: f64) -> f64 {
     let high = |x: f64| f64::from_bits(x.to_bits() & !((1 << 27) - 1));

@@ -102,7 +102,7 @@ pub fn pow(x: f64, y: f64) -> f64 {
     }
 }
 
-/// Return whether `plain` is valid.
+/// Returns whether `plain` is valid.
 #[inline(always)]
 pub fn is_plain(x: f64, y: f64) -> bool {
     (x > 0.0) & (x < f64::INFINITY) & (y.abs() < f64::INFINITY)

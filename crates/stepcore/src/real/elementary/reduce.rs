@@ -30,7 +30,7 @@ const TWO_OVER_PI: [u64; 21] = [
 /// π/2 as the sum of two numbers.
 const HALF_PI: [f64; 2] = [core::f64::consts::FRAC_PI_2, 6.123_233_995_736_766e-17];
 
-/// Return the quarter turns, of which the last two bits count, and the rest of x > 2²⁰ in two numbers.
+/// Returns the quarter turns, of which the last two bits count, and the rest of x > 2²⁰ in two numbers.
 pub fn quarters(x: f64) -> (u64, f64, f64) {
     let bits = x.to_bits();
     let mantissa = u128::from(bits & ((1 << 52) - 1) | 1 << 52);

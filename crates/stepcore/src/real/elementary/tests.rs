@@ -6,7 +6,7 @@ use super::*;
 /// `ELEMENTARY_REFERENCE` names a longer file.
 const REFERENCE: &str = include_str!("reference.txt");
 
-/// Return the distance from head + tail in units of the last place of head.
+/// Returns the distance from head + tail in units of the last place of head.
 fn ulps(got: f64, head: f64, tail: f64) -> f64 {
     let ulp = f64::from_bits(head.abs().to_bits() + 1) - head.abs();
     ((got - head) - tail).abs() / ulp

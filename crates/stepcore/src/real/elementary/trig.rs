@@ -33,7 +33,7 @@ const COS: [f64; 6] = [
     -1.135_964_755_778_819_5e-11,
 ];
 
-/// Return whether `near` is valid for this angle.
+/// Returns whether `near` is valid for this angle.
 #[inline(always)]
 pub fn is_near(x: f64) -> bool {
     x.abs() <= NEAR

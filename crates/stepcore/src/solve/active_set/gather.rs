@@ -47,7 +47,7 @@ impl<R: Real> Gathered<R> {
         }
     }
 
-    /// Gather the rows of some blocks in the lanes `mine`.
+    /// Gathers the rows of some blocks in the lanes `mine`.
     pub fn take(&mut self, island: Island<R>, rows: &Rows<R>, mine: R::Mask) {
         self.rows.clear();
         self.masks.clear();
@@ -75,7 +75,7 @@ impl<R: Real> Gathered<R> {
         }
     }
 
-    /// Return the number of rows of each lane, if moving them pays.
+    /// Returns the number of rows of each lane, if moving them pays.
     fn worth_moving(&self) -> Option<[usize; WIDEST]> {
         let all = self.rows.len();
         if R::ALONE || all * all < WORTH {
@@ -116,20 +116,20 @@ impl<R: Real> Gathered<R> {
         }
     }
 
-    /// Return the places of a slot's dofs.
+    /// Returns the places of a slot's dofs.
     #[inline(always)]
     pub fn places(&self, slot: usize) -> &[usize] {
         self.lists[slot].of(&self.places)
     }
 
-    /// Return the place of a dof that some row touches.
+    /// Returns the place of a dof that some row touches.
     #[inline(always)]
     pub fn place(&self, dof: usize) -> usize {
         self.place[dof]
     }
 }
 
-/// Call `each(row, lane, slot)` for every row of every lane.
+/// Calls `each(row, lane, slot)` for every row of every lane.
 #[inline(always)]
 pub(super) fn each_slot<M: Mask>(masks: &[M], mut each: impl FnMut(usize, usize, usize)) {
     let mut next = [0; WIDEST];

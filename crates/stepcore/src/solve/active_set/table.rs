@@ -50,7 +50,7 @@ struct Dof<R: Real, const N: usize> {
 
 room!(Table<R, N>: dofs; n, masks, lo, hi, inv_s, a, b, impulse, w, free, high, m, inv, x, l);
 
-/// Return the lanes in which a number changes a sum, even if only by its slope.
+/// Returns the lanes in which a number changes a sum, even if only by its slope.
 fn adds<R: Real>(x: R) -> R::Mask {
     let zero = x.le(R::zero()).and(x.ge(R::zero()));
     zero.not().or(R::Mask::of(x.steepness() != 0.0))
@@ -102,7 +102,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         }
     }
 
-    /// Solve the gathered rows in the lanes `mine`; return the unsolved lanes.
+    /// Solves the gathered rows in the lanes `mine`; returns the unsolved lanes.
     #[inline(never)]
     pub fn solve(
         &mut self,
@@ -175,7 +175,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         }
     }
 
-    /// Return A between slot i and M slots from `from` on: each a sum in the order of the dofs.
+    /// Returns A between slot i and M slots from `from` on: each a sum in the order of the dofs.
     #[inline(always)]
     fn products<const M: usize>(&self, own: &Gathered<R>, i: usize, from: usize) -> [R; M] {
         let mut sums = [R::zero(); M];
@@ -244,7 +244,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         self.w = w;
     }
 
-    /// Find the free rows from λ − w/s; return the lanes in which they changed.
+    /// Finds the free rows from λ − w/s; returns the lanes in which they changed.
     fn classify(&mut self, todo: R::Mask) -> R::Mask {
         let mut changed = R::Mask::of(false);
         for i in 0..self.n.min(N) {
@@ -263,7 +263,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         changed
     }
 
-    /// Solve for the free rows with the others at their bounds. Return the lanes in which λ moved
+    /// Solves for the free rows with the others at their bounds. Returns the lanes in which λ moved
     /// by more than rounding, and the lanes in which the system was too ill-conditioned.
     fn step(&mut self, todo: R::Mask) -> (R::Mask, R::Mask) {
         self.pose();
@@ -284,13 +284,13 @@ impl<R: Real, const N: usize> Table<R, N> {
         (moved.gt(R::of(8.0 * R::epsilon()) * most), poor)
     }
 
-    /// Return the bound at which a row is that is not free.
+    /// Returns the bound at which a row is that is not free.
     #[inline(always)]
     fn bound(&self, i: usize) -> R {
         R::select(self.high[i], self.hi[i], self.lo[i])
     }
 
-    /// Assemble the system of the free rows.
+    /// Assembles the system of the free rows.
     fn pose(&mut self) {
         let mut rest = self.b;
         for i in 0..self.n.min(N) {
@@ -306,7 +306,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         self.x = rest;
     }
 
-    /// x ← M⁻¹ x on the free rows, M = LDLᵀ; return the lanes with too small a pivot.
+    /// x ← M⁻¹ x on the free rows, M = LDLᵀ; returns the lanes with too small a pivot.
     fn eliminate(&mut self) -> R::Mask {
         let (n, mut poor) = (self.n.min(N), R::Mask::of(false));
         for k in 0..n {
@@ -342,7 +342,7 @@ impl<R: Real, const N: usize> Table<R, N> {
         poor
     }
 
-    /// Write impulses within their bounds, and u = û + D⁻¹ Σ yλ.
+    /// Writes impulses within their bounds, and u = û + D⁻¹ Σ yλ.
     fn give(&mut self, own: &Gathered<R>, rows: &mut Rows<R>, mine: R::Mask) {
         for i in 0..self.n.min(N) {
             let mask = self.masks[i].and(mine);

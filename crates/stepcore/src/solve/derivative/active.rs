@@ -17,7 +17,7 @@ use crate::real::{Dual, WAYS};
 /// The tolerance for points on a cone's surface, in roundings.
 const ON_SURFACE: f64 = 8.0;
 
-/// Return whether friction of this length is at its bound.
+/// Returns whether friction of this length is at its bound.
 pub(super) fn on_surface(length: f64, bound: f64) -> bool {
     length >= bound * (1.0 - ON_SURFACE * f64::EPSILON)
 }
@@ -54,7 +54,7 @@ impl Direction {
         self.row..self.row + self.len
     }
 
-    /// Return the slopes of the constant combination, at constant impulses.
+    /// Returns the slopes of the constant combination, at constant impulses.
     pub fn slack(&self, rows: &Rows<Dual>, dof_lists: &[usize]) -> [f64; WAYS] {
         let mut sum = [0.0; WAYS];
         for (at, test) in self.rows().zip(self.test) {
@@ -104,7 +104,7 @@ impl<'a> Matrix<'a> {
         Self { rows, dof_lists, inv_d, spread: vec![0.0; inv_d.len()] }
     }
 
-    /// Return the directions of these blocks in which something can move.
+    /// Returns the directions of these blocks in which something can move.
     pub fn directions<'b>(
         &mut self,
         blocks: impl Iterator<Item = &'b Block<f64>>,
@@ -186,7 +186,7 @@ impl<'a> Matrix<'a> {
         energy
     }
 
-    /// Return the matrix, row by row, each direction scaled by its size.
+    /// Returns the matrix, row by row, each direction scaled by its size.
     pub fn of(&mut self, directions: &[Direction]) -> Vec<f64> {
         let n = directions.len();
         let mut matrix = vec![0.0; n * n];
@@ -207,7 +207,7 @@ impl<'a> Matrix<'a> {
         matrix
     }
 
-    /// Set `spread` to D⁻¹ Σ y x.
+    /// Sets `spread` to D⁻¹ Σ y x.
     fn spread(&mut self, direction: &Direction, x: &[f64; CONE]) {
         for (row, x) in self.rows.rows[direction.rows()].iter().zip(x) {
             for (k, y) in row.dofs.of(self.dof_lists).iter().zip(&self.rows.y[row.y..]) {

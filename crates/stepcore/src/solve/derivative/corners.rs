@@ -26,7 +26,7 @@ pub(super) struct Corner {
     pub repeats: bool,
 }
 
-/// Return the corners at which this solution is.
+/// Returns the corners at which this solution is.
 pub(super) fn corners(
     rows: &Rows<f64>,
     dof_lists: &[usize],
@@ -130,7 +130,7 @@ impl Corner {
         Self { element, row, slack, push, block, repeats: false }
     }
 
-    /// Return whether the block leaves its corner along some direction of these slopes.
+    /// Returns whether the block leaves its corner along some direction of these slopes.
     pub fn leaves(&self, rows: &Rows<Dual>, dof_lists: &[usize], guess: &[Dual]) -> bool {
         (0..WAYS).any(|way| {
             let (mut slack, mut push, mut scale) = (0.0, 0.0, 0.0);

@@ -84,7 +84,7 @@ impl<R: Real> Bundles<R> {
         }
     }
 
-    /// Take the rows of these blocks. `lists`: dof lists, if rows may be padded with zeros; the
+    /// Takes the rows of these blocks. `lists`: dof lists, if rows may be padded with zeros; the
     /// nodes of a pile follow from its rows.
     pub fn take(&mut self, blocks: &[usize], rows: &Rows<R>, lists: Option<&[usize]>) {
         self.clear(blocks.iter().map(|b| rows.blocks[*b].rows.len).sum());
@@ -107,7 +107,7 @@ impl<R: Real> Bundles<R> {
         self.fill(blocks, rows, R::ALONE && lists.is_some());
     }
 
-    /// Take the numbers of some rows, from place `at` on.
+    /// Takes the numbers of some rows, from place `at` on.
     #[inline(always)]
     fn take_rows(&mut self, at: usize, own: &[Row<R>], mask: R::Mask) {
         let places = at..at + own.len();
@@ -123,7 +123,7 @@ impl<R: Real> Bundles<R> {
         self.mask[places].fill(mask);
     }
 
-    /// Write the rows of padded bundles; `registers`: pad to whole registers.
+    /// Writes the rows of padded bundles; `registers`: pad to whole registers.
     fn fill(&mut self, blocks: &[usize], rows: &Rows<R>, registers: bool) {
         let mut every = blocks.iter().flat_map(|b| &rows.rows[rows.blocks[*b].rows.range()]);
         let mut end = 0;
@@ -152,7 +152,7 @@ impl<R: Real> Bundles<R> {
         }
     }
 
-    /// Clear, and reserve room for this many rows.
+    /// Clears, and reserve room for this many rows.
     fn clear(&mut self, rows: usize) {
         self.list.clear();
         self.runs.clear();
@@ -165,7 +165,7 @@ impl<R: Real> Bundles<R> {
         self.curves = 0;
     }
 
-    /// Add a block's rows to the last bundle and its last run, or start new ones.
+    /// Adds a block's rows to the last bundle and its last run, or starts new ones.
     fn join(&mut self, dofs: Span, y: usize, run: Run, lists: Option<&[usize]>) {
         // Its y continue at the end of the bundle's.
         let next =
@@ -213,7 +213,7 @@ impl<R: Real> Bundles<R> {
         self.runs.push(run);
     }
 
-    /// Return the dofs of each bundle.
+    /// Returns the dofs of each bundle.
     pub fn dofs(&self) -> impl Iterator<Item = Span> + Clone + '_ {
         self.list.iter().map(|bundle| bundle.dofs)
     }
@@ -223,7 +223,7 @@ impl<R: Real> Bundles<R> {
     }
 }
 
-/// Write a row's y, followed by zeros.
+/// Writes a row's y, followed by zeros.
 #[inline(always)]
 fn fill_up<R: Real>(y: &[R], out: &mut [R]) {
     let mut at = 0;
@@ -249,14 +249,14 @@ pub(super) struct Problem<'a, R: Real> {
 }
 
 impl<'a, R: Real> Problem<'a, R> {
-    /// Return the y of a bundle's rows, `stride` apart.
+    /// Returns the y of a bundle's rows, `stride` apart.
     #[inline(always)]
     pub fn y(&self, bundle: &Bundle) -> &'a [R] {
         let y = if bundle.filled { &self.bundles.filled } else { &self.rows.y };
         &y[bundle.y..bundle.y + bundle.rows.len * bundle.stride]
     }
 
-    /// Iterate over the rows of the island, with the block of each.
+    /// Iterates over the rows of the island, with the block of each.
     pub fn every(&self) -> impl Iterator<Item = (&'a Row<R>, &'a Block<R>)> {
         let rows = self.rows;
         self.blocks
@@ -338,7 +338,7 @@ fn products_of<R: Real, const N: usize>((y, list): (&[R], &[usize]), x: &[R], ou
     }
 }
 
-/// Return x at the dofs of a list, N registers.
+/// Returns x at the dofs of a list, N registers.
 #[inline(always)]
 fn listed<R: Real, const N: usize>(list: &[usize], x: &[R]) -> [[R; WIDE]; N] {
     let list = &list[..N * WIDE];

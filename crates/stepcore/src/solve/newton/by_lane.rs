@@ -26,7 +26,7 @@ pub(super) struct ByLane<R: Real> {
 
 room!(ByLane<R>: newton, rows, inv_d, guess, blocks);
 
-/// Return whether there are so few lanes that each is solved by itself.
+/// Returns whether there are so few lanes that each is solved by itself.
 pub(super) fn so_few<M: Mask>(todo: M) -> bool {
     (0..M::LANES).filter(|lane| todo.lane(*lane)).count() < AS_LONG
 }
@@ -42,7 +42,7 @@ impl<R: Real> ByLane<R> {
         }
     }
 
-    /// Solve every lane of a pile by itself.
+    /// Solves every lane of a pile by itself.
     pub fn solve(
         &mut self,
         free: Unconstrained<R>,
@@ -62,7 +62,7 @@ impl<R: Real> ByLane<R> {
         Ok(report)
     }
 
-    /// Solve an island of these blocks in the lanes `todo`.
+    /// Solves an island of these blocks in the lanes `todo`.
     pub fn solve_island(
         &mut self,
         Primal { free, limits, todo }: Primal<R>,
@@ -82,7 +82,7 @@ impl<R: Real> ByLane<R> {
         }
     }
 
-    /// Copy the given blocks that a lane has.
+    /// Copies the given blocks that a lane has.
     fn take(
         &mut self,
         lane: usize,
@@ -130,7 +130,7 @@ impl<R: Real> ByLane<R> {
     }
 }
 
-/// Report the work in a lane.
+/// Reports the work in a lane.
 fn note<R: Real>(report: &mut Report<R>, lane: usize, done: &Report<R::One>) {
     let mine = R::Mask::from_lanes(|other| other == lane);
     report.sweeps.raise_in(mine, done.sweeps.lane(0));

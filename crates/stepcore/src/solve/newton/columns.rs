@@ -62,7 +62,7 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// Make room for a Hessian with these nodes; nothing is factored yet.
+    /// Makes room for a Hessian with these nodes; nothing is factored yet.
     pub fn start(&mut self, nodes: &Nodes) {
         self.values.resize(nodes.numbers, R::zero());
         self.d.resize(nodes.dofs.len(), R::zero());
@@ -100,7 +100,7 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// Mark the nodes of bundles whose curvature differs from the factored one.
+    /// Marks the nodes of bundles whose curvature differs from the factored one.
     fn mark(&mut self, nodes: &Nodes, curved: &Curved<R>) {
         if self.curve.len() == curved.curve.len() {
             for (b, bundle) in curved.bundles.list.iter().enumerate() {
@@ -130,7 +130,7 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// Add y s″ yᵀ of one bundle to the column of one of its nodes.
+    /// Adds y s″ yᵀ of one bundle to the column of one of its nodes.
     fn add(&mut self, nodes: &Nodes, pair: NodePair, curved: &Curved<R>) {
         if self.add_intervals(nodes, pair, curved) {
             return;
@@ -170,7 +170,7 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// The same for a bundle of free bodies with intervals only, directly from its y; return false
+    /// The same for a bundle of free bodies with intervals only, directly from its y; returns false
     /// for other bundles.
     fn add_intervals(&mut self, nodes: &Nodes, pair: NodePair, curved: &Curved<R>) -> bool {
         let bundle = &curved.bundles.list[pair.bundle];
@@ -193,7 +193,7 @@ impl<R: Real> Columns<R> {
         true
     }
 
-    /// Set `own` to s″ y at a node of a bundle, row by row of `active`, which holds the start of
+    /// Sets `own` to s″ y at a node of a bundle, row by row of `active`, which holds the start of
     /// each row's y.
     fn bend(&mut self, nodes: &Nodes, pair: NodePair, curved: &Curved<R>) {
         let bundle = &curved.bundles.list[pair.bundle];
@@ -234,7 +234,7 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// Subtract the contribution of column k, which reaches column j as its row `at`: L_ik D_k
+    /// Subtracts the contribution of column k, which reaches column j as its row `at`: L_ik D_k
     /// L_jkᵀ in every row i from j on.
     fn update(&mut self, nodes: &Nodes, j: usize, k: usize, at: usize) {
         let (own, pivots) = (nodes.size(j), nodes.size(k));
@@ -367,7 +367,7 @@ impl<R: Real> Columns<R> {
 
 #[cfg(test)]
 impl Columns<f64> {
-    /// Return whether the factors are equal, bit for bit.
+    /// Returns whether the factors are equal, bit for bit.
     pub fn same_bits(&self, other: &Self) -> bool {
         let same =
             |a: &[f64], b: &[f64]| a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits()));
@@ -375,7 +375,7 @@ impl Columns<f64> {
     }
 }
 
-/// Factor a diagonal block.
+/// Factors a diagonal block.
 #[inline(always)]
 fn factor_square<R: Real>(size: usize, square: &mut [R], d: &mut [R], inverse: &mut [R]) {
     let (square, d, inverse) = (&mut square[..size * size], &mut d[..size], &mut inverse[..size]);

@@ -7,7 +7,7 @@ pub(super) const FREE: usize = 6;
 
 /// The terms of rows in the lines m and m + 1 of a block.
 pub(super) trait Lines<R: Real> {
-    /// Call `add` for every row with curvature, with s″ y of these two dofs, and y from the six
+    /// Calls `add` for every row with curvature, with s″ y of these two dofs, and y from the six
     /// dofs of the columns on.
     fn each(&self, m: usize, add: impl FnMut([R; 2], &[R]));
 }
@@ -28,7 +28,7 @@ pub(super) fn add_upper<R: Real>(target: &mut [R], lines: &impl Lines<R>) {
     add_lines::<R, 2>(target, 4, lines);
 }
 
-/// Add lines m and m + 1, in the last N columns.
+/// Adds lines m and m + 1, in the last N columns.
 #[inline(always)]
 fn add_lines<R: Real, const N: usize>(target: &mut [R], m: usize, lines: &impl Lines<R>) {
     let from = FREE - N;

@@ -64,7 +64,7 @@ impl<R: Real> Hessian<R> {
         self.stale.resize(d.len(), true);
     }
 
-    /// Factor D + Σ y s″ yᵀ: add what has changed since the last call. `changed`: whether each run
+    /// Factors D + Σ y s″ yᵀ: adds what has changed since the last call. `changed`: whether each run
     /// may have changed; false for all afterwards.
     #[inline(never)]
     pub fn make(&mut self, problem: Problem<R>, d: &[R], (curve, changed): (&[R], &mut [bool])) {
@@ -96,7 +96,7 @@ impl<R: Real> Hessian<R> {
         self.factor(problem.pattern);
     }
 
-    /// Restart from D in lanes where a huge part changes; return whether there are any.
+    /// Restarts from D in lanes where a huge part changes; returns whether there are any.
     fn forget_huge(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) -> bool {
         if problem.bundles.huge.none() {
             return false;
@@ -127,7 +127,7 @@ impl<R: Real> Hessian<R> {
         true
     }
 
-    /// Add the collected rows of a bundle.
+    /// Adds the collected rows of a bundle.
     fn add(&mut self, pattern: &Pattern, bundle: usize, y: &[R]) {
         let Self { entries, added, stale, .. } = self;
         let listed = pattern.bundles[bundle];
@@ -197,7 +197,7 @@ impl<R: Real> Hessian<R> {
 }
 
 impl<R: Real> Added<R> {
-    /// Start a bundle without rows.
+    /// Starts a bundle without rows.
     fn start(&mut self, bundle: &Bundle) {
         self.stride = bundle.dofs.len.next_multiple_of(WIDE);
         self.rows.clear();
@@ -207,7 +207,7 @@ impl<R: Real> Added<R> {
         }
     }
 
-    /// Collect the rows of a run with changed curvature; their y start at `first` in the bundle.
+    /// Collects the rows of a run with changed curvature; their y start at `first` in the bundle.
     #[inline(always)]
     fn take(
         &mut self,
@@ -247,7 +247,7 @@ impl<R: Real> Added<R> {
         }
     }
 
-    /// Add N lines of Σ y · (s″ y)ᵀ from line `at` on, up to the diagonal, one row after another:
+    /// Adds N lines of Σ y · (s″ y)ᵀ from line `at` on, up to the diagonal, one row after another:
     /// so a sum is independent of the bundling of rows.
     #[inline(never)]
     fn add_lines<const N: usize>(
@@ -299,7 +299,7 @@ impl<R: Real> Added<R> {
         }
     }
 
-    /// Add the part of N lines from `at` on, in columns from `from` on.
+    /// Adds the part of N lines from `at` on, in columns from `from` on.
     #[inline(always)]
     fn add_block<const N: usize>(
         &self,

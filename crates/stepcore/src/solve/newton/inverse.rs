@@ -5,7 +5,7 @@ use crate::real::{Mask, Real};
 use crate::solve::rows::{Rows, Set, CONE, NARROW};
 
 impl<R: Real> Rows<R> {
-    /// Return, by row, the impulse at the velocity u (factored). None if a law has no inverse: a
+    /// Returns, by row, the impulse at the velocity u (factored). None if a law has no inverse: a
     /// Coulomb cone, or a row without a regulariser that something can move.
     pub(crate) fn impulses_at(&self, lists: &[usize], u: &[R]) -> Option<Vec<R>> {
         let mut impulses = vec![R::zero(); self.rows.len()];

@@ -14,8 +14,8 @@ use crate::real::{Mask, Real};
 use crate::solve::rows::{Row, Set};
 
 impl<R: Real> System<R> {
-    /// With the laws at u computed: set impulses, curvature and gradient to the zones of the initial
-    /// impulses, in lanes of `todo`. Return the lanes in which the zone of some row differs.
+    /// With the laws at u computed: sets impulses, curvature and gradient to the zones of the initial
+    /// impulses, in lanes of `todo`. Returns the lanes in which the zone of some row differs.
     pub(super) fn take_last_zones(&mut self, problem: Problem<R>, todo: R::Mask) -> R::Mask {
         let Problem { rows, blocks, bundles, .. } = problem;
         let (mut other_zones, mut at, mut curve) = (R::Mask::of(false), 0, 0);

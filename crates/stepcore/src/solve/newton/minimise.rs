@@ -31,8 +31,8 @@ const ITERATIONS: u32 = 8;
 const TRIALS: usize = 60;
 
 impl<R: Real> System<R> {
-    /// Iterate. A lane stops when its gradient or its step is rounding, its residual is within the
-    /// tolerance, its last step was exact, or its gain is below the requested one. Return the
+    /// Iterates. A lane stops when its gradient or its step is rounding, its residual is within the
+    /// tolerance, its last step was exact, or its gain is below the requested one. Returns the
     /// unfinished lanes. `begun`: laws and slope, if they are computed already.
     pub fn minimise(
         &mut self,
@@ -122,7 +122,7 @@ impl<R: Real> System<R> {
         todo
     }
 
-    /// g = D(u − û) − Σ yλ; return |g|² in D⁻¹, and |u − û|² in D.
+    /// g = D(u − û) − Σ yλ; returns |g|² in D⁻¹, and |u − û|² in D.
     pub(super) fn slope(&mut self, problem: Problem<R>) -> (R, R) {
         let mut moved = R::zero();
         for (((g, u), guess), d) in
@@ -164,7 +164,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Return the α > 0 at which the cost along the step is least; 1 in lanes not searched.
+    /// Returns the α > 0 at which the cost along the step is least; 1 in lanes not searched.
     ///
     /// The slope is increasing (the cost is convex) and piecewise almost linear:
     /// Newton's method on it, kept within a bracket.
@@ -195,7 +195,7 @@ impl<R: Real> System<R> {
         alpha
     }
 
-    /// Return slope and curvature of ½ (u − û)ᵀD(u − û) along the step.
+    /// Returns slope and curvature of ½ (u − û)ᵀD(u − û) along the step.
     pub(super) fn energy_along(&self) -> (R, R) {
         let (mut first, mut second) = (R::zero(), R::zero());
         for (((u, guess), d), p) in self.u.iter().zip(&self.guess).zip(&self.d).zip(&self.step) {
@@ -215,7 +215,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Prepare the cones along the current step.
+    /// Prepares the cones along the current step.
     pub(super) fn line_up(&mut self, bundles: &Bundles<R>) {
         self.lines.clear();
         for run in &bundles.runs {
@@ -227,7 +227,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Return the rows' part of the slope and the curvature at u + α step.
+    /// Returns the rows' part of the slope and the curvature at u + α step.
     pub(super) fn bend_at(&self, bundles: &Bundles<R>, alpha: R) -> (R, R) {
         let (mut slope, mut curve) = (R::zero(), R::zero());
         for run in &bundles.runs {
@@ -242,7 +242,7 @@ impl<R: Real> System<R> {
         (slope, curve)
     }
 
-    /// Add the part of some intervals to slope and curvature.
+    /// Adds the part of some intervals to slope and curvature.
     #[inline(always)]
     fn bend_intervals_at(
         &self,

@@ -74,7 +74,7 @@ room!(Nodes: key, ends, order, dofs, first, bundles, members, entries, lists, fr
     places, offsets, numbers, left_start, left, split, seen, node_of, sizes, edges, next);
 
 impl Nodes {
-    /// Compute everything for bundles with these lists, unless it is up to date. `class`: scratch
+    /// Computes everything for bundles with these lists, unless it is up to date. `class`: scratch
     /// by dof, `NOWHERE` before and after.
     pub fn fit(&mut self, dof_lists: &[usize], spans: &[Span], class: &mut [usize]) {
         let lists = spans.iter().map(|span| span.of(dof_lists));
@@ -220,7 +220,7 @@ impl Nodes {
         }
     }
 
-    /// Compute the place of each column among the numbers, and which columns reach which.
+    /// Computes the place of each column among the numbers, and which columns reach which.
     fn columns(&mut self) {
         let (order, count) = (&self.order, self.sizes.len());
         let size = |k: usize| self.first[k + 1] - self.first[k];
@@ -255,7 +255,7 @@ impl Nodes {
         }
     }
 
-    /// Collect bundles by their nodes.
+    /// Collects bundles by their nodes.
     fn meet(&mut self) {
         let count = self.sizes.len();
         self.meets.clear();
@@ -279,18 +279,18 @@ impl Nodes {
         }
     }
 
-    /// Return a bundle's list in local numbers.
+    /// Returns a bundle's list in local numbers.
     pub fn local(&self, bundle: usize) -> &[usize] {
         let start = if bundle == 0 { 0 } else { self.ends[bundle - 1] };
         &self.lists[start..self.ends[bundle]]
     }
 
-    /// Return the number of dofs of a node.
+    /// Returns the number of dofs of a node.
     pub fn size(&self, node: usize) -> usize {
         self.first[node + 1] - self.first[node]
     }
 
-    /// Return the number of nodes.
+    /// Returns the number of nodes.
     pub fn count(&self) -> usize {
         self.sizes.len()
     }

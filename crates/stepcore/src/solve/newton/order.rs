@@ -30,7 +30,7 @@ pub(super) struct Order {
 room!(Order: words, given, bits, degree, pivot, sequence, turn, start, rows);
 
 impl Order {
-    /// Order the graph of `count` nodes with these edges, unless it is unchanged. Return whether
+    /// Orders the graph of `count` nodes with these edges, unless it is unchanged. Returns whether
     /// the order is new.
     pub fn fit(&mut self, count: usize, edges: impl Iterator<Item = (usize, usize)>) -> bool {
         let words = count.div_ceil(64);
@@ -85,12 +85,12 @@ impl Order {
         self.start.push(self.rows.len());
     }
 
-    /// Return the turns of the neighbours that a node has at its turn.
+    /// Returns the turns of the neighbours that a node has at its turn.
     pub fn column(&self, turn: usize) -> &[usize] {
         &self.rows[self.start[turn]..self.start[turn + 1]]
     }
 
-    /// Convert nodes to turns.
+    /// Converts nodes to turns.
     fn number(&mut self) {
         self.turn.clear();
         self.turn.resize(self.sequence.len(), 0);
@@ -110,7 +110,7 @@ impl Order {
 mod tests {
     use super::*;
 
-    /// Count the entries below the diagonal, in nodes.
+    /// Counts the entries below the diagonal, in nodes.
     fn fill(order: &Order) -> usize {
         order.rows.len()
     }

@@ -56,7 +56,7 @@ pub(super) struct Listed {
 room!(Pattern: key, dofs, bundles, lists, places, start, depth, size, path, below_start, below, bits, local, nodes, heap);
 
 impl Pattern {
-    /// Compute the pattern of bundles on these dofs, unless it is up to date. `class`: scratch of
+    /// Computes the pattern of bundles on these dofs, unless it is up to date. `class`: scratch of
     /// `Nodes::fit`, a number for each dof.
     pub fn fit(
         &mut self,
@@ -83,7 +83,7 @@ impl Pattern {
         self.place();
     }
 
-    /// Return whether these spans still hold the dofs of the pattern: pairs that are found step by
+    /// Returns whether these spans still hold the dofs of the pattern: pairs that are found step by
     /// step have other lists in each.
     fn is_of(&self, dof_lists: &[usize]) -> bool {
         let own = |listed: &Listed| listed.list.of(&self.lists).iter().map(|k| self.dofs[*k]);
@@ -107,7 +107,7 @@ impl Pattern {
         }
     }
 
-    /// Find the paths: the dofs that a row couples reach its parent.
+    /// Finds the paths: the dofs that a row couples reach its parent.
     fn fill(&mut self) {
         const NONE: usize = usize::MAX;
         let n = self.dofs.len();
@@ -153,7 +153,7 @@ impl Pattern {
         self.size = self.path.len();
     }
 
-    /// List the dofs whose paths go through each dof.
+    /// Lists the dofs whose paths go through each dof.
     fn list_below(&mut self) {
         let Self { start, depth, path, below_start, below, local: next, .. } = self;
         let n = self.dofs.len();
@@ -178,7 +178,7 @@ impl Pattern {
         }
     }
 
-    /// Find the place of every pair of every list, unless it follows from the list alone.
+    /// Finds the place of every pair of every list, unless it follows from the list alone.
     fn place(&mut self) {
         let Self { bundles, lists, places, start, depth, .. } = self;
         places.clear();
@@ -194,7 +194,7 @@ impl Pattern {
         }
     }
 
-    /// Return the dofs by their local numbers.
+    /// Returns the dofs by their local numbers.
     pub fn dofs(&self) -> &[usize] {
         if self.heap {
             &self.nodes.dofs
@@ -203,7 +203,7 @@ impl Pattern {
         }
     }
 
-    /// Return a bundle's dofs in local numbers.
+    /// Returns a bundle's dofs in local numbers.
     pub fn list(&self, bundle: usize) -> &[usize] {
         if self.heap {
             return self.nodes.local(bundle);
@@ -220,7 +220,7 @@ impl Pattern {
         &self.lists[start..start + len.next_multiple_of(WIDE)]
     }
 
-    /// In a pile: return the bundle's dofs, if they belong to free bodies.
+    /// In a pile: returns the bundle's dofs, if they belong to free bodies.
     #[inline(always)]
     pub fn free(&self, bundle: usize) -> Option<&FreeBodies> {
         if self.heap {

@@ -12,7 +12,7 @@ use crate::real::{Mask, Real};
 use crate::solve::cone::{across, project_round};
 use crate::solve::rows::Row;
 
-/// Return −w/c within the bounds, and its curvature.
+/// Returns −w/c within the bounds, and its curvature.
 #[inline(always)]
 pub(super) fn interval<R: Real>([lo, hi]: [R; 2], inv_c: R, w: R) -> (R, R) {
     let free = -w * inv_c;
@@ -38,7 +38,7 @@ impl<R: Real> Cone<R> {
         Self { mu, inv_c: c.recip_or_zero(), k, slope: mu * k.recip_or_zero() }
     }
 
-    /// Return λ, and the derivative of λ with respect to −w.
+    /// Returns λ, and the derivative of λ with respect to −w.
     #[inline(always)]
     pub fn law<const N: usize>(&self, w: [R; N]) -> ([R; N], [[R; N]; N]) {
         let (zero, one) = (R::zero(), R::one());
@@ -115,7 +115,7 @@ impl<R: Real> Line<R> {
         Self { m, first, inv_c: cone.inv_c, normal: [at(w), at(v)], square }
     }
 
-    /// Return the penalty's slope and curvature at α.
+    /// Returns the penalty's slope and curvature at α.
     #[inline(always)]
     pub fn at(&self, alpha: R) -> (R, R) {
         let Self { m, first, inv_c, normal: [start, speed], square: [a, b, c] } = *self;

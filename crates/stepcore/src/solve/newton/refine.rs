@@ -72,7 +72,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Set `rate` to e by row. Return the largest e²A/m, the square of a speed like the residual's,
+    /// Sets `rate` to e by row. Returns the largest e²A/m, the square of a speed like the residual's,
     /// and Σ e²A. A row at a bound stays there: rounding/c must not flip it out of its zone.
     fn errors(&mut self, problem: Problem<R>) -> (R, R) {
         let bundles = problem.bundles;
@@ -145,7 +145,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Return lanes whose impulses cancel: Σ λ²A against the energy of the motion along the rows.
+    /// Returns lanes whose impulses cancel: Σ λ²A against the energy of the motion along the rows.
     fn cancelled(&self, problem: Problem<R>) -> R::Mask {
         let mut apart = R::zero();
         for (impulse, (row, block)) in self.impulse.iter().zip(problem.every()) {
@@ -172,7 +172,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Add δ to u in lanes that keep u.
+    /// Adds δ to u in lanes that keep u.
     fn move_kept(&mut self, kept: R::Mask) {
         let mask = kept.and(self.fresh);
         for (u, step) in self.u.iter_mut().zip(&self.step) {

@@ -76,7 +76,7 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Load an island, and start at the velocities u or at û: at the end to which the cost falls
+    /// Loads an island, and starts at the velocities u or at û: at the end to which the cost falls
     /// half-way between them. The minimum along the line would not do: unconnected parts of an
     /// island would change each other's bits. If the start is u, laws and slope are computed:
     /// return the result of `slope`.
@@ -181,7 +181,7 @@ impl<R: Real> System<R> {
         slacks(problem, &self.u, &mut self.w, &mut self.local);
     }
 
-    /// Set every row's impulse at its w; in lanes of `bend` also the curvature. Return the lanes in
+    /// Sets every row's impulse at its w; in lanes of `bend` also the curvature. Returns the lanes in
     /// which some curvature changed.
     pub(super) fn laws(&mut self, bundles: &Bundles<R>, bend: R::Mask) -> R::Mask {
         let mut changed = R::Mask::of(false);
@@ -245,7 +245,7 @@ impl<R: Real> System<R> {
         rows.fold(R::Mask::of(false), |changed, (old, new)| changed.or(replace(old, new, bend)))
     }
 
-    /// Compute the energy of the rows' velocities, the scale for rounding.
+    /// Computes the energy of the rows' velocities, the scale for rounding.
     fn weigh(&mut self, problem: Problem<R>) {
         self.scale = R::zero();
         for (w, (row, block)) in self.w.iter().zip(problem.every()) {
@@ -264,7 +264,7 @@ fn slacks<R: Real>(problem: Problem<R>, u: &[R], out: &mut [R], own: &mut Vec<R>
     }
 }
 
-/// old ← new in the lanes of `mask`; return its lanes in which they differ.
+/// old ← new in the lanes of `mask`; returns its lanes in which they differ.
 #[inline(always)]
 fn replace<R: Real>(old: &mut [R], new: &[R], mask: R::Mask) -> R::Mask {
     let mut changed = R::Mask::of(false);
@@ -277,7 +277,7 @@ fn replace<R: Real>(old: &mut [R], new: &[R], mask: R::Mask) -> R::Mask {
     changed.and(mask)
 }
 
-/// Return a cone's numbers, 0 for missing rows.
+/// Returns a cone's numbers, 0 for missing rows.
 pub(super) fn padded<R: Real, const N: usize>(x: &[R]) -> [R; N] {
     assert!(x.len() <= N);
     crate::real::array::from_fn(|i| x.get(i).copied().unwrap_or_else(R::zero))

@@ -83,7 +83,7 @@ fn nodes_of(heap: &Heap, bundles: &Bundles<f64>) -> Nodes {
     nodes
 }
 
-/// Return a curvature for every row: for cones symmetric and positive; else a number, sometimes 0.
+/// Returns a curvature for every row: for cones symmetric and positive; else a number, sometimes 0.
 fn curvature(heap: &Heap, random: &mut Random) -> Vec<f64> {
     let mut curve = Vec::new();
     for block in &heap.rows.blocks {
@@ -106,7 +106,7 @@ fn starts(heap: &Heap) -> Vec<usize> {
     starts
 }
 
-/// Return H x, from the definition.
+/// Returns H x, from the definition.
 fn times(heap: &Heap, d: &[f64], curve: &[f64], x: &[f64]) -> Vec<f64> {
     let mut out: Vec<f64> = d.iter().zip(x).map(|(d, x)| d * x).collect();
     for (block, start) in heap.rows.blocks.iter().zip(starts(heap)) {

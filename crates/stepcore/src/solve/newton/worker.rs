@@ -69,7 +69,7 @@ impl<R: Real> Worker<R> {
         }
     }
 
-    /// Take an island's blocks.
+    /// Takes an island's blocks.
     pub fn take(&mut self, blocks: &[usize], rows: &Rows<R>) {
         self.present.clear();
         self.present.extend(blocks.iter().copied().filter(|b| {
@@ -85,7 +85,7 @@ impl<R: Real> Worker<R> {
         }
     }
 
-    /// Sort blocks so that those on one chain of dofs are adjacent: by their last dof, then by the
+    /// Sorts blocks so that those on one chain of dofs are adjacent: by their last dof, then by the
     /// number of dofs. The dofs of a world's rows decide alone, so that a lane has its world's order.
     fn order(&mut self, rows: &Rows<R>, dof_lists: &[usize]) {
         let key = |b: &usize| {
@@ -101,7 +101,7 @@ impl<R: Real> Worker<R> {
         }
     }
 
-    /// Return whether the nodes of a pile pay: blocks on chains cost more there, free bodies
+    /// Returns whether the nodes of a pile pay: blocks on chains cost more there, free bodies
     /// elsewhere. Counted by `benches/anatomy.py`, thousand instructions per step by nodes and
     /// along chains: Go2 among ten loose boxes 1525 and 805, unitree's A2 on a terrain 457 and 300,
     /// a Panda without friction among ten and forty loose boxes 364 and 412, 1695 and 2167.
@@ -125,7 +125,7 @@ impl<R: Real> Worker<R> {
         SIX * chained < touched.len()
     }
 
-    /// Solve `island`, whose blocks were taken; return the unfinished lanes. Impulses agree with
+    /// Solves `island`, whose blocks were taken; returns the unfinished lanes. Impulses agree with
     /// the velocities to rounding, unless the cost or the iteration limit ends the solve.
     pub fn solve(
         &mut self,
@@ -164,12 +164,12 @@ impl<R: Real> Worker<R> {
         open
     }
 
-    /// Write the island's impulses and velocities to the rows.
+    /// Writes the island's impulses and velocities to the rows.
     pub fn write(&self, pattern: &Pattern, rows: &mut Rows<R>, todo: R::Mask) {
         write(rows, todo, (&self.present, &self.system.impulse), (pattern.dofs(), &self.system.u));
     }
 
-    /// Store them for later.
+    /// Stores them for later.
     fn keep(&mut self, pattern: &Pattern) {
         self.solved.blocks.extend_from_slice(&self.present);
         self.solved.impulses.extend_from_slice(&self.system.impulse);
@@ -195,7 +195,7 @@ fn write<R: Real>(
     }
 }
 
-/// Return the least mass of a block.
+/// Returns the least mass of a block.
 fn lightest<R: Real>(blocks: &[usize], rows: &Rows<R>) -> R {
     let mut mass = R::of(f64::INFINITY);
     for block in blocks.iter().map(|b| &rows.blocks[*b]) {
@@ -204,7 +204,7 @@ fn lightest<R: Real>(blocks: &[usize], rows: &Rows<R>) -> R {
     mass
 }
 
-/// Solve the islands of `queue`, in all of which a scalar world lives. An island neither reads nor
+/// Solves the islands of `queue`, in all of which a scalar world lives. An island neither reads nor
 /// changes anything of another, and reports are sums of integers and extremes: the result does not
 /// depend on which thread solves which island.
 pub(super) fn share<R: Real>(

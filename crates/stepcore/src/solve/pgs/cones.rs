@@ -40,7 +40,7 @@ impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
         self.square.clear();
     }
 
-    /// Prepare a block with this y D⁻¹ yᵀ + C.
+    /// Prepares a block with this y D⁻¹ yᵀ + C.
     pub fn tie(&mut self, set: Set, mu: R, q: Matrix<R, N>) -> Tie {
         let ways = from_fn(|i| from_fn(|j| q[i + 1][j + 1]));
         match set {
@@ -51,7 +51,7 @@ impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
         }
     }
 
-    /// Return the ways' impulses of a Coulomb cone that minimise its part within their bound, with
+    /// Returns the ways' impulses of a Coulomb cone that minimise its part within their bound, with
     /// their slope at x.
     #[inline(always)]
     pub fn friction(
@@ -79,7 +79,7 @@ impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
         }
     }
 
-    /// Return Q between the ways of a round Coulomb cone, times x.
+    /// Returns Q between the ways of a round Coulomb cone, times x.
     pub fn curved(&self, tie: Tie, x: &[R; W]) -> [R; W] {
         match tie {
             Tie::Disc(at) => times(&self.disc[at as usize].q, x),

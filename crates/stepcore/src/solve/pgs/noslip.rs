@@ -125,7 +125,7 @@ impl<R: Real> Noslip<R> {
     }
 }
 
-/// Return A between the ways of a cone; zero for the normal.
+/// Returns A between the ways of a cone; zero for the normal.
 fn products<R: Real, const N: usize>(
     free: Unconstrained<R>,
     y: &[R],
@@ -141,7 +141,7 @@ fn products<R: Real, const N: usize>(
     q
 }
 
-/// Return J H⁻¹ Jᵀ between two rows of one block.
+/// Returns J H⁻¹ Jᵀ between two rows of one block.
 fn between<R: Real>(free: Unconstrained<R>, y: &[R], one: &Row<R>, other: &Row<R>) -> R {
     let dofs = one.dofs.of(free.dof_lists);
     let both = y[one.y..][..dofs.len()].iter().zip(&y[other.y..]);
@@ -158,13 +158,13 @@ struct Hard<'a, R: Real> {
 }
 
 impl<R: Real> Hard<'_, R> {
-    /// Return J v − t.
+    /// Returns J v − t.
     fn miss(&self, row: &Row<R>) -> R {
         let dofs = row.dofs.of(self.free.dof_lists);
         dot(dofs, &self.y[row.y..row.y + dofs.len()], self.u) - row.t
     }
 
-    /// Set a row's impulse, and update u; return the change.
+    /// Sets a row's impulse, and updates u; returns the change.
     fn set(&mut self, row: &mut Row<R>, impulse: R) -> R {
         let change = impulse - row.impulse;
         row.impulse = R::select(self.mask, impulse, row.impulse);
@@ -204,7 +204,7 @@ impl<R: Real> Hard<'_, R> {
         self.note(gain(bend, change, -slope));
     }
 
-    /// Minimise ½ xᵀA x + g·x with |x| ≤ μ λ_n.
+    /// Minimises ½ xᵀA x + g·x with |x| ≤ μ λ_n.
     fn cone<const N: usize, const W: usize>(
         &mut self,
         own: &mut [Row<R>],

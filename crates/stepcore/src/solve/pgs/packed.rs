@@ -89,7 +89,7 @@ impl<R: Real> Packed<R> {
         Some(packed)
     }
 
-    /// Return y D⁻¹ yᵀ of the directions, rows of the lower triangle.
+    /// Returns y D⁻¹ yᵀ of the directions, rows of the lower triangle.
     fn products(&self, inv_d: &[R]) -> [R; 6] {
         let mut q = [R::zero(); 6];
         for which in 0..self.free.count() {
@@ -105,7 +105,7 @@ impl<R: Real> Packed<R> {
         q
     }
 
-    /// Return y·u by direction.
+    /// Returns y·u by direction.
     #[inline(always)]
     fn velocity(&self, u: &[R]) -> [R; NARROW] {
         let six = |which: usize| six(&u[self.free.body(which)]);
@@ -127,7 +127,7 @@ impl<R: Real> Packed<R> {
         }
     }
 
-    /// Update the impulses, and u with their effect. With GAIN, `rows` holds the impulses.
+    /// Updates the impulses, and u with their effect. With GAIN, `rows` holds the impulses.
     #[inline(always)]
     pub fn update<const GAIN: bool>(
         &mut self,
@@ -161,7 +161,7 @@ impl<R: Real> Packed<R> {
         }
     }
 
-    /// Update every edge in sequence.
+    /// Updates every edge in sequence.
     #[inline(always)]
     fn edges<const GAIN: bool>(&mut self, rows: &[Row<R>], to: &mut Target<R>) -> Updated<R> {
         let (zero, mut sum) = (R::zero(), R::zero());
@@ -174,7 +174,7 @@ impl<R: Real> Packed<R> {
         self.finish(change, along(&change), sum, to)
     }
 
-    /// Solve the block's minimum in one piece.
+    /// Solves the block's minimum in one piece.
     #[inline(always)]
     fn convex<const GAIN: bool>(
         &mut self,
@@ -197,7 +197,7 @@ impl<R: Real> Packed<R> {
         self.finish(change, f, gain, to)
     }
 
-    /// Update the normal as an interval, then the tangents within its friction bound.
+    /// Updates the normal as an interval, then the tangents within its friction bound.
     #[inline(always)]
     fn coulomb(&mut self, cones: &mut Narrow<R>, to: &mut Target<R>) -> Updated<R> {
         let (zero, q, x) = (R::zero(), self.whole(), self.point.impulse);
@@ -212,7 +212,7 @@ impl<R: Real> Packed<R> {
         self.finish([f[0], f[1], f[2], zero], f, zero, to)
     }
 
-    /// Apply the changes, by row and along the directions, to impulses and u.
+    /// Applies the changes, by row and along the directions, to impulses and u.
     #[inline(always)]
     fn finish(
         &mut self,
@@ -229,7 +229,7 @@ impl<R: Real> Packed<R> {
         Updated { change: largest, gain }
     }
 
-    /// Return `between` of directions, as a full matrix.
+    /// Returns `between` of directions, as a full matrix.
     #[inline(always)]
     fn whole(&self) -> [[R; NARROW]; NARROW] {
         let [q00, q10, q11, q20, q21, q22] = self.point.between;
@@ -252,7 +252,7 @@ fn by_body<R: Real>(y: &[R], len: usize) -> Ways<R> {
     from_fn(|body| from_fn(|way| from_fn(|k| entry(body, way, k))))
 }
 
-/// Return the directions n, a and b of edges n ± a and n ± b, if the rows are such edges.
+/// Returns the directions n, a and b of edges n ± a and n ± b, if the rows are such edges.
 fn of_edges<R: Real>(rows: &[Row<R>], y: &[R], len: usize) -> Option<Ways<R>> {
     let (zero, half) = (R::zero(), R::of(0.5));
     let bounded = |row: &Row<R>| row.lo.le(zero).and(row.lo.ge(zero)).and(row.hi.is_finite().not());
@@ -270,14 +270,14 @@ fn of_edges<R: Real>(rows: &[Row<R>], y: &[R], len: usize) -> Option<Ways<R>> {
     good.all().then_some(ways)
 }
 
-/// Return y D⁻¹ yᵀ between the edges n ± a and n ± b, rows below the diagonal.
+/// Returns y D⁻¹ yᵀ between the edges n ± a and n ± b, rows below the diagonal.
 fn of_pyramid<R: Real>([nn, an, aa, bn, ba, bb]: &[R; 6]) -> [R; 6] {
     let (sum, difference) = (*nn + *bn, *nn - *bn);
     let (plus, minus) = (*an + *ba, *an - *ba);
     [*nn - *aa, sum + plus, sum - plus, difference + minus, difference - minus, *nn - *bb]
 }
 
-/// Return lanes in which some change is nonzero, or not a number.
+/// Returns lanes in which some change is nonzero, or not a number.
 #[inline(always)]
 fn moves<R: Real, const N: usize>(change: &[R; N]) -> R::Mask {
     let zero = R::zero();

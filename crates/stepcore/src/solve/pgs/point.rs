@@ -108,7 +108,7 @@ pub(in super::super) struct Swept<R> {
     pub gain: R,
 }
 
-/// Return the gain of convex rows by the change of an impulse: ½ s Δ² − Δ (t − Jv − cλ).
+/// Returns the gain of convex rows by the change of an impulse: ½ s Δ² − Δ (t − Jv − cλ).
 #[inline(always)]
 pub(super) fn gain<N: Numbers>(s: N, change: N, short: N) -> N {
     change * (N::every(0.5) * s * change - short)
@@ -136,7 +136,7 @@ impl<N: Numbers> Point<N> {
         }
     }
 
-    /// Return y·u by direction, even and odd dofs separately; without a second body, for the first.
+    /// Returns y·u by direction, even and odd dofs separately; without a second body, for the first.
     #[inline(always)]
     pub fn velocity(&self, one: &[N; SIX], two: Option<&[N; SIX]>) -> [N; NARROW] {
         // Loops: as a closure over arrays this takes a fifth longer.
@@ -155,26 +155,26 @@ impl<N: Numbers> Point<N> {
         sums
     }
 
-    /// Return Σ y f over the directions, for a body's dof.
+    /// Returns Σ y f over the directions, for a body's dof.
     #[inline(always)]
     pub fn push(&self, body: usize, k: usize, f: &[N; NARROW]) -> N {
         let [n, a, b] = &self.y[body];
         (n[k] * f[0] + a[k] * f[1]) + b[k] * f[2]
     }
 
-    /// Return t − Jv − cλ.
+    /// Returns t − Jv − cλ.
     #[inline(always)]
     pub fn short(&self, i: usize, velocity: N) -> N {
         self.t[i] - velocity - self.c[i] * self.impulse[i]
     }
 
-    /// Return the change of an impulse to max(λ + (t − Jv − cλ)/s, 0).
+    /// Returns the change of an impulse to max(λ + (t − Jv − cλ)/s, 0).
     #[inline(always)]
     pub fn change(&self, i: usize, short: N) -> N {
         (short * self.inv_s[i]).larger(-self.impulse[i])
     }
 
-    /// Return the changes of the edges, in sequence, given the velocities along the directions;
+    /// Returns the changes of the edges, in sequence, given the velocities along the directions;
     /// `keep` zeroes unwanted changes, and `note` receives each edge's change and shortfall.
     #[inline(always)]
     pub fn edges(
@@ -196,7 +196,7 @@ impl<N: Numbers> Point<N> {
         change
     }
 
-    /// Add the changes to the impulses; return the largest of them and of `largest` [m/s].
+    /// Adds the changes to the impulses; returns the largest of them and of `largest` [m/s].
     #[inline(always)]
     pub fn add(&mut self, change: &[N; EDGES], mut largest: N) -> N {
         for i in 0..EDGES {
@@ -207,14 +207,14 @@ impl<N: Numbers> Point<N> {
     }
 }
 
-/// Convert impulses of edges to the directions.
+/// Converts impulses of edges to the directions.
 #[inline(always)]
 pub(super) fn along<N: Numbers>(edges: &[N; EDGES]) -> [N; NARROW] {
     [(edges[0] + edges[1]) + (edges[2] + edges[3]), edges[0] - edges[1], edges[2] - edges[3]]
 }
 
 impl<R: Real> Point<Each<R>> {
-    /// Store one of the contacts.
+    /// Stores one of the contacts.
     pub fn set(&mut self, lane: usize, one: &Point<R>) {
         let lists: [(&mut [Each<R>], &[R]); 7] = [
             (&mut self.between, &one.between),

@@ -80,8 +80,8 @@ impl<R: Real> SideBySide<R> {
         }
     }
 
-    /// Load an island, with the first row of each of its contacts, and their bodies' u. Load
-    /// nothing and return false if too few of them would be side by side.
+    /// Loads an island, with the first row of each of its contacts, and their bodies' u. Load
+    /// nothing and returns false if too few of them would be side by side.
     pub fn take<'a>(
         &mut self,
         inv_d: &[R],
@@ -107,7 +107,7 @@ impl<R: Real> SideBySide<R> {
         true
     }
 
-    /// Measure the sweeps of this island; `on`: with momentum.
+    /// Measures the sweeps of this island; `on`: with momentum.
     pub fn measure(&mut self, inv_d: &[R], on: bool) {
         let by_body = self.dofs.iter().map(|dof| match inv_d.get(*dof as usize..) {
             Some(own) => Six(crate::real::array::from_fn(|k| R::one() / own[k])),
@@ -128,7 +128,7 @@ impl<R: Real> SideBySide<R> {
         }
     }
 
-    /// Find each contact's four; return false if most would be half empty.
+    /// Finds each contact's four; returns false if most would be half empty.
     fn arrange<'a>(&mut self, nv: usize, contacts: impl Iterator<Item = &'a Packed<R>>) -> bool {
         self.body_at.resize(nv, 0);
         self.dofs.clear();
@@ -174,14 +174,14 @@ impl<R: Real> SideBySide<R> {
         self.places.len() > SEEN && self.places.len() >= 2 * self.filled.len()
     }
 
-    /// Load the bodies' u.
+    /// Loads the bodies' u.
     fn load(&mut self, u: &[R]) {
         for (body, dof) in self.bodies.iter_mut().zip(&self.dofs).skip(1) {
             body.0.copy_from_slice(&u[*dof as usize..][..SIX]);
         }
     }
 
-    /// Write impulses and u.
+    /// Writes impulses and u.
     pub fn store(&self, rows: &mut Rows<R>) {
         for (body, dof) in self.bodies.iter().zip(&self.dofs).skip(1) {
             rows.u[*dof as usize..][..SIX].copy_from_slice(&body.0);
@@ -196,7 +196,7 @@ impl<R: Real> SideBySide<R> {
         }
     }
 
-    /// Update every contact.
+    /// Updates every contact.
     pub fn sweep(&mut self) -> Swept<R> {
         let most = |each: Each<R>| each.0.into_iter().fold(R::zero(), R::max);
         if self.moved.is_empty() {
@@ -218,7 +218,7 @@ impl<R: Real> SideBySide<R> {
         largest
     }
 
-    /// With momentum; return the largest changes and the sums of `Found`.
+    /// With momentum; returns the largest changes and the sums of `Found`.
     #[inline(never)]
     fn sweep_on(&mut self, step: &Step<R>) -> (Each<R>, [Each<R>; 3]) {
         let none = Each::every(0.0);
@@ -263,7 +263,7 @@ impl<R: Real> Four<R> {
         }
     }
 
-    /// Update each; `note` receives each edge's changes and shortfalls.
+    /// Updates each; `note` receives each edge's changes and shortfalls.
     #[inline(always)]
     fn update(
         &mut self,
@@ -281,7 +281,7 @@ impl<R: Real> Four<R> {
         largest
     }
 
-    /// Return the bodies' u + D⁻¹ Σ y f. Not inlined: the products would be ordered body by body,
+    /// Returns the bodies' u + D⁻¹ Σ y f. Not inlined: the products would be ordered body by body,
     /// as their sums are stored.
     #[inline(never)]
     fn kick(&self, bodies: &[Six<R>], f: &[Each<R>; NARROW], out: &mut [[Each<R>; SIX]; 2]) {
@@ -294,7 +294,7 @@ impl<R: Real> Four<R> {
     }
 }
 
-/// Return the bodies' u, side by side.
+/// Returns the bodies' u, side by side.
 #[inline(always)]
 fn gather<R: Real>(bodies: &[Six<R>], at: &[u32; SIDE]) -> [Each<R>; SIX] {
     let mut u = [Each::every(0.0); SIX];

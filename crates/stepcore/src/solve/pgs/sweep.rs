@@ -53,7 +53,7 @@ impl<R: Real> Sweeps<R> {
         }
     }
 
-    /// Prepare for these rows; `weigh`: changes will be compared with a tolerance.
+    /// Prepares for these rows; `weigh`: changes will be compared with a tolerance.
     pub fn prepare(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, weigh: bool) {
         self.z.resize(rows.y.len(), R::zero());
         self.weight.clear();
@@ -84,7 +84,7 @@ impl<R: Real> Sweeps<R> {
         }
     }
 
-    /// Compute z of some rows.
+    /// Computes z of some rows.
     fn scale(&mut self, dof_lists: &[usize], inv_d: &[R], y: &[R], rows: &[Row<R>]) {
         for row in rows {
             let dofs = row.dofs.of(dof_lists);
@@ -120,21 +120,21 @@ impl<R: Real> Sweeps<R> {
         self.joined = self.side_by_side.take(inv_d, &rows.u, contacts);
     }
 
-    /// Measure the gain of contacts side by side; `on`: they are swept with momentum.
+    /// Measures the gain of contacts side by side; `on`: they are swept with momentum.
     pub fn measure(&mut self, inv_d: &[R], on: bool) {
         if R::ALONE && self.joined {
             self.side_by_side.measure(inv_d, on);
         }
     }
 
-    /// Start the next sweep at momentum's point, if contacts side by side have momentum.
+    /// Starts the next sweep at momentum's point, if contacts side by side have momentum.
     pub fn go_on(&mut self) {
         if R::ALONE && self.joined {
             self.side_by_side.go_on();
         }
     }
 
-    /// Write the impulses of packed blocks to the rows, and update u from contacts side by side.
+    /// Writes the impulses of packed blocks to the rows, and updates u from contacts side by side.
     pub fn store(&self, rows: &mut Rows<R>, list: &[usize]) {
         if R::ALONE && self.joined {
             return self.side_by_side.store(rows);
@@ -159,7 +159,7 @@ impl<R: Real> Sweeps<R> {
         How::Cone(self.cones.tie(block.set, block.mu, q))
     }
 
-    /// Return y D⁻¹ yᵀ + C of a cone. A missing way is one that nothing moves.
+    /// Returns y D⁻¹ yᵀ + C of a cone. A missing way is one that nothing moves.
     fn matrix<const N: usize>(
         &self,
         dof_lists: &[usize],
@@ -185,7 +185,7 @@ impl<R: Real> Sweeps<R> {
         q
     }
 
-    /// Make one pass over the listed blocks. Not inlined: next to each other the two kinds of sweep
+    /// Makes one pass over the listed blocks. Not inlined: next to each other the two kinds of sweep
     /// get slower code.
     #[inline(never)]
     pub fn sweep<const GAIN: bool>(
@@ -295,7 +295,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         row.short(self.dof_lists, self.y, self.u)
     }
 
-    /// Set a row's impulse, and update u; return the change.
+    /// Sets a row's impulse, and updates u; returns the change.
     #[inline(always)]
     fn set(&mut self, row: &mut Row<R>, impulse: R) -> R {
         let change = R::select(self.mask, impulse - row.impulse, R::zero());
@@ -319,7 +319,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         change
     }
 
-    /// Solve the block's minimum in one piece.
+    /// Solves the block's minimum in one piece.
     fn convex<const N: usize>(&mut self, own: &mut [Row<R>], cone: &mut InCone<R, N>) -> [R; N] {
         let (mut w, mut impulse) = ([R::zero(); N], [R::zero(); N]);
         for (i, row) in own.iter().enumerate() {
@@ -340,7 +340,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         change
     }
 
-    /// Update the normal as an interval, then the ways within its friction bound.
+    /// Updates the normal as an interval, then the ways within its friction bound.
     fn coulomb<const N: usize, const W: usize>(
         &mut self,
         own: &mut [Row<R>],

@@ -108,12 +108,12 @@ impl<R: Real> SweepMomentum<R> {
         Step::none()
     }
 
-    /// Return the change of f in the step before the sweep.
+    /// Returns the change of f in the step before the sweep.
     pub fn fall(&self) -> R {
         self.fall
     }
 
-    /// After a sweep: move the bodies on, and return the step for their contacts.
+    /// After a sweep: moves the bodies on, and returns the step for their contacts.
     pub fn step(&mut self, bodies: &mut [Six<R>], found: Found<R>) -> Step<R> {
         let step = self.best(bodies, found);
         let places = bodies.iter_mut().zip(&mut self.from).zip(&mut self.last);
@@ -123,7 +123,7 @@ impl<R: Real> SweepMomentum<R> {
         step
     }
 
-    /// Return the step to the minimum of f.
+    /// Returns the step to the minimum of f.
     fn best(&mut self, bodies: &[Six<R>], found: Found<R>) -> Step<R> {
         let (zero, one, half) = (R::zero(), R::one(), R::of(0.5));
         let (own, both) = self.products(bodies, found);
@@ -154,7 +154,7 @@ impl<R: Real> SweepMomentum<R> {
         Step { along: [sigma, tau], keep: [whole, tau] }
     }
 
-    /// Return pᵀHp and pᵀHe: H of impulses is D of their effect on u, plus C.
+    /// Returns pᵀHp and pᵀHe: H of impulses is D of their effect on u, plus C.
     fn products(&self, bodies: &[Six<R>], found: Found<R>) -> (R, R) {
         let (mut own, mut both) = ([R::zero(); SIX], [R::zero(); SIX]);
         let places = bodies.iter().zip(&self.from).zip(&self.last).zip(&self.d);

@@ -5,7 +5,7 @@ use crate::real::{Dual, Real};
 use crate::solve::cone::{project_box, project_round, InBall, InCone};
 use crate::solve::square::Square;
 
-/// Minimise ½xᵀQx + b·x over a convex set, by accelerated projected gradients with restart.
+/// Minimises ½xᵀQx + b·x over a convex set, by accelerated projected gradients with restart.
 fn brute(q: &[[f64; 3]; 3], b: [f64; 3], project: impl Fn([f64; 3]) -> [f64; 3]) -> [f64; 3] {
     let step = 1.0 / (q[0][0] + q[1][1] + q[2][2]);
     let gradient = |x: [f64; 3]| -> [f64; 3] {
@@ -155,7 +155,7 @@ fn slope<const N: usize>(f: impl Fn(&[f64]) -> [f64; N], at: &[(f64, f64)]) -> [
     crate::real::array::from_fn(|i| (up[i] - down[i]) / (2.0 * h))
 }
 
-/// Return a positive definite lower triangle: isotropic in every third case.
+/// Returns a positive definite lower triangle: isotropic in every third case.
 fn matrix(random: &mut Random, case: usize) -> [f64; 6] {
     let [a, b, c] = [0; 3].map(|_| 0.4 * random.next());
     let (a, b, c) = if case.is_multiple_of(3) { (0.0, 0.0, 0.0) } else { (a, b, c) };

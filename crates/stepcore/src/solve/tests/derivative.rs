@@ -8,7 +8,7 @@ use crate::solve::derivative::Differentiated;
 use crate::solve::rows::{Rows, Set};
 use crate::solve::solver::{Solve, Solvers, Unconstrained};
 
-/// Return every number of a problem, in one order: û, 1/D, then t and y by row.
+/// Returns every number of a problem, in one order: û, 1/D, then t and y by row.
 fn numbers(problem: &mut Problem) -> Vec<&mut f64> {
     let Problem { inv_d, guess, blocks } = problem;
     let rows = blocks.iter_mut().flat_map(|block| &mut block.2);
@@ -22,7 +22,7 @@ fn moved(problem: &Problem, way: &[f64], h: f64) -> Problem {
     problem
 }
 
-/// Return false if sweeps did not reach a solution.
+/// Returns false if sweeps did not reach a solution.
 fn solve<R: Real>(
     solver: &mut dyn Solve<R>,
     settings: &Settings,
@@ -34,14 +34,14 @@ fn solve<R: Real>(
     solver.solve(settings, free, rows).unwrap().open.none()
 }
 
-/// Return u of the solution.
+/// Returns u of the solution.
 fn solution(problem: &Problem, settings: &Settings) -> Option<Vec<f64>> {
     let mut rows = problem.rows::<f64>();
     let given = [&*problem.inv_d, &*problem.guess];
     solve(&mut Solvers::new(), settings, given, &mut rows).then_some(rows.u)
 }
 
-/// Return u's slopes along `way`, and the blocks at which they are one-sided.
+/// Returns u's slopes along `way`, and the blocks at which they are one-sided.
 fn slopes(problem: &Problem, way: &[f64], settings: &Settings) -> Option<(Vec<f64>, Vec<u32>)> {
     let mut tangent = problem.clone();
     numbers(&mut tangent).into_iter().zip(way).for_each(|(x, way)| *x = *way);
@@ -80,7 +80,7 @@ fn apart(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// Check problems from `make`, moved in every number at once. A problem is skipped if its one-sided
+/// Checks problems from `make`, moved in every number at once. A problem is skipped if its one-sided
 /// differences disagree, because its active rows changed in between, or if sweeps do not solve it.
 fn check(settings: &Settings, mut make: impl FnMut(usize, &mut Random) -> Problem) {
     let (mut random, mut checked) = (Random::new(41), 0);

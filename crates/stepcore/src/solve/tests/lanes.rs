@@ -65,7 +65,7 @@ fn thin<R: Real>(
     lists
 }
 
-/// Solve perturbed copies of a problem in lanes and alone; `has(block, lane)` is true for the lanes
+/// Solves perturbed copies of a problem in lanes and alone; `has(block, lane)` is true for the lanes
 /// in which a block exists.
 fn compare(base: &Problem, by: By, random: &mut Random, has: impl Fn(usize, usize) -> bool) {
     for heap in [false, true] {

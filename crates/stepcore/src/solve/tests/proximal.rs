@@ -35,7 +35,7 @@ pub(in crate::solve) fn stack(set: Set, masses: &[f64], slide: f64, count: usize
     problem
 }
 
-/// Solve it; return the impulses of the normals, place by place.
+/// Solves it; returns the impulses of the normals, place by place.
 fn normals(problem: &Problem, count: usize) -> Vec<f64> {
     let (lists, mut rows) = (problem.dof_lists(), problem.rows::<f64>());
     let report = Solvers::new().solve_for_sure(LIMITS, problem.free(&lists), &mut rows);
