@@ -27,8 +27,8 @@ import record
 # accuracy moved what is inlined, which took 30e3. Factors of round cones beside their axes took
 # 157e3 (a step by sweeps of a robot on elliptic cones takes 0.7 to 0.85 of the time). Sides of
 # cylinders took 8e3, and their use of gjk moved what is inlined elsewhere, which took 53e3. Since
-# issue 85 every long loop checks for an interruption and can be unwound, and `discrete` and adhesion
-# are as in MuJoCo, which took 120e3 together.
+# issue 85 every long loop checks for an interruption and can be unwound, and `discrete` and
+# adhesion are as in MuJoCo, which took 120e3 together.
 TEXT = 13_500_000
 WHERE = "import pathlib, stepcore._core as core; print(core.VECTORS, core.__file__)"
 
