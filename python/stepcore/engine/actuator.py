@@ -99,8 +99,8 @@ class Actuator:
 
     def target(self, ctrl: Floats | float) -> Floats:
         """Return the target length of a servo at a control."""
-        asked: Floats = (self.gain * np.asarray(ctrl) + self.offset) / self.kp
-        return asked
+        requested: Floats = (self.gain * np.asarray(ctrl) + self.offset) / self.kp
+        return requested
 
     def holding(self, length: Floats | float) -> Floats:
         """Return the control at which a servo exerts no force at a length."""
@@ -155,7 +155,7 @@ def _actuator(model: Model, layout: Layout, k: int) -> Actuator:
     joint, gear = int(model.actuator_joint[k]), float(model.actuator_gear[k, 0])
     single = joint >= 0 and model.jnt_type[joint] in ("hinge", "slide") and gear != 0
     dof = int(model.jnt_dofadr[joint]) if single else -1
-    whole = layout.joints[joint].actuatorfrcrange if single else None
+    total = layout.joints[joint].actuatorfrcrange if single else None
     applied = model.scene.features.clampctrl
     return Actuator(
         index=k,
@@ -171,7 +171,7 @@ def _actuator(model: Model, layout: Layout, k: int) -> Actuator:
         gear=gear,
         forcerange=_pair(model.actuator_forcerange[k]),
         ctrlrange=_pair(model.actuator_ctrlrange[k]) if applied else (-np.inf, np.inf),
-        jointrange=(-np.inf, np.inf) if whole is None else _pair(np.sort(np.array(whole) / gear)),
+        jointrange=(-np.inf, np.inf) if total is None else _pair(np.sort(np.array(total) / gear)),
         filtered=bool(model.actuator_actadr[k] >= 0),
         integrates=law.dyntype == "integrator",
         inertia=1.0 / float(model.dof_invweight0[dof]) if single else np.inf,

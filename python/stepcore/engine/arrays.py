@@ -106,12 +106,12 @@ def fill(array: Floats, name: str, value: ArrayLike) -> None:
 
 def indices_of(worlds: ArrayLike, n: int) -> NDArray[np.intp]:
     """Return the indices of some of n worlds, given as a mask or as indices."""
-    given = np.asarray(worlds)
-    if given.dtype == bool and given.shape == (n,):
-        return np.flatnonzero(given)
-    whole = given.ndim == 1 and (given.dtype.kind in "iu" or not given.size)
-    if whole and np.all((given >= 0) & (given < n)) and len(set(given.tolist())) == len(given):
-        return given.astype(np.intp)
+    array = np.asarray(worlds)
+    if array.dtype == bool and array.shape == (n,):
+        return np.flatnonzero(array)
+    integers = array.ndim == 1 and (array.dtype.kind in "iu" or not array.size)
+    if integers and np.all((array >= 0) & (array < n)) and len(set(array.tolist())) == len(array):
+        return array.astype(np.intp)
     limit = f"a mask of shape ({n},), or different indices from 0 to {n - 1}"
     raise ValueError(f"worlds = {checks.shown(worlds)}: must be {limit}")
 
@@ -127,9 +127,9 @@ class State(bytes):
 
 def kept(state: bytes, last: bytes | None) -> State:
     """Return a snapshot with the data of the last solve."""
-    own = State(state)
-    own.last = last
-    return own
+    copy = State(state)
+    copy.last = last
+    return copy
 
 
 def snapshot(value: object, part: Any) -> tuple[bytes, bytes | None]:

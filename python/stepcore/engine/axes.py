@@ -71,10 +71,10 @@ class Axis:
 
 def axes_of(model: Model | None, array: str, shape: Sequence[int]) -> tuple[Axis, ...]:
     """Return the axes of an array after time; axes without names are numbered."""
-    known = AXES.get(array, []) if model is not None else []
+    named = AXES.get(array, []) if model is not None else []
     axes = []
     for k, length in enumerate(shape):
-        name = known[k] if k < len(known) else ""
+        name = named[k] if k < len(named) else ""
         entries = _entries(model, name) if model is not None and name else ()
         if len(entries) != length:
             name, entries = f"{array}_{k}", tuple(map(str, range(length)))
@@ -106,6 +106,6 @@ def _of_joints(model: Model, parts: Mapping[str, Sequence[str]]) -> list[str]:
     """Return an entry for each coordinate: "knee", or "root.x", … for several coordinates."""
     entries: list[str] = []
     for k, name in enumerate(model.called("joint")):
-        own = parts.get(model.jnt_type[k], ())
-        entries += [f"{name}.{part}" for part in own] or [name]
+        labels = parts.get(model.jnt_type[k], ())
+        entries += [f"{name}.{part}" for part in labels] or [name]
     return entries

@@ -114,9 +114,9 @@ class Batch(World):
         self._failures: dict[int, SimulationError] = {}
         self._residuals = BatchResiduals()
         warn_of_pitfalls(self._model, stacklevel=4)
-        own, goes_on = self._model.settings, self._on_failure == "go on"
+        initial, goes_on = self._model.settings, self._on_failure == "go on"
         how = (self._threads, None if self._lanes == "auto" else self._lanes, goes_on)
-        self._own(_core.Batch(self._model.core, own, n, *how))
+        self._own(_core.Batch(self._model.core, initial, n, *how))
         self._param = Parameters(self._model, self._core, len(self))
         self._linear_worlds: LinearWorlds | None = None
         # Worlds that were reset individually: the batch's time at the reset, and the world's time.
@@ -164,7 +164,7 @@ class Batch(World):
         """
         with self._long(n, progress) as bar:
             self._call(self._core.step, n, bar.advance if bar else None)
-        self._told(n)
+        self._warn_of_residuals(n)
 
     def rollout(
         self, ctrl: ArrayLike, record: Sequence[str] = (), *, progress: Choice = None
@@ -193,9 +193,9 @@ class Batch(World):
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
         steps = table.shape[1]
         with self._long(steps, progress) as bar:
-            made = samples(self, (*STATE, *names), steps, table, bar.advance if bar else None)
-        self._told(steps)
-        qpos, qvel, act, *more = made
+            recorded = samples(self, (*STATE, *names), steps, table, bar.advance if bar else None)
+        self._warn_of_residuals(steps)
+        qpos, qvel, act, *more = recorded
         return Rollout(qpos, qvel, act, dict(zip(names, more, strict=True)))
 
     def linearize(self, parameters: Sequence[str] = ()) -> Linearizations:
@@ -256,8 +256,8 @@ class Batch(World):
         >>> list(found.parameters), found.qvel.shape
         (['joint/spring/stiffness'], (1, 1))
         """
-        given = {"qpos": qpos, "qvel": qvel, "act": act}
-        return gradients.vjp(self, ctrl, given, parameters, error_bar)
+        cotangents = {"qpos": qpos, "qvel": qvel, "act": act}
+        return gradients.vjp(self, ctrl, cotangents, parameters, error_bar)
 
     def jvp(
         self,
@@ -275,10 +275,10 @@ class Batch(World):
         ctrl_change: changes of the controls, shape (n, steps, nu).
         parameters: changes of parameters by label, numbers or of shape (n,); see `vjp`.
         """
-        given = {"qpos": qpos, "qvel": qvel, "act": act}
-        return gradients.jvp(self, ctrl, given, ctrl_change, parameters)
+        tangents = {"qpos": qpos, "qvel": qvel, "act": act}
+        return gradients.jvp(self, ctrl, tangents, ctrl_change, parameters)
 
-    def _told(self, steps: int) -> None:
+    def _warn_of_residuals(self, steps: int) -> None:
         """Warn of rows that stay unsolved, unless another thread is using the batch."""
         try:
             text = self._residuals.step(self, steps)
@@ -346,12 +346,12 @@ class Batch(World):
     @property
     def failures(self) -> dict[int, SimulationError]:
         """Errors of the worlds that failed under on_failure="go on", by index of the world."""
-        known = self._failures
-        failed, new = self._core.failures(list(known))
+        failures = self._failures
+        failed, new = self._core.failures(list(failures))
         for error in new:
             self._explain(error)
         errors = {error.world: error for error in new}
-        self._failures = {world: known.get(world) or errors[world] for world in failed}
+        self._failures = {world: failures.get(world) or errors[world] for world in failed}
         return dict(self._failures)
 
     def _restart(self, time: float) -> None:
@@ -387,11 +387,11 @@ class Batch(World):
         """
         chosen = np.arange(len(self)) if worlds is None else indices_of(worlds, len(self))
         values, time = self._initial(key)
-        own: dict[str, Floats] = {}
-        for name, given in (("qpos", qpos), ("qvel", qvel)):
-            if given is not None:
+        arrays: dict[str, Floats] = {}
+        for name, value in (("qpos", qpos), ("qvel", qvel)):
+            if value is not None:
                 width = self._arrays[name].shape[1]
-                own[name] = self._table(name, given, (width,), (len(chosen), width))
+                arrays[name] = self._table(name, value, (width,), (len(chosen), width))
         if worlds is None:
             self._restart(time)
         else:
@@ -404,7 +404,7 @@ class Batch(World):
             # Initial arrays that parameters change.
             for worlds_of, values in self._param._variants.initial():
                 self._write(values, np.intersect1d(worlds_of, chosen))
-        for name, rows in own.items():
+        for name, rows in arrays.items():
             self._arrays[name][where] = rows
 
     def state(self) -> tuple[bytes, ...]:
@@ -413,11 +413,11 @@ class Batch(World):
         A snapshot has the time of its world; see `Sim.state`.
         """
         steps = self._steps_since_reset()
-        own = {
+        clocks = {
             int(world): (float(self._reset_to[world]), int(steps[world]))
             for world in np.flatnonzero(~np.isnan(steps))
         }
-        return tuple(map(kept, self._core.state(own), self._core.last()))
+        return tuple(map(kept, self._core.state(clocks), self._core.last()))
 
     def restore(self, state: tuple[bytes, ...]) -> None:
         """Restore a snapshot from `state`; the motion then continues bit-identically.
@@ -494,8 +494,8 @@ class Batch(World):
 
     def __reduce__(self) -> tuple[Any, ...]:
         how = (self._threads, self._lanes, self._on_failure)
-        own = (self._param.columns(), self.state())
-        return _restored, (self._model, len(self), *how, *own)
+        content = (self._param.columns(), self.state())
+        return _restored, (self._model, len(self), *how, *content)
 
     def __repr__(self) -> str:
         scene = self._model.scene.name
@@ -505,7 +505,7 @@ class Batch(World):
 
 def unwatched(batch: Batch) -> Batch:
     """Disable the warnings of a batch whose motion the caller judges, and return the batch."""
-    batch._residuals.told = True
+    batch._residuals.warned = True
     batch._core.unwatch()
     return batch
 

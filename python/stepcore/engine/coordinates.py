@@ -39,9 +39,9 @@ class Coordinates:
     @classmethod
     def of(cls, nv: int, joints: Sequence[Place], moving: Sequence[int]) -> Self:
         """Return the coordinates of joints that are given one by one."""
-        made = cls.__new__(cls)
-        made._lay_out(nv, joints, moving)
-        return made
+        coordinates = cls.__new__(cls)
+        coordinates._lay_out(nv, joints, moving)
+        return coordinates
 
     def _lay_out(self, nv: int, joints: Sequence[Place], moving: Sequence[int]) -> None:
         self.nv, self.joints, self.moving = nv, list(joints), list(moving)
@@ -129,8 +129,8 @@ class Coordinates:
         out = np.zeros((*qpos.shape[:-1], self.nv))
         out[..., self._numbers[1]] = gradient[..., self._numbers[0]]
         for q, v in self._quaternions:
-            own, turns = gradient[..., q : q + 4], self._turns(qpos, q, inverse)
-            out[..., v : v + 3] = np.einsum("...k,...ak->...a", own, turns)
+            by_quaternion, turns = gradient[..., q : q + 4], self._turns(qpos, q, inverse)
+            out[..., v : v + 3] = np.einsum("...k,...ak->...a", by_quaternion, turns)
         return out
 
     def changed(self, qpos: Floats, change: Floats) -> Floats:

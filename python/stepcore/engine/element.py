@@ -68,8 +68,8 @@ class Element:
     @classmethod
     def of(cls, model: Model, kind: str, index: int, part: int = -1) -> Element:
         """Create the element of a kind, with its name."""
-        known = "actuator" if kind == "control" else kind
-        noun, owner, label = model.element_words(known, index, part)
+        named_kind = "actuator" if kind == "control" else kind
+        noun, owner, label = model.element_words(named_kind, index, part)
         if kind == "control":
             noun, owner = "control", noun
         words = f"{noun} of {owner}" if owner else noun
@@ -222,10 +222,10 @@ class ElementSlopes:
         """Minus the derivatives of the force by velocity, shape (nv, nv)."""
         return self._whole(1)
 
-    def _whole(self, which: int) -> Floats:
-        whole = np.zeros((len(self.force), len(self.force)))
-        whole[np.ix_(self.dofs, self.dofs)] = self.blocks[which]
-        return whole
+    def _whole(self, block: int) -> Floats:
+        matrix = np.zeros((len(self.force), len(self.force)))
+        matrix[np.ix_(self.dofs, self.dofs)] = self.blocks[block]
+        return matrix
 
     def change(self, x: Floats, v: Floats) -> Floats:
         """Return the change −K x − D v of the force on its dofs, shape (k,).
@@ -242,12 +242,12 @@ def element_slopes(model: Model, core: CoreSim) -> dict[Element, ElementSlopes]:
     entries = entries[entries[:, 3:].any(axis=1)]
     entries = entries[np.argsort(entries[:, 0], kind="stable")]
     first = np.searchsorted(entries[:, 0], np.arange(len(ids) + 1))
-    found = {}
+    slopes = {}
     for k, (element, force, energy) in enumerate(zip(ids, forces, energies, strict=True)):
-        own = entries[first[k] : first[k + 1]]
-        dofs, places = np.unique(own[:, 1:3].T.astype(int), return_inverse=True)
+        rows = entries[first[k] : first[k + 1]]
+        dofs, places = np.unique(rows[:, 1:3].T.astype(int), return_inverse=True)
         i, j = places.reshape(2, -1)
         blocks = np.zeros((2, len(dofs), len(dofs)))
-        blocks[:, i, j] = own[:, 3:].T
-        found[Element.of(model, *element)] = ElementSlopes(dofs, blocks, force, energy)
-    return found
+        blocks[:, i, j] = rows[:, 3:].T
+        slopes[Element.of(model, *element)] = ElementSlopes(dofs, blocks, force, energy)
+    return slopes

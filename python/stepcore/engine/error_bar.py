@@ -53,10 +53,10 @@ class FinerRun:
         if sim.settings.accuracy is None:
             refuse_late("error_bar", sim)
         model: Model = sim.model
-        own = finer_settings(model.settings)
-        self.of, self.sim = sim, type(sim)(model, own)
+        finer = finer_settings(model.settings)
+        self.of, self.sim = sim, type(sim)(model, finer)
         self.sim._core.unwatch()
-        self.steps = round(model.settings.dt / own.dt)
+        self.steps = round(model.settings.dt / finer.dt)
         # The smallest ratio of distance to error.
         self.seen = 1 - (1 / STEP if sim.settings.accuracy is None else ACCURACY)
         self.block = max(1, round(LOOK / model.settings.dt))
@@ -79,8 +79,8 @@ class FinerRun:
 
     def step(self, n: int) -> None:
         """Take n steps of the first run, and advance the finer run by the same time."""
-        whole = isinstance(n, (int, np.integer)) and n > 0
-        while whole and n > self.block:
+        is_count = isinstance(n, (int, np.integer)) and n > 0
+        while is_count and n > self.block:
             self._step(self.block)
             n -= self.block
         self._step(n)
@@ -131,10 +131,10 @@ class FinerRun:
 
     def meet(self) -> None:
         """Copy the inputs of the first run, and also its state unless that comes from a step."""
-        first, own = self.of._arrays, self.sim._arrays
+        first, finer = self.of._arrays, self.sim._arrays
         if self.state != self._bits(STATE):
             for name in STATE:
-                own[name][...] = first[name]
+                finer[name][...] = first[name]
             self.sim._restart(self.of.time)
             self.until, self.failed, self.unseen = np.inf, False, 0
             self.before, self.since = [], 0
@@ -143,10 +143,10 @@ class FinerRun:
         if inputs != self.inputs or self.ctrl is not None:
             self.inputs = inputs
             for name in INPUTS:
-                own[name][...] = first[name]
+                finer[name][...] = first[name]
         if self.ctrl is not None:
             self.inputs = None
-            own["ctrl"][...] = self.ctrl
+            finer["ctrl"][...] = self.ctrl
 
     def _keep(self) -> None:
         self.far, self.state = None, self._bits(STATE)
@@ -161,9 +161,9 @@ class FinerRun:
         close to each other for a moment, although their errors are not smaller.
         """
         errors = np.zeros(self.of.model.nbody)
-        known = not np.isfinite(self.until)
+        separating = not np.isfinite(self.until)
         far = np.max([self._distances(), *(0.5 * far for far in self.before)], axis=0)
-        errors[self.matter.moving] = far / self.seen if known else np.inf
+        errors[self.matter.moving] = far / self.seen if separating else np.inf
         return errors
 
     @property
@@ -222,12 +222,12 @@ def driven(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
     first, again = (np.array(controls(fresh(control), finer.sim)) for _ in range(2))
     if not np.array_equal(first, again):
         raise ControlError.not_repeatable(control, "a finer run asked for the error bar")
-    own = fresh(control)
+    controller = fresh(control)
 
     def period() -> None:
         finer.ctrl = None
         finer.meet()
-        finer.ctrl = np.array(controls(own, finer.sim))
+        finer.ctrl = np.array(controls(controller, finer.sim))
 
     try:
         yield period
@@ -237,12 +237,12 @@ def driven(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
 
 def finer_settings(settings: Settings) -> Settings:
     """Return the settings of the finer run, in double precision."""
-    if (asked := settings.accuracy) is not None:
+    if (accuracy := settings.accuracy) is not None:
         try:
-            return settings.replace(accuracy=asked * ACCURACY, precision="f64")
+            return settings.replace(accuracy=accuracy * ACCURACY, precision="f64")
         except ValueError:
             limit = "ten times the least one, for the finer run of an error bar"
-            raise ValueError(f"accuracy = {asked:g}: must be at least {limit}") from None
+            raise ValueError(f"accuracy = {accuracy:g}: must be at least {limit}") from None
     return converged_settings(settings, dt=settings.dt / STEP, sleep=False, ledger=False)
 
 

@@ -80,37 +80,39 @@ def _change(scene: Scene, edit: str, value: Any) -> None:
         case "no fluid":
             scene.density = scene.viscosity = 0.0
         case "frictionless" | "sliding only":
-            most, own = 1 if edit == "frictionless" else 3, [scene.geoms[geom] for geom in value]
-            ids = set(map(id, own))
+            most, geoms = 1 if edit == "frictionless" else 3, [scene.geoms[geom] for geom in value]
+            ids = set(map(id, geoms))
             inner = [p for p in scene.pairs if {id(p.geom1), id(p.geom2)} <= ids]
-            for element in (*own, *inner):
+            for element in (*geoms, *inner):
                 element.condim = min(element.condim, most)
         case "no contact":
-            own = [scene.geoms[geom] for geom in value]
-            for geom in own:
+            geoms = [scene.geoms[geom] for geom in value]
+            for geom in geoms:
                 geom.contype = geom.conaffinity = 0
-            ids = set(map(id, own))
+            ids = set(map(id, geoms))
             scene.pairs = [p for p in scene.pairs if not ids & {id(p.geom1), id(p.geom2)}]
         case "inactive":
             for equality in value:
                 scene.equalities[equality].active = False
         case "cleared":
             # Fields of some elements get their defaults.
-            held, indices, fields = value
+            container, indices, fields = value
             for index, field in product(indices, fields):
-                element = getattr(scene, held)[index]
+                element = getattr(scene, container)[index]
                 setattr(element, field, getattr(type(element), field))
         case "settings":
             scene.options.update(value)
 
 
-def _cleared(kind: str, own: Sequence[int], held: str, *fields: str, name: str) -> list[Removal]:
+def _cleared(
+    kind: str, indices: Sequence[int], container: str, *fields: str, name: str
+) -> list[Removal]:
     """Return the removal that clears fields of elements; none without elements.
 
-    held: the scene's list of the elements. name: the noun of one element, which is counted.
+    container: the scene's list of the elements. name: the noun of one element, which is counted.
     """
-    edit = ("cleared", (held, tuple(own), fields))
-    return [Removal(kind, counted(len(own), name), (edit,))] if own else []
+    edit = ("cleared", (container, tuple(indices), fields))
+    return [Removal(kind, counted(len(indices), name), (edit,))] if indices else []
 
 
 # Test for a feature, its fields and its name; joints and tendons share the first four features.
@@ -198,15 +200,17 @@ class RemovableFeatures:
         geoms = tuple(self.geom[i] for i in self.split("adhesion")[0])
         pairs = tuple(i for i, pair in enumerate(self.scene.pairs) if pair.adhesion > 0)
         both = [("geom", geoms), ("pair", pairs)]
-        edits = tuple(("cleared", (f"{noun}s", own, ("adhesion",))) for noun, own in both if own)
-        words = " and ".join(counted(len(own), noun) for noun, own in both if own)
+        edits = tuple(
+            ("cleared", (f"{noun}s", indices, ("adhesion",))) for noun, indices in both if indices
+        )
+        words = " and ".join(counted(len(indices), noun) for noun, indices in both if indices)
         return [Removal("adhesion", words, edits)] if edits else []
 
     def split(self, feature: str) -> tuple[list[int], list[int]]:
         """Return the geoms that have a feature, colliding and other, by index in the model."""
         has, collides = HAS[feature][0], self.plan["collides"]
-        own = [i for i, index in enumerate(self.geom) if has(self.scene.geoms[index])]
-        return [i for i in own if collides[i]], [i for i in own if not collides[i]]
+        having = [i for i, index in enumerate(self.geom) if has(self.scene.geoms[index])]
+        return [i for i in having if collides[i]], [i for i in having if not collides[i]]
 
     def _acts(self, feature: str) -> bool:
         features = self.scene.features
@@ -228,8 +232,8 @@ class RemovableFeatures:
         tendons, removals = self.scene.tendons, list[Removal]()
         for feature in OF_TENDONS:
             has, fields, words = HAS[feature]
-            own = [i for i, t in enumerate(tendons) if has(t) and self._acts(feature)]
-            removals += _cleared(f"tendon {words}", own, "tendons", *fields, name="tendon")
+            having = [i for i, t in enumerate(tendons) if has(t) and self._acts(feature)]
+            removals += _cleared(f"tendon {words}", having, "tendons", *fields, name="tendon")
         return removals
 
     def _limits(self, usage: MotionUsage) -> Iterator[Removal]:
@@ -237,20 +241,22 @@ class RemovableFeatures:
         features, tendons = self.scene.features, range(len(self.scene.tendons))
         if not (features.limit and features.constraint):
             return
-        for noun, word, held, order in (
+        for noun, word, container, order in (
             ("joint", "limit", "joints", self.joint),
             ("tendon", "tendon limit", "tendons", tendons),
         ):
-            own = getattr(self.scene, held)
-            ranged = {i: j for i, j in enumerate(order) if own[j].range is not None}
+            elements = getattr(self.scene, container)
+            ranged = {i: j for i, j in enumerate(order) if elements[j].range is not None}
             unused = [j for i, j in ranged.items() if (noun, i) not in usage.limited]
             if unused:
                 never = f"{counted(len(unused), noun)} whose limit is never reached"
-                yield Removal(f"{word}s", never, (("cleared", (held, tuple(unused), ("range",))),))
+                yield Removal(
+                    f"{word}s", never, (("cleared", (container, tuple(unused), ("range",))),)
+                )
             for i, j in ranged.items():
                 if (noun, i) in usage.limited:
                     name = self.model.called(noun)[i]
-                    yield Removal(word, name, (("cleared", (held, (j,), ("range",))),))
+                    yield Removal(word, name, (("cleared", (container, (j,), ("range",))),))
 
     def _colliders(self, usage: MotionUsage) -> Iterator[Removal]:
         """Yield the removals of body pairs, self-collision and groups of geoms."""
@@ -265,14 +271,14 @@ class RemovableFeatures:
                 yield self._excluding("collider", f"{called[a]}/{called[b]}", [(a, b)])
         else:
             for body in sorted({body for pair in met for body in pair}):
-                own = [pair for pair in met if body in pair]
-                name = f"{called[body]} ({counted(len(own), 'pair')})"
-                yield self._excluding("collider", name, own)
+                chosen = [pair for pair in met if body in pair]
+                name = f"{called[body]} ({counted(len(chosen), 'pair')})"
+                yield self._excluding("collider", name, chosen)
         trees = [range(first, first + count) for first, count, _, _ in self.plan["trees"]]
-        own = [(a, b) for a, b in pairs if any(a in tree and b in tree for tree in trees)]
-        if own and len(own) < len(pairs):
-            name = counted(len(own), "pair") + " of bodies"
-            yield self._excluding("self-collision", name, own)
+        chosen = [(a, b) for a, b in pairs if any(a in tree and b in tree for tree in trees)]
+        if chosen and len(chosen) < len(pairs):
+            name = counted(len(chosen), "pair") + " of bodies"
+            yield self._excluding("self-collision", name, chosen)
         groups: dict[int, list[int]] = {}
         for i, collides in zip(self.geom, self.plan["collides"], strict=True):
             if collides:

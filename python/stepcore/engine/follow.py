@@ -20,7 +20,14 @@ from stepcore.engine.model import Model
 from stepcore.engine.replay import attach
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
-from stepcore.engine.trajectory import OF_WORLDS, asked, pieces, recordable, sampled, samples
+from stepcore.engine.trajectory import (
+    OF_WORLDS,
+    pieces,
+    recordable,
+    sample_request,
+    sampled,
+    samples,
+)
 from stepcore.executors import checkpoint
 
 # The states of a run at which operations are counted.
@@ -127,8 +134,8 @@ def follow(
         for start in range(len(starts)):
             run.alone(start)
     times = np.arange(0, run.steps + 1, run.every, dtype=np.float64) * model.settings.dt
-    made = run.made, run.inner, run.operations
-    return Followed(times, run.data, run.failures, *made, clock() - begun)
+    steps_done = run.made, run.inner, run.operations
+    return Followed(times, run.data, run.failures, *steps_done, clock() - begun)
 
 
 def of_one_run(error: SimulationError) -> SimulationError:
@@ -217,12 +224,12 @@ class _Run:
             arrays[name][...] = values
         for world, start in enumerate(self.starts):
             start.write(arrays, world)
-        given = {name: arrays[name].copy() for name in self.names if name in arrays}
+        inputs = {name: arrays[name].copy() for name in self.names if name in arrays}
         ends = {"bound": self.bound, "most": self.most}
-        how = asked(self.names, self.steps, self.every, self.hold, first=True, **ends)
+        how = sample_request(self.names, self.steps, self.every, self.hold, first=True, **ends)
         samples, evaluations = core.follow(how, self.ctrl, lambda count: checkpoint())
         self.data = dict(zip(self.names, samples, strict=True))
-        for name, values in given.items():
+        for name, values in inputs.items():
             # The given values, not rounded to single precision.
             self.data[name][:, 0] = values
             if name == "ctrl" and self.ctrl is None:
@@ -270,13 +277,13 @@ class _Run:
     def operations(self) -> Floats:
         """Estimate the operations of each start from a few of its steps."""
         operations = np.full(len(self.starts), np.nan)
-        for start, made in enumerate(self.made.tolist() if self.control is None else ()):
+        for start, completed in enumerate(self.made.tolist() if self.control is None else ()):
             checkpoint()
             sim, counts, before = unwatched(Sim(self.model)), list[int](), 0
             self.starts[start].put(sim)
             table = None if self.ctrl is None else self.ctrl[start % len(self.ctrl)]
-            middles = (np.arange(COUNTED) + 0.5) / COUNTED * made
-            for done in np.unique(middles.astype(int)).tolist() if made else []:
+            middles = (np.arange(COUNTED) + 0.5) / COUNTED * completed
+            for done in np.unique(middles.astype(int)).tolist() if completed else []:
                 periods = np.arange(before, done + 1) // self.hold
                 rows = None if table is None else table[np.minimum(periods, len(table) - 1)]
                 samples(sim, (), done - before, None if rows is None else rows[None, :-1])
@@ -284,7 +291,7 @@ class _Run:
                     sim.ctrl[:] = rows[-1]
                 counts.append(sim.count_flops())
                 before = done
-            operations[start] = np.mean(counts) * made if made else 0.0
+            operations[start] = np.mean(counts) * completed if completed else 0.0
         return operations
 
 

@@ -72,11 +72,11 @@ class Gradients(NamedTuple):
 
 
 def rows_of(
-    given: Mapping[str, ArrayLike | None], sizes: Mapping[str, tuple[int, ...]]
+    values: Mapping[str, ArrayLike | None], sizes: Mapping[str, tuple[int, ...]]
 ) -> dict[str, Floats]:
     """Return checked arrays of these shapes, with zeros for None."""
     arrays = {}
-    for name, value in given.items():
+    for name, value in values.items():
         array = np.zeros(sizes[name]) if value is None else numbers(name, value)
         if array.shape != sizes[name]:
             raise ValueError(f"{name} has shape {array.shape}: must be {sizes[name]}")
@@ -135,15 +135,15 @@ class Steps:
         """Return the same rollout in steps half as long, in a new batch with on_failure="go on"."""
         batch = self.batch
         model = batch.model.with_settings(dt=batch.settings.dt / 2)
-        own = type(batch)(model, self.n, threads=batch._threads, on_failure="go on")
-        own._core.unwatch()
-        own._residuals.told = True
-        own.param.update(batch.param.columns())
+        finer = type(batch)(model, self.n, threads=batch._threads, on_failure="go on")
+        finer._core.unwatch()
+        finer._residuals.warned = True
+        finer.param.update(batch.param.columns())
         for name, rows in (self.start | self.held).items():
-            getattr(own, name)[...] = rows
-        steps = Steps(own, np.repeat(self.ctrl, 2, axis=1), self.labels).roll(progress=False)
+            getattr(finer, name)[...] = rows
+        steps = Steps(finer, np.repeat(self.ctrl, 2, axis=1), self.labels).roll(progress=False)
         # States of failed worlds cannot be linearised: use the initial state.
-        failed = list(own.failures)
+        failed = list(finer.failures)
         for name, rows in steps.states.items():
             rows[failed] = steps.start[name][failed, None]
         return steps
@@ -161,13 +161,13 @@ class Steps:
     def changes(self) -> Floats:
         """Return the approximate change of x in each step, (n, steps, size)."""
         moved = self.batch.settings.dt * self.states["qvel"][:, 1:]
-        others = (np.diff(self.states[name], axis=1) for name in X[1:])
-        return np.concatenate([moved, *others], axis=-1)
+        changes = (np.diff(self.states[name], axis=1) for name in X[1:])
+        return np.concatenate([moved, *changes], axis=-1)
 
-    def dofs(self, given: Mapping[str, Floats]) -> Floats:
+    def dofs(self, gradients: Mapping[str, Floats]) -> Floats:
         """Convert gradients by the states after each step to gradients by x, (n, steps, size)."""
-        dq = self.tangents.to_dofs(self.rollout.qpos, given["qpos"])
-        return self.x([dq, given["qvel"], given["act"]])
+        dq = self.tangents.to_dofs(self.rollout.qpos, gradients["qpos"])
+        return self.x([dq, gradients["qvel"], gradients["act"]])
 
     def x(self, parts: Sequence[Floats]) -> Floats:
         """Join parts for dofs, velocities and activations to x; past controls are zero."""
@@ -176,53 +176,57 @@ class Steps:
 
     def linear(self, worlds: range, steps: range) -> LinearSteps:
         """Linearise some steps of some worlds, shape (worlds, steps, …)."""
-        own, some = slice(worlds.start, worlds.stop), slice(steps.start, steps.stop)
-        states = {name: rows[own, some] for name, rows in self.states.items()}
-        states["ctrl"] = self.ctrl[own, some]
+        of_worlds, of_steps = slice(worlds.start, worlds.stop), slice(steps.start, steps.stop)
+        states = {name: rows[of_worlds, of_steps] for name, rows in self.states.items()}
+        states["ctrl"] = self.ctrl[of_worlds, of_steps]
         for name, rows in self.held.items():
-            states[name] = np.repeat(rows[own][:, None], len(steps), 1)
+            states[name] = np.repeat(rows[of_worlds][:, None], len(steps), 1)
         if self._linearised is None or self._linearised[0] != worlds:
             if len(worlds) == self.n and self.models is self.batch.param.models():
-                made = self.batch._linearised_worlds()
+                linearised = self.batch._linearised_worlds()
             else:
                 models = [self.models[world] for world in worlds]
-                made = LinearWorlds(models, self.batch._threads, worlds.start)
-            self._linearised = worlds, made
+                linearised = LinearWorlds(models, self.batch._threads, worlds.start)
+            self._linearised = worlds, linearised
         return self._linearised[1].linear(states, self.by)
 
 
 def vjp(
     batch: Batch,
     ctrl: ArrayLike,
-    given: Mapping[str, ArrayLike | None],
+    cotangents: Mapping[str, ArrayLike | None],
     parameters: Sequence[str],
     error_bar: bool = False,
 ) -> Gradients:
     """See `Batch.vjp`."""
     checks.one_of(True, False)("vjp", "error_bar", error_bar)
     steps = Steps(batch, ctrl, parameters)
-    weights = rows_of(given, steps.sizes(steps.count))
+    weights = rows_of(cotangents, steps.sizes(steps.count))
     if error_bar:
         refuse_late("error_bar", batch)
     steps.roll()
     return pulled(steps, weights, steps.halved() if error_bar else None)
 
 
-def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = None) -> Gradients:
+def pulled(
+    steps: Steps, cotangents: Mapping[str, Floats], halved: Steps | None = None
+) -> Gradients:
     """Return the gradient of a rollout.
 
     halved: the same rollout in steps half as long, for the error.
     """
-    weights, nv = steps.dofs(given), steps.batch.model.nv
+    weights, nv = steps.dofs(cotangents), steps.batch.model.nv
     back = adjoints(steps, weights)
-    asked = np.linalg.norm(weights, axis=-1).sum(axis=1)
-    growth = back.sizes.max(axis=1, initial=0.0) / np.where(asked > 0, asked, np.inf)
+    given_size = np.linalg.norm(weights, axis=-1).sum(axis=1)
+    growth = back.sizes.max(axis=1, initial=0.0) / np.where(given_size > 0, given_size, np.inf)
     grown = growth > GROWTH
     texts = [_grown(steps, int(k), float(growth[k]), back) for k in np.flatnonzero(grown)[:1]]
     error = None
     if halved is not None:
-        finer = adjoints(halved, halved.dofs({name: _spread(rows) for name, rows in given.items()}))
-        parts, failed = _apart(back, finer, steps, asked), halved.batch.failures
+        finer = adjoints(
+            halved, halved.dofs({name: _spread(rows) for name, rows in cotangents.items()})
+        )
+        parts, failed = _apart(back, finer, steps, given_size), halved.batch.failures
         error = np.max(list(parts.values()), axis=0)
         error[list(failed)] = np.inf
         texts += [
@@ -231,8 +235,8 @@ def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = Non
             for world in list(failed)[:1]
         ]
         for world in np.flatnonzero(np.isfinite(error) & (error > APART) & ~grown)[:1]:
-            of = max(parts, key=lambda part: parts[part][world])
-            texts.append(_parted(steps, int(world), of, float(error[world]), back, finer))
+            largest = max(parts, key=lambda part: parts[part][world])
+            texts.append(_parted(steps, int(world), largest, float(error[world]), back, finer))
     for text in texts:
         # The warning points to the caller of `Batch.vjp`.
         warnings.warn(GradientWarning(text), stacklevel=4)
@@ -289,22 +293,22 @@ class Tape:
     def gradient(self, qpos: Floats, qvel: Floats) -> tuple[Floats, ...]:
         """Return the gradient by qpos, qvel, ctrl and parameters, given one by the states."""
         sizes = self.steps.sizes(self.steps.count)
-        found = pulled(self.steps, rows_of({"qpos": qpos, "qvel": qvel, "act": None}, sizes))
-        by = (found.parameters[label] for label in self.labels)
-        return (found.qpos, found.qvel, found.ctrl, *by)
+        gradients = pulled(self.steps, rows_of({"qpos": qpos, "qvel": qvel, "act": None}, sizes))
+        by = (gradients.parameters[label] for label in self.labels)
+        return (gradients.qpos, gradients.qvel, gradients.ctrl, *by)
 
 
 def jvp(
     batch: Batch,
     ctrl: ArrayLike,
-    given: Mapping[str, ArrayLike | None],
+    tangents: Mapping[str, ArrayLike | None],
     ctrl_change: ArrayLike | None,
     parameters: Mapping[str, ArrayLike],
 ) -> tuple[Rollout, Rollout]:
     """See `Batch.jvp`."""
     steps = Steps(batch, ctrl, tuple(parameters))
     changes = rows_of(
-        {**given, "ctrl_change": ctrl_change}, steps.sizes() | {"ctrl_change": steps.ctrl.shape}
+        {**tangents, "ctrl_change": ctrl_change}, steps.sizes() | {"ctrl_change": steps.ctrl.shape}
     )
     missing = [label for label in steps.labels if label not in parameters]
     if missing:
@@ -324,16 +328,17 @@ def jvp(
 
     rows = np.zeros((steps.n, steps.count, first.shape[1]))
     for worlds in steps.shares():
-        own = slice(worlds.start, worlds.stop)
-        x = first[own]
+        of_worlds = slice(worlds.start, worlds.stop)
+        x = first[of_worlds]
         for block in steps.blocks():
             A, B, P, _ = steps.linear(worlds, block)
             by = (
-                B @ moved[own, block[0] : block[-1] + 1, :, None] + P @ values.T[own, None, :, None]
+                B @ moved[of_worlds, block[0] : block[-1] + 1, :, None]
+                + P @ values.T[of_worlds, None, :, None]
             )
             for k, step in enumerate(block):
                 x = (A[:, k] @ x[..., None] + by[:, k])[..., 0]
-                rows[own, step] = x
+                rows[of_worlds, step] = x
     nv = batch.model.nv
     qpos = steps.tangents.of_dofs(steps.rollout.qpos, rows[..., :nv])
     dv, dw = rows[..., nv : 2 * nv], rows[..., 2 * nv : 2 * nv + batch.model.na]
@@ -371,7 +376,7 @@ def adjoints(steps: Steps, weights: Floats) -> Adjoints:
     values = np.zeros((n, len(steps.by)))
     sided = list[tuple[int, int, str]]()
     for worlds in steps.shares():
-        own = slice(worlds.start, worlds.stop)
+        of_worlds = slice(worlds.start, worlds.stop)
         for block in reversed(steps.blocks()):
             A, B, P, degenerate = steps.linear(worlds, block)
             sided += [
@@ -380,15 +385,15 @@ def adjoints(steps: Steps, weights: Floats) -> Adjoints:
             ]
             for k in reversed(range(len(block))):
                 step = block[k]
-                after[own, step] += rows[own, step + 1]
-                rows[own, step] = np.matmul(after[own, step, None], A[:, k])[:, 0]
+                after[of_worlds, step] += rows[of_worlds, step + 1]
+                rows[of_worlds, step] = np.matmul(after[of_worlds, step, None], A[:, k])[:, 0]
             some = slice(block[0], block[-1] + 1)
-            each = after[own, some, None]
-            ctrl[own, some] = np.matmul(each, B)[:, :, 0]
-            ctrl_terms[own] += np.matmul(np.abs(each), np.abs(B)).sum(axis=(1, 2, 3))
-            values[own] += np.matmul(each, P)[:, :, 0].sum(axis=1)
+            each = after[of_worlds, some, None]
+            ctrl[of_worlds, some] = np.matmul(each, B)[:, :, 0]
+            ctrl_terms[of_worlds] += np.matmul(np.abs(each), np.abs(B)).sum(axis=(1, 2, 3))
+            values[of_worlds] += np.matmul(each, P)[:, :, 0].sum(axis=1)
     sizes = np.linalg.norm(rows[:, :-1], axis=2)
-    sided.sort(key=lambda one: one[:2])
+    sided.sort(key=lambda entry: entry[:2])
     return Adjoints(rows, after, ctrl, values, ctrl_terms, sizes, sided)
 
 
@@ -399,14 +404,14 @@ def _spread(rows: Floats) -> Floats:
     return out
 
 
-def _apart(back: Adjoints, finer: Adjoints, steps: Steps, asked: Floats) -> dict[str, Floats]:
+def _apart(back: Adjoints, finer: Adjoints, steps: Steps, given_size: Floats) -> dict[str, Floats]:
     """Return the relative distance of each part of a gradient from steps half as long, (n,).
 
     A part is negligible below 1/`GROWTH` of: the largest gradient by a state; for controls, the sum
     of its absolute terms; for the relative change of a parameter, the changes of all steps.
-    asked: the size of the given gradient, (n,).
+    given_size: the size of the given gradient, (n,).
     """
-    most = np.maximum(asked, back.sizes.max(axis=1, initial=0.0))
+    most = np.maximum(given_size, back.sizes.max(axis=1, initial=0.0))
     both = finer.ctrl[:, ::2] + finer.ctrl[:, 1::2]
     parts = {
         "the initial state": _distance(back.rows[:, 0], finer.rows[:, 0], most / GROWTH),
@@ -419,18 +424,19 @@ def _apart(back: Adjoints, finer: Adjoints, steps: Steps, asked: Floats) -> dict
     return parts
 
 
-def _distance(one: Floats, other: Floats, least: Floats | float = 0.0) -> Floats:
+def _distance(first: Floats, second: Floats, least: Floats | float = 0.0) -> Floats:
     """Return the distance of the rows of each world, relative to the larger."""
     off, *sizes = (
-        np.linalg.norm(rows.reshape(len(rows), -1), axis=1) for rows in (one - other, one, other)
+        np.linalg.norm(rows.reshape(len(rows), -1), axis=1)
+        for rows in (first - second, first, second)
     )
     return off / np.maximum(np.maximum(*sizes), np.maximum(least, TINY))
 
 
 def _grown(steps: Steps, world: int, growth: float, back: Adjoints) -> str:
     """Return the warning of a gradient that grows, with the step and the contact of its peak."""
-    sizes, asked = back.sizes[world], np.linalg.norm(back.after[world], axis=1)
-    step = int(np.where(asked > 0, sizes / np.maximum(asked, TINY), 1.0).argmax())
+    sizes, given_sizes = back.sizes[world], np.linalg.norm(back.after[world], axis=1)
+    step = int(np.where(given_sizes > 0, sizes / np.maximum(given_sizes, TINY), 1.0).argmax())
     return (
         f"the gradient of world {world} grows {growth:.0e} times over {steps.count} steps, most in "
         f"{_at(steps, world, step)}: before it, the gradient holds only for changes that are as "
@@ -439,11 +445,11 @@ def _grown(steps: Steps, world: int, growth: float, back: Adjoints) -> str:
 
 
 def _parted(
-    steps: Steps, world: int, of: str, error: float, back: Adjoints, finer: Adjoints
+    steps: Steps, world: int, part: str, error: float, back: Adjoints, finer: Adjoints
 ) -> str:
     """Return the warning of a gradient that changes in steps half as long, and where that starts.
 
-    of: the part that changes most.
+    part: the part that changes most.
     """
     each = _distance(back.rows[world], finer.rows[world, ::2])
     # Before this step the gradient by the states differs, whatever the weights.
@@ -453,7 +459,7 @@ def _parted(
         step = min(int(parts[-1]), steps.count - 1)
         where = f", from {_at(steps, world, step, back=True)}"
     return (
-        f"the gradient of world {world} by {of} changes by {100 * error:.0f} % in steps half as "
+        f"the gradient of world {world} by {part} changes by {100 * error:.0f} % in steps half as "
         f"long{where}: take shorter steps or a softer contact, or begin after it"
     )
 
@@ -520,9 +526,9 @@ def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -
 
     for block in steps.blocks():
         checkpoint()
-        A, B, P = (one[0] for one in steps.linear(range(world, world + 1), block)[:3])
+        A, B, P = (matrix[0] for matrix in steps.linear(range(world, world + 1), block)[:3])
         each = np.concatenate([A, P, B @ pushes[block]], axis=2)
-        own = slopes[block[0] : block[-1] + 2]
-        for step, before, after in zip(each, own, own[1:, :size], strict=False):
+        chunk = slopes[block[0] : block[-1] + 2]
+        for step, before, after in zip(each, chunk, chunk[1:, :size], strict=False):
             np.matmul(step, before, out=after)
     return slopes[:, :size]

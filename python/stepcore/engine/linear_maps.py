@@ -46,7 +46,7 @@ def step_matrix(
     n = len(mass)
     pull = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
     flow = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), pull])
-    made = _core.linear_step(integrator, dt, np.eye(2 * n), flow, mass, implicit, stiffness)
-    if made is None:
+    matrix = _core.linear_step(integrator, dt, np.eye(2 * n), flow, mass, implicit, stiffness)
+    if matrix is None:
         raise np.linalg.LinAlgError("Singular matrix")
-    return np.asarray(made)
+    return np.asarray(matrix)

@@ -116,7 +116,7 @@ class Linearizations(Sequence[Linearization]):
     """
 
     def __init__(self, model: Model, steps: LinearSteps, by: Sequence[Column] = ()) -> None:
-        self.A, self.B, self.P = (one[:, 0] for one in steps[:3])
+        self.A, self.B, self.P = (matrix[:, 0] for matrix in steps[:3])
         self.parameters = tuple(column.label for column in by)
         self._model, self._degenerate = model, steps.degenerate
 
@@ -186,10 +186,10 @@ def _named_parameters(by: Sequence[Column]) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        found = re.match(r"parameter = (\d+): (.*)", str(error))
-        if found is None:
+        match = re.match(r"parameter = (\d+): (.*)", str(error))
+        if match is None:
             raise
-        raise ValueError(f"parameters: {by[int(found[1])].label}: {found[2]}") from None
+        raise ValueError(f"parameters: {by[int(match[1])].label}: {match[2]}") from None
 
 
 def _split(numbers: Floats, apart: Floats, degenerate: list[tuple[int, int, Any]]) -> LinearSteps:
@@ -223,21 +223,21 @@ class LinearWorlds:
             around, apart = [], np.zeros((len(self.different), len(by)))
             for k, model in enumerate(self.different):
                 try:
-                    own = columns(model, labels)
+                    labelled = columns(model, labels)
                 except ValueError as error:
                     world = self.first + self.of.index(k)
                     raise ValueError(f"{error} (world {world})") from None
-                around.append(models_around(model, own))
-                apart[k] = [column.apart for column in own]
+                around.append(models_around(model, labelled))
+                apart[k] = [column.apart for column in labelled]
             self._by = labels, around, apart[self.of]
         return self._by[1:]
 
     def linear(self, states: Mapping[str, Floats], by: Sequence[Column]) -> LinearSteps:
         """Linearise a step at each of these states, arrays of shape (worlds, steps, …)."""
         around, apart = self._around(by)
-        whole = {name: np.ascontiguousarray(rows) for name, rows in states.items()}
+        contiguous = {name: np.ascontiguousarray(rows) for name, rows in states.items()}
         with _named_parameters(by):
-            numbers, degenerate = self.core.linearize(around, whole)
+            numbers, degenerate = self.core.linearize(around, contiguous)
         steps = numbers.shape[1]
         sided = [(*divmod(nth, steps), element) for nth, element in degenerate]
         return _split(numbers, apart[:, None, None], sided)

@@ -185,7 +185,7 @@ class Model(checks.KnownNames):
     @functools.cached_property
     def heap(self) -> dict[tuple[str, str], int]:
         """The number of pairs that can collide, by geom types; empty unless `is_heap`."""
-        return {(one, two): count for one, two, count in self._core.heap() or ()}
+        return {(first, second): count for first, second, count in self._core.heap() or ()}
 
     # Names, in the order of the arrays.
 
@@ -229,8 +229,8 @@ class Model(checks.KnownNames):
         Raises ValueError for an unknown kind.
         """
         if checks.word("kind", kind) not in self._called:
-            known = checks.nearest(kind, self._called, listed=len(self._called))
-            raise ValueError(f"kind: no elements are called {checks.quoted(kind)}{known}")
+            nearest = checks.nearest(kind, self._called, listed=len(self._called))
+            raise ValueError(f"kind: no elements are called {checks.quoted(kind)}{nearest}")
         return self._called[kind]
 
     @functools.cached_property
@@ -251,10 +251,10 @@ class Model(checks.KnownNames):
         ctrl, act, qpos, qvel: shapes (…, nu), (…, na), (…, nq), (…, nv), with the same leading
             axes.
         """
-        given = {"ctrl": (ctrl, self.nu), "act": (act, self.na), "qpos": (qpos, self.nq)}
+        inputs = {"ctrl": (ctrl, self.nu), "act": (act, self.na), "qpos": (qpos, self.nq)}
         leading = np.shape(numbers("qvel", qvel))[:-1]
         flat = []
-        for name, (value, count) in (given | {"qvel": (qvel, self.nv)}).items():
+        for name, (value, count) in (inputs | {"qvel": (qvel, self.nv)}).items():
             array = numbers(name, value)
             if array.shape != (*leading, count):
                 raise ValueError(f"{name} has shape {array.shape}: must be {(*leading, count)}")
@@ -452,13 +452,13 @@ class Model(checks.KnownNames):
     ) -> Model:
         """Return this model with other settings, without compiling it again."""
         refuse_unknown_settings(self.with_settings, fields)
-        _ = self.asked
+        _ = self.warned
         other = copy.copy(self)
         other._settings = _merged(self._scene, self._settings, settings, fields)
         return other
 
     @functools.cached_property
-    def asked(self) -> set[tuple[Any, ...]]:
+    def warned(self) -> set[tuple[Any, ...]]:
         """The settings whose pitfalls were reported; copies with other settings share this set."""
         return set()
 
@@ -504,8 +504,8 @@ def _unpickled(pickled: bytes, settings: Settings) -> Model:
 
 
 def _merged(
-    scene: Scene, own: Settings, given: Settings | None, fields: SettingsFields
+    scene: Scene, present: Settings, replacement: Settings | None, fields: SettingsFields
 ) -> Settings:
-    if given is not None and not isinstance(given, Settings):
-        raise ValueError(f"settings = {checks.shown(given)}: must be a stepcore.Settings")
-    return (own if given is None else given).replace(**in_metres(scene, fields))
+    if replacement is not None and not isinstance(replacement, Settings):
+        raise ValueError(f"settings = {checks.shown(replacement)}: must be a stepcore.Settings")
+    return (present if replacement is None else replacement).replace(**in_metres(scene, fields))

@@ -43,8 +43,8 @@ class Noise:
 
     def __init__(self, n: int, seed: int, name: str = "") -> None:
         count = checks.count("n", n)
-        whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
-        if not whole or not 0 <= seed < 1 << 63:
+        integer = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
+        if not integer or not 0 <= seed < 1 << 63:
             raise checks.refuse("Noise", "seed", seed, "a whole number from 0 to 2**63 - 1")
         self._begin(int(seed), name, np.arange(count, dtype=np.uint64))
 
@@ -57,12 +57,12 @@ class Noise:
 
         Raises ValueError for other seeds.
         """
-        given = np.asarray(seeds)
-        if given.ndim != 1 or given.dtype.kind not in "iu" or not (given >= 0).all():
+        array = np.asarray(seeds)
+        if array.ndim != 1 or array.dtype.kind not in "iu" or not (array >= 0).all():
             limit = "whole numbers from 0 to 2**63 - 1, shape (n,)"
             raise ValueError(f"seeds = {checks.shown(seeds)}: must be {limit}")
         noise = cls.__new__(cls)
-        noise._begin(given.astype(np.uint64), name, np.zeros(len(given), dtype=np.uint64))
+        noise._begin(array.astype(np.uint64), name, np.zeros(len(array), dtype=np.uint64))
         return noise
 
     def _begin(self, seed: int | Words, name: str, worlds: Words) -> None:

@@ -80,9 +80,9 @@ class Tracks:
         """Return the tracks of some of the starts, by their indices."""
         places = {k: n for n, k in enumerate(indices)}
         failures = {places[k]: why for k, why in self.failures.items() if k in places}
-        own = list(indices)
-        made = None if self.evaluations is None else self.evaluations[own]
-        return Tracks(self.com[own], self.quat[own], failures, made)
+        chosen = list(indices)
+        evaluations = None if self.evaluations is None else self.evaluations[chosen]
+        return Tracks(self.com[chosen], self.quat[chosen], failures, evaluations)
 
     def first(self, samples: int) -> Tracks:
         """Return the tracks until a sample, with the failures before it."""
@@ -98,9 +98,14 @@ class Tracks:
             failures |= {first + k: why for k, why in part.failures.items()}
             first += len(part)
         com, quat = (np.concatenate([getattr(p, name) for p in parts]) for name in ("com", "quat"))
-        made = [part.evaluations for part in parts]
-        known = [own for own in made if own is not None]
-        return cls(com, quat, failures, np.concatenate(known) if len(known) == len(made) else None)
+        evaluations = [part.evaluations for part in parts]
+        counted = [counts for counts in evaluations if counts is not None]
+        return cls(
+            com,
+            quat,
+            failures,
+            np.concatenate(counted) if len(counted) == len(evaluations) else None,
+        )
 
 
 def apart(a: Tracks, b: Tracks, matter: Matter) -> np.ndarray:

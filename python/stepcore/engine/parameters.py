@@ -119,9 +119,9 @@ class Parameters(Mapping[str, Floats]):
         self._variants = Variants(model, {}, n)
 
     def __getitem__(self, path: str) -> Floats:
-        known = self._columns.get(path)
-        own = own_value(self._base, path)
-        column = np.stack([own] * self._n) if known is None else known.copy()
+        assigned = self._columns.get(path)
+        base = own_value(self._base, path)
+        column = np.stack([base] * self._n) if assigned is None else assigned.copy()
         rows = column.view(Rows)
         rows._assign = lambda new: self.update({path: new})
         return rows
@@ -145,7 +145,7 @@ class Parameters(Mapping[str, Floats]):
     def update(self, values: Mapping[str, ArrayLike]) -> None:
         """Assign several paths at once; see `Parameters`."""
         checks.mapping("values", values, "paths and arrays")
-        new = {path: self._column(path, given) for path, given in values.items()}
+        new = {path: self._column(path, value) for path, value in values.items()}
         self._take(self._columns | new)
 
     def clear(self) -> None:
@@ -160,14 +160,14 @@ class Parameters(Mapping[str, Floats]):
         """Return the assigned arrays by path."""
         return dict(self._columns)
 
-    def _column(self, path: str, given: ArrayLike) -> Floats:
+    def _column(self, path: str, value: ArrayLike) -> Floats:
         """Return a checked array with one row for each world."""
-        own, name = own_value(self._base, path), f"param[{checks.shown(path)}]"
-        table = numbers(name, given)
-        if np.ndim(given) == 0:
+        base, name = own_value(self._base, path), f"param[{checks.shown(path)}]"
+        table = numbers(name, value)
+        if np.ndim(value) == 0:
             table = np.repeat(table, self._n)
-        if table.shape not in ((self._n,), (self._n, *own.shape)):
-            entries = f" or ({self._n}, {own.size})" if own.ndim else ""
+        if table.shape not in ((self._n,), (self._n, *base.shape)):
+            entries = f" or ({self._n}, {base.size})" if base.ndim else ""
             limit = f"a number or of shape ({self._n},){entries}, one row for each world"
             raise ValueError(f"{name} has shape {table.shape}: must be {limit}")
         bad = ~np.isfinite(table.reshape(self._n, -1)).all(axis=1)
@@ -236,14 +236,16 @@ class Variants:
         variation = self._variation or ModelVariation(self._base, self._columns)
         self._variation = variation
 
-        def tried(make: Callable[[Any], Any], given: Any) -> Any:
+        def tried(make: Callable[[Any], Any], argument: Any) -> Any:
             try:
-                return make(given)
+                return make(argument)
             except ValueError as error:
                 return error
 
         # Scenes are created one after another, while the engine compiles earlier ones.
-        scenes = (tried(lambda own: variation.data(self.values(own)), world) for world in worlds)
+        scenes = (
+            tried(lambda index: variation.data(self.values(index)), world) for world in worlds
+        )
         compiled = partial(tried, variation.compiled)
         if len(worlds) == 1:
             return list(map(compiled, scenes))
@@ -255,9 +257,11 @@ class Variants:
 
     def errors(self) -> dict[int, ValueError]:
         """Return the error of each world whose values are rejected."""
-        made = self.models
-        refused = {index for index, one in enumerate(made) if isinstance(one, ValueError)}
-        return {world: made[index] for world, index in enumerate(self.model_of) if index in refused}
+        models = self.models
+        refused = {index for index, model in enumerate(models) if isinstance(model, ValueError)}
+        return {
+            world: models[index] for world, index in enumerate(self.model_of) if index in refused
+        }
 
     def values(self, world: int) -> dict[str, Any]:
         """Return a world's row as an argument of `Model.with_values`."""
@@ -282,12 +286,12 @@ class Variants:
     def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
         """Return the worlds whose initial arrays differ from the model's, with these arrays."""
         base = dict(self._base.core.initial())
-        for row, made in self._made.items():
+        for row, model in self._made.items():
             if row not in self._initial:
-                own = base if isinstance(made, ValueError) else dict(made.initial())
-                self._initial[row] = {} if own == base else own
+                changed = base if isinstance(model, ValueError) else dict(model.initial())
+                self._initial[row] = {} if changed == base else changed
         arrays = [self._initial[row] for row in self._made]
-        worlds: dict[int, list[int]] = {k: [] for k, own in enumerate(arrays) if own}
+        worlds: dict[int, list[int]] = {k: [] for k, changed in enumerate(arrays) if changed}
         for world, index in enumerate(self.model_of if worlds else ()):
             if index in worlds:
                 worlds[index].append(world)
@@ -351,10 +355,10 @@ def columns(model: Model, parameters: Sequence[str]) -> list[Column]:
 
     See `named_columns`.
     """
-    found = named_columns(model, parameters)
-    for column in found:
+    named = named_columns(model, parameters)
+    for column in named:
         column.check()
-    return found
+    return named
 
 
 def named_columns(model: Model, parameters: Sequence[str]) -> list[Column]:
@@ -367,11 +371,11 @@ def named_columns(model: Model, parameters: Sequence[str]) -> list[Column]:
     names = checks.listed(parameters) if not isinstance(parameters, str) else [parameters]
     if names is None or not all(isinstance(name, str) for name in names):
         raise ValueError(f"parameters = {checks.shown(parameters)}: must be paths of values")
-    found: dict[str, Column] = {}
+    by_label: dict[str, Column] = {}
     for name in names:
         for path in _expanded(model, name):
-            found |= {column.label: column for column in _columns(model, path)}
-    return list(found.values())
+            by_label |= {column.label: column for column in _columns(model, path)}
+    return list(by_label.values())
 
 
 def split_entry(name: str) -> tuple[str, int | None]:
@@ -388,14 +392,14 @@ def _expanded(model: Model, name: str) -> list[str]:
     kind, pattern, field = parts[0], "/".join(parts[1:-1]), parts[-1]
     # The world has no mass.
     named = model.names.get(kind, ())[kind == "body" :]
-    known = fnmatch.filter(filter(None, named), pattern)
+    matches = fnmatch.filter(filter(None, named), pattern)
     if kind == "joint":
         # "All joints" excludes free joints, whose friction, damping and armature are rarely meant.
         kinds = dict(zip(named, model.jnt_type, strict=True))
-        known = [one for one in known if kinds[one] != "free"] or known
-    if not known:
+        matches = [match for match in matches if kinds[match] != "free"] or matches
+    if not matches:
         raise ValueError(f"parameters: no {kind} is named {checks.quoted(pattern)}")
-    return [f"{kind}/{one}/{field}" for one in known]
+    return [f"{kind}/{match}/{field}" for match in matches]
 
 
 def _is_impedance(path: str) -> bool:

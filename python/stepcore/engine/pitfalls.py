@@ -33,7 +33,7 @@ CONTACTS, FACE = {"sphere": 1, "ellipsoid": 1, "capsule": 2}, 4
 # The number of pairs of a pile that are examined; pairs of the floor with a geom come first.
 HEAP = 2000
 # Texts of earlier warnings: a measurement creates many Sims of a model.
-_said: set[str] = set()
+_warned_texts: set[str] = set()
 
 
 class ModelWarning(UserWarning):
@@ -58,24 +58,24 @@ def warn_of_pitfalls(model: Model, stacklevel: int = 3) -> None:
 
     stacklevel: as of `warnings.warn`, counted from this function.
     """
-    asked = _asked(model)
-    if asked in model.asked:
+    settings = _pitfall_settings(model)
+    if settings in model.warned:
         return
-    model.asked.add(asked)
+    model.warned.add(settings)
     for text in (*soft_pyramids(model), *undone_rows(model)):
-        if text in _said:
+        if text in _warned_texts:
             continue
-        _said.add(text)
+        _warned_texts.add(text)
         warnings.warn(ModelWarning(escapes.printable(text)), stacklevel=stacklevel)
 
 
 def unwarned(model: Model) -> Model:
     """Disable the warnings of a model that a measurement tries, and return the model."""
-    model.asked.add(_asked(model))
+    model.warned.add(_pitfall_settings(model))
     return model
 
 
-def _asked(model: Model) -> tuple[Any, ...]:
+def _pitfall_settings(model: Model) -> tuple[Any, ...]:
     settings = model.settings
     return settings.cone, settings.law, settings.integrator, settings.dt
 
@@ -88,13 +88,13 @@ def soft_pyramids(model: Model) -> Iterator[str]:
     (1 − d) g/(k d²), d the impedance of deep contacts and k = 1/timeconst² or -solref).
     """
     settings, scene = model.settings, model.scene
-    given: list[Any] = [*scene.geoms, *scene.pairs, scene.contact_override]
-    steepest = max((one.friction[0] for one in given if one.friction), default=0.0)
+    colliding: list[Any] = [*scene.geoms, *scene.pairs, scene.contact_override]
+    steepest = max((element.friction[0] for element in colliding if element.friction), default=0.0)
     if settings.cone != "pyramidal" or settings.law != "solref" or steepest <= 1:
         return
     geoms, sizes = Layout(scene).geoms, model.geom_size
     moving = np.isin(model.geom_body, [*Coordinates(model).moving]).tolist()
-    gravity, found = float(np.linalg.norm(scene.gravity)), []
+    gravity, deepest = float(np.linalg.norm(scene.gravity)), []
     pressed = {
         (index, pair.friction, pair.solref)
         for pair in _pairs(model, len(geoms))
@@ -112,9 +112,9 @@ def soft_pyramids(model: Model) -> Iterator[str]:
             depth = soft * (1 - d) * gravity / (stiffness * d**2)
         thin = size[size > 0].min(initial=np.inf)
         if depth > thin:
-            found.append((depth / thin, depth, friction, index))
-    if found:
-        _, depth, friction, index = max(found)
+            deepest.append((depth / thin, depth, friction, index))
+    if deepest:
+        _, depth, friction, index = max(deepest)
         name = model.element_name("geom", index)
         far = f"by about {metres(depth)}" if depth < FARTHEST else "without end"
         yield (
@@ -143,9 +143,9 @@ def undone_rows(model: Model) -> Iterator[str]:
         return
     hidden = implicit_kinds(settings.integrator, model.scene.features.eulerdamp)
     rates = dict[tuple[str, int], float]()
-    for own in gains(model):
-        if own.element[0] in hidden:
-            rates[own.along] = rates.get(own.along, 0.0) + own.mobility * own.damping
+    for gain in gains(model):
+        if gain.element[0] in hidden:
+            rates[gain.along] = rates.get(gain.along, 0.0) + gain.mobility * gain.damping
     worst = max(rates, key=rates.__getitem__, default=("joint", 0))
     if settings.dt * rates.get(worst, 0.0) > DAMPED:
         times = f"{settings.dt * rates[worst]:.3g}"

@@ -133,9 +133,9 @@ class Plan(Result):
             every = sum(entry.count for entry in pairs)
             sentences.append(f"It tests {tested} of {every} pairs of geoms.")
         if self.asset_bytes:
-            read, whole = self.read_bytes / 1e6, self.asset_bytes / 1e6
+            read, in_total = self.read_bytes / 1e6, self.asset_bytes / 1e6
             sentences.append(
-                f"Of {whole:.3g} MB of meshes and height fields it needs {read:.3g} MB."
+                f"Of {in_total:.3g} MB of meshes and height fields it needs {read:.3g} MB."
             )
         return sentences
 
@@ -189,9 +189,9 @@ def _cells(entry: PlanEntry) -> dict[str, str]:
     names = entry.names[:NAMES]
     if entry.kind == "file":
         names = tuple(os.path.basename(name) for name in names)
-    which = ", ".join(names)
-    if which and entry.count > len(names):
-        which += f" and {entry.count - len(names)} more"
+    elements = ", ".join(names)
+    if elements and entry.count > len(names):
+        elements += f" and {entry.count - len(names)} more"
     return {
         "stage": entry.stage,
         "what": entry.name,
@@ -200,7 +200,7 @@ def _cells(entry: PlanEntry) -> dict[str, str]:
         "flops": "" if entry.flops is None else f"{entry.flops:.0f}",
         "µs": "" if entry.micros is None else f"{entry.micros:.2f}",
         "which" if entry.used else "why": entry.why
-        + (f" ({which})" if which and entry.why else which),
+        + (f" ({elements})" if elements and entry.why else elements),
     }
 
 
@@ -294,22 +294,22 @@ class _Listing:
         listed = self.model.core.entries(self.settings)
         # Contacts with friction, by the number of their rows.
         ways = sum(_has_friction(entry[2]) for entry in listed)
-        for stage, kind, name, of, elements, count, used, why, rows in listed:
-            names = tuple(self._names(of, elements))
+        for stage, kind, name, owner, elements, count, used, why, rows in listed:
+            names = tuple(self._names(owner, elements))
             number = self.row_count[rows] if rows is not None else None
             stages = _first(OWN_STAGES, name) or () if used else ()
             entry = PlanEntry(stage, kind, name, names, used, why, count, number, stages)
             yield entry, self._removal(name, kind, elements, ways) if used else None
 
-    def _names(self, of: str, elements: Sequence[int]) -> list[str]:
-        if of == "pair":
+    def _names(self, owner: str, elements: Sequence[int]) -> list[str]:
+        if owner == "pair":
             return self._pair_names(self.features.pairs[i] for i in elements)
-        if of == "island":
+        if owner == "island":
             islands: dict[int, list[str]] = {}
             for island, name in zip(self.plan["islands"], self.tree_names, strict=True):
                 islands.setdefault(island, []).append(name)
             return ["+".join(islands[island]) for island in elements]
-        names = self.tree_names if of == "tree" else self.model.called(of)
+        names = self.tree_names if owner == "tree" else self.model.called(owner)
         return [names[i] for i in elements]
 
     def _pair_names(self, pairs: Iterable[Sequence[int]]) -> list[str]:
@@ -350,8 +350,8 @@ class _Listing:
             ("surfaces that move (by geom)", "moving surfaces", "belt", []),
             ("adhesion (by geom)", "adhesion", "adhesion", sticky),
         ):
-            own = self.features.split(feature)
-            used, unused = ([self.geom_names[i] for i in some] for some in own)
+            having = self.features.split(feature)
+            used, unused = ([self.geom_names[i] for i in some] for some in having)
             entry, _ = _entry("solve", name, used + more)
             yield entry, self.removals.get(kind)
             yield _entry("solve", name, unused, "they collide with nothing")
@@ -361,8 +361,8 @@ class _Listing:
         owner, body = self.model.geom_body.tolist(), self.features.body
         pairs = [self.features.pairs[i] for i in indices]
         bodies = {tuple(sorted((owner[a], owner[b]))) for a, b in pairs}
-        own = self.features.body_pairs()
-        if sum(len(own[pair]) for pair in bodies) != len(indices):
+        body_pairs = self.features.body_pairs()
+        if sum(len(body_pairs[pair]) for pair in bodies) != len(indices):
             return None
         return Removal("pairs", "", (("exclude", tuple((body[a], body[b]) for a, b in bodies)),))
 
@@ -429,8 +429,8 @@ class StepCost:
         entry = replace(entry, flops=self.flops - sim.count_flops())
         if not self.time:
             return entry
-        whole, reduced = self._timed(self.whole, sim)
-        return replace(entry, micros=whole - reduced)
+        complete, reduced = self._timed(self.whole, sim)
+        return replace(entry, micros=complete - reduced)
 
     def _place(self, sim: Sim) -> None:
         """Set a variant, whose rows may differ, to the state."""

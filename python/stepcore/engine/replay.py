@@ -150,9 +150,9 @@ class Replay:
             raise _unusable(shown, error) from None
 
     def __repr__(self) -> str:
-        of = f" of {checks.quoted(self.name)}" if self.name else ""
+        name = f" of {checks.quoted(self.name)}" if self.name else ""
         element = checks.cut(self.happened["element"], 200)
-        return f"<Replay{of}: {self.steps} steps, energy from {element}>"
+        return f"<Replay{name}: {self.steps} steps, energy from {element}>"
 
 
 def _made(data: dict[str, Any]) -> Replay:
@@ -243,12 +243,12 @@ class PostMortem(Result):
         if not self.same:
             step = replay.happened["step"]
             again = f"The replay does not fail in step {step} with the same bits as the run."
-        said = [text[:1].upper() + text[1:].removesuffix(".") + ".", again]
+        sentences = [text[:1].upper() + text[1:].removesuffix(".") + ".", again]
         if not len(self.time):
-            said.append(
+            sentences.append(
                 "With ledger=True in its settings a run records the steps before a failure."
             )
-        return said
+        return sentences
 
     @property
     def table(self) -> Table:
@@ -291,19 +291,19 @@ class PostMortem(Result):
         return (names + [name for name in rest if moved[name] > 0])[:most]
 
 
-def _put(own: dict[str, Floats], inputs: list[list[float]] | None) -> None:
+def _put(arrays: dict[str, Floats], inputs: list[list[float]] | None) -> None:
     if inputs is not None:
         for name, values in zip(INPUTS, inputs, strict=True):
-            if own[name].size != len(values):
-                text = f"has {len(values)} numbers; the scene takes {own[name].size}"
+            if arrays[name].size != len(values):
+                text = f"has {len(values)} numbers; the scene takes {arrays[name].size}"
                 raise ValueError(f"an input of {name} {text}")
-            own[name].reshape(-1)[:] = values
+            arrays[name].reshape(-1)[:] = values
 
 
-def _fails(failure: Replay, sim: _core.Sim, own: dict[str, Floats]) -> bool:
+def _fails(failure: Replay, sim: _core.Sim, arrays: dict[str, Floats]) -> bool:
     """Return whether the present state equals the failure's last finite state and fails too."""
     happened = failure.happened
-    if digest(own["qpos"], own["qvel"]) != happened["state"]:
+    if digest(arrays["qpos"], arrays["qvel"]) != happened["state"]:
         return False
     if happened["finite"]:
         return True

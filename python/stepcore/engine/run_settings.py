@@ -60,12 +60,12 @@ def balanced(settings: Settings) -> Settings:
 
 def in_metres(scene: Scene, fields: SettingsFields) -> SettingsFields:
     """Return the fields with an accuracy such as "0.1%" of the scene's size in metres."""
-    asked = fields.get("accuracy")
-    if not (isinstance(asked, str) and asked.strip().endswith("%")):
+    accuracy = fields.get("accuracy")
+    if not (isinstance(accuracy, str) and accuracy.strip().endswith("%")):
         return fields
-    given: SettingsFields = {**fields}
-    given["accuracy"] = length("Settings", "accuracy", asked, extent(scene) or UNKNOWN)
-    return given
+    converted: SettingsFields = {**fields}
+    converted["accuracy"] = length("Settings", "accuracy", accuracy, extent(scene) or UNKNOWN)
+    return converted
 
 
 def refsafe_note(scene: Scene, settings: Settings) -> str:
@@ -98,9 +98,10 @@ def spinning_note(model: Model, settings: Settings, speeds: np.ndarray) -> str:
             continue
         fastest = float(np.linalg.norm(speeds[..., turning : turning + 3], axis=-1).max(initial=0))
         if fastest * 0.03 > 1:
-            which = f"joint `{name}`" if name else f"a {kind} joint"
+            subject = f"joint `{name}`" if name else f"a {kind} joint"
             return (
-                f"{which} turns at up to {fastest:.3g} rad/s: errors of so fast a turn last longer "
-                f"than counts, and may be several times the accuracy of {metres(settings.accuracy)}"
+                f"{subject} turns at up to {fastest:.3g} rad/s: errors of so fast a turn last "
+                f"longer than counts, and may be several times the accuracy of "
+                f"{metres(settings.accuracy)}"
             )
     return ""

@@ -423,8 +423,8 @@ class Sim(World):
         [[ 1.   -1.  ]
          [-1.    1.25]]
         """
-        coupling, own = self._core.coupling()
-        unit = own[:, 4]
+        coupling, rows = self._core.coupling()
+        unit = rows[:, 4]
         delassus: Floats = coupling / (unit[:, None] * unit)
         return delassus
 

@@ -69,7 +69,7 @@ class Gain(NamedTuple):
 def slack_lengths(model: Model) -> dict[int, tuple[float, float]]:
     """Return the lengths between which tendons with a spring are slack, by tendon."""
     bands = enumerate(zip(model.scene.tendons, model.tendon_lengthspring.tolist(), strict=True))
-    return {k: (low, high) for k, (own, (low, high)) in bands if own.sprung and low < high}
+    return {k: (low, high) for k, (tendon, (low, high)) in bands if tendon.sprung and low < high}
 
 
 def gains(model: Model) -> Iterator[Gain]:
@@ -82,18 +82,18 @@ def gains(model: Model) -> Iterator[Gain]:
     mobility |= {("tendon", t): weight for t, weight in enumerate(model.tendon_invweight0)}
     slack = {("tendon", t) for t, (lo, hi) in slack_lengths(model).items() if lo < length[t] < hi}
     owners: list[Joint | Tendon] = [*Layout(scene).joints, *scene.tendons]
-    for along, own in zip(mobility, owners, strict=True):
-        if own.sprung or own.damped:
-            (what, index), record = along, own.record()
+    for along, owner in zip(mobility, owners, strict=True):
+        if owner.sprung or owner.damped:
+            (kind, index), record = along, owner.record()
             k, c = (float(record[law][0]) for law in ("stiffness", "damping"))
             k, c = features.spring * (along not in slack) * k, features.damper * c
-            prefix = "tendon " if what == "tendon" else ""
+            prefix = "tendon " if kind == "tendon" else ""
             yield Gain((f"{prefix}spring", index), along, mobility[along], k, 0.0)
             yield Gain((f"{prefix}damper", index), along, mobility[along], 0.0, c)
     for drive in actuators(model) if features.actuation else ():
-        for what, end in (("joint", drive.joint), ("tendon", drive.tendon)):
+        for kind, end in (("joint", drive.joint), ("tendon", drive.tendon)):
             if end is not None:
-                at, push = (what, end), (drive.stiffness, drive.damping)
+                at, push = (kind, end), (drive.stiffness, drive.damping)
                 yield Gain(("actuator", drive.index), at, mobility[at], *push)
 
 
@@ -127,21 +127,21 @@ def stiffest(model: Model) -> tuple[float, Element | None]:
     hidden = implicit_kinds(integrator, model.scene.features.eulerdamp)
     # For each joint or tendon: ω², the implicitly and explicitly treated damping rates, and the
     # element of each.
-    found: dict[tuple[str, int], list[tuple[float, float, float, tuple[str, int]]]] = {}
-    for own in gains(model):
-        rate = own.mobility * own.damping
-        rates = (rate, 0.0) if own.element[0] in hidden else (0.0, rate)
+    parts_of: dict[tuple[str, int], list[tuple[float, float, float, tuple[str, int]]]] = {}
+    for gain in gains(model):
+        rate = gain.mobility * gain.damping
+        rates = (rate, 0.0) if gain.element[0] in hidden else (0.0, rate)
         # A servo that pushes away from its target grows physically, at any dt.
-        part = (max(own.stiffness, 0.0) * own.mobility, *rates, own.element)
-        found.setdefault(own.along, []).append(part)
-    least, who = math.inf, None
-    for parts in found.values():
+        part = (max(gain.stiffness, 0.0) * gain.mobility, *rates, gain.element)
+        parts_of.setdefault(gain.along, []).append(part)
+    least, element = math.inf, None
+    for parts in parts_of.values():
         square, implicit, explicit = np.sum([part[:3] for part in parts], axis=0).tolist()
         limit = oscillator_dt(square, implicit, explicit, integrator)
         if 0 < limit < least:
             alone = [oscillator_dt(part[0], implicit, part[2], integrator) for part in parts]
-            least, who = limit, Element.of(model, *parts[int(np.argmin(alone))][3])
-    return least, who
+            least, element = limit, Element.of(model, *parts[int(np.argmin(alone))][3])
+    return least, element
 
 
 def estimate(scene: Scene) -> str:

@@ -99,8 +99,8 @@ class Trajectory:
         if name == "time":
             return self.time
         if name not in self.data:
-            known = checks.nearest(name, self.data) if isinstance(name, str) else ""
-            raise KeyError(f"{checks.shown(name)} was not recorded{known}")
+            nearest = checks.nearest(name, self.data) if isinstance(name, str) else ""
+            raise KeyError(f"{checks.shown(name)} was not recorded{nearest}")
         return self.data[name]
 
     def __contains__(self, name: object) -> bool:
@@ -250,8 +250,8 @@ class Trajectory:
             values = acting(name, recorded)
             entries = [axis.entries for axis in self.axes(name)]
             for index in np.ndindex(*values.shape[1:]):
-                of = ", ".join(names[k] for names, k in zip(entries, index, strict=True))
-                columns[f"{name}[{of}]" if of else name] = values[(slice(None), *index)]
+                entry = ", ".join(names[k] for names, k in zip(entries, index, strict=True))
+                columns[f"{name}[{entry}]" if entry else name] = values[(slice(None), *index)]
         return columns
 
     def to_pandas(self) -> Any:
@@ -271,10 +271,10 @@ class Trajectory:
         coordinates: dict[str, Any] = {"time": ("time", self.time, {"units": UNITS["time"]})}
         variables = {}
         for name, values in self.data.items():
-            own = self.axes(name)
+            axes = self.axes(name)
             units = {"units": UNITS[name]} if name in UNITS else {}
-            variables[name] = (("time", *(axis.name for axis in own)), values, units)
-            coordinates |= {a.name: (a.name, np.array(a.entries, dtype=np.str_)) for a in own}
+            variables[name] = (("time", *(axis.name for axis in axes)), values, units)
+            coordinates |= {a.name: (a.name, np.array(a.entries, dtype=np.str_)) for a in axes}
         return xarray.Dataset(variables, coordinates)
 
     def save_mcap(self, path: str | os.PathLike[str]) -> None:
@@ -469,7 +469,7 @@ def samples(
     names: Sequence[str],
     steps: int,
     ctrl: Floats | None = None,
-    told: Callable[[int], object] | None = None,
+    callback: Callable[[int], object] | None = None,
     rooms: list[NDArray[Any]] | None = None,
 ) -> list[NDArray[Any]]:
     """Take steps, and return quantities after each of them, (worlds, steps, …).
@@ -478,18 +478,18 @@ def samples(
     read between its calls.
 
     ctrl: a row for each step, (worlds, steps, nu); None leaves the present controls.
-    told: for a `Batch`, a function that is called with the number of new steps.
+    callback: for a `Batch`, a function that is called with the number of new steps.
     rooms: arrays to write into, and to return.
     """
-    own = () if told is None else (told,)
+    extra = () if callback is None else (callback,)
     if _sampled(world, names):
-        made, _ = world._call(world._core.follow, asked(names, steps), ctrl, *own)
+        arrays, _ = world._call(world._core.follow, sample_request(names, steps), ctrl, *extra)
         if ctrl is None and "ctrl" in names:
             # The given values, not rounded to single precision.
-            made[names.index("ctrl")][:] = world._arrays["ctrl"].reshape(len(made[0]), 1, -1)
-        for room, values in zip(rooms or (), made, strict=rooms is not None):
+            arrays[names.index("ctrl")][:] = world._arrays["ctrl"].reshape(len(arrays[0]), 1, -1)
+        for room, values in zip(rooms or (), arrays, strict=rooms is not None):
             room[...] = values
-        return list(made)
+        return list(arrays)
     if ctrl is not None and (bad := not_finite(world, ctrl)):
         raise ValueError(f"ctrl{list(bad)} = {ctrl[bad]}: must be finite; nothing was stepped")
     qpos = world._arrays["qpos"]
@@ -505,15 +505,15 @@ def samples(
         rooms = [_room(value, n, steps, batch) for value in values] if rooms is None else rooms
         for room, value in zip(rooms, values, strict=True):
             room[:, step] = value
-        if told is not None:
-            told(1)
+        if callback is not None:
+            callback(1)
     return rooms or [_room(getattr(world, name), n, 0, batch) for name in names]
 
 
 def _room(value: Any, n: int, steps: int, batch: bool) -> NDArray[Any]:
     """Return an array for a quantity of n worlds in this number of steps."""
-    given = np.asarray(value)
-    return np.empty((n, steps, *given.shape[batch:]), dtype=given.dtype)
+    array = np.asarray(value)
+    return np.empty((n, steps, *array.shape[batch:]), dtype=array.dtype)
 
 
 def _sampled(world: World, names: Sequence[str]) -> bool:
@@ -549,8 +549,8 @@ def _table(sim: SomeWorld, control: ArrayLike) -> Floats:
         (row, k), value, name = bad, table[bad], sim.model.actuator_names[bad[1]]
         where = f'actuator "{name}", ' * bool(name) + f"in row {row} of control"
         limit = "finite" + " in single precision" * (sim.settings.precision == "f32")
-        said = f"ctrl[{k}] = {'NaN' if np.isnan(value) else value}: must be {limit} ({where})"
-        raise ValueError(f"{said}; the state was left as it is")
+        reason = f"ctrl[{k}] = {'NaN' if np.isnan(value) else value}: must be {limit} ({where})"
+        raise ValueError(f"{reason}; the state was left as it is")
     return table
 
 
@@ -561,7 +561,7 @@ def sampled(names: Collection[str], settings: Settings) -> bool:
     return set(names) <= SAMPLED - solved
 
 
-def asked(
+def sample_request(
     names: Sequence[str],
     steps: int,
     every: int = 1,

@@ -60,12 +60,12 @@ class BatchResiduals:
     def __init__(self) -> None:
         self.steps, self.next = 0, LOOKS
         self.large: Floats | None = None
-        self.told = False
+        self.warned = False
 
     def step(self, batch: Any, steps: int) -> str:
         """Count steps; return the sentence once, if a world's residual stays large."""
         self.steps += steps
-        if self.steps < self.next or self.told:
+        if self.steps < self.next or self.warned:
             return ""
         while self.next <= self.steps:
             self.next *= 2
@@ -75,7 +75,7 @@ class BatchResiduals:
         world = int(np.argmax(np.where(self.large >= IN_A_ROW, residual, 0)))
         if self.large[world] < IN_A_ROW:
             return ""
-        self.told = True
+        self.warned = True
         text = unsolved(batch.settings, _worst(batch.rows[world]), float(residual[world]))
         return f"world {world}: {text}"
 
@@ -99,8 +99,8 @@ def unsolved(settings: Settings, row: str, residual: float) -> str:
 def _large(sim: Any) -> float:
     """Return the threshold of the warning [m/s]: the speed that gravity adds in one step."""
     scene = sim.model.scene
-    given = float(np.linalg.norm(scene.gravity)) * sim.settings.dt
-    return given if scene.features.gravity and given > 0 else WEIGHTLESS
+    speed = float(np.linalg.norm(scene.gravity)) * sim.settings.dt
+    return speed if scene.features.gravity and speed > 0 else WEIGHTLESS
 
 
 def _worst(rows: Any) -> str:

@@ -37,16 +37,16 @@ OF_KEYS = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat")
 def compiled(model: Any) -> Model:
     """Return a model unchanged, or compile a scene or any argument of `stepcore.load`."""
     if isinstance(getattr(model, "core", None), _core.Model):
-        given: Model = model
-        return given
+        same: Model = model
+        return same
     if isinstance(model, (str, os.PathLike)) or type(model).__name__ in ("MjModel", "MjSpec"):
         # The engine must not import the readers, which are a higher layer.
         model = importlib.import_module("stepcore").load(model)
     if not hasattr(model, "compile") or not hasattr(model, "to_dict"):
         limit = "a stepcore.Model, a stepcore.Scene or the path of an MJCF file"
         raise ValueError(f"model = {checks.shown(model)}: must be {limit}")
-    own: Model = model.compile()
-    return own
+    fresh: Model = model.compile()
+    return fresh
 
 
 class World(checks.KnownNames, ABC):
@@ -234,8 +234,8 @@ class World(checks.KnownNames, ABC):
         >>> Sim(scene).inverse([1.0]).round(2).tolist()
         [21.62]
         """
-        given = () if qacc is None else (self._table("qacc", qacc, self._arrays["qvel"].shape),)
-        forces: Floats = self._core.inverse(*(table.ravel() for table in given))
+        tables = () if qacc is None else (self._table("qacc", qacc, self._arrays["qvel"].shape),)
+        forces: Floats = self._core.inverse(*(table.ravel() for table in tables))
         return forces
 
     def ray(
@@ -354,11 +354,11 @@ class World(checks.KnownNames, ABC):
 
     def _initial(self, key: str | int | None) -> tuple[dict[str, Sequence[float] | Floats], float]:
         """Return the arrays of one world after a reset, and the time."""
-        given: dict[str, Sequence[float] | Floats] = dict(self._model.core.initial())
+        initial: dict[str, Sequence[float] | Floats] = dict(self._model.core.initial())
         if key is None:
-            return given, 0.0
+            return initial, 0.0
         state = self._model.keys[self._model.index("key", key)]
-        return given | dict(zip(OF_KEYS, state[2:], strict=True)), state.time
+        return initial | dict(zip(OF_KEYS, state[2:], strict=True)), state.time
 
     def _write(
         self, values: dict[str, Sequence[float] | Floats], worlds: Any = slice(None)
