@@ -18,7 +18,7 @@ def resting(shape, size, friction, cone):
 
 
 def warned(make):
-    pitfalls._said.clear()
+    pitfalls._warned_texts.clear()
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", sc.ModelWarning)
         result = make()

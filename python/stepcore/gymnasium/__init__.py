@@ -28,10 +28,10 @@ __all__ = ["Draws", "Env", "Moment", "Task", "TaskState", "VectorEnv", "register
 def register_envs() -> None:
     """Register every task as "stepcore/<name>-v0", unless it is registered already."""
     for name, entry in _TASKS.items():
-        known = f"stepcore/{name}-v0"
-        if known not in _gymnasium.registry:
+        name_v0 = f"stepcore/{name}-v0"
+        if name_v0 not in _gymnasium.registry:
             _gymnasium.register(
-                known,
+                name_v0,
                 entry_point="stepcore.gymnasium.tasks:make",
                 vector_entry_point="stepcore.gymnasium.tasks:make_vec",
                 max_episode_steps=entry.max_episode_steps,

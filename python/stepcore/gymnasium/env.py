@@ -243,11 +243,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         Raises ValueError for a mask or seeds of another length.
         """
         options = dict(options or {})
-        given = options.pop("reset_mask", None)
-        mask: Mask = np.ones(self.num_envs, dtype=bool) if given is None else np.asarray(given)
+        reset_mask = options.pop("reset_mask", None)
+        mask: Mask = (
+            np.ones(self.num_envs, dtype=bool) if reset_mask is None else np.asarray(reset_mask)
+        )
         if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
             limit = f"{self.num_envs} truth values, one of them True"
-            raise ValueError(f"reset_mask = {checks.shown(given)}: must be {limit}")
+            raise ValueError(f"reset_mask = {checks.shown(reset_mask)}: must be {limit}")
         _no_options(options)
         seeds: Sequence[int | None]
         if seed is None or isinstance(seed, (int, np.integer)):
@@ -256,7 +258,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
             seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries: must be {self.num_envs}")
-        self._seed([seed if own else None for seed, own in zip(seeds, mask, strict=True)])
+        self._seed([seed if chosen else None for seed, chosen in zip(seeds, mask, strict=True)])
         if not len(self._observations):
             if not mask.all():
                 raise ValueError("reset_mask: must be True everywhere in the first reset")
@@ -268,8 +270,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
     def _seed(self, seeds: Sequence[int | None]) -> None:
         """Create generators for worlds with a seed, and for worlds without a generator."""
         if not self._rngs:
-            made = [seeding.np_random(seed) for seed in seeds]
-            self._rngs, self._seeds = [rng for rng, _ in made], [own for _, own in made]
+            generators = [seeding.np_random(seed) for seed in seeds]
+            self._rngs, self._seeds = [rng for rng, _ in generators], [own for _, own in generators]
             return
         for world, seed in enumerate(seeds):
             if seed is not None:
@@ -342,9 +344,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
 
         Returns an entry for each world. Raises AttributeError for an unknown name.
         """
-        known = self._env_core.state
-        if name in known:
-            return tuple(np.array(row)[()] for row in known[name])
+        state = self._env_core.state
+        if name in state:
+            return tuple(np.array(row)[()] for row in state[name])
         if name in ("np_random", "np_random_seed", "render"):
             each = getattr(self, name)
             return tuple((each() if callable(each) else each) or [None] * self.num_envs)
@@ -352,7 +354,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
             return (getattr(self, f"single_{name}"),) * self.num_envs
         owner: Any = self._task if hasattr(self._task, name) else self
         if name.startswith("_") or not hasattr(owner, name):
-            near = checks.nearest(name, [*known, *dir(self._task), "dt", "np_random"])
+            near = checks.nearest(name, [*state, *dir(self._task), "dt", "np_random"])
             raise AttributeError(f"a world has no {checks.quoted(name)}{near}")
         value = getattr(owner, name)
         return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
@@ -410,8 +412,8 @@ def _masked(infos: dict[str, Any], info: dict[str, Any], mask: Mask) -> dict[str
         if len(rows) == len(mask):
             rows = rows[worlds]
         if rows.dtype == object:
-            known = np.array([row is not None for row in rows], dtype=bool)
-            rows, worlds = rows[known], worlds[known]
+            present = np.array([row is not None for row in rows], dtype=bool)
+            rows, worlds = rows[present], worlds[present]
         if len(worlds):
             empty = np.full((len(mask), *rows.shape[1:]), None if rows.dtype == object else 0)
             infos.setdefault(name, empty.astype(rows.dtype))[worlds] = rows

@@ -120,10 +120,10 @@ class EnvCore:
         reward, terminated, info = task.outcome(now)
         _checked("reward", reward, shape)
         _checked("terminated", terminated, shape)
-        for what, infos in (("info", info), ("info after a reset", task.reset_info(now))):
+        for label, infos in (("info", info), ("info after a reset", task.reset_info(now))):
             for key, value in infos.items():
                 if np.shape(value)[: len(shape)] != shape:
-                    raise _shaped(f'{what}["{key}"]', value, f"{shape} first")
+                    raise _shaped(f'{label}["{key}"]', value, f"{shape} first")
         space: Box = task.observation_space(observation.shape[-1])
         if space.shape != observation.shape[-1:]:
             limit = str(observation.shape[-1:])
@@ -204,8 +204,8 @@ class EnvCore:
                 errors |= self._steps(action, first, self.skip)
             for name, array in late.items():
                 for world in errors:
-                    own = ... if single else world
-                    array[own] = self._before[name][own]
+                    chosen = ... if single else world
+                    array[chosen] = self._before[name][chosen]
         before = Readings(_unknown, self._asked_before, self._before)
         now = self._moment(lambda name: getattr(self.world, name), late, action, before)
         self.task.after_action(now)
@@ -280,14 +280,14 @@ class EnvCore:
         if not self.task.has("randomize"):
             return
         values = self.task.randomize(self.model, self.streams.of(worlds), worlds)
-        given = {path: np.asarray(value, dtype=np.float64) for path, value in values.items()}
-        self._differs = self._differs or bool(given)
+        arrays = {path: np.asarray(value, dtype=np.float64) for path, value in values.items()}
+        self._differs = self._differs or bool(arrays)
         if isinstance(self.world, Sim):
-            own = {path: value[0].tolist() for path, value in given.items()}
-            self.world = unwatched(Sim(self.model.with_values(own)))
+            values_of_world = {path: value[0].tolist() for path, value in arrays.items()}
+            self.world = unwatched(Sim(self.model.with_values(values_of_world)))
             return
         columns = {}
-        for path, value in given.items():
+        for path, value in arrays.items():
             column = np.array(self.world.param[path])
             first = column.ndim > value.ndim
             column[(worlds, 0) if first else worlds] = value
@@ -301,8 +301,8 @@ class EnvCore:
         start: Any = self.task.start
         if self._on_all:
             drawn = start(self.model, self.streams.of(worlds), worlds)
-            own = [np.atleast_2d(np.asarray(part, dtype=np.float64)) for part in drawn]
-            tables = [np.broadcast_to(part, (len(worlds), part.shape[-1])) for part in own]
+            arrays = [np.atleast_2d(np.asarray(part, dtype=np.float64)) for part in drawn]
+            tables = [np.broadcast_to(part, (len(worlds), part.shape[-1])) for part in arrays]
         else:
             each = [start(self.model, rng) for rng in rngs]
             tables = [np.array(values, dtype=np.float64) for values in zip(*each, strict=True)]
@@ -322,7 +322,7 @@ class EnvCore:
             # Read all worlds at once: a separate model for each world is slow.
             rows = worlds if isinstance(self.world, Batch) else None
             return {name: np.array(getattr(self.world, name))[rows] for name in names}
-        found: dict[str, list[Any]] = {name: [] for name in names}
+        collected: dict[str, list[Any]] = {name: [] for name in names}
         for world, place, speed in zip(worlds.tolist() if names else (), qpos, qvel, strict=False):
             sim = self._first
             if self._differs:
@@ -333,8 +333,8 @@ class EnvCore:
             if solved - zero:
                 sim.forward()
             for name in names:
-                found[name].append(np.array(getattr(sim, name)) * (name not in zero))
-        return {name: np.array(rows) for name, rows in found.items()}
+                collected[name].append(np.array(getattr(sim, name)) * (name not in zero))
+        return {name: np.array(rows) for name, rows in collected.items()}
 
     # Pictures.
 
@@ -394,13 +394,13 @@ class WorldCamera:
 def _of_type(space: Box, dtype: Any) -> Box:
     """Return a space in another number type."""
     try:
-        own = np.dtype(dtype)
+        target = np.dtype(dtype)
     except TypeError:
-        own = np.dtype(object)
-    if own.kind != "f":
+        target = np.dtype(object)
+    if target.kind != "f":
         limit = "numpy.float32, numpy.float64 or another type of real numbers"
         raise ValueError(f"dtype = {checks.shown(dtype)}: must be {limit}")
-    return Box(space.low.astype(own), space.high.astype(own), space.shape, own)
+    return Box(space.low.astype(target), space.high.astype(target), space.shape, target)
 
 
 def _checked(name: str, value: Any, shape: tuple[int | str, ...]) -> Any:
@@ -409,7 +409,7 @@ def _checked(name: str, value: Any, shape: tuple[int | str, ...]) -> Any:
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name} returned {checks.shown(value)}: must be numbers")
     wanted = zip(array.shape, shape, strict=False)
-    if array.ndim != len(shape) or any(own != size for own, size in wanted if size != "k"):
+    if array.ndim != len(shape) or any(length != size for length, size in wanted if size != "k"):
         raise _shaped(name, array, str(shape).replace("'", ""))
     return array
 

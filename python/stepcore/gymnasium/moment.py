@@ -103,16 +103,16 @@ class TaskState:
         if name.startswith("_"):
             raise AttributeError(name)
         if name not in self._arrays:
-            known = checks.nearest(name, self._arrays)
-            raise AttributeError(f"state has no {checks.quoted(name)}: set it in `begin`{known}")
+            nearest = checks.nearest(name, self._arrays)
+            raise AttributeError(f"state has no {checks.quoted(name)}: set it in `begin`{nearest}")
         return self._arrays[name][self._rows]
 
     def __setattr__(self, name: str, value: Any) -> None:
         given = np.asarray(value)
         if name not in self._arrays:
             axes = 0 if isinstance(self._rows, int) else 1
-            own = given.shape[axes:] if given.ndim else ()
-            self._arrays[name] = np.zeros((self._n, *own), dtype=given.dtype)
+            entries = given.shape[axes:] if given.ndim else ()
+            self._arrays[name] = np.zeros((self._n, *entries), dtype=given.dtype)
         array = self._arrays[name]
         if not np.can_cast(given.dtype, array.dtype, "same_kind"):
             text = f"holds {array.dtype.name} and was given {given.dtype.name}"

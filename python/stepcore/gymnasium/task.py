@@ -197,8 +197,8 @@ class FunctionTask(Task):
         self.source, self.frame_skip = source, frame_skip
         for name, value in given.items():
             # An attribute of the instance, so that the function gets no self.
-            own = partial(_space, value) if name in SPACES else value
-            setattr(self, "start" if name == "reset" else name, own)
+            space = partial(_space, value) if name in SPACES else value
+            setattr(self, "start" if name == "reset" else name, space)
 
     def model(self) -> Model:
         source = self.source
@@ -218,15 +218,15 @@ def task_of(owner: Callable[..., Any], model: Source | Task, fields: Mapping[str
     called.
     """
     refuse_unknown(owner, fields)
-    given = {name: value for name, value in fields.items() if value is not None}
-    frame_skip = given.pop("frame_skip", 1)
+    fields_given = {name: value for name, value in fields.items() if value is not None}
+    frame_skip = fields_given.pop("frame_skip", 1)
     if isinstance(model, Task):
-        if given or frame_skip != 1:
-            name = next(iter(given), "frame_skip")
+        if fields_given or frame_skip != 1:
+            name = next(iter(fields_given), "frame_skip")
             raise ValueError(f"{name}: must be the task's own, not given beside a Task")
         return model
-    for name, value in given.items():
+    for name, value in fields_given.items():
         if not (isinstance(value, Box) if name in SPACES else callable(value)):
             limit = "a gymnasium.spaces.Box" if name in SPACES else "a function"
             raise ValueError(f"{name} = {checks.shown(value)}: must be {limit}")
-    return FunctionTask(model, checks.count("frame_skip", frame_skip), given)
+    return FunctionTask(model, checks.count("frame_skip", frame_skip), fields_given)

@@ -68,9 +68,9 @@ def make_vec(task: str, num_envs: int, **options: Any) -> VectorEnv:
 
 
 def _made(kind: Callable[..., E], task: str, options: dict[str, Any], *n: int) -> E:
-    known = inspect.signature(kind).parameters.keys() - TaskFields.__annotations__.keys()
-    given = {name: options.pop(name) for name in known & options.keys()}
-    return kind(globals()[task](**options), *n, **given)
+    allowed = inspect.signature(kind).parameters.keys() - TaskFields.__annotations__.keys()
+    keywords = {name: options.pop(name) for name in allowed & options.keys()}
+    return kind(globals()[task](**options), *n, **keywords)
 
 
 # All files of gymnasium are in the folder of this one.
@@ -186,8 +186,8 @@ def model_path(xml_file: str) -> str:
     if not xml_file.startswith((".", "~", "/")):
         path = find_asset("gymnasium", KNOWN_FILE).parent / xml_file
     if not path.exists():
-        known = sorted(file.name for file in path.parent.glob("*.xml"))
-        near = checks.nearest(path.name, known)
+        files = sorted(file.name for file in path.parent.glob("*.xml"))
+        near = checks.nearest(path.name, files)
         raise ValueError(f"xml_file = {checks.shown(xml_file)}: there is no such file{near}")
     return str(path)
 

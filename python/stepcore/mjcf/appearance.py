@@ -79,8 +79,8 @@ class _DrawnAssets(Assets):
         except (ValueError, OSError) as error:
             self.unread[id(asset)] = str(error)
             # The empty asset stays, so that geoms that refer to it can be recognised.
-            held: list[Any] = scene.meshes if isinstance(asset, Mesh) else scene.hfields
-            held.append(asset)
+            assets: list[Any] = scene.meshes if isinstance(asset, Mesh) else scene.hfields
+            assets.append(asset)
 
     def place_of_texture(self, node: Node) -> str | None:
         """Return the path of a texture's image; None in a text without a folder."""
@@ -104,10 +104,10 @@ def read_looks(scene: Scene) -> Looks | None:
     world = read_sections(drawn, model, refusals, _DrawnAssets)
     refusals.raise_all()
     finish(world, source.fuse)
-    layout, own = Layout(drawn), Layout(scene)
+    layout, original = Layout(drawn), Layout(scene)
     seen = [geom for geom in layout.geoms if id(geom) not in world.only_drawn]
     names = [body.name for body in layout.bodies], [geom.name for geom in seen]
-    if names != ([body.name for body in own.bodies], [geom.name for geom in own.geoms]):
+    if names != ([body.name for body in original.bodies], [geom.name for geom in original.geoms]):
         return None
     assets = world.assets
     assert isinstance(assets, _DrawnAssets)

@@ -123,17 +123,17 @@ class Assets:
         for field in _FIELDS:
             if field in values:
                 setattr(mesh, field, values[field])
-        given = [name for name in ("file", "vertex") if name in values]
-        if len(given) != 1:
-            what = " and ".join(given) if given else "none of them"
-            raise node.error(f"<mesh> needs one of file, vertex and builtin; it has {what}")
-        if given == ["file"]:
+        sources = [name for name in ("file", "vertex") if name in values]
+        if len(sources) != 1:
+            conflict = " and ".join(sources) if sources else "none of them"
+            raise node.error(f"<mesh> needs one of file, vertex and builtin; it has {conflict}")
+        if sources == ["file"]:
             self._from_file(scene, node, mesh, values)
         else:
             if len(values["vertex"]) % 3:
                 raise bad(node, "vertex", values["vertex"], "3 numbers for each vertex")
             mesh.vertices = values["vertex"]
-        if "face" in values and given != ["vertex"]:
+        if "face" in values and sources != ["vertex"]:
             raise node.error("<mesh> has faces, but no vertices of its own")
         if "face" in values:
             face = values["face"]
@@ -207,9 +207,9 @@ class Assets:
         """Record which files were read in the scene's source; note what is outside its folder."""
         if self.outside:
             (path, reads), more = next(iter(self.outside.items())), len(self.outside) - 1
-            others = f" and {more} more files, which are" if more else ", which is"
-            said = f"{reads} {cut(str(path), 300)}{others} outside the folder of the main file"
-            scene.notes.append(said)
+            rest = f" and {more} more files, which are" if more else ", which is"
+            note = f"{reads} {cut(str(path), 300)}{rest} outside the folder of the main file"
+            scene.notes.append(note)
         files = [
             node for nodes in self.nodes.values() for node in nodes.values() if "file" in node.attrs
         ]
@@ -223,13 +223,13 @@ class Assets:
                 for node in files
                 if node.attrs["file"] not in self.named
             }
-            there = [path for path in unread if path and os.path.isfile(path)]
+            existing = [path for path in unread if path and os.path.isfile(path)]
             scene._source = replace(
                 source,
                 files=(*source.files, *self.sizes),
                 unread=tuple(name for name in source.unread if name not in self.named),
                 read_bytes=size,
-                asset_bytes=size + sum(map(os.path.getsize, there)),
+                asset_bytes=size + sum(map(os.path.getsize, existing)),
             )
 
 

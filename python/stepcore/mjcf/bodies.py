@@ -133,9 +133,9 @@ def place_weightless(world: WorldReader) -> None:
     if not bodies:
         return
     unbounded = MassRules(**(rules.values() | {"boundmass": 0.0, "boundinertia": 0.0}))
-    known = weights(scene, bodies, unbounded)
+    by_body = weights(scene, bodies, unbounded)
     for body in bodies:
-        if known[id(body)].mass == 0.0:
+        if by_body[id(body)].mass == 0.0:
             pos, quat = world.written[id(body)]
             Weight(0.0, np.array(pos), np.zeros((3, 3)), quat).give(body)
 
@@ -198,33 +198,33 @@ def fuse(world: WorldReader) -> None:
     fluid = any(values.get(name, 0.0) > 0 for values in sets for name in ("density", "viscosity"))
     layout = Layout(scene)
     # Computed at the first body whose parent is not the world.
-    known: dict[int, Weight] = {}
+    by_body: dict[int, Weight] = {}
     # For each fused body: the body that it joins, and its pose in that body.
-    whole: dict[int, Body] = {}
+    roots: dict[int, Body] = {}
     poses: dict[int, Pose] = {}
     for body in layout.bodies[1:]:
         carrier = body.parent
         assert carrier is not None
-        if id(carrier) in whole:
+        if id(carrier) in roots:
             body.pos, body.quat = frames.composed(poses[id(carrier)], body.pos, body.quat)
-            body.parent = carrier = whole[id(carrier)]
+            body.parent = carrier = roots[id(carrier)]
         if id(body) in kept:
             continue
-        if carrier is not scene.world and not known:
-            known = weights(scene, scene.bodies[1:])
-        if not _may_fuse(world, body, carrier, known, fluid):
+        if carrier is not scene.world and not by_body:
+            by_body = weights(scene, scene.bodies[1:])
+        if not _may_fuse(world, body, carrier, by_body, fluid):
             continue
-        whole[id(body)], poses[id(body)] = carrier, (body.pos, body.quat)
+        roots[id(body)], poses[id(body)] = carrier, (body.pos, body.quat)
         if body.name:
             scene.fused[body.name] = carrier.name
         if carrier is not scene.world:
-            _add_weight(world, body, carrier, known)
+            _add_weight(world, body, carrier, by_body)
     for element in (*layout.geoms, *layout.sites):
         key = id(element.body)
-        if key in whole:
+        if key in roots:
             element.pos, element.quat = frames.composed(poses[key], element.pos, element.quat)
-            element.body = whole[key]
-    scene.bodies = [body for body in layout.bodies if id(body) not in whole]
+            element.body = roots[key]
+    scene.bodies = [body for body in layout.bodies if id(body) not in roots]
     # A body's own elements come before those of the bodies fused with it.
     scene.geoms, scene.sites = layout.geoms, layout.sites
     if scene.fused:
@@ -251,26 +251,26 @@ def _kept_apart(world: WorldReader) -> set[int]:
 
 
 def _may_fuse(
-    world: WorldReader, body: Body, carrier: Body, known: dict[int, Weight], fluid: bool
+    world: WorldReader, body: Body, carrier: Body, by_body: dict[int, Weight], fluid: bool
 ) -> bool:
     values = world.nodes[id(body)].values
     if values.get("mocap") or values.get("fuse") is False or "sleep" in values:
         return False
-    if carrier is world.scene.world or known[id(body)].mass == 0.0:
+    if carrier is world.scene.world or by_body[id(body)].mass == 0.0:
         return True
-    there = world.nodes[id(carrier)].values.get("gravcomp", 0.0)
-    return not fluid and bool(values.get("gravcomp", 0.0) == there)
+    compensation = world.nodes[id(carrier)].values.get("gravcomp", 0.0)
+    return not fluid and bool(values.get("gravcomp", 0.0) == compensation)
 
 
-def _add_weight(world: WorldReader, body: Body, carrier: Body, known: dict[int, Weight]) -> None:
+def _add_weight(world: WorldReader, body: Body, carrier: Body, by_body: dict[int, Weight]) -> None:
     """Give the carrier the summed mass and inertia, unless its geoms determine them anyway."""
     # MuJoCo (mjMINVAL) drops the inertia of a fused body without mass.
-    if known[id(body)].mass < 1e-15:
+    if by_body[id(body)].mass < 1e-15:
         return
     rules = world.scene.mass_rules
-    both = known[id(carrier)] + known[id(body)].seen_from(body.pos, body.quat)
+    both = by_body[id(carrier)] + by_body[id(body)].seen_from(body.pos, body.quat)
     bounded = any(getattr(rules, name) for name in BOUNDS)
-    known[id(carrier)] = both
+    by_body[id(carrier)] = both
     inferred = carrier.mass is None and body.mass is None
     if not bounded and inferred and rules.inertiafromgeom is None:
         return

@@ -118,27 +118,29 @@ class Compiler:
 
     def orientation(self, node: Node, values: dict[str, Any]) -> Vec:
         """Return the unit quaternion of an element's orientation attribute, by default identity."""
-        given = [name for name in ORIENTATION if name in values]
-        if len(given) > 1:
-            raise node.error(f"<{node.tag}> has two orientations: {given[0]} and {given[1]}")
-        if not given:
+        orientations = [name for name in ORIENTATION if name in values]
+        if len(orientations) > 1:
+            raise node.error(
+                f"<{node.tag}> has two orientations: {orientations[0]} and {orientations[1]}"
+            )
+        if not orientations:
             return frames.IDENTITY
-        numbers = values[given[0]]
+        numbers = values[orientations[0]]
         try:
-            if given[0] == "axisangle":
+            if orientations[0] == "axisangle":
                 return frames.from_axis_angle(numbers[:3], self.radians(numbers[3]))
-            if given[0] == "xyaxes":
+            if orientations[0] == "xyaxes":
                 return frames.from_xy_axes(numbers[:3], numbers[3:])
-            if given[0] == "zaxis":
+            if orientations[0] == "zaxis":
                 return frames.from_z_axis(numbers)
-            if given[0] == "euler":
+            if orientations[0] == "euler":
                 return frames.from_euler([self.radians(a) for a in numbers], self.eulerseq)
             # A unit quaternion is not normalised again, so that writing and reading is exact.
             if abs(math.hypot(*numbers) - 1.0) <= 1e-15:
                 return tuple(numbers)
             return frames.normalised(numbers, "the quaternion")
         except ValueError as error:
-            raise bad(node, given[0], numbers, f"a direction: {error}") from None
+            raise bad(node, orientations[0], numbers, f"a direction: {error}") from None
 
 
 MAIN = "main"
@@ -182,17 +184,17 @@ class Defaults:
         pending = [(section, MAIN)]
         while pending:
             node, name = pending.pop()
-            own = self.classes[name]
+            elements = self.classes[name]
             for child in node.children:
                 if child.tag != "default":
                     tag = "actuator" if child.tag in ACTUATORS else child.tag
-                    own[tag] = overlay(own.get(tag, {}), child.values)
+                    elements[tag] = overlay(elements.get(tag, {}), child.values)
                     if tag == "actuator":
-                        own[tag] = without_range(own[tag], child)
+                        elements[tag] = without_range(elements[tag], child)
                         chain = self.chains[name]
-                        made = inherited(chain, child)
-                        self.chains[name] = (*chain[:-1], made)
-                        own[tag] = saturated(own[tag], made, child)
+                        gains = inherited(chain, child)
+                        self.chains[name] = (*chain[:-1], gains)
+                        elements[tag] = saturated(elements[tag], gains, child)
             inner = [child for child in node.children if child.tag == "default"]
             for child in inner:
                 inner_name = child.attrs.get("class", "")
@@ -200,7 +202,7 @@ class Defaults:
                     raise child.error('a nested <default> needs class="…"')
                 if inner_name in self.classes:
                     raise child.error(f'the default class "{inner_name}" is defined twice')
-                self.classes[inner_name] = dict(own)
+                self.classes[inner_name] = dict(elements)
                 self.chains[inner_name] = (*self.chains[name], self.chains[name][-1])
             pending += [(child, child.attrs["class"]) for child in reversed(inner)]
 
@@ -218,8 +220,8 @@ class Defaults:
         "equality" or "tendon".
         """
         name = self.known(node, "class") or childclass or MAIN
-        given = {key: value for key, value in node.values.items() if key != "class"}
-        return overlay(self.classes[name].get(kind or node.tag, {}), given)
+        attributes = {key: value for key, value in node.values.items() if key != "class"}
+        return overlay(self.classes[name].get(kind or node.tag, {}), attributes)
 
     def gains(self, node: Node) -> ActuatorGains:
         return inherited(self.chains[self.known(node, "class") or MAIN], node)
@@ -311,8 +313,8 @@ def inherited(chain: Chain, node: Node) -> ActuatorGains:
     if tag == "general":
         return replace(_general(last, node), damping=drag)
     if tag in START:
-        own = next((gains for gains in reversed(chain) if gains.tag == tag), None)
-        base = replace(own or ActuatorGains(tag, START[tag]), damping=drag)
+        explicit = next((gains for gains in reversed(chain) if gains.tag == tag), None)
+        base = replace(explicit or ActuatorGains(tag, START[tag]), damping=drag)
         scale = _inheritrange(base, node) if tag == "pid" else 0.0
         return replace(_SHORTCUTS[tag](base, node), inheritrange=scale, damping=drag)
     if tag not in _SHORTCUTS:
@@ -364,16 +366,16 @@ def _muscle(base: ActuatorGains, node: Node) -> ActuatorGains:
     )
     rise, fall = had.get("timeconst", LAWS["muscle"].fields["timeconst"])
     times = (0.01 if rise == 1 else rise, 0.04 if fall == 0 else fall)
-    made: Values = {
+    gains: Values = {
         name: tuple(b if a < 0 else a for a, b in zip(values.get(name, old), old, strict=True))
         for name, old in (("range", bounds), ("timeconst", times))
     }
-    made["tausmooth"] = values.get("tausmooth", had.get("tausmooth", 0.0))
+    gains["tausmooth"] = values.get("tausmooth", had.get("tausmooth", 0.0))
     for name, default in list(MUSCLE.items())[1:]:
         kept = had.get(name, default) or default
-        made[name] = values[name] if values.get(name, -1.0) >= 0 else kept
-    _not_negative(node, made, "tausmooth")
-    return ActuatorGains("muscle", made)
+        gains[name] = values[name] if values.get(name, -1.0) >= 0 else kept
+    _not_negative(node, gains, "tausmooth")
+    return ActuatorGains("muscle", gains)
 
 
 def _servo(base: ActuatorGains, node: Node) -> ActuatorGains:
@@ -404,19 +406,19 @@ def _orientation(base: ActuatorGains, node: Node) -> ActuatorGains:
 
 
 def _input(node: Node, handed_down: str) -> str:
-    given: str = node.values.get("input", "") or handed_down
-    known, words = CONTROLLERS[node.tag], given.split()
+    words_given: str = node.values.get("input", "") or handed_down
+    controllers, words = CONTROLLERS[node.tag], words_given.split()
     if node.tag == "dcmotor" and words == ["none"]:
         return "none"
-    if words != [word for word in known if word in words]:
-        raise bad(node, "input", given, f"some of {', '.join(known)}, in this order")
+    if words != [word for word in controllers if word in words]:
+        raise bad(node, "input", words_given, f"some of {', '.join(controllers)}, in this order")
     return " ".join(words)
 
 
 def _pid(base: ActuatorGains, node: Node) -> ActuatorGains:
-    given = _input(node, base.values["input"])
+    input_words = _input(node, base.values["input"])
     _not_negative(node, node.values, "kv", "dampratio")
-    values = _damped(base.values, node) | {"input": given} | _own(node, "kp", *CONTROL)
+    values = _damped(base.values, node) | {"input": input_words} | _own(node, "kp", *CONTROL)
     _not_negative(node, values, "slewmax")
     if values.get("ki") or values.get("slewmax"):
         values |= {name: values.get(name, 0.0) for name in CONTROL}
@@ -432,16 +434,16 @@ def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
     The motor constant follows from torque, voltage or the nominal point.
     """
     values, old = node.values, base.values
-    made: Values = {"input": _input(node, old["input"])}
+    gains: Values = {"input": _input(node, old["input"])}
     resistance: float = old["resistance"]
-    given = values.get("motorconst", (old["motorconst"],))
-    by_torque, by_voltage = (*given, 0.0)[:2]
+    constants = values.get("motorconst", (old["motorconst"],))
+    by_torque, by_voltage = (*constants, 0.0)[:2]
     voltage, stall, free = (*values.get("nominal", ()), 0.0, 0.0, 0.0)[:3]
     if min(by_torque, by_voltage) < 0:
-        raise bad(node, "motorconst", given, ">= 0")
+        raise bad(node, "motorconst", constants, ">= 0")
     if "nominal" in values and free != 0:
-        known = values.get("resistance", resistance)
-        by_nominal = _without_load(voltage, stall, free, known, base.damping)
+        measured = values.get("resistance", resistance)
+        by_nominal = _without_load(voltage, stall, free, measured, base.damping)
         by_torque, by_voltage = by_torque or by_nominal, by_voltage or by_nominal
     both = by_torque > 0 and by_voltage > 0
     constant = math.sqrt(by_torque * by_voltage) if both else max(by_torque, by_voltage)
@@ -455,28 +457,28 @@ def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
         )
     if resistance <= 0:
         raise node.error("<dcmotor> needs a resistance or a nominal point: it must be > 0")
-    made |= {"motorconst": constant, "resistance": resistance}
+    gains |= {"motorconst": constant, "resistance": resistance}
     names = ("kp", "ki", "kv", "slewmax", "imax", "vmax")
     controller = _filled(values.get("controller", ()), tuple(old[name] for name in names))
-    made |= dict(zip(names, controller, strict=False))
-    if made["ki"] < 0:
+    gains |= dict(zip(names, controller, strict=False))
+    if gains["ki"] < 0:
         raise bad(node, "controller", values["controller"], "ki >= 0")
     rate = _filled(values.get("saturation", ()), (0.0, 0.0, old["current_rate"]))[2]
-    made |= {name: max(made[name], 0.0) for name in ("slewmax", "imax", "vmax")}
-    made |= {"current_rate": max(rate, 0.0), "timeconst": old["timeconst"]}
+    gains |= {name: max(gains[name], 0.0) for name in ("slewmax", "imax", "vmax")}
+    gains |= {"current_rate": max(rate, 0.0), "timeconst": old["timeconst"]}
     if "inductance" in values:
         # A given inductance takes precedence over the electrical time constant [s].
         inductance, seconds = _filled(values["inductance"], (0.0, old["timeconst"]))
         if min(inductance, seconds) < 0:
             raise bad(node, "inductance", values["inductance"], ">= 0")
-        made["timeconst"] = inductance / resistance if inductance > 0 else seconds
-    made |= {name: _filled(values.get(name, ()), old[name]) for name in ("cogging", "lugre")}
-    made["thermal"] = _thermal(node, old["thermal"])
+        gains["timeconst"] = inductance / resistance if inductance > 0 else seconds
+    gains |= {name: _filled(values.get(name, ()), old[name]) for name in ("cogging", "lugre")}
+    gains["thermal"] = _thermal(node, old["thermal"])
     torque = base.torque
     if "saturation" in values:
         most, current = (*values["saturation"], 0.0)[:2]
         torque = most if most > 0 else max(constant * current, 0.0)
-    return ActuatorGains("dcmotor", made, torque=torque)
+    return ActuatorGains("dcmotor", gains, torque=torque)
 
 
 def _without_load(
@@ -487,19 +489,19 @@ def _without_load(
     K solves K (V - K ω)/R = B ω; without a resistance, K/R = stall/V. If no K > 0 solves the
     equation, K is V/ω, the value without damping, as in MuJoCo.
     """
-    whole = voltage / free
+    total = voltage / free
     if drag <= 0:
-        return whole
+        return total
     if resistance > 0:
         square = voltage * voltage - 4.0 * resistance * drag * free * free
-        return (voltage + math.sqrt(square)) / (2.0 * free) if square >= 0 else whole
+        return (voltage + math.sqrt(square)) / (2.0 * free) if square >= 0 else total
     if stall <= drag * free:
-        return whole
-    return whole * (1.0 - drag * free / stall)
+        return total
+    return total * (1.0 - drag * free / stall)
 
 
-def _filled(given: Vec, kept: Vec) -> Vec:
-    return (*given, *kept[len(given) :])
+def _filled(front: Vec, kept: Vec) -> Vec:
+    return (*front, *kept[len(front) :])
 
 
 def _thermal(node: Node, had: Vec | None) -> Vec | None:
@@ -535,16 +537,16 @@ def _general(base: ActuatorGains, node: Node) -> ActuatorGains:
     if base.tag not in LAWS or base.tag in CONTROLLERS:
         raise node.unbuilt(f"<general> in a class whose default is <{base.tag}>")
     values = base.values if base.tag == "general" else base.law.general()
-    given: Values = {
+    merged: Values = {
         name: (*node.values[name], *values[name][len(node.values[name]) :])
         for name in ("gainprm", "biasprm", "dynprm")
         if node.values.get(name)
     }
-    given |= _own(node, "dyntype", "gaintype", "biastype")
-    made = ActuatorGains("general", values | given, _inheritrange(base, node))
-    if made.values["gaintype"] in _CANONICAL:
-        return _canonical(made, node)
-    return replace(made, torque=base.torque)
+    merged |= _own(node, "dyntype", "gaintype", "biastype")
+    gains = ActuatorGains("general", values | merged, _inheritrange(base, node))
+    if gains.values["gaintype"] in _CANONICAL:
+        return _canonical(gains, node)
+    return replace(gains, torque=base.torque)
 
 
 # MuJoCo's canonical notation writes controllers and orientations as `<general>`, with their
@@ -574,16 +576,16 @@ def _canonical_pid(values: Values, node: Node) -> Values:
     constant, stiffness, drag = _ten(bias)[:3]
     if constant != 0:
         raise bad(node, "biasprm", bias, "0 first, for a pid")
-    made: Values = {"kp": 0.0 - stiffness, "input": node.values.get("input", "") or "pos vel"}
+    pid: Values = {"kp": 0.0 - stiffness, "input": node.values.get("input", "") or "pos vel"}
     if values["dyntype"] == "none":
         if gain[0] != 0:
             limit = '0 (the gain of the integral) without dyntype="pid"'
             raise bad(node, "gainprm", gain, limit)
     else:
-        made |= dict(zip(CONTROL, (gain[0], *_ten(values["dynprm"])[:2]), strict=True))
-        if min(made[name] for name in CONTROL) < 0:
+        pid |= dict(zip(CONTROL, (gain[0], *_ten(values["dynprm"])[:2]), strict=True))
+        if min(pid[name] for name in CONTROL) < 0:
             raise bad(node, "dynprm", values["dynprm"], "gains and limits >= 0")
-    return made | damping(drag)
+    return pid | damping(drag)
 
 
 def _canonical_motor(values: Values, node: Node) -> Values:
@@ -627,21 +629,21 @@ _CANONICAL: dict[str, tuple[str, tuple[str, ...], Callable[[Values, Node], Value
 
 def _inheritrange(base: ActuatorGains, node: Node) -> float:
     """Return the scale from the joint's range to the control range; 0 if the latter is given."""
-    given: float = node.values.get("inheritrange", base.inheritrange)
-    own = {"intvelocity": "actrange", "pid": "posrange"}.get(node.tag, "ctrlrange")
-    if own not in node.values:
-        return given
+    share: float = node.values.get("inheritrange", base.inheritrange)
+    attribute = {"intvelocity": "actrange", "pid": "posrange"}.get(node.tag, "ctrlrange")
+    if attribute not in node.values:
+        return share
     if node.values.get("inheritrange", 0.0) > 0:
-        raise node.error(f"<{node.tag}> has both {own} and inheritrange")
+        raise node.error(f"<{node.tag}> has both {attribute} and inheritrange")
     return 0.0
 
 
-def saturated(values: Values, made: ActuatorGains, node: Node) -> Values:
+def saturated(values: Values, gains: ActuatorGains, node: Node) -> Values:
     """Return the values of a motor or its class, with the force range from its saturation."""
-    if made.torque is None or "saturation" not in node.values:
+    if gains.torque is None or "saturation" not in node.values:
         return values
     rest = {name: v for name, v in values.items() if name not in ("forcerange", "forcelimited")}
-    return rest | ({"forcerange": (-made.torque, made.torque)} if made.torque > 0 else {})
+    return rest | ({"forcerange": (-gains.torque, gains.torque)} if gains.torque > 0 else {})
 
 
 def without_range(values: Values, node: Node) -> Values:

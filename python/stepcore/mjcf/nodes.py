@@ -55,8 +55,8 @@ class MJCFError(ValueError):
         self.errors: tuple[MJCFError, ...] = (self,)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        own = (self.file, self.line, self.text, self.kind)
-        return _again, (type(self), own, self.errors[1:], str(self))
+        arguments = (self.file, self.line, self.text, self.kind)
+        return _again, (type(self), arguments, self.errors[1:], str(self))
 
     def with_others(self, errors: tuple[MJCFError, ...], message: str) -> MJCFError:
         """Return this error with the other errors of the file and a message that lists all."""
@@ -66,9 +66,9 @@ class MJCFError(ValueError):
 
 
 def _again(
-    kind: type[MJCFError], own: tuple[Any, ...], others: tuple[MJCFError, ...], message: str
+    kind: type[MJCFError], arguments: tuple[Any, ...], further: tuple[MJCFError, ...], message: str
 ) -> MJCFError:
-    return kind(*own).with_others(others, message)
+    return kind(*arguments).with_others(further, message)
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Node:
         """Return the error about a missing file that this element names, with file and line."""
         return FileNotFoundError(f"{brief(self.file)}:{self.line}: {error}")
 
-    def unbuilt(self, what: str, attribute: str = "") -> MJCFError:
+    def unbuilt(self, feature: str, attribute: str = "") -> MJCFError:
         """Return the error for a feature that would change the motion and is not built yet.
 
         attribute: the attribute that selects the feature, if the element is readable without it.
@@ -137,7 +137,7 @@ class Node:
         kind = f"{self.tag}/{attribute}" if attribute else self.path
         does = effect(kind)
         return MJCFError(
-            self.file, self.line, f"{what} is not built yet{does and f': {does}'}", kind
+            self.file, self.line, f"{feature} is not built yet{does and f': {does}'}", kind
         )
 
     def asset_name(self) -> str:
@@ -246,7 +246,7 @@ def repaired(data: str | bytes) -> str | bytes:
     raw = _TWICE.sub(rb"\1", _AMPERSAND.sub(b"&amp;", raw))
     if blanks := _BLANKS.match(raw):
         raw = blanks[2] + blanks[1] + raw[blanks.end() :]
-    spaced = partial(_ATTRIBUTE.sub, lambda found: (found[1] or b" ") + found[2])
+    spaced = partial(_ATTRIBUTE.sub, lambda match: (match[1] or b" ") + match[2])
     raw = _TAG.sub(lambda tag: cast(bytes, tag[1]) + spaced(tag[2]), raw)
     return raw.decode("utf-8", "surrogatepass") if isinstance(data, str) else raw
 
@@ -307,10 +307,10 @@ class Refusals:
             return
         files = list(dict.fromkeys(error.file for error in self.errors))
         self.errors.sort(key=lambda error: (files.index(error.file), error.line))
-        first, *others = self.errors
-        if not others:
+        first, *further = self.errors
+        if not further:
             raise first
-        raise first.with_others(tuple(others), _message(self.errors))
+        raise first.with_others(tuple(further), _message(self.errors))
 
 
 def _message(errors: list[MJCFError], most: int = 20, width: int = 600, places: int = 4) -> str:
@@ -319,10 +319,10 @@ def _message(errors: list[MJCFError], most: int = 20, width: int = 600, places: 
     for error in errors:
         groups.setdefault((error.file, error.text), []).append(error)
     lines = []
-    for first, *others in groups.values():
-        also = ", ".join(str(error.line) for error in others[:places])
-        also += f" and {len(others) - places} more" if len(others) > places else ""
-        lines.append(cut(f"{first} (also in line {also})" if others else str(first), width))
+    for first, *further in groups.values():
+        also = ", ".join(str(error.line) for error in further[:places])
+        also += f" and {len(further) - places} more" if len(further) > places else ""
+        lines.append(cut(f"{first} (also in line {also})" if further else str(first), width))
     if len(lines) > most:
         lines[most:] = [f"… and {len(lines) - most} more"]
     kinds = list(dict.fromkeys(error.kind for error in errors))
@@ -478,8 +478,8 @@ def with_file_lines(error: ValueError, layout: Layout) -> ValueError:
     for at, ((start, stop, _, _), element) in enumerate(zip(mentions, mentioned, strict=True)):
         label, body = text[start:stop], getattr(element, "body", None)
         # The engine may already name the body, right after the element.
-        told = getattr(element, "name", "") or mentioned[at + 1 : at + 2] == [body]
-        if isinstance(body, Body) and not told:
+        named = getattr(element, "name", "") or mentioned[at + 1 : at + 2] == [body]
+        if isinstance(body, Body) and not named:
             label += f" of {layout.body_called(body)}"
         place = str(element.place)
         first = first or place

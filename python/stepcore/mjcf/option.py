@@ -92,10 +92,10 @@ def read(scene: Scene, node: Node) -> None:
     for name in OVERRIDES:
         # The parameters that every contact has if the flag "override" is on.
         if f"o_{name}" in values:
-            given, old = values[f"o_{name}"], getattr(scene.contact_override, name)
+            vector, old = values[f"o_{name}"], getattr(scene.contact_override, name)
             # A shorter list replaces only the first entries.
-            given = (*given, *old[len(given) :]) if isinstance(given, tuple) else given
-            setattr(scene.contact_override, name, given)
+            vector = (*vector, *old[len(vector) :]) if isinstance(vector, tuple) else vector
+            setattr(scene.contact_override, name, vector)
     for name, why in IGNORED.items():
         if name in values:
             _note(scene, node, f"{name} is ignored: {why}")
@@ -231,7 +231,7 @@ def own_texts(nodes: Iterable[Node]) -> list[Node]:
 def read_own_text(scene: Scene, node: Node) -> None:
     """Read stepcore's text into a scene that is otherwise complete."""
     settings: dict[str, Any] = {}
-    known = Settings().as_dict()
+    defaults = Settings().as_dict()
     seen = set()
     for word in node.attrs.get("data", "").split():
         name, equals, text = word.partition("=")
@@ -249,10 +249,10 @@ def read_own_text(scene: Scene, node: Node) -> None:
                 getattr(scene, kind)(name).name = ""
         elif name in OWN_FEATURES:
             setattr(scene.features, name, _value(text))
-        elif name in known:
+        elif name in defaults:
             settings[name] = _value(text)
         else:
-            near = nearest(name, [*known, *OWN_FEATURES, "unnamed"])
+            near = nearest(name, [*defaults, *OWN_FEATURES, "unnamed"])
             raise node.error(f'<text name="{OWN_TEXT}"> has an unknown name "{name}"{near}')
-    whole = Settings(**(scene.options | settings)).as_dict()
-    scene.options.update({name: whole[name] for name in settings})
+    complete = Settings(**(scene.options | settings)).as_dict()
+    scene.options.update({name: complete[name] for name in settings})

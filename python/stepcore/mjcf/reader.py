@@ -225,7 +225,7 @@ def finish(world: WorldReader, chosen: bool | None) -> None:
 def _check_references(world: WorldReader) -> None:
     """Check that the references of sensors, cameras, lights and materials exist."""
     scene = world.scene
-    known = {
+    targets = {
         **world.names,
         **{kind: {e.name for e in getattr(scene, LISTS[kind])} for kind in NAMED_ANYWHERE},
         "mesh": set(world.assets.nodes["mesh"]),
@@ -235,10 +235,10 @@ def _check_references(world: WorldReader) -> None:
         (node, attribute, name, REFERENCES[attribute])
         for node in inside(world.root, "sensor")
         for attribute, name in node.attrs.items()
-        if REFERENCES.get(attribute) in known
+        if REFERENCES.get(attribute) in targets
     ]
     named = [(node, kind, name, kind) for node, kind, name in world.references]
     for node, attribute, name, kind in named + sensed:
-        if name not in known[kind] or not name:
-            near = nearest(name, sorted(known[kind]))
+        if name not in targets[kind] or not name:
+            near = nearest(name, sorted(targets[kind]))
             raise node.error(f'<{node.tag}> {attribute}="{name}": no such {attribute}{near}')

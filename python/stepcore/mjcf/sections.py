@@ -174,7 +174,9 @@ class WorldReader:
         if "fullinertia" in values and orientations:
             raise node.error(f"<inertial> has both fullinertia and {orientations[0]}")
         # As in MuJoCo, what has no joint may be a point.
-        moves = {"joint", "freejoint"} & {of.tag for of in self.nodes[id(place.body)].children}
+        moves = {"joint", "freejoint"} & {
+            child.tag for child in self.nodes[id(place.body)].children
+        }
         if moves and not {"fullinertia", "diaginertia"} & {*values} and values["mass"] > 0:
             raise node.error("<inertial> needs diaginertia or fullinertia")
         if place.body.mass is not None:
@@ -343,8 +345,8 @@ def tendon(world: WorldReader, node: Node) -> None:
     fields = given(Tendon, values, "name", "range", "actuatorfrcrange", "springlength")
     if "springlength" in values:
         # A single number gives both ends, even if a default class has a second number.
-        own: Any = node.values.get("springlength", values["springlength"])
-        fields["springlength"] = own[0] if len(own) == 1 else own
+        springlength: Any = node.values.get("springlength", values["springlength"])
+        fields["springlength"] = springlength[0] if len(springlength) == 1 else springlength
     added = world.scene.add_tendon(
         values.get("name", ""),
         path=[_stop(world, child) for child in node.children],
@@ -511,8 +513,8 @@ def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> No
         enabled=owner.enabled,
         **{name: getattr(owner, name) for name in ("delay", "nsample", "interp")},
     )
-    what = f"the input {word} of {owner} is an actuator of its own, with a control of its own"
-    world.scene.notes.append(f"{node.file}:{node.line}: {what}")
+    separate = f"the input {word} of {owner} is an actuator of its own, with a control of its own"
+    world.scene.notes.append(f"{node.file}:{node.line}: {separate}")
 
 
 def _transmission(node: Node, values: dict[str, Any]) -> dict[str, Any]:
@@ -539,16 +541,16 @@ def _refuse(node: Node, values: dict[str, Any], gains: ActuatorGains) -> None:
     several = gains.tag in (*CONTROLLERS, "orientation")
     if not several and node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
         raise bad(node, "input", node.values["input"], "pos, vel or pressure")
-    own = gains.values
+    fields = gains.values
     for name, built in (("dyntype", DYNAMICS), ("gaintype", GAINS), ("biastype", BIASES)):
-        if gains.tag == "general" and own[name] not in built:
-            raise node.unbuilt(f'<general> {name}="{own[name]}"')
-    if gains.tag in CONTROLLERS and own["input"] in ("none", ""):
-        raise node.unbuilt(f'a <{gains.tag}> of no input (input="{own["input"]}")', "input")
-    voltage = gains.tag == "dcmotor" and own["input"] == "voltage"
-    if voltage and (own["kp"] or own["kv"] or own["ki"] or own["slewmax"]):
-        given = node.values.get("controller", (0.0, 0.0 - own["kp"], 0.0 - own["kv"]))
-        raise bad(node, "controller", given, "0 without one of the inputs pos, vel and ff")
+        if gains.tag == "general" and fields[name] not in built:
+            raise node.unbuilt(f'<general> {name}="{fields[name]}"')
+    if gains.tag in CONTROLLERS and fields["input"] in ("none", ""):
+        raise node.unbuilt(f'a <{gains.tag}> of no input (input="{fields["input"]}")', "input")
+    voltage = gains.tag == "dcmotor" and fields["input"] == "voltage"
+    if voltage and (fields["kp"] or fields["kv"] or fields["ki"] or fields["slewmax"]):
+        controller = node.values.get("controller", (0.0, 0.0 - fields["kp"], 0.0 - fields["kv"]))
+        raise bad(node, "controller", controller, "0 without one of the inputs pos, vel and ff")
 
 
 Bounds = tuple[float, ...] | None
@@ -565,8 +567,10 @@ def _ctrlrange(
         return world.limits(node, values, "ctrllimited", "ctrlrange")
     first = gains.inputs[0]
     if first == "pos":
-        given = [n for own in (node.values, values) for n in ("posrange", "ctrlrange") if n in own]
-        return world.limits(node, values, "ctrllimited", (*given, "posrange")[0])
+        ranges = [
+            n for source in (node.values, values) for n in ("posrange", "ctrlrange") if n in source
+        ]
+        return world.limits(node, values, "ctrllimited", (*ranges, "posrange")[0])
     bounds: Bounds = values.get(f"{first}range")
     return bounds if bounds and bounds[0] < bounds[1] else None
 
@@ -594,8 +598,8 @@ def _ranges(
     handed_down = _inherited(world, node, values, gains, target)
     switch = "actlimited" if integrates else "ctrllimited"
     if values.get(switch, "auto") == "auto" and not world.compiler.autolimits:
-        what = f'inheritrange without {switch}="true", and autolimits is "false"'
-        raise node.error(f"<{node.tag}> {what}")
+        problem = f'inheritrange without {switch}="true", and autolimits is "false"'
+        raise node.error(f"<{node.tag}> {problem}")
     if integrates:
         ctrlrange = world.limits(node, values, "ctrllimited", "ctrlrange")
         return ctrlrange, None if values.get("actlimited", "auto") is False else handed_down
@@ -619,8 +623,8 @@ def _inherited(
         raise node.error(f"<{node.tag}> inheritrange: {element} has no range")
     radians = "tendon" in target or element.range is not None or element.type != "hinge"
     if not radians and world.compiler.degrees:
-        what = f"the range of {element} is inherited unconverted, as radians, as MuJoCo does"
-        world.scene.notes.append(f"{node.file}:{node.line}: {what}: the joint is not limited")
+        note = f"the range of {element} is inherited unconverted, as radians, as MuJoCo does"
+        world.scene.notes.append(f"{node.file}:{node.line}: {note}: the joint is not limited")
     middle, half = (bounds[0] + bounds[1]) / 2, gains.inheritrange * (bounds[1] - bounds[0]) / 2
     return middle - half, middle + half
 
@@ -655,11 +659,13 @@ def _keyframe(world: WorldReader, layout: Layout, rest: dict[str, list[float]], 
         raise bad(node, "plastic", values["plastic"], "empty: the model has no plastic")
     fields: dict[str, Any] = {}
     for name, default in rest.items():
-        given = list(values.get(name, ()))
-        if len(given) > len(default):
-            raise bad(node, name, tuple(given), f"at most {len(default)} numbers, not {len(given)}")
-        if given:
-            fields[name] = given + default[len(given) :]
+        numbers = list(values.get(name, ()))
+        if len(numbers) > len(default):
+            raise bad(
+                node, name, tuple(numbers), f"at most {len(default)} numbers, not {len(numbers)}"
+            )
+        if numbers:
+            fields[name] = numbers + default[len(numbers) :]
     if "qpos" in fields:
         fields["qpos"] = layout.unit_quaternions(fields["qpos"])
     added = world.scene.add_key(values.get("name", ""), time=values.get("time", 0.0), **fields)

@@ -138,13 +138,13 @@ class Expansion:
                 text = _written(mujoco.MjSpec.from_string(_text(lines)))
             except Exception as error:  # of a type of mujoco's own
                 raise self._located(error, lines, cause) from None
-        made = parse(text, self.root.file)
-        said = dict.fromkeys(" ".join(str(warning.message).split()) for warning in warned)
+        tree = parse(text, self.root.file)
+        messages = dict.fromkeys(" ".join(str(warning.message).split()) for warning in warned)
         # An empty prefix can only prevent saving, which is not done.
-        told = (line for line in said if "empty prefix" not in line)
-        self.notes += [f"{cause.file}:{cause.line}: MuJoCo: {line}" for line in told]
-        self.notes += _left_out(self.root, models, made)
-        return _placed(made, self.root, cause)
+        notable = (line for line in messages if "empty prefix" not in line)
+        self.notes += [f"{cause.file}:{cause.line}: MuJoCo: {line}" for line in notable]
+        self.notes += _left_out(self.root, models, tree)
+        return _placed(tree, self.root, cause)
 
     def _located(self, error: Exception, lines: list[Line], cause: Node) -> MJCFError:
         """Return MuJoCo's error, at the line that it names unless that may be another model's."""
@@ -211,13 +211,13 @@ def _classes(root: Node) -> set[str]:
     return {node.attrs["class"] for node in inner if "class" in node.attrs}
 
 
-def _name_classes(root: Node, prefix: str, known: Set[str]) -> None:
+def _name_classes(root: Node, prefix: str, classes: Set[str]) -> None:
     """Give the defaults of a model other names than known ones.
 
     MuJoCo writes those of models that are attached without a prefix under one name, and cannot read
     that.
     """
-    names = _classes(root) & known
+    names = _classes(root) & classes
     for node in below(root):
         for name in ("class", "childclass"):
             if node.attrs.get(name) in names:
@@ -339,7 +339,7 @@ def _left_out(root: Node, models: Mapping[str, Attached], expanded: Node) -> lis
             full = node.values["prefix"] + name
             at = bisect(names, full) - 1
             # A copy by <replicate> has a longer name.
-            if not any(there.startswith(full) for there in names[max(at, 0) : at + 2]):
+            if not any(place.startswith(full) for place in names[max(at, 0) : at + 2]):
                 gone.append(name)
         if gone:
             listed = cut(", ".join(gone), 200)

@@ -266,17 +266,17 @@ class Exclusions:
             return
         if not isinstance(without, (list, tuple, set, frozenset)):
             raise refuse("load", "without", without, 'a list of kinds, such as ["flex"]')
-        known = _known_kinds()
+        element_kinds = _known_kinds()
         for word in without:
             if not isinstance(word, str):
                 raise refuse("load", "without", word, "the name of a kind")
             name = word.strip()
-            if name not in known:
+            if name not in element_kinds:
                 name = name.removesuffix("s")
-            if name not in known:
-                near = nearest(word.strip(), known)
+            if name not in element_kinds:
+                near = nearest(word.strip(), element_kinds)
                 raise ValueError(f"load: without = {shown(word)}: no such kind{near}")
-            self.nodes[known[name]] = []
+            self.nodes[element_kinds[name]] = []
 
     def kind(self, path: str) -> str:
         """Return the kind that leaves out elements of this path, "section/tag"; "" if none does."""

@@ -198,8 +198,8 @@ def written(scene: Scene) -> str:
     if data:
         root.add(Tag("custom")).add(Tag("text", name=OWN_TEXT, data=data))
     count = len(scene.ignored)
-    what = "1 element" if count == 1 else f"{count} elements"
-    comment = f"<!-- Left out: {what} of the scene's file that cannot change the motion. -->\n"
+    elements = "1 element" if count == 1 else f"{count} elements"
+    comment = f"<!-- Left out: {elements} of the scene's file that cannot change the motion. -->\n"
     return printed(root, comment if count else "")
 
 
@@ -248,8 +248,8 @@ def _option(attributes: dict[str, str], flags: dict[str, str]) -> Tag:
 
 def _tag(kind: str, element: Element, names: Names, *skip: str, **first: Any) -> Tag:
     """Return a tag with the element's name, `first`, and the fields that are no defaults."""
-    given = changed(element, "name", *skip, *first)
-    return Tag(kind, **names.attribute(element), **names.in_place(first | given))
+    attributes = changed(element, "name", *skip, *first)
+    return Tag(kind, **names.attribute(element), **names.in_place(first | attributes))
 
 
 def _mesh(mesh: Mesh, names: Names) -> Tag:
@@ -289,7 +289,7 @@ def _add_tree(root: Tag, layout: Layout, names: Names) -> None:
 
 
 def _before_bodies(tag: Tag, inner: Tag) -> None:
-    at = next((i for i, one in enumerate(tag.inside) if one.kind == "body"), len(tag.inside))
+    at = next((i for i, child in enumerate(tag.inside) if child.kind == "body"), len(tag.inside))
     tag.inside.insert(at, inner)
 
 
@@ -349,18 +349,18 @@ def _joint(joint: Joint, names: Names) -> Tag:
 
 
 def _geom(geom: Geom, names: Names) -> Tag:
-    given = changed(geom, "name", "body", "size", "mesh", "hfield")
-    given |= names.in_place({"mesh": geom.mesh, "hfield": geom.hfield})
-    if given.pop("hidden", False):
+    attributes = changed(geom, "name", "body", "size", "mesh", "hfield")
+    attributes |= names.in_place({"mesh": geom.mesh, "hfield": geom.hfield})
+    if attributes.pop("hidden", False):
         # MuJoCo's grey with opacity 0.
-        given["rgba"] = (0.5, 0.5, 0.5, 0.0)
+        attributes["rgba"] = (0.5, 0.5, 0.5, 0.0)
     used = SIZES[geom.type]
     # MuJoCo requires a grid spacing > 0 for a plane.
     size = geom.size[:used] if used else (*geom.size[:2], geom.size[2] or 1.0)
-    if "mesh" not in given and "hfield" not in given:
-        given = {"size": size, **given}
-    first = {"type": given.pop("type")} if "type" in given else {}
-    return Tag("geom", **names.attribute(geom), **first, **given)
+    if "mesh" not in attributes and "hfield" not in attributes:
+        attributes = {"size": size, **attributes}
+    first = {"type": attributes.pop("type")} if "type" in attributes else {}
+    return Tag("geom", **names.attribute(geom), **first, **attributes)
 
 
 def _site(site: Site, names: Names) -> Tag:
@@ -386,13 +386,13 @@ def _equality(equality: Equality, names: Names) -> Tag:
 
 def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
     """Return the tag of an actuator. behind: the following actuators, one per further input."""
-    given = changed(actuator, "name", "type", "enabled")
-    target = {field: given.pop(field, None) for field in TARGET_FIELDS}
+    attributes = changed(actuator, "name", "type", "enabled")
+    target = {field: attributes.pop(field, None) for field in TARGET_FIELDS}
     first: dict[str, Any] = names.attribute(actuator) | names.in_place(target)
     if not actuator.enabled:
         first["group"] = DISABLED
     kind = actuator.type
-    if any(field in given and kind not in also for field, also in GENERAL.items()):
+    if any(field in attributes and kind not in also for field, also in GENERAL.items()):
         kind = "general"
     low, high = actuator.forcerange or (-1.0, 1.0)
     if kind == "dcmotor" and low != -high:
@@ -401,18 +401,22 @@ def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
             raise checks.refuse(actuator, "forcerange", actuator.forcerange, limit)
         kind = "general"
     if kind != actuator.type:
-        given = {field: value for field, value in given.items() if field not in ALL_LAW_FIELDS}
-        return Tag(kind, **first, **actuator.law.general(), **given)
+        attributes = {
+            field: value for field, value in attributes.items() if field not in ALL_LAW_FIELDS
+        }
+        return Tag(kind, **first, **actuator.law.general(), **attributes)
     if kind in FED:
-        first |= _of_inputs(actuator, behind, given)
+        first |= _of_inputs(actuator, behind, attributes)
     if kind == "dcmotor":
-        given |= _motor(given)
+        attributes |= _motor(attributes)
     if actuator.biasprm is not None and actuator.biastype is None:
         first["biastype"] = "affine"
-    return Tag(kind, **first, **given)
+    return Tag(kind, **first, **attributes)
 
 
-def _of_inputs(actuator: Actuator, behind: list[Actuator], given: dict[str, Any]) -> dict[str, Any]:
+def _of_inputs(
+    actuator: Actuator, behind: list[Actuator], attributes: dict[str, Any]
+) -> dict[str, Any]:
     """Return the control ranges of a controller, each of which is an actuator in stepcore."""
     words = actuator.inputs
     for word, other in zip(words[1:], behind, strict=False):
@@ -426,17 +430,19 @@ def _of_inputs(actuator: Actuator, behind: list[Actuator], given: dict[str, Any]
             raise checks.refuse(actuator, "input", actuator.input, limit)
     if actuator.type != "pid":
         return {}
-    own = given.pop("ctrlrange", None)
-    bounds = [own, *(other.ctrlrange for other in behind)]
+    ctrlrange = attributes.pop("ctrlrange", None)
+    bounds = [ctrlrange, *(other.ctrlrange for other in behind)]
     return {f"{word}range": b for word, b in zip(words, bounds, strict=False) if b is not None}
 
 
-def _motor(given: dict[str, Any]) -> dict[str, Any]:
+def _motor(attributes: dict[str, Any]) -> dict[str, Any]:
     """Remove the motor fields that MJCF combines from `given`; return the combined attributes."""
-    asked = [given.pop(name, None) or 0.0 for name in ("kp", "ki", "kv", "slewmax", "imax", "vmax")]
-    bounds, rate = given.pop("forcerange", None), given.pop("current_rate", None) or 0.0
-    words: dict[str, Any] = {"controller": tuple(asked)} if any(asked) else {}
-    if thermal := given.pop("thermal", None):
+    fields = [
+        attributes.pop(name, None) or 0.0 for name in ("kp", "ki", "kv", "slewmax", "imax", "vmax")
+    ]
+    bounds, rate = attributes.pop("forcerange", None), attributes.pop("current_rate", None) or 0.0
+    words: dict[str, Any] = {"controller": tuple(fields)} if any(fields) else {}
+    if thermal := attributes.pop("thermal", None):
         words["thermal"] = (*thermal[:2], 0.0, *thermal[2:])
     if bounds or rate:
         words["saturation"] = (bounds[1] if bounds else 0.0, 0.0, rate)
@@ -444,15 +450,15 @@ def _motor(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _sensor(sensor: Sensor, names: Names) -> Tag:
-    given = _end(sensor, names, sensor.object, sensor.objtype, "1")
-    given |= _end(sensor, names, sensor.reference, sensor.reftype, "2")
+    attributes = _end(sensor, names, sensor.object, sensor.objtype, "1")
+    attributes |= _end(sensor, names, sensor.reference, sensor.reftype, "2")
     if sensor.data:
-        given["data"] = " ".join(sensor.data)
+        attributes["data"] = " ".join(sensor.data)
     skip = ["type", "object", "reference", "objtype", "reftype", "data"]
     if sensor.type == "user":
-        given["dim"] = sensor.num
+        attributes["dim"] = sensor.num
         skip.append("num")
-    return _tag(sensor.type, sensor, names, *skip, **given)
+    return _tag(sensor.type, sensor, names, *skip, **attributes)
 
 
 def _end(
@@ -540,9 +546,9 @@ def _edited(data: bytes, in_place: bool, original: Scene, scene: Scene) -> bytes
             values.clear()
     added = [_option(attributes, flags)] if attributes or flags else []
     rest = said(to_say(scene.settings))[2]
-    own = _OWN_START.search(data)
-    if own:
-        data = _with_words(data, own, rest)
+    opening = _OWN_START.search(data)
+    if opening:
+        data = _with_words(data, opening, rest)
     elif rest:
         added.append(Tag("custom"))
         added[-1].add(Tag("text", name=OWN_TEXT, data=own_data(rest)))
@@ -555,17 +561,17 @@ def _last_start(data: bytes, tag: str) -> re.Match[bytes] | None:
     return max(re.finditer(_START % tag.encode(), data), key=re.Match.start, default=None)
 
 
-def _with_words(data: bytes, own: re.Match[bytes], rest: dict[str, Any]) -> bytes:
+def _with_words(data: bytes, opening: re.Match[bytes], rest: dict[str, Any]) -> bytes:
     """Return the text with these settings in stepcore's own text, which keeps its other words."""
-    match = re.search(r"""\bdata\s*=\s*["']([^"']*)["']""", own[0].decode("utf-8", "replace"))
+    match = re.search(r"""\bdata\s*=\s*["']([^"']*)["']""", opening[0].decode("utf-8", "replace"))
     settings = Settings().as_dict()
     words = (match[1] if match else "").split()
-    others = [word for word in words if word.partition("=")[0] not in settings]
-    text = " ".join([*filter(None, [own_data(rest)]), *others])
-    if not text and own[0].endswith(b"/>"):
+    kept_words = [word for word in words if word.partition("=")[0] not in settings]
+    text = " ".join([*filter(None, [own_data(rest)]), *kept_words])
+    if not text and opening[0].endswith(b"/>"):
         # MuJoCo refuses a text without data.
-        return data[: own.start()] + data[own.end() :]
-    return _with(data, own, {"data": text})
+        return data[: opening.start()] + data[opening.end() :]
+    return _with(data, opening, {"data": text})
 
 
 def _with(data: bytes, start: re.Match[bytes] | None, attributes: dict[str, str]) -> bytes:

@@ -99,12 +99,12 @@ def read_hfield(path: str | os.PathLike[str], content_type: str = "") -> NDArray
     return heights
 
 
-def _known(what: str, name: str, content_type: str, known: dict[str, str]) -> str:
+def _known(noun: str, name: str, content_type: str, types: dict[str, str]) -> str:
     """Return the format of a content type, "" without one; raise ValueError for an unknown one."""
-    if content_type and content_type not in known:
-        near = checks.nearest(content_type, known)
-        raise _refused(name, f"no {what} has the content type {checks.quoted(content_type)}{near}")
-    return known.get(content_type, "")
+    if content_type and content_type not in types:
+        near = checks.nearest(content_type, types)
+        raise _refused(name, f"no {noun} has the content type {checks.quoted(content_type)}{near}")
+    return types.get(content_type, "")
 
 
 def _refused(name: str, text: str) -> ValueError:
@@ -117,8 +117,8 @@ def notes(where: str, surface: Surface) -> list[str]:
         return [f"{where}: calls another axis than z up, which is passed over, as in ROS"]
     if not surface.beyond:
         return []
-    what = "of an OBJ file the first object is read for mass and shape, as in MuJoCo"
-    return [f"{where}: {what}, and {surface.beyond} faces of others are not"]
+    note = "of an OBJ file the first object is read for mass and shape, as in MuJoCo"
+    return [f"{where}: {note}, and {surface.beyond} faces of others are not"]
 
 
 def _check(vertices: NDArray[Any], faces: NDArray[Any] | None) -> None:
@@ -240,19 +240,19 @@ def obj(data: bytes) -> Surface:
     polygons: list[list[bytes]] = []
     # Number of vertices before each face; negative indices count back from there.
     before: list[int] = []
-    whole, beyond = False, 0
+    several, beyond = False, 0
     for number, line in enumerate(text.split(b"\n"), 1):
         words = line.split()
         if not words or words[0] not in (b"v", b"f", b"o", b"g"):
             continue
         if words[0] in (b"o", b"g"):
-            whole |= bool(polygons) and len(words) > 1
+            several |= bool(polygons) and len(words) > 1
             continue
         if len(words) < 4:
             raise ValueError(f"line {number} has fewer than 3 entries")
         if words[0] == b"v":
             places += words[1:4]
-        elif whole:
+        elif several:
             beyond += 1
         else:
             polygons.append([word.partition(b"/")[0] for word in words[1:]])

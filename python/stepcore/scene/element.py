@@ -102,11 +102,11 @@ def table(kind: type[Element]) -> dict[str, Row]:
         hints = typing.get_type_hints(kind, include_extras=True)
         rows = {}
         for spec in dataclasses.fields(kind):  # type: ignore[arg-type]
-            held, *unit = hints[spec.name].__metadata__
+            hint, *unit = hints[spec.name].__metadata__
             missing = spec.default is dataclasses.MISSING
-            checked = None if missing else held.check(kind.__name__, spec.name, spec.default)
+            checked = None if missing else hint.check(kind.__name__, spec.name, spec.default)
             poly = f"{spec.name}poly" if f"{spec.name}poly" in hints else ""
-            rows[spec.name] = Row(spec.name, held, "".join(unit), spec.default, checked, poly)
+            rows[spec.name] = Row(spec.name, hint, "".join(unit), spec.default, checked, poly)
         _TABLES[kind] = rows
         _CHECKS[kind] = {n: (row.type.check, row.default, row.checked) for n, row in rows.items()}
     return _TABLES[kind]
@@ -134,12 +134,12 @@ class Element:
     place: ClassVar[str] = ""
 
     def __setattr__(self, field: str, value: object) -> None:
-        known = _CHECKS.get(type(self)) or _checks_of(type(self))
-        if field not in known:
+        field_checks = _CHECKS.get(type(self)) or _checks_of(type(self))
+        if field not in field_checks:
             raise AttributeError(
-                f"{self} has no field {checks.quoted(field)}{checks.nearest(field, known)}"
+                f"{self} has no field {checks.quoted(field)}{checks.nearest(field, field_checks)}"
             )
-        check, default, checked = known[field]
+        check, default, checked = field_checks[field]
         if value is not default:
             try:
                 checked = check(self, field, value)
@@ -152,10 +152,10 @@ class Element:
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         result = object.__new__(type(self))
         memo[id(self)] = result
-        own = result.__dict__
+        attributes = result.__dict__
         for field, value in self.__dict__.items():
             # Numbers, strings and tuples of numbers are immutable: copies can share them.
-            own[field] = value if type(value) in _CONSTANT else copy.deepcopy(value, memo)
+            attributes[field] = value if type(value) in _CONSTANT else copy.deepcopy(value, memo)
         return result
 
     def values(self) -> dict[str, Any]:
@@ -163,10 +163,10 @@ class Element:
 
         The coefficients of a polynomial form one tuple if any beyond the first differs from 0.
         """
-        own, values = self.__dict__, {}
+        attributes, values = self.__dict__, {}
         for name, poly in _value_plan(type(self)):  # type: ignore[arg-type]
-            value = own[name]
-            values[name] = (value, *own[poly]) if poly and any(own[poly]) else value
+            value = attributes[name]
+            values[name] = (value, *attributes[poly]) if poly and any(attributes[poly]) else value
         return values
 
     def record(self, *skip: str) -> dict[str, Any]:
@@ -175,13 +175,13 @@ class Element:
         Tuples become lists, the coefficients of a polynomial become one list, and each pair of
         solref and solimp becomes a dict.
         """
-        own, record = self.__dict__, {}
+        attributes, record = self.__dict__, {}
         for name, engine_name, poly, solimp in _record_plan(type(self), skip):  # type: ignore[arg-type]
-            value = own[name]
+            value = attributes[name]
             if poly:
-                value = [value, *own[poly]]
+                value = [value, *attributes[poly]]
             elif solimp:
-                value = {"solref": list(value), "solimp": list(own[solimp])}
+                value = {"solref": list(value), "solimp": list(attributes[solimp])}
             elif type(value) is tuple:
                 value = list(value)
             record[engine_name] = value
@@ -260,13 +260,13 @@ def place_of(places: Places, element: Element) -> int:
 def made(kind: type[E], values: Mapping[str, Any]) -> E:
     """Return `kind(**values)`, faster: fields that keep their defaults are not checked again."""
     element = object.__new__(kind)
-    own = element.__dict__
+    attributes = element.__dict__
     for field, (check, default, checked) in (_CHECKS.get(kind) or _checks_of(kind)).items():
         if field in values:
             value = values[field]
-            own[field] = checked if value is default else check(element, field, value)
+            attributes[field] = checked if value is default else check(element, field, value)
         elif default is dataclasses.MISSING:
             return kind(**values)  # Raises a TypeError that names the missing field.
         else:
-            own[field] = checked
+            attributes[field] = checked
     return element

@@ -20,11 +20,11 @@ def cross(a: Sequence[float], b: Sequence[float]) -> Vec:
     )
 
 
-def normalised(v: Sequence[float], what: str) -> Vec:
+def normalised(v: Sequence[float], name: str) -> Vec:
     """Return `v` scaled to length 1; raise ValueError, naming `what`, if `v` is too short."""
     norm = math.hypot(*v)
     if not TINY < norm < math.inf:
-        raise ValueError(f"{what} is too short to give a direction")
+        raise ValueError(f"{name} is too short to give a direction")
     return tuple(x / norm for x in v)
 
 

@@ -73,16 +73,16 @@ def _limits(actuator: Actuator) -> Sequence[float] | None:
     return bounds
 
 
-def _simulated(scene: Scene, data: dict[str, Any], asked: list[int]) -> list[list[float]]:
+def _simulated(scene: Scene, data: dict[str, Any], indices: list[int]) -> list[list[float]]:
     rules = scene.lengthrange
     bare = _bare(data)
     timestep = rules.timestep or scene.settings.dt
-    key = hashlib.sha256(pickle.dumps((bare, rules.record(), timestep, asked))).digest()
+    key = hashlib.sha256(pickle.dumps((bare, rules.record(), timestep, indices))).digest()
     if key not in _found:
-        lengths = _extremes(bare, rules, timestep, asked, scene.actuators)
+        lengths = _extremes(bare, rules, timestep, indices, scene.actuators)
         ranges = [
             _settled(scene.actuators[index], rules, *each)
-            for index, each in zip(asked, lengths, strict=True)
+            for index, each in zip(indices, lengths, strict=True)
         ]
         if len(_found) >= 64:
             _found.pop(next(iter(_found)))
@@ -117,17 +117,17 @@ def _extremes(
     bare: dict[str, Any],
     rules: LengthRange,
     timestep: float,
-    asked: list[int],
+    indices: list[int],
     actuators: Sequence[Actuator],
 ) -> Lengths:
     """Return the least and greatest length in the last interval of both pulls, by actuator."""
     model = _core.compile(bare)
     settings = _core.Settings(dt=timestep, integrator="euler")
-    twice = 2 * len(asked)
+    twice = 2 * len(indices)
     batch = _core.Batch(model, settings, twice, 1, True, False)
     arrays = dict(batch.arrays())
-    pulled, world = np.repeat(asked, 2), np.arange(twice)
-    way = np.tile([-rules.accel, rules.accel], len(asked))[:, None]
+    pulled, world = np.repeat(indices, 2), np.arange(twice)
+    way = np.tile([-rules.accel, rules.accel], len(indices))[:, None]
     ctrl, act = np.zeros((twice, arrays["ctrl"].shape[1])), np.zeros((twice, 0))
     ctrl[world, pulled] = 1.0
     # 10 ms is MuJoCo's lower bound of the time constant.

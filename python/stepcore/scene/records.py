@@ -95,8 +95,8 @@ def _hfields(hfields: Iterable[HField]) -> list[dict[str, Any]]:
         (nrow, ncol), key = hfield.elevation.shape, id(hfield.elevation)
         if key not in heights:
             heights[key] = hfield.elevation[::-1].ravel()
-        own = {"name": hfield.name, "nrow": nrow, "ncol": ncol, "size": list(hfield.size)}
-        records.append(own | {"data": heights[key]})
+        record = {"name": hfield.name, "nrow": nrow, "ncol": ncol, "size": list(hfield.size)}
+        records.append(record | {"data": heights[key]})
     return records
 
 
@@ -118,7 +118,7 @@ class Variation:
             # A mass that comes from geoms changes these. An input has the values of what it feeds.
             inferred = field == "mass" and isinstance(element, Body) and element.mass is None
             geoms = [geom for geom in self.scene.geoms if geom.body is element]
-            inputs = [one for one in self.scene.actuators if one.feeds is element]
+            inputs = [actuator for actuator in self.scene.actuators if actuator.feeds is element]
             touched.append(geoms if inferred else [element, *inputs])
         self._initial = [
             (element, dict(element.__dict__)) for elements in touched for element in elements
@@ -131,11 +131,11 @@ class Variation:
             for kind, elements in self._lists.items()
             for index, element in enumerate(elements)
         }
-        known = {places.get(id(element)) for element, _ in self._initial}
+        kinds = {places.get(id(element)) for element, _ in self._initial}
         # Values of elements in other lists, and length ranges found by simulation, need all records
         # to be recomputed.
-        self._all_anew = None in known or bool(length_ranges.asked(self.scene))
-        self._places = sorted(place for place in known if place is not None)
+        self._all_anew = None in kinds or bool(length_ranges.asked(self.scene))
+        self._places = sorted(place for place in kinds if place is not None)
         self._data: dict[str, Any] | None = None
 
     def data(self, values: Mapping[str, Any], checked: bool = True) -> dict[str, Any]:

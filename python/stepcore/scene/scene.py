@@ -234,9 +234,9 @@ class Scene(checks.KnownNames):
 
     def _find(self, elements: Sequence[E], kind: str, name: object) -> E:
         """Return the element with this name, or the given element if the list contains it."""
-        found: E | None = self._names.setdefault(kind, Names()).find(elements, name)
-        if found is not None:
-            return found
+        element: E | None = self._names.setdefault(kind, Names()).find(elements, name)
+        if element is not None:
+            return element
         if isinstance(name, str):
             names = [e.name for e in elements]  # type: ignore[attr-defined]
             raise ValueError(self._no_such(kind, name, names))
@@ -245,18 +245,18 @@ class Scene(checks.KnownNames):
         limit = f"a name or a {kind.capitalize()}"
         raise ValueError(f"{kind} = {checks.shown(name)}: must be {limit}")
 
-    def _no_such(self, what: str, name: str, names: Sequence[str]) -> str:
+    def _no_such(self, noun: str, name: str, names: Sequence[str]) -> str:
         """Return the error text for an unknown name: the nearest names.
 
         For the name of a fused body the text names the body that contains it now.
         """
-        said = f"no {what} is named {checks.quoted(name)}"
-        if "body" not in what.split() or name not in self.fused:
-            return said + checks.nearest(name, names)
+        text = f"no {noun} is named {checks.quoted(name)}"
+        if "body" not in noun.split() or name not in self.fused:
+            return text + checks.nearest(name, names)
         into = self.fused[name]
-        whole = f"body {checks.quoted(into)}" if into else "a body without a name"
+        owner = f"body {checks.quoted(into)}" if into else "a body without a name"
         return (
-            f"{said}: nothing moves it against {whole}, of which it is a part; "
+            f"{text}: nothing moves it against {owner}, of which it is a part; "
             "load(..., fuse=False) keeps it a body of its own"
         )
 
@@ -298,13 +298,13 @@ class Scene(checks.KnownNames):
         Raises ValueError for an unknown field, or a value outside its limits.
         """
         scene = copy.deepcopy(self)
-        given = {**settings, **fields} if isinstance(settings, Mapping) else fields
+        values = {**settings, **fields} if isinstance(settings, Mapping) else fields
         if settings is not None and not isinstance(settings, Mapping):
             scene.settings = settings
-        if "tolerance" in given:
+        if "tolerance" in values:
             # A tolerance given as an argument replaces the file's.
             scene.options.pop("cost_tolerance", None)
-        scene.options.update(given)
+        scene.options.update(values)
         _ = scene.settings  # Raises for unknown fields and bad values.
         return scene
 
@@ -327,10 +327,10 @@ class Scene(checks.KnownNames):
             Without a mass, mass, centre of mass and inertia follow from the body's geoms. A mass
             without an inertia is a point mass.
         """
-        given = {field: value for field, value in fields.items() if value is not None}
-        own = {"name": name, "parent": self.body(parent), "pos": pos, "quat": quat}
+        optional = {field: value for field, value in fields.items() if value is not None}
+        arguments = {"name": name, "parent": self.body(parent), "pos": pos, "quat": quat}
         with self._naming():
-            body = _make(Body, given, **own)
+            body = _make(Body, optional, **arguments)
             body.check_mass()
         return self._append(self.bodies, body)
 
@@ -365,10 +365,10 @@ class Scene(checks.KnownNames):
         mesh, hfield: as names or objects; see `Geom`.
         fields: of `Geom`: name, pos [m], quat, mass [kg], density [kg/m³], friction, …
         """
-        own = {"body": body, "type": type, "size": size, "mesh": mesh, "hfield": hfield}
-        own = self._resolved(Geom, own)
+        arguments = {"body": body, "type": type, "size": size, "mesh": mesh, "hfield": hfield}
+        arguments = self._resolved(Geom, arguments)
         with self._naming():
-            geom = _make(Geom, fields, **own)
+            geom = _make(Geom, fields, **arguments)
             if fromto is not None:
                 _place(geom, fromto, fields)
         return self._append(self.geoms, geom)
@@ -393,18 +393,18 @@ class Scene(checks.KnownNames):
         Raises ValueError for a file that is damaged, is no regular file or has more than 256 MiB,
         FileNotFoundError and IsADirectoryError.
         """
-        given: dict[str, Any] = {"vertices": vertices, "faces": faces}
+        arrays: dict[str, Any] = {"vertices": vertices, "faces": faces}
         checks.word("name", name)
         if (file is None) == (vertices is None) or (file is not None and faces is not None):
             raise ValueError(f"mesh {checks.quoted(name)}: needs either vertices or a file")
         if file is not None:
             file = files.path("file", file)
             surface = asset_files.read_mesh(file)
-            given["vertices"], given["faces"] = surface.vertices, surface.faces
+            arrays["vertices"], arrays["faces"] = surface.vertices, surface.faces
             self.notes += asset_files.notes(file, surface)
-            given["file"] = file
+            arrays["file"] = file
             name = name or os.path.splitext(os.path.basename(file))[0]
-        return self._add(self.meshes, Mesh, fields, name=name, **given)
+        return self._add(self.meshes, Mesh, fields, name=name, **arrays)
 
     def add_hfield(
         self,
@@ -425,12 +425,12 @@ class Scene(checks.KnownNames):
         checks.word("name", name)
         if (file is None) == (elevation is None):
             raise ValueError(f"hfield {checks.quoted(name)}: needs either an elevation or a file")
-        given: dict[str, Any] = {"elevation": elevation}
+        arrays: dict[str, Any] = {"elevation": elevation}
         if file is not None:
             file = files.path("file", file)
-            given = {"elevation": asset_files.read_hfield(file), "file": file}
+            arrays = {"elevation": asset_files.read_hfield(file), "file": file}
             name = name or os.path.splitext(os.path.basename(file))[0]
-        return self._add(self.hfields, HField, {}, name=name, size=size, **given)
+        return self._add(self.hfields, HField, {}, name=name, size=size, **arrays)
 
     def add_site(self, body: str | Body = "world", **fields: Unpack[of.SiteFields]) -> Site:
         """Add a site, a named frame on a body.
@@ -466,9 +466,11 @@ class Scene(checks.KnownNames):
         >>> float(Sim(scene).tendon("rope").length)
         1.0
         """
-        own = checks.mapping("joints", {} if joints is None else joints, "joints and coefficients")
+        coefficients = checks.mapping(
+            "joints", {} if joints is None else joints, "joints and coefficients"
+        )
         stops = [self._stop(stop) for stop in path]
-        stops += [(self.joint(joint), coef) for joint, coef in own.items()]
+        stops += [(self.joint(joint), coef) for joint, coef in coefficients.items()]
         return self._add(self.tendons, Tendon, fields, name=name, path=stops)
 
     def _stop(self, stop: Any) -> Any:
@@ -494,10 +496,10 @@ class Scene(checks.KnownNames):
         """
         checks.one_of(*OBJECTS)("Sensor", "type", type)
         kinds = zip(OBJECTS[type], (("object", object), ("reference", reference)), strict=True)
-        ends = {end: self._end(of, end, name) for of, (end, name) in kinds}
+        ends = {end: self._end(kind, end, name) for kind, (end, name) in kinds}
         return self._add(self.sensors, Sensor, fields, type=type, **ends)
 
-    def _end(self, kinds: Sequence[str], what: str, name: object) -> Element | None:
+    def _end(self, kinds: Sequence[str], role: str, name: object) -> Element | None:
         """Return the element of these kinds with this name; return an element unchanged.
 
         Raises ValueError for an unknown name, with the nearest names, and for a name that elements
@@ -506,20 +508,20 @@ class Scene(checks.KnownNames):
         if name is None or isinstance(name, Element):
             return name
         if not kinds:
-            raise ValueError(f"{what} = {checks.shown(name)}: a sensor of this type has none")
+            raise ValueError(f"{role} = {checks.shown(name)}: a sensor of this type has none")
         every: list[Any] = [end for kind in kinds for end in getattr(self, LISTS[kind])]
         matches: list[Element] = [end for end in every if name and end.name == name]
         if len(matches) == 1:
             return matches[0]
         words = " or ".join(kinds)
         if matches:
-            what = " and ".join(type(end).__name__.lower() for end in matches)
+            role = " and ".join(type(end).__name__.lower() for end in matches)
             raise ValueError(
-                f"{checks.shown(name)} is the name of a {what}: give the object itself"
+                f"{checks.shown(name)} is the name of a {role}: give the object itself"
             )
         if not isinstance(name, str):
             raise ValueError(
-                f"{what} = {checks.shown(name)}: must be the name of a {words}, or one"
+                f"{role} = {checks.shown(name)}: must be the name of a {words}, or one"
             )
         raise ValueError(self._no_such(words, name, [end.name for end in every]))
 
@@ -579,14 +581,14 @@ class Scene(checks.KnownNames):
 
     def _resolved(self, kind: type[Element], fields: Mapping[str, Any]) -> dict[str, Any]:
         """Return fields with the elements for the names of references; None is a default."""
-        rows, found = table(kind), dict(fields)
+        rows, resolved = table(kind), dict(fields)
         for field, value in fields.items():
             refers = rows[field].type.refers if field in rows else ()
             if refers and value is None and rows[field].default is not dataclasses.MISSING:
-                del found[field]
+                del resolved[field]
             elif len(refers) == 1 and isinstance(value, str):
-                found[field] = getattr(self, refers[0].lower())(value)
-        return found
+                resolved[field] = getattr(self, refers[0].lower())(value)
+        return resolved
 
     @contextlib.contextmanager
     def _naming(self) -> Iterator[None]:
@@ -759,10 +761,10 @@ def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
 
 
 def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
-    known = table(kind)
+    rows = table(kind)
     for field in fields:
-        if field not in known:
-            near = checks.nearest(field, known)
+        if field not in rows:
+            near = checks.nearest(field, rows)
             raise ValueError(f"a {kind.__name__.lower()} has no field {checks.quoted(field)}{near}")
     if own.keys() & fields.keys():
         return kind(**own, **fields)  # Raises a TypeError that names the repeated field.

@@ -74,9 +74,9 @@ def find(scene: Scene, path: object) -> tuple[Element, str]:
     except ValueError as error:
         raise ValueError(f"{shown}: {error}") from None
     rows = table(type(element)).values()
-    known = [row.name for row in rows if row.name not in ("name", "file") and not row.type.refers]
-    if field not in known:
-        near, n = checks.nearest(field, known), "n" * (kind[0] in "aeiou")
+    fields = [row.name for row in rows if row.name not in ("name", "file") and not row.type.refers]
+    if field not in fields:
+        near, n = checks.nearest(field, fields), "n" * (kind[0] in "aeiou")
         raise ValueError(f"{shown}: a{n} {kind} has no value {checks.quoted(field)}{near}")
     return element, field
 

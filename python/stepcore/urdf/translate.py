@@ -79,10 +79,10 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
     ignored: list[str] = []
     pending: list[tuple[Node, Spec]] = [(root, schema)]
     while pending:
-        node, known = pending.pop()
-        ignored += _drop_attributes(node, known)
+        node, spec = pending.pop()
+        ignored += _drop_attributes(node, spec)
         try:
-            node.values = values_of(node, known)
+            node.values = values_of(node, spec)
         except MJCFError as error:
             refusals.add(error, node)
             continue
@@ -92,13 +92,13 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
             refusals.add(node.error(f'<mesh filename="{name}">: {text}'))
         # Unknown elements are common in URDF files, but the shape of a geom must be known.
         shapeless = node.tag == "geometry" and not any(
-            child.tag in known.children for child in node.children
+            child.tag in spec.children for child in node.children
         )
         kept = []
         for child in node.children:
-            if child.tag in known.children:
+            if child.tag in spec.children:
                 kept.append(child)
-                pending.append((child, known.children[child.tag]))
+                pending.append((child, spec.children[child.tag]))
             elif child.tag.startswith("xacro:") and child.tag not in XACRO_ONLY:
                 text = f"<{child.tag}>: this is xacro, from which the program xacro makes URDF"
                 refusals.add(child.error(text))
@@ -106,12 +106,12 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
                 text = f"<{child.tag}> is of MJCF, which a URDF has inside <mujoco>"
                 refusals.add(child.error(text))
             elif shapeless and child.tag not in XACRO_ONLY:
-                near = nearest(child.tag, known.children)
+                near = nearest(child.tag, spec.children)
                 refusals.add(child.error(f"unknown element <{child.tag}> in <{node.tag}>{near}"))
             else:
                 why = "only draws" if child.tag in DRAWS else "says nothing about the motion"
                 ignored.append(child.listed(why))
-        for tag in known.once:
+        for tag in spec.once:
             same = [child for child in kept if child.tag == tag]
             if len(same) > 1:
                 refusals.add(same[1].error(f"a second <{tag}> in the same <{node.tag}>"))
@@ -119,7 +119,7 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
     return ignored
 
 
-def _drop_attributes(node: Node, known: Spec) -> list[str]:
+def _drop_attributes(node: Node, spec: Spec) -> list[str]:
     """Remove attributes outside URDF and infinite limits; return lines about the attributes."""
     if node.tag == "limit":
         words = {name: text.strip().lower().lstrip("+-") for name, text in node.attrs.items()}
@@ -130,8 +130,8 @@ def _drop_attributes(node: Node, known: Spec) -> list[str]:
             del node.attrs[name]
     # A misspelled attribute is missing. An attribute that resembles only given ones belongs to
     # another program.
-    missing = [name for name in known.attrs if name not in node.attrs]
-    extra = [name for name in node.attrs if name not in known.attrs]
+    missing = [name for name in spec.attrs if name not in node.attrs]
+    extra = [name for name in node.attrs if name not in spec.attrs]
     far = [name for name in extra if "nearest" not in nearest(name, missing)]
     foreign = [name for name in extra if name in far or name in FOREIGN]
     for name in foreign:

@@ -245,10 +245,10 @@ class Actuator(Element):
 
         kp and kv of a general servo are those of its bias.
         """
-        value, own = getattr(self, field), LAW_FIELDS[self.type]
-        if value is None and field in ("kp", "kv") and field not in own:
+        value, fields = getattr(self, field), LAW_FIELDS[self.type]
+        if value is None and field in ("kp", "kv") and field not in fields:
             return self.servo_gains.get(field)
-        return own.get(field) if value is None else value
+        return fields.get(field) if value is None else value
 
     @property
     def servo_gains(self) -> dict[str, float]:
@@ -341,10 +341,10 @@ class Actuator(Element):
             end = getattr(self, field)
             if isinstance(end, Element):
                 places.needed(self, end)
-        known = LAW_FIELDS[self.type]
+        fields = LAW_FIELDS[self.type]
         for field in ALL_LAW_FIELDS:
-            if getattr(self, field) is not None and field not in known:
-                has = ", ".join(known) or "none of these"
+            if getattr(self, field) is not None and field not in fields:
+                has = ", ".join(fields) or "none of these"
                 raise self._bad(field, f"None for type {self.type!r}, which has {has}")
         self._check_target()
         if self.delay > 0 and self.nsample == 0:
@@ -412,8 +412,8 @@ class Actuator(Element):
                 raise self._bad(targets[0], "None for type 'input', which pulls at nothing itself")
             return
         if len(targets) != 1:
-            what = " and ".join(targets) or "nothing"
-            text = f"pulls at {what}: it needs exactly one of {', '.join(TARGETS)}"
+            named_targets = " and ".join(targets) or "nothing"
+            text = f"pulls at {named_targets}: it needs exactly one of {', '.join(TARGETS)}"
             raise checks.ElementError(self, text)
         target = targets[0]
         for second, first in SECOND.items():
@@ -441,8 +441,8 @@ class Actuator(Element):
         if self.ki and "pos" not in words:
             raise self._bad("ki", "None without the input pos")
         if self.slewmax and not (words[0] == "pos" or (motor and words[0] != "voltage")):
-            what = "pos, vel or ff" if motor else "pos"
-            raise self._bad("slewmax", f"None without the input {what}")
+            allowed = "pos, vel or ff" if motor else "pos"
+            raise self._bad("slewmax", f"None without the input {allowed}")
         if self.refsite is None and getattr(self.target[1], "type", "") != "ball":
             return
         # The shorter way round needs a position target without a state.

@@ -177,12 +177,12 @@ def _pid(values: Values) -> Law:
     words = inputs("pid", values["input"])
     # With a damping ratio the engine computes kv, which is also the gain of the velocity input.
     by_ratio = words == ["vel"] and bool(values["dampratio"])
-    own = {field: values[field] or 0.0 for field in CONTROL}
+    gains = {field: values[field] or 0.0 for field in CONTROL}
     kp, kv = values["kp"], values["kv"]
     law = Law("fixed", (kp,), "affine", (0.0, 0.0 - kp, 0.0 - kv), dampratio=values["dampratio"])
-    if len(words) > 1 or own["ki"] or own["slewmax"] or by_ratio:
+    if len(words) > 1 or gains["ki"] or gains["slewmax"] or by_ratio:
         gain = kp if "pos" in words else 0.0
-        return law._replace(gainprm=(gain,), controller={**own, "motor": None})
+        return law._replace(gainprm=(gain,), controller={**gains, "motor": None})
     return law._replace(gainprm=(_gains(kp, kv).get(words[0], 0.0),))
 
 
@@ -192,12 +192,12 @@ def _gains(kp: float, kv: float) -> dict[str, float]:
 
 def _dcmotor(values: Values) -> Law:
     words = inputs("dcmotor", values["input"])
-    own = {field: values[field] or 0.0 for field in CONTROL}
+    gains = {field: values[field] or 0.0 for field in CONTROL}
     kp, kv = values["kp"], values["kv"]
     law = Law("fixed", (0.0,), "affine", (0.0, 0.0 - kp, 0.0 - kv))
     lugre, cogging = values["lugre"], values["cogging"]
     numbers = {f: values[f] or 0.0 for f in ("resistance", "inductance", "vmax", "current_rate")}
-    more = (own["ki"], own["slewmax"], *list(numbers.values())[1:], *cogging)
+    more = (gains["ki"], gains["slewmax"], *list(numbers.values())[1:], *cogging)
     if len(words) > 1 or any(more) or any(values["thermal"] or ()) or any(lugre or ()):
         motor = {
             **numbers,
@@ -206,7 +206,7 @@ def _dcmotor(values: Values) -> Law:
             "cogging": list(cogging),
             "lugre": list(lugre) if lugre is not None and lugre[0] > 0 else None,
         }
-        return law._replace(controller={**own, "motor": motor})
+        return law._replace(controller={**gains, "motor": motor})
     if words == ["voltage"]:
         conducted = values["motorconst"] / values["resistance"]
         bias = (0.0, 0.0, 0.0 - conducted * values["motorconst"])
@@ -269,11 +269,11 @@ LAW_FIELDS = {name: each.fields for name, each in LAWS.items()}
 ALL_LAW_FIELDS = tuple(sorted({field for fields in LAW_FIELDS.values() for field in fields}))
 
 
-def inputs(kind: str, given: str | None) -> list[str]:
+def inputs(kind: str, words: str | None) -> list[str]:
     """Return the meanings of an actuator's controls, first that of its control input.
 
     given: the actuator's field `input`.
     """
     if kind == "orientation":
-        return list(CHARTS[given or "expmap"])
-    return (given or "voltage").split() if kind in FED else ["pos"]
+        return list(CHARTS[words or "expmap"])
+    return (words or "voltage").split() if kind in FED else ["pos"]

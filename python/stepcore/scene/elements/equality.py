@@ -84,11 +84,11 @@ class Equality(Element):
     def bodies(self) -> tuple[Body, ...]:
         """The constrained bodies, directly or through their sites, joints or tendons."""
         holders = (self.site1, self.site2, self.joint1, self.joint2)
-        own = tuple(body for body in (self.body1, self.body2) if body is not None)
-        own += tuple(holder.body for holder in holders if holder is not None)
+        ends = tuple(body for body in (self.body1, self.body2) if body is not None)
+        ends += tuple(holder.body for holder in holders if holder is not None)
         tendons = (tendon for tendon in (self.tendon1, self.tendon2) if tendon is not None)
         passed = (element for tendon in tendons for element in tendon.elements())
-        return own + tuple(e.body for e in passed if isinstance(e, (Joint, Site, Geom)))
+        return ends + tuple(e.body for e in passed if isinstance(e, (Joint, Site, Geom)))
 
     @property
     def ties_lengths(self) -> bool:
@@ -125,8 +125,8 @@ class Equality(Element):
             places.needed(self, site)
         if first == second:
             same_body = f"{ends[0]} to {ends[1]}, of the same body"
-            what = same_body if by_site else f"{ends[0]} to itself"
-            raise checks.ElementError(self, f"connects {what}")
+            problem = same_body if by_site else f"{ends[0]} to itself"
+            raise checks.ElementError(self, f"connects {problem}")
 
     def _check_lengths(self, places: Places) -> None:
         first, second = self._lengths
