@@ -67,6 +67,8 @@ struct Growing<'a> {
     seen: Vec<usize>,
     horizon: Vec<(usize, usize)>,
     starts: Vec<usize>,
+    /// Of all points together: adding one may take little.
+    meter: Meter,
 }
 
 /// Computes the hull of `points`, of at most `most` vertices.
@@ -80,6 +82,7 @@ pub(super) fn surface(points: &[Point], most: usize) -> Result<Surface, Flat> {
         seen: Vec::new(),
         horizon: Vec::new(),
         starts: vec![0; points.len()],
+        meter: Meter::default(),
     };
     hull.begin(first);
     while hull.vertices() < most {
@@ -156,9 +159,8 @@ impl Growing<'_> {
 
     /// Gives each of these points to the first triangle from `from` on that it is outside of.
     fn share(&mut self, points: &[usize], from: usize) {
-        let mut meter = Meter::default();
         for &point in points {
-            meter.count(self.triangles.len() - from);
+            self.meter.count(self.triangles.len() - from);
             let place = &self.points[point];
             let holder = self.triangles[from..].iter_mut().find(|t| t.plane.beyond_noise(place));
             if let Some(triangle) = holder {
@@ -221,9 +223,9 @@ impl Growing<'_> {
         self.horizon.clear();
         self.seen.push(triangle);
         self.triangles[triangle].alive = false;
-        let (mut at, mut meter) = (0, Meter::default());
+        let mut at = 0;
         while at < self.seen.len() {
-            meter.count(ROW);
+            self.meter.count(ROW);
             let here = self.seen[at];
             for edge in 0..3 {
                 let beyond = self.triangles[here].across[edge];
