@@ -232,6 +232,8 @@ def number(cell: Any) -> float:
 
 def _moment(cell: Any) -> float | None:
     """Return the seconds since 1970 of a date and time, in UTC if it has no zone; else None."""
+    # pandas takes 0.4 s or more to import, and does not infer the unit of seconds since 1970:
+    # `pandas.to_datetime` (3.1) reads integers as ns and refuses "1700000000.5".
     try:
         moment = cell if isinstance(cell, datetime) else datetime.fromisoformat(cell.strip())
     except (ValueError, AttributeError):
@@ -393,13 +395,11 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
 
 
 def _decoder(path: str, schema: Any, encoding: str, topic: str | None) -> Any:
-    """Return the function that decodes messages, or None for a format that is not read.
-
-    In ROS 2 many topics have numbers: without a chosen topic only joint states are read.
-    """
+    """Return the function that decodes messages, or None for a format that is not read."""
     if encoding == "json":
         return json.loads
     joints = schema is not None and schema.name.replace("/msg/", "/") == "sensor_msgs/JointState"
+    # Many topics of ROS 2 have numbers: without a chosen topic only joint states are read.
     if encoding != "cdr" or not (topic or joints):
         return None
     package = need(
