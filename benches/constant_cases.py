@@ -230,7 +230,6 @@ CASES: dict[str, Callable[[], Any]] = {
     ),
     "check cheetah": lambda: sc.check("gymnasium:half_cheetah", horizon=0.1, **QUIET),
     "tune depth": lambda: sc.tune(floor(BOX), depth="0.1mm"),
-    "tune stiffness": lambda: sc.tune(floor(BALL), stiffness=1e5),
     "tune bandwidth": lambda: sc.tune(servo(50, ""), bandwidth=3.0),
     "tune settling": lambda: sc.tune(servo(50, ""), settling="150ms"),
     "tune sag": lambda: sc.tune(servo(50, ""), sag=0.01),

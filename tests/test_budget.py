@@ -1,10 +1,15 @@
-"""No room outgrows its number in tests/budget.toml."""
+"""No room outgrows its number in tests/budget.toml, and every feature has a user there."""
 
 import ast
+import inspect
+import re
 import tomllib
 from pathlib import Path
 
 import pytest
+
+import stepcore
+from stepcore.cli import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 BUDGET = tomllib.loads((ROOT / "tests" / "budget.toml").read_text(encoding="utf-8"))
@@ -81,3 +86,17 @@ def test_every_file_is_in_a_room():
 def test_what_counts_as_a_constant():
     text = "A = 1\nB, C = 2.0, 'word'\nD: int = -3 * 4\nE = (1, 2)\nF = len('')\ng = 5\nH = True\n"
     assert constants_in(text) == ["A", "B", "D", "E"]
+
+
+def test_every_feature_has_a_line_with_its_users():
+    functions = {name for name in stepcore.__all__ if inspect.isroutine(getattr(stepcore, name))}
+    commands = {name.replace("-", "_") for name in COMMANDS}
+    assert set(BUDGET["features"]) == commands | functions
+
+
+@pytest.mark.parametrize("feature", BUDGET["features"])
+def test_the_files_that_use_a_feature_exist(feature):
+    users = BUDGET["features"][feature]
+    assert len(users.split()) > 2
+    for file in re.findall(r"(?:docs|tests)/[\w/]+\.\w+", users):
+        assert (ROOT / file).exists()

@@ -1,14 +1,11 @@
-"""Replay files: any scene bit for bit; any content, or one line; never in the way of a failure."""
+"""Replay files: any scene bit for bit; a changed byte is refused; saving never hides a failure."""
 
-import copy
 import json
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from zoo import ZOO
 
 import stepcore as sc
@@ -76,130 +73,43 @@ def test_every_scene_of_the_zoo_is_read_back(name, tmp_path):
 def real():
     sim = sc.Sim(sc.loads(EVERYTHING), ledger=True)
     sim.reset(0)
-    return json.loads(failure(sim).replay.to_json())
+    return failure(sim).replay.to_json()
 
 
-def forged(data):
-    """The text of a file whose checksum is right."""
-    body = {name: value for name, value in data.items() if name not in ("kind", "version", "check")}
-    return json.dumps(data | {"check": files._check(body)})
-
-
-def used(path):
-    """What comes of a file: a post-mortem that can be printed, or one line that says why not."""
-    try:
-        again = sc.replay(path)
-    except ValueError as error:
-        text = str(error)
-        assert str(path) in text and "cannot be used: " in text
-        assert "\n" not in text and len(text) < 1500
-        return text
-    assert again.text(full=True) and again.to_json()
-    return ""
+def test_a_changed_byte_is_refused(real, tmp_path):
+    path, data = tmp_path / "changed.json", real.encode() + b"\n"
+    path.write_bytes(data)
+    sc.Replay.load(path)
+    for at in np.random.default_rng(0).integers(len(data), size=100):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        with pytest.raises(ValueError, match=r"changed\.json: [^\n]+\Z"):
+            sc.Replay.load(path)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"happened": {}}, "happened.step: missing"),
-        ({"happened": {"element": 3}}, "happened.step: missing"),
-        ({"steps": 10**12}, "steps = 1000000000000: must be a whole number from 0 to 100000"),
-        ({"steps": -1}, "steps = -1: must be"),
-        ({"steps": True}, "steps = True: must be"),
-        ({"name": 3}, "name = 3: must be a string"),
-        ({"state": "ä"}, "state = 'ä': must be base64"),
-        ({"state": ""}, "state"),
-        ({"scene": {}}, "missing"),
-        ({"settings": {"dt": -1}}, "dt"),
-        ({"settings": {"tolerence": 1}}, "tolerence"),
-        ({"inputs": 3}, "inputs = 3: must be a list"),
-        ({"inputs": [[0]]}, "inputs[0] = [0]: must be a list of 7 entries"),
-        ({"inputs": [[0, [1, 2], [], [], [], [], []]]}, "an input of ctrl has 2 numbers"),
-        ({"inputs": [[0, [None], [], [], [], [], []]]}, "inputs[0][1] = [None]: must be"),
-        ({"more": 1}, "more: no such field"),
+        (lambda text: text.replace('"steps": ', '"steps":  '), "was edited or damaged"),
+        (lambda text: text.replace('"check"', '"chalk"'), "was edited or damaged"),
+        (lambda text: "[" * 100_000, "not a replay file, or incomplete"),
     ],
-    ids=str,
 )
-def test_a_forged_file_is_refused_by_the_field_that_is_wrong(real, change, said, tmp_path):
-    path = tmp_path / "forged.json"
-    path.write_text(forged(real | change))
-    assert said in used(path)
+def test_other_files_are_refused(real, change, said, tmp_path):
+    path = tmp_path / "other.json"
+    path.write_text(change(real))
+    with pytest.raises(ValueError, match=said):
+        sc.replay(path)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        *({"element": "x", "step": [], "shares": 1.5}, {"time": "x"}, {"share_ids": []}),
-        *({"state": 1}, {"element_id": [1, 2, 3]}, {"growth": 10**400}, {"gained": 1}, {"more": 1}),
-    ],
-    ids=str,
-)
-def test_what_happened_is_checked_field_by_field(real, wrong, tmp_path):
-    path = tmp_path / "forged.json"
-    path.write_text(forged(real | {"happened": real["happened"] | wrong}))
-    assert "happened." in used(path)
-
-
-@pytest.mark.parametrize(
-    "array", [3, [], ["<f8", [1], "AAAA"], ["O", [1], ""], ["<f8", [-1, 0], ""], ["<f8", "x", ""]]
-)
-def test_an_array_that_is_none(real, array, tmp_path):
-    path = tmp_path / "forged.json"
-    scene = real["scene"] | {
-        "meshes": [real["scene"]["meshes"][0] | {"vertices": {"array": array}}]
-    }
-    path.write_text(forged(real | {"scene": scene}))
-    assert used(path)
-
-
-JUNK = st.one_of(
-    *(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5), st.just([])),
-    *(st.just({}), st.just(10**400), st.just([[]]), st.just({"array": ["<f8", [2], "AA=="]})),
-)
-
-
-@st.composite
-def mutations(draw):
-    """Where to go in the data, by fractions, and what to do there."""
-    path = draw(st.lists(st.floats(0, 1, exclude_max=True), min_size=1, max_size=6))
-    return path, draw(st.sampled_from(["put", "drop", "double"])), draw(JUNK)
-
-
-def mutated(data, path, how, junk):
-    at = data
-    for depth, part in enumerate(path):
-        keys = list(at) if isinstance(at, dict) else range(len(at))
-        key = keys[int(part * len(keys))]
-        below = at[key]
-        if depth + 1 < len(path) and isinstance(below, (dict, list)) and below:
-            at = below
-            continue
-        if how == "put":
-            at[key] = copy.deepcopy(junk)
-        elif how == "drop":
-            del at[key]
-        elif isinstance(at, list):
-            at.append(copy.deepcopy(below))
-        return
-
-
-@settings(
-    max_examples=150,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
-@given(st.lists(mutations(), min_size=1, max_size=3))
-def test_mutations_of_a_real_file(real, tmp_path, changes):
-    data = json.loads(json.dumps(real))
-    for change in changes:
-        mutated(data, *change)
-    data |= {"kind": files.KIND, "version": files.VERSION}
-    path = tmp_path / "mutated.json"
-    path.write_text(forged(data))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        used(path)
+def test_a_file_that_this_build_cannot_run_is_refused(real, tmp_path):
+    """Another build wrote it, with a setting that this one does not have."""
+    path, data = tmp_path / "other.json", json.loads(real)
+    data |= {"check": "", "settings": data["settings"] | {"new": 1}}
+    text = json.dumps(data, indent=1)
+    check = files._checksum(text.encode())
+    path.write_text(text.replace('"check": ""', f'"check": "{check}"', 1))
+    with pytest.raises(ValueError, match=r"this replay file cannot be used: .*new"):
+        sc.replay(path)
 
 
 # What is in the way of saving is told after the failure.

@@ -22,14 +22,28 @@ TIMES = 0.025 * np.arange(8)
 FORCES = np.random.default_rng(0).normal(size=(8, 2))
 
 
-def write_mcap(path, topics, kind="sensor_msgs/msg/JointState", times=TIMES):
+JOINT_STATE = b"""std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+"""
+
+
+def write_mcap(path, topics, kind="sensor_msgs/msg/JointState", times=TIMES, text=JOINT_STATE):
     """topics: the messages of each topic, one per time; in JSON, or as bytes of another format."""
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start()
         for topic, messages in topics.items():
             plain = isinstance(messages[0], bytes)
-            schema = writer.register_schema(kind, "ros2msg" if plain else "jsonschema", b"{}")
+            schema = writer.register_schema(
+                kind, *(("ros2msg", text) if plain else ("jsonschema", b"{}"))
+            )
             channel = writer.register_channel(topic, "cdr" if plain else "json", schema)
             for time, message in zip(times, messages, strict=False):
                 at = 1700000000000000000 + round(1e9 * time)
@@ -111,10 +125,31 @@ def test_joint_states_of_ros_are_decoded(tmp_path, order):
     assert run.sim.qvel == pytest.approx(FORCES.sum(axis=0) * 0.025 / (2, 4), abs=1e-8)
 
 
-def test_other_messages_of_ros_are_named(tmp_path):
-    path = write_mcap(tmp_path / "log.mcap", {"/scan": [b"\0\1\0\0"]}, "sensor_msgs/msg/LaserScan")
-    with pytest.raises(ValueError, match=r"no messages with numbers.*not read: /scan \(cdr\)"):
+def test_other_messages_of_ros_are_read_from_a_chosen_topic(tmp_path):
+    scans = [bytes([0, 1, 0, 0]) + struct.pack("<I4xdd", 2, *row) for row in FORCES]
+    kind = "std_msgs/msg/Commands"
+    path = write_mcap(tmp_path / "log.mcap", {"/drive": scans}, kind, text=b"float64[] data")
+    with pytest.raises(ValueError, match=r"no messages with numbers.*not read: /drive \(cdr\)"):
         sc.Log(path)
+    run = sc.run(sc.loads(CARTS), horizon=0.2, ctrl=f"{path}:/drive.data")
+    assert run.sim.qvel == pytest.approx(FORCES.sum(axis=0) * 0.025 / (2, 4), abs=1e-8)
+
+
+@pytest.mark.parametrize("text", [b"", b"float64[", b"other/Type field", b"\xff"])
+def test_a_schema_that_cannot_be_decoded_is_refused(tmp_path, text):
+    states = [in_cdr(message) for message in JOINTS]
+    path = write_mcap(tmp_path / "log.mcap", {"/joint_states": states}, text=text)
+    with pytest.raises(ValueError, match=r"log\.mcap: "):
+        sc.Log(path)
+
+
+def test_the_decoder_of_ros_is_needed_for_its_messages_alone(tmp_path, monkeypatch):
+    for package in ("mcap_ros2", "mcap_ros2.decoder"):
+        monkeypatch.setitem(sys.modules, package, None)
+    assert len(sc.Log(write_mcap(tmp_path / "log.mcap", {"/drive": BY_NAME})).times) == len(TIMES)
+    states = [in_cdr(message) for message in JOINTS]
+    with pytest.raises(ImportError, match=r"needs mcap_ros2: pip .*'\.\[mcap\]'"):
+        sc.Log(write_mcap(tmp_path / "log.mcap", {"/joint_states": states}))
 
 
 def test_a_message_that_is_cut_off_is_refused(tmp_path):

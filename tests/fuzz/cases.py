@@ -6,7 +6,6 @@ Each raises what a user is promised, or nothing; `Broken` says that a promise wa
 from __future__ import annotations
 
 import copy
-import json
 import math
 import pickle
 import random
@@ -253,8 +252,6 @@ def flipped_bit(seed: int) -> None:
             sc.replay(path)
         except ValueError:
             return
-        if json.loads(path.read_bytes()) == json.loads(text):
-            return  # A blank more is no damage.
     raise Broken("a damaged replay file was accepted")
 
 

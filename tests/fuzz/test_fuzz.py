@@ -31,7 +31,6 @@ KINDS = {
     "random_scenes.random_scene": 15,
     "random_scenes.random_batch": 15,
     "forged.forged_snapshot": 15,
-    "forged.forged_replay": 15,
     "hostile.hostile_file": 15,
     "misuse.misuse": 10,
     "interrupts.interrupted": 15,

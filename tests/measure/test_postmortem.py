@@ -241,7 +241,7 @@ def test_a_file_that_is_none_or_damaged_or_of_another_version(tmp_path):
         (text[: len(text) // 2], "not a replay file, or incomplete"),
         ("[]", "not a replay file"),
         ('{"kind": "something"}', "not a replay file"),
-        (text.replace('"version": 1', '"version": 99'), "version 99"),
+        (text.replace('"version": 2', '"version": 99'), "version 99"),
         (text.replace('"steps": 64', '"steps": 63'), "edited or damaged"),
         (text.replace('"state": "c3Rl', '"state": "d3Rl'), "edited or damaged"),
         (text.replace('"gravity"', '"levity"'), "edited or damaged"),

@@ -299,10 +299,10 @@ MEASUREMENTS = {
         "arm.xml --bandwidth 5",
         {
             "bandwidth": {"type": frequency, "metavar": "HZ"},
-            **{"settling": "S", "sag": "X", "stiffness": "N/M"},
-            **{"depth": "LENGTH", "noise": "N", "servo": NAMES, "geom": NAMES, "dt": "S"},
+            **{"settling": "S", "sag": "X", "depth": "LENGTH"},
+            **{"servo": NAMES, "geom": NAMES, "dt": "S"},
         },
-        excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),
+        excluding=("bandwidth", "settling", "sag", "depth"),
         warn=False,
     ),
     "plan": Measurement(

@@ -147,8 +147,8 @@ class Log:
     Times are a column "time", "t", "timestamp" or "stamp": in seconds, in the given unit
     ("t [ms]"), since 1970 in s, ms, µs or ns, or as dates of ISO 8601.
 
-    source: a .csv, .npz, .npy, .parquet or .mcap file (one topic of MCAP, in JSON or of
-        sensor_msgs/JointState); a DataFrame; a dict or a structured array of columns; rows without
+    source: a .csv, .npz, .npy, .parquet or .mcap file (one topic of MCAP, in JSON or a
+        message of ROS 2); a DataFrame; a dict or a structured array of columns; rows without
         names; or a recorded run. "log.csv:effort" takes torques as controls, for which motors
         replace the model's servos; "log.mcap:/TOPIC" and "log.mcap:/TOPIC.effort" choose a topic.
     name: of the log in errors; a file's name replaces it.

@@ -11,7 +11,6 @@ import json
 import math
 import os
 import re
-import struct
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -233,6 +232,8 @@ def number(cell: Any) -> float:
 
 def _moment(cell: Any) -> float | None:
     """Return the seconds since 1970 of a date and time, in UTC if it has no zone; else None."""
+    # pandas takes 0.4 s or more to import, and does not infer the unit of seconds since 1970:
+    # `pandas.to_datetime` (3.1) reads integers as ns and refuses "1700000000.5".
     try:
         moment = cell if isinstance(cell, datetime) else datetime.fromisoformat(cell.strip())
     except (ValueError, AttributeError):
@@ -344,14 +345,14 @@ def plain(unit: str) -> str:
 
 
 def _of_messages(path: str, topic: str | None, taken: str) -> Content:
-    """Return the numbers of the messages of one topic, in JSON or sensor_msgs/JointState of ROS 2.
+    """Return the numbers of the messages of one topic, in JSON or in the CDR of ROS 2.
 
     A message has numbers by name; a list of names with lists of numbers, as JointState has; or
     lists of numbers alone. taken: the list to read, if one was chosen.
     """
     reader = need("mcap.reader", f"reading {checks.cut(path, 80)}", "mcap")
     found: dict[str, list[tuple[int, dict[str, Any]]]] = {}
-    unread, begin = set(), 0
+    unread, begin, decoders = set(), 0, dict[int, Any]()
     try:
         with files.opened(path, "a log", sys.maxsize) as (file, _):
             for _, _, message in reader.make_reader(file).iter_messages():
@@ -359,12 +360,15 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
                 break
             file.seek(0)
             for schema, channel, message in reader.make_reader(file).iter_messages(topics=topic):
-                decode = _decoder(channel.message_encoding, schema)
+                if channel.id not in decoders:
+                    encoding = channel.message_encoding
+                    decoders[channel.id] = _decoder(path, schema, encoding, topic)
+                decode = decoders[channel.id]
                 if decode is None:
                     unread.add(f"{channel.topic} ({channel.message_encoding})")
                 elif row := _message(decode(message.data), taken):
                     found.setdefault(channel.topic, []).append((message.log_time, row))
-    except OSError:
+    except (OSError, ImportError):
         raise
     except Exception as error:  # mcap raises its errors, and errors of struct and json
         raise ValueError(f"{path}: {checks.one_line(error)}") from None
@@ -390,42 +394,24 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
     return content
 
 
-def _decoder(encoding: str, schema: Any) -> Any:
-    """Return the function that decodes a message, or None for a format that is not read."""
+def _decoder(path: str, schema: Any, encoding: str, topic: str | None) -> Any:
+    """Return the function that decodes messages, or None for a format that is not read."""
     if encoding == "json":
         return json.loads
-    ros = schema is not None and schema.name.replace("/msg/", "/") == "sensor_msgs/JointState"
-    return _joint_state if encoding == "cdr" and ros else None
+    joints = schema is not None and schema.name.replace("/msg/", "/") == "sensor_msgs/JointState"
+    # Many topics of ROS 2 have numbers: without a chosen topic only joint states are read.
+    if encoding != "cdr" or not (topic or joints):
+        return None
+    package = need(
+        "mcap_ros2.decoder", f"reading messages of ROS 2 in {checks.cut(path, 80)}", "mcap"
+    )
+    decode = package.DecoderFactory().decoder_for(encoding, schema)
+    return decode and (lambda data: _fields(decode(data)))
 
 
-def _joint_state(data: bytes) -> dict[str, list[Any]]:
-    """Decode a JointState in CDR: stamp, frame, names, and three sequences of float64.
-
-    Numbers are aligned to their size from byte 4 on; byte 1 has their byte order (OMG, DDS-XTypes
-    1.3, section 7.4).
-    """
-    order, at = "<" if data[1] & 1 else ">", 4
-
-    def numbers(code: str, size: int, count: int) -> tuple[Any, ...]:
-        nonlocal at
-        at += -(at - 4) % size if count else 0
-        values = struct.unpack_from(f"{order}{count}{code}", data, at)
-        at += size * count
-        return values
-
-    def text() -> str:
-        nonlocal at
-        (length,) = numbers("I", 4, 1)
-        at += length
-        return data[at - length : at].rstrip(b"\0").decode()
-
-    numbers("I", 4, 2)
-    text()
-    message: dict[str, list[Any]] = {"name": [text() for _ in range(numbers("I", 4, 1)[0])]}
-    for state in STATES:
-        (count,) = numbers("I", 4, 1)
-        message[state] = list(numbers("d", 8, count))
-    return message
+def _fields(message: Any) -> dict[str, Any]:
+    """Return the fields of a decoded message of ROS 2."""
+    return {name: getattr(message, name) for name in message.__slots__}
 
 
 def _message(message: Any, taken: str) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from stepcore.report.units import counted
 
 __all__ = ["Tuning", "tune"]
 
-SERVO, CONTACT = ("bandwidth", "settling", "sag"), ("stiffness", "depth", "settling", "noise")
+SERVO, CONTACT = ("bandwidth", "settling", "sag"), ("depth", "settling")
 # The keyframe is the only field of a motion that tune uses.
 OTHERS = tuple(field.name for field in fields(Motion) if field.name != "key")
 
@@ -39,7 +39,7 @@ class Tuning(Result):
     """
 
     kind = "tuning"
-    units: ClassVar = {"wanted": "Hz, s, rad, m, N/m or N", "measured": "as wanted"}
+    units: ClassVar = {"wanted": "Hz, s, rad or m", "measured": "as wanted"}
 
     settings: Settings
     found: list[Tuned]
@@ -107,9 +107,7 @@ def tune(
     bandwidth: float | None = None,
     settling: float | str | None = None,
     sag: float | None = None,
-    stiffness: float | None = None,
     depth: float | str | None = None,
-    noise: float | None = None,
     servo: str | Sequence[str] | None = None,
     geom: str | Sequence[str] | None = None,
     dt: float | str | None = None,
@@ -130,9 +128,7 @@ def tune(
     settling: the time until the response to a step of the target (for contacts, of the load) stays
         within 2 % [s], or a text such as "200ms".
     sag: for servos, the distance from the target under the load of the pose [rad or m].
-    stiffness: normal force over depth, for all contacts of a geom together [N/m].
     depth: the depth of contacts at rest, a length such as 1e-4 or "0.1mm".
-    noise: for contacts at rest, the RMS deviation of the normal force from its mean [N].
     servo: the name of a servo, or several; by default all on hinges and slides.
     geom: the name of a geom, or several; by default those that rest on something after 2 s.
     dt: the time step [s]; by default the model's.
@@ -148,8 +144,7 @@ def tune(
     >>> tune(arm, bandwidth=3.0).mjcf
     '<position name="hip" kp="79" kv="5.25"/>'
     """
-    given = {"bandwidth": bandwidth, "settling": settling, "sag": sag}
-    given |= {"stiffness": stiffness, "depth": depth, "noise": noise}
+    given = {"bandwidth": bandwidth, "settling": settling, "sag": sag, "depth": depth}
     goals = [Goal(name, _value(name, value)) for name, value in given.items() if value is not None]
     if len(goals) != 1:
         raise ValueError(f"give one of {', '.join(given)}")

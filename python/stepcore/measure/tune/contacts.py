@@ -1,4 +1,4 @@
-"""solref and solimp for a wanted stiffness, depth, settling time or force noise of contacts.
+"""solref and solimp for a wanted depth or settling time of contacts.
 
 At rest a row of MuJoCo's contacts has the force f = K d r / R, where r is the depth,
 R = T (1 − d)/d with the inverse inertia T of the row, and K = 1/(d tc)² under solref="tc 1" and
@@ -20,7 +20,6 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.choose import least
 from stepcore.measure.tune.goal import (
     SETTLED,
     SETTLES,
@@ -42,13 +41,10 @@ REST = 2.0
 class Resting(NamedTuple):
     """A geom's contacts at rest, as measured in a run.
 
-    stiffness: normal force over depth [N/m]. depth: mean depth [m]. noise: RMS deviation of the
-    normal force from its mean [N]. force: total normal force [N]. state: at the end of the run.
+    depth: mean depth [m]. force: total normal force [N]. state: at the end of the run.
     """
 
-    stiffness: float
     depth: float
-    noise: float
     force: float
     state: Start
 
@@ -88,8 +84,7 @@ class Touching:
             # A geom may touch without resting: if joints carry it, the contact has no force.
             if force.mean() <= 1e-6 * weight or depths.mean() <= 0:
                 return None
-            means = float(depths.mean()), float(force.std()), float(force.mean())
-            found = Resting(float(force.mean() / depths.mean()), *means, states[-1])
+            found = Resting(float(depths.mean()), float(force.mean()), states[-1])
             before = self.seen(model, states[-2 * last : -last])[1].mean()
             if abs(before - depths.mean()) <= SETTLED * depths.mean():
                 break
@@ -155,31 +150,28 @@ def tuned_contact(model: Model, at: At, geom: int, goal: Goal) -> Tuned:
     rest = touching.rested({})
     if rest is None:
         return replace(none, why="It does not rest on anything at the end of the run")
-    return _quiet(touching, rest, none) if goal.name == "noise" else _reached(touching, none)
+    return _reached(touching, none)
 
 
 def _reached(touching: Touching, none: Tuned) -> Tuned:
-    """Find solref and solimp for a stiffness, a depth or a settling time."""
+    """Find solref and solimp for a depth or a settling time."""
     goal, least = none.goal, touching.least
     # A run with MuJoCo's default tc gives the number of contacts and their inertia.
     usual = max(0.02, least)
     rest = touching.rested(touching.values(usual, USUAL))
     if rest is None:
         return replace(none, why=f"The run does not come to rest with a solref of {usual:g} s")
-    inverses = rest.stiffness * (1 - USUAL) * usual**2
+    inverses = rest.force / rest.depth * (1 - USUAL) * usual**2
 
     def law(tc: float, d: float) -> float:
-        """Return the value by the closed form; a depth falls with the stiffness."""
-        if goal.name == "settling":
-            return SETTLES * tc
-        stiffness = inverses / ((1 - d) * tc**2)
-        return rest.force / stiffness if goal.name == "depth" else stiffness
+        """Return the value by the closed form."""
+        return SETTLES * tc if goal.name == "settling" else rest.force * (1 - d) * tc**2 / inverses
 
     def proposal(asked: float) -> tuple[float, float]:
         """Return tc and d for a requested value by the closed form."""
         if goal.name == "settling":
             return rounded(max(asked / SETTLES, least)), USUAL
-        stiffness = rest.force / asked if goal.name == "depth" else asked
+        stiffness = rest.force / asked
         tc = rounded(max(math.sqrt(inverses / ((1 - USUAL) * stiffness)), least))
         return tc, min(1 - inverses / (stiffness * tc**2), HARDEST)
 
@@ -189,7 +181,7 @@ def _reached(touching: Touching, none: Tuned) -> Tuned:
         if seen is None:
             return np.array([math.nan])
         settles = goal.name == "settling"
-        return np.array([touching.settling(seen, values) if settles else getattr(seen, goal.name)])
+        return np.array([touching.settling(seen, values) if settles else seen.depth])
 
     (asked,), (measured,) = goal.corrected(1, run)
     tc, d = proposal(asked)
@@ -198,34 +190,10 @@ def _reached(touching: Touching, none: Tuned) -> Tuned:
         why = f"{goal.words(measured)} in the run, whose contacts change with the softness"
         if tc <= least and (d >= HARDEST or goal.name == "settling"):
             step = seconds(touching.model.settings.dt)
-            word = "most" if goal.name == "stiffness" else "least"
             limit = goal.words(law(least, HARDEST))
-            why = f"{goal.words(measured)} in the run; {step} allows {limit} at the {word}"
+            why = f"{goal.words(measured)} in the run; {step} allows {limit} at the least"
     found = _proposed(touching, none, tc, d, float(measured))
     return replace(found, expected=law(tc, d), reached=bool(goal.near(measured)), why=why)
-
-
-def _quiet(touching: Touching, rest: Resting, none: Tuned) -> Tuned:
-    """Soften a contact until its force noise meets the goal, by tc up to 256 times the least."""
-    goal = none.goal
-    if rest.noise <= goal.value:
-        return replace(none, measured=rest.noise, reached=True, also=", as it is")
-    noises = dict[int, float]()
-
-    def noise(rung: int) -> float:
-        seen = touching.rested(touching.values(rounded(touching.least * rung / 2), USUAL))
-        noises[rung] = math.inf if seen is None else seen.noise
-        return noises[rung]
-
-    rung = least(range(3, 512), noise, goal.value, 3, ratio=1.4, cliff=True)
-    quietest = rung if rung is not None else min(noises, key=lambda rung: noises[rung])
-    tc = rounded(touching.least * quietest / 2)
-    return replace(
-        _proposed(touching, none, tc, USUAL, noises[quietest]),
-        reached=rung is not None,
-        why=f"At solref {tc:g} s the noise is still {goal.words(noises[quietest])} RMS",
-        also=f" ({goal.words(rest.noise)} before)",
-    )
 
 
 def _proposed(touching: Touching, none: Tuned, tc: float, d: float, measured: float) -> Tuned:

@@ -14,7 +14,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.report.units import FORCES, FREQUENCIES, Units, metres, quantity, seconds
+from stepcore.report.units import FREQUENCIES, Units, metres, quantity, seconds
 
 # Largest relative deviation from a goal that is reached; corrections end at a quarter, or ROUNDS.
 WITHIN, ROUNDS = 0.1, 5
@@ -23,7 +23,6 @@ SETTLED = 0.02
 # The fewest steps that show whether a pose is held: an instability that grows by 15 % per step
 # grows a millionfold.
 FEWEST = 100
-STIFFNESSES: Units = (("MN/m", 1e6), ("kN/m", 1e3), ("N/m", 1.0))
 SHIPPED = Change()
 
 
@@ -40,7 +39,7 @@ SETTLES, PASSES = settles(), math.sqrt(math.sqrt(2) - 1)
 
 
 class Goal(NamedTuple):
-    """A wanted value. name: "bandwidth", "settling", "sag", "stiffness", "depth" or "noise"."""
+    """A wanted value. name: "bandwidth", "settling", "sag" or "depth"."""
 
     name: str
     value: float
@@ -50,8 +49,7 @@ class Goal(NamedTuple):
         if self.name in ("settling", "depth"):
             return seconds(value) if self.name == "settling" else metres(value)
         sags: Units = ((unit, 1.0), (f"m{unit}", 1e-3), (f"µ{unit}", 1e-6))
-        units = {"bandwidth": FREQUENCIES, "sag": sags, "stiffness": STIFFNESSES, "noise": FORCES}
-        return quantity(value, units[self.name])
+        return quantity(value, FREQUENCIES if self.name == "bandwidth" else sags)
 
     def near(self, value: float, share: float = WITHIN) -> bool:
         """Return whether a value is near the wanted one. share: the largest relative deviation."""
