@@ -77,8 +77,8 @@ class EnvCore:
 
         self.world = made()
         # A copy that evaluates late arrays at states where this world does not have them.
-        solved = not OF_THE_SOLVE.isdisjoint(task.late)
-        self._stage = made() if task.late and (rk4 or solved) else None
+        self._solved = not OF_THE_SOLVE.isdisjoint(task.late)
+        self._stage = made() if task.late and (rk4 or self._solved) else None
         # The arrays after a reset are read in this separate world, one reset after another.
         self._first = unwatched(Sim(self.model))
         self._n = 1 if n is None else n
@@ -198,8 +198,10 @@ class EnvCore:
         action = np.asarray(action)
         if action.shape != self._action_shape:
             raise ValueError(f"action has shape {action.shape}: must be {self._action_shape}")
-        controls = self.task.control(self._ahead(action)) if self._controls else action
-        fill(self.world._arrays["ctrl"], "ctrl", np.asarray(controls))
+        if self._controls or action.dtype.kind not in "fiu":
+            fill(self.world._arrays["ctrl"], "ctrl", self.task.control(self._ahead(action)))
+        else:
+            self.world._arrays["ctrl"][...] = action
         late: dict[str, Any] = {}
         single = isinstance(self.world, Sim)
         first = self.skip - 1 if self.task.late else self.skip
@@ -243,7 +245,8 @@ class EnvCore:
         failed = False
         try:
             source._core.go_to_last_stage()
-            source.forward()
+            if self._solved:
+                source.forward()
         except SimulationError:
             failed = True
         # After a reset, a failed world can be read and does not fail again.
@@ -270,7 +273,7 @@ class EnvCore:
             self.world.reset(worlds=worlds, qpos=qpos, qvel=qvel)
         else:
             self.world.reset()
-            self.world.qpos, self.world.qvel = qpos[0], qvel[0]
+            _place(self.world, qpos[0], qvel[0])
         action = self._no_action((len(qpos),))
         kept: dict[str, Any] = {"qpos": qpos, "qvel": qvel}
         names = (self._asked | self._asked_before) - {*kept, "action"}
@@ -333,8 +336,9 @@ class EnvCore:
             if self._differs:
                 many = self.world if isinstance(self.world, Batch) else None
                 sim = unwatched(Sim(self.world.model if many is None else many.model_of(world)))
-            sim.reset()
-            sim.qpos, sim.qvel = place, speed
+            # As after a reset: the other arrays keep their initial values.
+            sim._restart(0.0)
+            _place(sim, place, speed)
             if solved - zero:
                 sim.forward()
             for name in names:
@@ -394,6 +398,11 @@ class WorldCamera:
         if self._renderer is not None:
             self._renderer.close()
         self._renderer = self._sim = None
+
+
+def _place(sim: Sim, qpos: Floats, qvel: Floats) -> None:
+    """Write a state whose shape was checked, in less time than an assignment to the Sim."""
+    sim._arrays["qpos"][...], sim._arrays["qvel"][...] = qpos, qvel
 
 
 def _of_type(space: Box, dtype: Any) -> Box:
