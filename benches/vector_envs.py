@@ -1,4 +1,4 @@
-"""Environments for training: actions a second against gymnasium's vector environments and EnvPool.
+"""Environments for training: actions a second against gymnasium's environments and EnvPool.
 
     pip install envpool          # for the lines "envpool", which are left out without it
     python benches/vector_envs.py
@@ -8,8 +8,9 @@ of one world's action; the lines come worst first.
 
 gymnasium: from the same seeds; "async" runs a process a world, stepcore a thread a core. gymnasium
 gets as many worlds as it is fast with (16; more processes than cores only wait), stepcore `WORLDS`.
-Wall time. EnvPool: as many worlds on both sides (`POOLED`), one thread each, and processor time of
-all threads of the process.
+Wall time. "single" is one environment on both sides, with the resets of its episodes, in processor
+time; the difference is that of "sync". EnvPool: as many worlds on both sides (`POOLED`), one thread
+each, and processor time of all threads of the process.
 
 Checked first: the observations of both after one action, which for EnvPool are positions and
 velocities after an action from the states where its episodes began. The share at the end is what of
@@ -30,7 +31,9 @@ import record
 from timing import Side, duel
 
 from stepcore.engine.batch import Batch
+from stepcore.engine.sim import Sim
 from stepcore.gymnasium import register_envs
+from stepcore.gymnasium.tasks import TASKS as ALL
 
 TASKS = ("HalfCheetah", "Hopper", "Walker2d", "Swimmer", "InvertedPendulum", "Ant", "Humanoid")
 WORLDS, THEIRS, POOLED, SAME = 1024, 16, 256, 1e-6
@@ -56,6 +59,17 @@ class Played:
     def step(self) -> np.ndarray:
         self.taken += 1
         return self.envs.step(self.actions[self.taken % len(self.actions)])[0]
+
+
+class PlayedAlone(Played):
+    """A single environment under random actions, which begins a new episode after each."""
+
+    def step(self) -> np.ndarray:
+        self.taken += 1
+        observation, _, terminated, truncated, _ = self.envs.step(
+            self.actions[self.taken % len(self.actions)]
+        )
+        return self.envs.reset()[0] if terminated or truncated else observation
 
 
 def apart(task: str) -> float:
@@ -92,22 +106,23 @@ def apart_from_pool(task: str) -> float:
 def share(side: Played) -> float:
     """What part of an action's time is spent in compiled steps."""
     spent = 0.0
-    step = Batch.step
+    kind: Any = Sim if isinstance(side, PlayedAlone) else Batch
+    step, actions = kind.step, 500 if kind is Sim else 5
 
-    def timed(batch: Batch, n: int = 1) -> None:
+    def timed(world: Any, n: int = 1) -> None:
         nonlocal spent
         start = time.perf_counter()
-        step(batch, n)
+        step(world, n)
         spent += time.perf_counter() - start
 
-    Batch.step = timed  # type: ignore[method-assign]
+    kind.step = timed
     try:
         start = time.perf_counter()
-        for _ in range(5):
+        for _ in range(actions):
             side.step()
         return spent / (time.perf_counter() - start)
     finally:
-        Batch.step = step  # type: ignore[method-assign]
+        kind.step = step
 
 
 def against(task: str, mode: str, quick: bool) -> tuple[float, Played, Played, int, int]:
@@ -117,6 +132,10 @@ def against(task: str, mode: str, quick: bool) -> tuple[float, Played, Played, i
         own = gymnasium.make_vec(f"stepcore/{task}-v0", num_envs=worlds, threads=1)
         theirs = Played(pool(task, worlds), own.action_space)
         return apart_from_pool(task), Played(own), theirs, worlds, worlds
+    if mode == "single":
+        both = (gymnasium.make(name) for name in (f"stepcore/{task}-v0", f"{task}-v5"))
+        ours, alone = (PlayedAlone(env) for env in both)
+        return apart(task), ours, alone, 1, 1
     worlds = 64 if quick else WORLDS
     own = gymnasium.make_vec(f"stepcore/{task}-v0", num_envs=worlds)
     envs = gymnasium.make_vec(f"{task}-v5", num_envs=THEIRS, vectorization_mode=mode)
@@ -132,8 +151,8 @@ def compare(task: str, mode: str, options, report: record.Report) -> tuple[float
         return 0.0, f"{task:18}{mode:8}{text}"
     inside = share(ours)
     sides = (Side("stepcore", ours.step, worlds), Side(mode, theirs.step, of_theirs))
-    pooled = mode == "envpool"
-    found = duel(*sides, options.pairs, options.sample, wall=not pooled, process=pooled)
+    process = mode in ("single", "envpool")
+    found = duel(*sides, options.pairs, options.sample, wall=not process, process=process)
     low, high = found.ratio_spread
     speeds = "".join(f"{1e3 / np.median(side):11.1f} k" for side in (found.ours, found.theirs))
     report.add(task=task, against=mode, apart=difference, inside=inside, **found.record())
@@ -154,10 +173,10 @@ def main() -> None:
         f"{'ratio':>9} (quartiles)  in steps"
     )
     register_envs()
-    modes = ["sync", "async"] + ["envpool"] * (find_spec("envpool") is not None)
+    modes = ["single", "sync", "async"] + ["envpool"] * (find_spec("envpool") is not None)
     lines = []
-    for task in TASKS:
-        for mode in modes:
+    for task in ALL:
+        for mode in modes if task in TASKS else ["single"]:
             if options.only.lower() in f"{task} {mode}".lower():
                 lines.append(compare(task, mode, options, report))
                 print(lines[-1][1], file=sys.stderr, flush=True)

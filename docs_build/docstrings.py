@@ -35,6 +35,9 @@ class Docstrings(griffe.Extension):
         public = {name for name, member in pkg.members.items() if member.is_alias}
         for module in _modules(pkg):
             _rewrite(module, public)
+            if module.docstring:
+                names = _known(module)
+                module.docstring.value = markdown(module.docstring.value, names, public)
 
 
 def _modules(module: griffe.Module) -> list[griffe.Module]:

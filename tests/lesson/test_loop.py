@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import stepcore as sc
 from stepcore.lesson import scenes
 from stepcore.lesson.loop import Loop
 from stepcore.lesson.run import maker
@@ -65,3 +66,26 @@ def test_an_integrator_that_it_lacks_is_refused():
 def test_a_solver_that_it_lacks_is_refused(other):
     with pytest.raises(ValueError, match=f"{next(iter(other))} = .* the numpy loop has"):
         Loop(scenes.stack(4, "solref", **other))
+
+
+def test_the_first_sweep_by_hand():
+    """Impulses g dt/(1 + s) and (g dt - g dt s/(1 + s))/(2 + s), s = 0.5, as in `Sim.rows`."""
+    loop, sim = Loop(scenes.stack()), sc.Sim(scenes.stack())
+    v, _ = loop.place()
+    loop.impulse = np.zeros(2)
+    loop.sweep(v, *loop.detect(v))
+    assert loop.impulse == pytest.approx([0.01962 / 1.5, 0.01308 / 2.5], rel=1e-12)
+    assert v == pytest.approx([-0.011772, -0.014388], rel=1e-12)
+    sim.reset("start")
+    sim.forward()
+    assert sim.rows["impulse"] == pytest.approx(loop.impulse, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("sweeps", "softness", "depth"), [(1, 0.5, 392.4), (20, 0.5, 0.152), (1, 0.0, 196.2)]
+)
+def test_the_depth_after_two_seconds(sweeps, softness, depth):
+    """The reference table's depths of the lower contact [µm]; the formula gives one sweep's."""
+    loop = Loop(scenes.stack(sweeps, softness=softness))
+    loop.step(1000)
+    assert -1e6 * loop.qpos[0] == pytest.approx(depth, rel=3e-3)

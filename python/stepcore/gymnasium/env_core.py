@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from stepcore import checks
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats
+from stepcore.engine.arrays import Floats, fill
 from stepcore.engine.batch import Batch
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.gymnasium.moment import Moment, Readings, Streams, TaskState
+from stepcore.gymnasium.moment import Draws, Moment, Readings, Streams, TaskState
 from stepcore.gymnasium.task import Task
 
 # Arrays of the last solve; the other arrays describe the present state.
@@ -77,24 +77,25 @@ class EnvCore:
 
         self.world = made()
         # A copy that evaluates late arrays at states where this world does not have them.
-        solved = not OF_THE_SOLVE.isdisjoint(task.late)
-        self._stage = made() if task.late and (rk4 or solved) else None
+        self._solved = not OF_THE_SOLVE.isdisjoint(task.late)
+        self._stage = made() if task.late and (rk4 or self._solved) else None
         # The arrays after a reset are read in this separate world, one reset after another.
         self._first = unwatched(Sim(self.model))
-        # All worlds: their indices, and as an index of arrays; a Sim's have no axis of worlds.
-        self._all: Any = 0 if n is None else np.arange(n)
-        self._rows: Any = 0 if n is None else slice(None)
         self._n = 1 if n is None else n
         # The arrays of `Moment.state` by name, with an axis of worlds.
         self.state: dict[str, NDArray[Any]] = {}
         self.streams = Streams(self._n)
+        # All worlds: their indices, and as an index of arrays; a Sim's have no axis of worlds.
+        self._all = self._part(0, 0) if n is None else self._part(np.arange(n), slice(None))
         self._differs = False
+        self._controls, self._each = task.has("control"), task.has("before_step")
         self._on_all = len(inspect.signature(task.start).parameters) > 2
         # The arrays that the functions read after and before the action.
         self._asked: set[str] = set()
         self._asked_before: set[str] = set(task.late)
         self._before: dict[str, Any] = {}
         self.action_space = task.action_space(self.model)
+        self._action_shape = (*self.world.qpos.shape[:-1], *(self.action_space.shape or ()))
         space = self._observation_space()
         self.observation_space = space if dtype is None else _of_type(space, dtype)
 
@@ -104,7 +105,7 @@ class EnvCore:
         Raises ValueError if a function of the task returns something of another shape.
         """
         task, action = self.task, self._no_action(self.world.qpos.shape[:-1])
-        shape, nu = action.shape[:-1], self.model.nu
+        shape, nu, drawn = action.shape[:-1], self.model.nu, self.streams.counts()
 
         def read(name: str) -> Any:
             return np.array(getattr(self.world, name))
@@ -130,7 +131,7 @@ class EnvCore:
             raise ValueError(f"observation_space has shape {space.shape}: must be {limit}")
         # Discard the random numbers and the state of this trial.
         self.state.clear()
-        self.streams = Streams(self._n)
+        self.streams.rewind(np.ones(self._n, dtype=bool), drawn)
         return space
 
     # Moments.
@@ -149,7 +150,7 @@ class EnvCore:
         asked: set[str] | None = None,
         worlds: Any = None,
     ) -> Moment:
-        here, rows = (self._all, self._rows) if worlds is None else (worlds, worlds)
+        here, state, rng = self._all if worlds is None else self._part(worlds, worlds)
         return Moment(
             read,
             self._asked if asked is None else asked,
@@ -159,10 +160,14 @@ class EnvCore:
             dt=self.dt,
             model=self.model,
             worlds=here,
-            state=TaskState(self.state, self._n, rows),
-            rng=self.streams.of(here),
+            state=state,
+            rng=rng,
             world=self.world,
         )
+
+    def _part(self, worlds: Any, rows: Any) -> tuple[Any, TaskState, Draws]:
+        """Return some worlds, their state and their random numbers."""
+        return worlds, TaskState(self.state, self._n, rows), self.streams.of(worlds)
 
     def _no_action(self, shape: tuple[int, ...]) -> NDArray[Any]:
         return np.zeros((*shape, *(self.action_space.shape or ())), dtype=np.float32)
@@ -190,10 +195,13 @@ class EnvCore:
         A failed world keeps its last finite state. Raises ValueError if the shape of the action is
         not the shape of the space.
         """
-        action, shape = np.asarray(action), (*self.world.qpos.shape[:-1], *self.action_space.shape)
-        if action.shape != shape:
-            raise ValueError(f"action has shape {action.shape}: must be {shape}")
-        self.world.ctrl = np.asarray(self.task.control(self._ahead(action)))
+        action = np.asarray(action)
+        if action.shape != self._action_shape:
+            raise ValueError(f"action has shape {action.shape}: must be {self._action_shape}")
+        if self._controls or action.dtype.kind not in "fiu":
+            fill(self.world._arrays["ctrl"], "ctrl", self.task.control(self._ahead(action)))
+        else:
+            self.world._arrays["ctrl"][...] = action
         late: dict[str, Any] = {}
         single = isinstance(self.world, Sim)
         first = self.skip - 1 if self.task.late else self.skip
@@ -214,12 +222,11 @@ class EnvCore:
     def _steps(self, action: NDArray[Any], first: int, end: int) -> dict[int, SimulationError]:
         """Take some of the steps of an action; return the errors of worlds that failed."""
         errors: dict[int, SimulationError] = {}
-        each = self.task.has("before_step")
-        for step in range(first, end, 1 if each else max(1, end - first)):
-            if each:
+        for step in range(first, end, 1 if self._each else max(1, end - first)):
+            if self._each:
                 self.task.before_step(self._ahead(action), step)
             try:
-                self.world.step(1 if each else end - first)
+                self.world.step(1 if self._each else end - first)
             except SimulationError as error:
                 return {0: error}
             if isinstance(self.world, Batch):
@@ -231,14 +238,15 @@ class EnvCore:
         world, source = self.world, self._stage
         if source is None:
             return {name: np.array(getattr(world, name)) for name in self.task.late}
-        source.reset()
-        source.ctrl = world.ctrl
-        source.qfrc_applied, source.xfrc_applied = world.qfrc_applied, world.xfrc_applied
+        # As after a reset: the other arrays keep their initial values.
+        source._restart(0.0)
+        for name in ("ctrl", "qfrc_applied", "xfrc_applied", "qpos", "qvel"):
+            source._arrays[name][...] = world._arrays[name]
         failed = False
         try:
-            source.qpos, source.qvel = world.qpos, world.qvel
             source._core.go_to_last_stage()
-            source.forward()
+            if self._solved:
+                source.forward()
         except SimulationError:
             failed = True
         # After a reset, a failed world can be read and does not fail again.
@@ -265,7 +273,7 @@ class EnvCore:
             self.world.reset(worlds=worlds, qpos=qpos, qvel=qvel)
         else:
             self.world.reset()
-            self.world.qpos, self.world.qvel = qpos[0], qvel[0]
+            _place(self.world, qpos[0], qvel[0])
         action = self._no_action((len(qpos),))
         kept: dict[str, Any] = {"qpos": qpos, "qvel": qvel}
         names = (self._asked | self._asked_before) - {*kept, "action"}
@@ -328,8 +336,9 @@ class EnvCore:
             if self._differs:
                 many = self.world if isinstance(self.world, Batch) else None
                 sim = unwatched(Sim(self.world.model if many is None else many.model_of(world)))
-            sim.reset()
-            sim.qpos, sim.qvel = place, speed
+            # As after a reset: the other arrays keep their initial values.
+            sim._restart(0.0)
+            _place(sim, place, speed)
             if solved - zero:
                 sim.forward()
             for name in names:
@@ -389,6 +398,11 @@ class WorldCamera:
         if self._renderer is not None:
             self._renderer.close()
         self._renderer = self._sim = None
+
+
+def _place(sim: Sim, qpos: Floats, qvel: Floats) -> None:
+    """Write a state whose shape was checked, in less time than an assignment to the Sim."""
+    sim._arrays["qpos"][...], sim._arrays["qvel"][...] = qpos, qvel
 
 
 def _of_type(space: Box, dtype: Any) -> Box:

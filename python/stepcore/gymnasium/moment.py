@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from functools import wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,8 @@ from stepcore.engine.model import Model
 from stepcore.engine.noise import Noise
 from stepcore.engine.sim import Sim
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 
 class Draws:
     """Random numbers of some worlds, with a separate stream for each world.
@@ -23,8 +26,8 @@ class Draws:
     the other worlds nor on their resets.
     """
 
-    def __init__(self, noise: Noise, worlds: Any) -> None:
-        self._noise, self._worlds = noise, np.asarray(worlds)
+    def __init__(self, streams: Streams, worlds: Any) -> None:
+        self._streams, self._worlds = streams, np.asarray(worlds)
 
     def uniform(
         self, low: ArrayLike = 0.0, high: ArrayLike = 1.0, size: int | None = None
@@ -33,11 +36,11 @@ class Draws:
 
         low, high: numbers, or arrays of shape (size,).
         """
-        return self._drawn(self._noise.uniform, size, low, high)
+        return self._drawn(self._streams.noise.uniform, size, low, high)
 
     def normal(self, scale: ArrayLike = 1.0, size: int | None = None) -> Floats:
         """Return normal numbers of mean 0 and standard deviation `scale`; see `uniform`."""
-        return self._drawn(self._noise.normal, size, scale)
+        return self._drawn(self._streams.noise.normal, size, scale)
 
     def integers(self, low: int, high: int, size: int | None = None) -> NDArray[np.int64]:
         """Return whole numbers from low to high - 1; see `uniform`."""
@@ -56,7 +59,7 @@ class Streams:
 
     def __init__(self, n: int) -> None:
         self._seeds = np.zeros(n, dtype=np.int64)
-        self._noise = Noise.of_seeds(self._seeds)
+        self.noise = Noise.of_seeds(self._seeds)
         self._known: list[Any] = [None] * n
 
     def seed(self, worlds: Iterable[int], rngs: Iterable[np.random.Generator]) -> None:
@@ -70,22 +73,22 @@ class Streams:
                 self._seeds[world] = int(words[0] >> np.uint64(1))
                 new.append(world)
         if new:
-            drawn = self._noise.state()
+            drawn = self.noise.state()
             drawn[new] = 0
-            self._noise = Noise.of_seeds(self._seeds)
-            self._noise.restore(drawn)
+            self.noise = Noise.of_seeds(self._seeds)
+            self.noise.restore(drawn)
 
     def counts(self) -> NDArray[np.uint64]:
         """Return the count of numbers that each world has drawn."""
-        return self._noise.state()
+        return self.noise.state()
 
     def rewind(self, worlds: NDArray[np.bool_], counts: NDArray[np.uint64]) -> None:
         """Reset some worlds to earlier counts, so that they draw the same numbers again."""
-        self._noise.restore(np.where(worlds, counts, self._noise.state()))
+        self.noise.restore(np.where(worlds, counts, self.noise.state()))
 
     def of(self, worlds: Any) -> Draws:
         """Return the `Draws` of some worlds; a single index gives no axis of worlds."""
-        return Draws(self._noise, worlds)
+        return Draws(self, worlds)
 
 
 class TaskState:
@@ -142,9 +145,10 @@ class Readings:
         if name.startswith("_"):
             raise AttributeError(name)
         self._asked.add(name)
-        if name not in self._kept:
-            self._kept[name] = self._read(name)
-        return self._kept[name]
+        value = self._kept[name] if name in self._kept else self._read(name)
+        # An attribute from now on, which Python finds without this method.
+        self.__dict__[name] = value
+        return value
 
 
 class Moment(Readings):
@@ -186,11 +190,28 @@ class Moment(Readings):
         self.model = model
         self.shape = action.shape[:-1]
         self.worlds, self.state, self.rng, self.world = worlds, state, rng, world
+        # The results of functions that are computed once for each moment.
+        self._results: dict[Any, Any] = {}
 
 
 def owned(value: Any, dtype: Any = None) -> Any:
     """Return a copy that does not change with the world; a number for an array without axes."""
+    if dtype is None and isinstance(value, np.generic):
+        return value
     return np.array(value, dtype=dtype)[()]
+
+
+def once(method: F) -> F:
+    """Decorate a task's method of a `Moment`: the result is computed once for each moment."""
+
+    @wraps(method)
+    def looked_up(task: Any, now: Moment, *arguments: Any) -> Any:
+        key = (method, *arguments)
+        if key not in now._results:
+            now._results[key] = method(task, now, *arguments)
+        return now._results[key]
+
+    return cast("F", looked_up)
 
 
 def state_vector(now: Moment) -> Floats:

@@ -17,7 +17,7 @@ from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.gymnasium.env import Env, VectorEnv
-from stepcore.gymnasium.moment import Moment, state_vector
+from stepcore.gymnasium.moment import Moment, once, state_vector
 from stepcore.gymnasium.task import Outcome, Task, TaskFields
 from stepcore.loading import find_asset, find_scene
 
@@ -96,7 +96,7 @@ class MujocoTask(Task):
 
     def total(self, parts: dict[str, Floats]) -> Floats:
         """Return the reward."""
-        return np.sum(list(parts.values()), axis=0)
+        return sum(parts.values())  # type: ignore[return-value]
 
     def outcome(self, now: Moment) -> Outcome:
         parts = self.parts(now)
@@ -138,6 +138,7 @@ class ForwardTask(NoisyTask):
         excluded = len(self.axes) * self.exclude_current_positions_from_observation
         return observed(now, excluded, now.qvel)
 
+    @once
     def main_velocity(self, now: Moment, axis: int) -> Floats:
         """Return the velocity along an axis, shape ()."""
         return velocity(now, "qpos", (..., axis))
@@ -194,7 +195,7 @@ def model_path(xml_file: str) -> str:
 
 def squares(values: NDArray[Any]) -> Any:
     """Return the sum of squares over the last axis."""
-    return np.sum(np.square(values), axis=-1)
+    return np.add.reduce(np.square(values), axis=-1)
 
 
 def distance(x: Floats) -> Floats:
@@ -228,13 +229,19 @@ class InvertedPendulum(NoisyTask):
     def parts(self, now: Moment) -> dict[str, Floats]:
         return {"reward_survive": (~self.terminated(now)).astype(np.int64)}
 
+    @once
     def terminated(self, now: Moment) -> NDArray[np.bool_]:
-        finite = np.all(np.isfinite(state_vector(now)), axis=-1)
-        return ~finite | (np.abs(now.qpos[..., 1]) > LEANING)
+        # The state is always finite: a world that fails keeps its last finite state.
+        return np.abs(now.qpos[..., 1]) > LEANING
 
 
 # Observed velocities [m/s or rad/s] and forces are clipped to this on either side.
 LARGEST = 10.0
+
+
+def clipped(values: Floats) -> Floats:
+    """Clip observed values; on short arrays `numpy.clip` takes longer."""
+    return np.minimum(np.maximum(values, -LARGEST), LARGEST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,7 +258,7 @@ class InvertedDoublePendulum(NoisyTask):
         angles = now.qpos[..., 1:]
         parts = [now.qpos[..., :1], np.sin(angles), np.cos(angles)]
         forces = (now.qvel, now.constraint_force[..., :1])
-        parts += [np.clip(values, -LARGEST, LARGEST) for values in forces]
+        parts += [clipped(values) for values in forces]
         return np.concatenate(parts, axis=-1)
 
     def parts(self, now: Moment) -> dict[str, Floats]:
@@ -263,6 +270,7 @@ class InvertedDoublePendulum(NoisyTask):
             "velocity_penalty": -(1e-3 * np.square(first) + 5e-3 * np.square(second)),
         }
 
+    @once
     def terminated(self, now: Moment) -> NDArray[np.bool_]:
         return now.site_xpos[..., 0, 2] <= 1
 
@@ -284,13 +292,18 @@ class Pusher(MujocoTask):
     reward_dist_weight: float = 1.0
     reward_control_weight: float = 0.1
 
+    @once
+    def place(self, now: Moment, body: str) -> Floats:
+        """Return the position of a body [m], shape (3,)."""
+        return now.xpos[..., now.model.index("body", body), :]
+
     def observe(self, now: Moment) -> Floats:
-        bodies = [_body(now, name) for name in ("tips_arm", "object", "goal")]
+        bodies = [self.place(now, name) for name in ("tips_arm", "object", "goal")]
         return np.concatenate([now.qpos[..., :ARM], now.qvel[..., :ARM], *bodies], axis=-1)
 
     def parts(self, now: Moment) -> dict[str, Floats]:
-        thing = _body(now, "object")
-        far, near = (thing - _body(now, name) for name in ("goal", "tips_arm"))
+        thing = self.place(now, "object")
+        far, near = (thing - self.place(now, name) for name in ("goal", "tips_arm"))
         return {
             "reward_dist": -distance(far) * self.reward_dist_weight,
             "reward_ctrl": -squares(now.action) * self.reward_control_weight,
@@ -308,10 +321,6 @@ class Pusher(MujocoTask):
         return qpos, qvel
 
 
-def _body(now: Moment, name: str) -> Floats:
-    return now.xpos[..., now.model.index("body", name), :]
-
-
 # The radius of the disc that contains the target [m].
 FARTHEST = 0.2
 
@@ -327,14 +336,20 @@ class Reacher(MujocoTask):
     reward_dist_weight: float = 1.0
     reward_control_weight: float = 1.0
 
+    @once
+    def way(self, now: Moment) -> Floats:
+        """Return the vector from the target to the fingertip [m], shape (3,)."""
+        tip, target = (now.model.index("body", name) for name in ("fingertip", "target"))
+        return now.xpos[..., tip, :] - now.xpos[..., target, :]
+
     def observe(self, now: Moment) -> Floats:
         angles, rest = now.qpos[..., :2], now.qpos[..., 2:]
-        parts = [np.cos(angles), np.sin(angles), rest, now.qvel[..., :2], _way(now)[..., :2]]
+        parts = [np.cos(angles), np.sin(angles), rest, now.qvel[..., :2], self.way(now)[..., :2]]
         return np.concatenate(parts, axis=-1)
 
     def parts(self, now: Moment) -> dict[str, Floats]:
         return {
-            "reward_dist": -distance(_way(now)) * self.reward_dist_weight,
+            "reward_dist": -distance(self.way(now)) * self.reward_dist_weight,
             "reward_ctrl": -squares(now.action) * self.reward_control_weight,
         }
 
@@ -347,12 +362,6 @@ class Reacher(MujocoTask):
         qvel = rng.uniform(low=-0.005, high=0.005, size=model.nv)
         qvel[-2:] = 0
         return qpos, qvel
-
-
-def _way(now: Moment) -> Floats:
-    """Return the vector from the target to the fingertip [m], shape (3,)."""
-    tip, target = (now.model.index("body", name) for name in ("fingertip", "target"))
-    return now.xpos[..., tip, :] - now.xpos[..., target, :]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -387,8 +396,9 @@ class Upright(StandingTask):
 
     def observe(self, now: Moment) -> Floats:
         excluded = int(self.exclude_current_positions_from_observation)
-        return observed(now, excluded, np.clip(now.qvel, -LARGEST, LARGEST))
+        return observed(now, excluded, clipped(now.qvel))
 
+    @once
     def healthy(self, now: Moment) -> NDArray[np.bool_]:
         height = within(now.qpos[..., 1], self.healthy_z_range)
         return height & within(now.qpos[..., 2], self.healthy_angle_range)
@@ -413,9 +423,10 @@ class Hopper(Upright):
     healthy_z_range: tuple[float, float] = (0.7, np.inf)
     healthy_angle_range: tuple[float, float] = (-0.2, 0.2)
 
+    @once
     def healthy(self, now: Moment) -> NDArray[np.bool_]:
         state = within(state_vector(now)[..., 2:], self.healthy_state_range)
-        return super().healthy(now) & np.all(state, axis=-1)
+        return super().healthy(now) & np.logical_and.reduce(state, axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -443,6 +454,7 @@ class Ant(StandingTask):
     contact_force_range: tuple[float, float] = (-1.0, 1.0)
     include_cfrc_ext_in_observation: bool = True
 
+    @once
     def contact_forces(self, now: Moment) -> Floats:
         """Return the clipped forces on all bodies, the world first, shape (6 nbody,)."""
         return np.clip(now.cfrc_ext.reshape(*now.shape, -1), *self.contact_force_range)
@@ -453,12 +465,13 @@ class Ant(StandingTask):
             return state
         return np.concatenate([state, self.contact_forces(now)[..., 6:]], axis=-1)
 
+    @once
     def healthy(self, now: Moment) -> NDArray[np.bool_]:
         low, high = self.healthy_z_range
         height = now.qpos[..., 2]
-        finite = np.all(np.isfinite(state_vector(now)), axis=-1)
-        return finite & (low <= height) & (height <= high)
+        return (low <= height) & (height <= high)
 
+    @once
     def main_velocity(self, now: Moment, axis: int) -> Floats:
         return velocity(now, "xpos", (..., now.model.index("body", self.main_body), axis))
 
@@ -503,6 +516,7 @@ class Human(NoisyTask):
         """Return the controls in double precision, as MuJoCo keeps them, shape (nu,)."""
         return now.action.astype(np.float64)
 
+    @once
     def contact_forces(self, now: Moment) -> Floats:
         """Return the forces on all bodies, shape (6 (nbody - 1),)."""
         return _of_bodies(now, now.cfrc_ext)
@@ -525,8 +539,7 @@ def _actuator_forces(now: Moment) -> Floats:
     model = now.model
     dofs = model.jnt_dofadr[model.actuator_joint]
     forces = np.zeros((*now.shape, model.nv))
-    for actuator, dof in enumerate(dofs.tolist()):
-        forces[..., dof] += model.actuator_gear[actuator, 0] * now.actuator_force[..., actuator]
+    np.add.at(forces.T, dofs, (model.actuator_gear[:, 0] * now.actuator_force).T)
     return forces
 
 
@@ -543,9 +556,11 @@ class Humanoid(Human, StandingTask):
     healthy_reward: float = 5.0
     healthy_z_range: tuple[float, float] = (1.0, 2.0)
 
+    @once
     def healthy(self, now: Moment) -> NDArray[np.bool_]:
         return within(now.qpos[..., 2], self.healthy_z_range)
 
+    @once
     def main_velocity(self, now: Moment, axis: int) -> Floats:
         # The robot is all that hangs on the world, so they have the same centre of mass.
         return velocity(now, "subtree_com", (..., 0, axis))

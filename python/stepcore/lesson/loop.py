@@ -168,12 +168,16 @@ class Loop:
         """Solve the rows of `detect` by projected Gauss-Seidel with impulses >= 0; return v."""
         v, self.impulse = guess.copy(), np.zeros(len(J))
         for _ in range(self.settings.sweeps):
-            for i, row in enumerate(J):
-                change = (target[i] - row @ v - c[i] * self.impulse[i]) / s[i]
-                pushed = max(self.impulse[i] + change, 0.0)
-                v += row / self.mass * (pushed - self.impulse[i])
-                self.impulse[i] = pushed
+            self.sweep(v, J, target, c, s)
         return v
+
+    def sweep(self, v: Array, J: Array, target: Array, c: Array, s: Array) -> None:
+        """Visit each row once: change its impulse, and with it the velocities `v` at once."""
+        for i, row in enumerate(J):
+            change = (target[i] - row @ v - c[i] * self.impulse[i]) / s[i]
+            pushed = max(self.impulse[i] + change, 0.0)
+            v += row / self.mass * (pushed - self.impulse[i])
+            self.impulse[i] = pushed
 
     def commit(self, mean: Array, last: Array) -> None:
         """Advance positions by the mean velocity, and set the velocities to the final ones.
