@@ -228,7 +228,13 @@ MEASUREMENTS = {
         "trade",
         "gymnasium:half_cheetah --error 1mm --plot trade.png",
         {
-            **{"error": "LENGTH", "budget": "COST", "further": "N", "by": ("time", "flops")},
+            **{
+                "quantity": "NAME",
+                "error": "AMOUNT",
+                "budget": "COST",
+                "further": "N",
+                "by": ("time", "flops"),
+            },
             "grid": {
                 "action": "store_true",
                 "help": "try a full grid of settings instead of a search",
@@ -266,7 +272,7 @@ MEASUREMENTS = {
     "converge": Measurement(
         "convergence",
         "lesson:stack --plot convergence.png",
-        {"engine": ENGINE},
+        {"quantity": "NAME", "engine": ENGINE},
     ),
     "identify": Measurement(
         "identification",
@@ -316,7 +322,8 @@ MEASUREMENTS = {
         "ablation",
         "gymnasium:half_cheetah --added 5mm --save small.xml",
         {
-            "added": {"default": "1mm", "metavar": "LENGTH"},
+            "quantity": "NAME",
+            "added": "AMOUNT",
             "further": "N",
             "engine": ENGINE,
             "save": {"metavar": "OUT.xml", "help": "write the smallest model as MJCF"},

@@ -89,6 +89,7 @@ def follow(
     hold: int = 1,
     control: Control | None = None,
     record: Sequence[str] = ("xpos", "xquat"),
+    probe: Callable[[Sim], Floats] | None = None,
     bound: float = np.inf,
     most: float = np.inf,
     threads: int = 1,
@@ -106,6 +107,7 @@ def follow(
     control: a function of (time, sim) that returns the controls, called every `hold` steps with the
         Sim of each start. A callable object is copied for each start.
     record: names as in `Sim.run`, read at the start and at each sample.
+    probe: a function of a Sim, read with them and recorded as "probe". Starts then run one by one.
     bound: the largest distance of a body from its position at the start [m]; a run ends at the
         first sample beyond it.
     most: the number of force evaluations at which an adaptive run ends. A run with a control
@@ -123,12 +125,12 @@ def follow(
     >>> run.times.tolist(), run["qpos"].shape
     ([0.0, 0.1, 0.2], (2, 3, 1))
     """
-    run = _Run(model, starts, steps, every, ctrl, hold, control, record, bound, most)
+    run = _Run(model, starts, steps, every, ctrl, hold, control, record, probe, bound, most)
     threads = checks.threads(threads)
     clock = thread_time if threads == 1 else process_time
     begun = clock()
     checkpoint()
-    if control is None and run.steps and sampled(run.names, model.settings):
+    if control is None and probe is None and run.steps and sampled(run.names, model.settings):
         run.whole(threads)
     else:
         for start in range(len(starts)):
@@ -158,13 +160,14 @@ class _Run:
         hold: int,
         control: Control | None,
         record: Sequence[str],
+        probe: Callable[[Sim], Floats] | None,
         bound: float,
         most: float,
     ) -> None:
         if not len(starts):
             raise ValueError("starts: must be at least one")
         self.model, self.starts, self.control = model, starts, control
-        self.bound, self.most = bound, most
+        self.bound, self.most, self.probe = bound, most, probe
         self.steps = checks.count("steps", steps, 0)
         self.every, self.hold = checks.count("every", every), checks.count("hold", hold)
         if self.steps % self.every:
@@ -194,8 +197,10 @@ class _Run:
 
     def keep(self, start: int, sample: int, sim: Sim) -> None:
         """Record a sample of a run, and end the run if a body is beyond the bound."""
-        for name in self.names:
-            value = np.asarray(getattr(sim, name))
+        values = {name: np.asarray(getattr(sim, name)) for name in self.names}
+        if self.probe is not None:
+            values["probe"] = self.probe(sim)
+        for name, value in values.items():
             if name not in self.data:
                 shape = (len(self.starts), self.steps // self.every + 1, *value.shape)
                 self.data[name] = np.full(shape, np.nan)
