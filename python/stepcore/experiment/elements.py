@@ -73,7 +73,7 @@ class Elements:
     """The elements of a scene.
 
     names: of the elements, by kind. moving: indices of the bodies that move.
-    joints: type, first coordinate and first dof of each. forces: the units of the actuators' forces.
+    joints: type, first coordinate and first dof of each. forces: the units of the actuators.
     points: the body, and the position in its frame [m], of each body, site and geom, by kind.
     sensors: type, first value and number of values of each. tendons: the units of their lengths.
     """

@@ -1,9 +1,9 @@
 """`Quantity`: the quantity of interest, whose error a measurement reports; by default the motion.
 
 A series is a reading of one element over time, such as the position of a site. Its error from one
-start is the RMS over the samples that can be predicted, as for the motion. A scalar is one number of
-a run, such as the largest force; its error is the difference of that number. Forces and sensors are
-read after the step that ends at a sample, as `Sim.contacts` and `Sim.sensordata` are.
+start is the RMS over the samples that can be predicted, as for the motion. A scalar is one number
+of a run, such as the largest force; its error is the difference of that number. Forces and sensors
+are read after the step that ends at a sample, as `Sim.contacts` and `Sim.sensordata` are.
 """
 
 from __future__ import annotations
@@ -106,9 +106,9 @@ class Column:
 class Point(Column):
     """The pose of a point of a moving body, or one of its coordinates; or the centre of mass.
 
-    place: of the body among the moving ones. offset: of the point from the body's centre of mass, in
-    the body's axes [m], (3,). radius: at which rotations count [m]. axis: a coordinate, or None.
-    shares: the bodies' shares of the mass, (bodies,), for the centre of mass of all.
+    place: of the body among the moving ones. offset: of the point from the body's centre of mass,
+    in the body's axes [m], (3,). radius: at which rotations count [m]. axis: a coordinate, or
+    None. shares: the bodies' shares of the mass, (bodies,), for the centre of mass of all.
     """
 
     offset: Any = None

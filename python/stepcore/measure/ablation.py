@@ -47,8 +47,8 @@ MEASURABLE = 1e-6
 LEGEND = (
     "saved: share of the floating-point operations per simulated second, negative if the variant "
     "costs more; µs: computing time saved per simulated second, as measured here; added: {error} "
-    "added in the worst start{unit}; max: the largest error added at any time{unit}; error: {error} "
-    "against the converged motion in the worst start{unit}."
+    "added in the worst start{unit}; max: the largest error added at any time{unit}; error: "
+    "{error} against the converged motion in the worst start{unit}."
 )
 # A measured saving below this share of the time is noise: with one model under two names, the
 # fastest of five alternating runs differed by up to 4 % on half_cheetah and Go2. The difference
@@ -360,7 +360,7 @@ def ablate(
         units.length("ablate", "added", added, 1.0)
     further = checks.count("further", further, least=0)
     setup = set_up(ablate, model, motion, fields, missing="no motion to keep", engine=engine)
-    shared = {"engine": setup.engine, "workers": setup.workers}
+    shared: dict[str, Any] = {"engine": setup.engine, "workers": setup.workers}
     study = Study(motion=setup.motion, quantity=quantity, **shared)
     time = setup.workers.deadline
     tolerance = study.error_of("ablate", added, "added")
@@ -428,8 +428,8 @@ def _truth(study: Study, tolerance: float) -> tuple[Truth | None, list[str]]:
     if truth.error <= tolerance:
         return truth, []
     return truth, [
-        f'column "error" is uncertain by {study.measure.words(truth.error)}, the uncertainty of the converged '
-        'motion, which is more than the tolerance; column "added" is not affected'
+        f'column "error" is uncertain by {study.measure.words(truth.error)}, the uncertainty of '
+        'the converged motion, which is more than the tolerance; column "added" is not affected'
     ]
 
 

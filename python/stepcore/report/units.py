@@ -238,10 +238,8 @@ def amount(owner: str, name: str, value: object, unit: str, whole: float, of: st
         plain = {name.replace("·", ""): size for name, size in known}
         result = _in_units(value, (*known, *plain.items(), ("%", whole / 100)))
     if result is None or not 0 < result < math.inf:
-        example = f'"1{unit}"' if unit else "a number"
-        raise checks.refuse(
-            owner, name, value, f'> 0 in {unit or "no unit"}: {example}, or "1%" of {of}'
-        )
+        forms = f'an amount > 0: a number in {unit}, "1{unit}"' if unit else "a number > 0"
+        raise checks.refuse(owner, name, value, f'{forms}, or "1%" of {of}')
     return result
 
 

@@ -422,7 +422,8 @@ class Trade(Result):
                 yield f"In the file: {row.change.mjcf}"
             yield self._halved()
         elif target is not None:
-            yield f"No setting tried has an error of at most {self.words(self.asked)} in every start."
+            most = self.words(self.asked)
+            yield f"No setting tried has an error of at most {most} in every start."
             done = [row for row in self.whole if row.error < math.inf]
             if done:
                 least = min(done, key=lambda row: row.error)
@@ -499,8 +500,8 @@ class Trade(Result):
             where = f" in the worst of {count} starts ({median})"
         if math.isinf(row.error):
             return (
-                f"{what} the {self.measure.error_words} is {self.words(row.median)} in the median of {count} "
-                f"starts, for {self._priced(row)}; from start {row.worst} no run converges."
+                f"{what} the {self.measure.error_words} is {self.words(row.median)} in the median "
+                f"of {count} starts, for {self._priced(row)}; from start {row.worst} no run converges."
             )
         scored = min(self.horizon, self.predictable)
         over = seconds(self.horizon) if scored == self.horizon else "what can be predicted"
@@ -568,7 +569,8 @@ class Trade(Result):
         errors = [e for s, e in zip(row.starts, row.errors, strict=True) if s in theirs.starts]
         if row.failure or len(errors) == len(row.starts):
             return ""
-        return f" in the worst of {len(errors)} starts (stepcore's from these: {self.words(max(errors))})"
+        ours = self.words(max(errors))
+        return f" in the worst of {len(errors)} starts (stepcore's from these: {ours})"
 
     def _times(self, theirs: Change, ours: Change | None = None) -> str:
         """Return the measured ratio of MuJoCo's to stepcore's time, in words; "" if unknown."""
@@ -677,8 +679,8 @@ class Trade(Result):
         near = [row for row in shown if chosen and row.cost < chosen.cost]
         if any(row.error <= self.asked and not self.partial(row) for row in near):
             legend += (
-                f" Cheaper settings within the error are above {self.words(MARGIN * self.asked)}, or "
-                "were not tested on other starts."
+                " Cheaper settings within the error are above "
+                f"{self.words(MARGIN * self.asked)}, or were not tested on other starts."
             )
         if len(shown) < len(self.rows):
             legend += f" {not_shown(counted(len(self.rows) - len(shown), 'setting'))}"
