@@ -501,7 +501,8 @@ class Trade(Result):
         if math.isinf(row.error):
             return (
                 f"{what} the {self.measure.error_words} is {self.words(row.median)} in the median "
-                f"of {count} starts, for {self._priced(row)}; from start {row.worst} no run converges."
+                f"of {count} starts, for {self._priced(row)}; from start {row.worst} no run "
+                "converges."
             )
         scored = min(self.horizon, self.predictable)
         over = seconds(self.horizon) if scored == self.horizon else "what can be predicted"
