@@ -182,16 +182,28 @@ class Proof:
         )
 
 
-def share_of(missed: int, starts: int) -> float:
+def share_of(missed: int, starts: int, confidence: float = CONFIDENCE) -> float:
     """Return Clopper and Pearson's upper bound of the share of misses, from k misses of n starts.
 
-    The bound is the share p at which k or fewer misses have a probability of 5 %.
+    The bound is the share p at which k or fewer misses have a probability of 1 − confidence.
     """
     if missed >= starts:
         return 1.0
     low, high = missed / starts, 1.0
     for _ in range(60):
         p = (low + high) / 2
-        terms = (math.comb(starts, k) * p**k * (1 - p) ** (starts - k) for k in range(missed + 1))
-        low, high = (p, high) if sum(terms) > 1 - CONFIDENCE else (low, p)
+        low, high = (p, high) if _at_most(missed, starts, p) > 1 - confidence else (low, p)
     return high
+
+
+def _at_most(hits: int, count: int, share: float) -> float:
+    """Return the probability of at most this many hits in independent trials."""
+    logs = (
+        math.lgamma(count + 1)
+        - math.lgamma(k + 1)
+        - math.lgamma(count - k + 1)
+        + k * math.log(share)
+        + (count - k) * math.log1p(-share)
+        for k in range(hits + 1)
+    )
+    return math.fsum(math.exp(log) for log in logs)

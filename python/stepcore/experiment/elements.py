@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from stepcore import checks
 from stepcore.engine.axes import POSITIONS, VELOCITIES
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.trajectory import OF_WORLDS, recordable
 
 # The parts of a position.
 PARTS = ("x", "y", "z")
@@ -45,6 +46,8 @@ SENSOR_UNITS = {kind: unit for unit, kinds in _UNITS.items() for kind in kinds.s
 class Source(NamedTuple):
     """A reading: the sum of some entries of an array; of "contacts" by sets of geoms.
 
+    Without indices it is the whole array, one reading of each entry.
+
     indices: of the entries. geoms: of the first element, and of the other one or None for any.
     """
 
@@ -76,6 +79,7 @@ class Elements:
     joints: type, first coordinate and first dof of each. forces: the units of the actuators.
     points: the body, and the position in its frame [m], of each body, site and geom, by kind.
     sensors: type, first value and number of values of each. tendons: the units of their lengths.
+    shape: returns the shape of an array by its name; ValueError for one that cannot be recorded.
     """
 
     names: Mapping[str, Sequence[str]]
@@ -85,6 +89,7 @@ class Elements:
     points: Mapping[str, Sequence[tuple[int, np.ndarray]]]
     sensors: Sequence[tuple[str, int, int]]
     tendons: Sequence[str]
+    shape: Callable[[str], tuple[int, ...]]
 
     def find(self, path: str) -> list[Found]:
         """Return the series of a path or pattern.
@@ -222,6 +227,7 @@ def elements_of(model: Model, moving: Sequence[int]) -> Elements:
         points=points,
         sensors=list(zip(model.sensor_type, firsts[:-1], model.sensor_dim.tolist(), strict=True)),
         tendons=["" if tendon.fixed else "m" for tendon in model.scene.tendons],
+        shape=lambda name: np.shape(getattr(sim, recordable((name,), OF_WORLDS)[0])),
     )
 
 

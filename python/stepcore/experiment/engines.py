@@ -77,6 +77,8 @@ class Engine(ABC):
     nearby = 1e-10
     # What is read at the samples, besides the poses of the bodies.
     sources: tuple[Source, ...] = ()
+    # The number of readings at a sample.
+    width = 0
     name: str
     title: str
     shipped: Any
@@ -119,7 +121,10 @@ class Engine(ABC):
     def reading(self, sources: Sequence[Source]) -> Self:
         """Return the engine, which also records these readings in `Tracks.readings`."""
         engine = copy.copy(self) if sources else self
-        engine.sources = tuple(sources)
+        engine.sources, shape = tuple(sources), self.elements.shape if sources else None
+        whole = [one.array for one in sources if not one.indices and one.array != "contacts"]
+        engine.width = len(sources) - len(whole)
+        engine.width += sum(math.prod(shape(name)) for name in whole) if shape else 0
         return engine
 
     def farthest(self, schedule: Schedule) -> float:
@@ -257,7 +262,7 @@ class Stepcore(Engine):
             shape = (len(starts), len(schedule.times) + 1 - first, len(self.matter.moving))
             why = dict.fromkeys(range(len(starts)), one_line(error))
             nothing = np.full((*shape, 4), np.nan)
-            readings = np.full((*shape[:2], len(self.sources)), np.nan) if self.sources else None
+            readings = np.full((*shape[:2], self.width), np.nan) if self.sources else None
             return Tracks(nothing[..., :3], nothing, why, readings=readings)
         failures = {k: one_line(error) for k, error in ran.failures.items()}
         tracks = self.matter.tracks(ran["xpos"][:, first:], ran["xquat"][:, first:], failures)
@@ -284,11 +289,15 @@ class Stepcore(Engine):
         readings, contacts = list[np.ndarray](), 0
         for source in self.sources:
             if source.array == "contacts":
-                readings.append(ran["probe"][..., contacts])
+                readings.append(ran["probe"][..., [contacts]])
                 contacts += 1
+            elif source.indices:
+                some = ran[source.array][..., list(source.indices)]
+                readings.append(some.sum(axis=-1, keepdims=True))
             else:
-                readings.append(ran[source.array][..., list(source.indices)].sum(axis=-1))
-        return np.stack(readings, axis=-1)
+                whole = ran[source.array]
+                readings.append(whole.reshape(*whole.shape[:2], -1))
+        return np.concatenate(readings, axis=-1)
 
     def evaluation(self, change: Change, schedule: Schedule) -> float:
         self.work(change, schedule)

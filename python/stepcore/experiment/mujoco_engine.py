@@ -34,6 +34,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter, Tracks
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
+from stepcore.engine.trajectory import OF_WORLDS, recordable
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import Controls, PositionTable
@@ -89,6 +90,8 @@ FLAGS = {
     # These change the method, not the modelled physics.
     **dict.fromkeys(("clampctrl", "filterparent", "eulerdamp"), ""),
 }
+# Arrays whose values after a step are those of the step, or of the state after it.
+OF_STEP = {"contacts", "qpos", "qvel", "act", "ctrl", "qacc", "sensordata", "actuator_force"}
 # Values that can be changed, by kind of element.
 VALUES = {
     "joint": ("damping", "armature", "frictionloss", "stiffness"),
@@ -255,7 +258,7 @@ class MuJoCo(Engine):
     ) -> Tracks:
         shape = (len(starts), len(schedule.times) + 1 - first, self.scene.nbody)
         xpos, xquat = np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan)
-        readings = np.full((*shape[:2], len(self.sources)), np.nan)
+        readings = np.full((*shape[:2], self.width), np.nan)
         failures = dict[int, str]()
         try:
             with self._world(schedule.change.also(change)) as world:
@@ -300,7 +303,7 @@ class MuJoCo(Engine):
         sample, state = schedule.every * steps, world.begin(schedule.starts[start])
         states = np.full((len(schedule.times) + 1, len(state)), np.nan)
         played = np.full((len(states), nu), np.nan)
-        read = np.full((len(states), len(self.sources)), np.nan)
+        read = np.full((len(states), self.width), np.nan)
         states[0], played[0] = state, 0.0
         if function is None:
             rows, hold = schedule.rows([start], dt)
@@ -472,18 +475,19 @@ class _World:
             mj.mj_contactForce(model, data, k, wrench)
             forces[k] = abs(wrench[0])
         pairs = data.contact.geom.reshape(-1, 2).copy()
-        if arrays & {"energy", "ten_length"}:
+        if arrays - OF_STEP:
             # The step leaves the places of the state before it.
             mj.mj_fwdPosition(model, data)
             mj.mj_energyPos(model, data)
             mj.mj_energyVel(model, data)
 
-        def read(source: Source) -> float:
+        def read(source: Source) -> Any:
             if source.array == "contacts":
                 return contact_force(source, pairs, forces)
-            return float(getattr(data, source.array)[list(source.indices)].sum())
+            values = getattr(data, source.array)
+            return values[list(source.indices)].sum() if source.indices else values.ravel()
 
-        return np.array([read(source) for source in sources])
+        return np.hstack([read(source) for source in sources])
 
     def frames(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the places and orientations of all bodies in some states."""
@@ -684,7 +688,17 @@ def _elements(scene: Any, coordinates: Coordinates) -> Elements:
         points=points,
         sensors=list(sensors),
         tendons=["" if fixed else "m" for fixed in over_joints],
+        shape=partial(_shape, mj.MjData(scene)),
     )
+
+
+def _shape(data: Any, name: str) -> tuple[int, ...]:
+    """Return the shape of an array of MuJoCo's data."""
+    recordable((name,), OF_WORLDS)
+    array = getattr(data, name, None)
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"quantity: MuJoCo's data has no array {checks.quoted(name)}")
+    return array.shape
 
 
 class _Flexible(Coordinates):

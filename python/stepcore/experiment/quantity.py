@@ -8,14 +8,17 @@ are read after the step that ends at a sample, as `Sim.contacts` and `Sim.sensor
 
 from __future__ import annotations
 
+import inspect
+import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from stepcore import checks
+from stepcore.engine.control import ControlError
 from stepcore.engine.coordinates import rotated
 from stepcore.engine.norm import Matter, Tracks, apart, arc, largest, length, rms
 from stepcore.experiment.elements import PARTS, Elements, Source, path_in_words
@@ -47,6 +50,11 @@ class Quantity:
       "joint/*" is the RMS over all elements that match;
     - a scalar of a run: max(…), min(…), mean(…), final(…), integral(…) or range(…) of a series.
 
+    function: a function that returns one number, or True or False, of each run, (n,). Its
+        parameters name the arrays that it reads, of all runs at once: "qpos", "xpos", "ctrl" and
+        others that `Sim.run` records, each of shape (n, samples, …) with a sample at the end of
+        each control period; and "time", (samples,).
+
     Raises ValueError for a name of another form. Elements are looked up when a study begins.
 
     >>> Quantity("max(contact/foot)").reduction, Quantity("site/tip").series
@@ -54,10 +62,15 @@ class Quantity:
     """
 
     name: str = MOTION
+    function: Callable[..., Any] | None = None
     reduction: str = field(init=False, compare=False, repr=False)
     series: str = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
+        if self.function is not None:
+            object.__setattr__(self, "reduction", "")
+            object.__setattr__(self, "series", "")
+            return
         name = checks.word("quantity", self.name).strip()
         match = re.fullmatch(r"(\w+)\((.+)\)", name)
         reduction, series = match.groups() if match else ("", name)
@@ -71,17 +84,26 @@ class Quantity:
         object.__setattr__(self, "series", series.strip())
 
     @classmethod
-    def of(cls, quantity: Quantity | str | None) -> Quantity:
-        """Return a quantity, or the one of a name; None is the motion."""
+    def of(cls, quantity: Quantity | str | Callable[..., Any] | None) -> Quantity:
+        """Return a quantity, or the one of a name or a function; None is the motion."""
         if isinstance(quantity, Quantity):
             return quantity
+        if callable(quantity):
+            return cls(getattr(quantity, "__name__", type(quantity).__name__), quantity)
         if quantity is not None and not isinstance(quantity, str):
-            raise checks.refuse("study", "quantity", quantity, "a name, or a Quantity")
+            raise checks.refuse(
+                "study", "quantity", quantity, "a name, a function of runs, or a Quantity"
+            )
         return cls(quantity or MOTION)
 
     @property
     def is_motion(self) -> bool:
-        return self.name == MOTION
+        return self.name == MOTION and self.function is None
+
+    @property
+    def is_scalar(self) -> bool:
+        """Whether it is one number of a run."""
+        return bool(self.reduction) or self.function is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,14 +165,17 @@ class Measure:
     """A quantity of one scene: its distance between two motions, its unit and its range.
 
     quantity: the quantity. matter: the moving bodies. columns: its series; none for the motion.
-    sources: the readings that the engine makes for it. pause: the time between samples [s].
+    sources: the readings that the engine makes for it. times: of the samples
+    [s], (n,). arrays: name and shape of the arrays that a function reads.
     """
 
     quantity: Quantity
     matter: Matter
     columns: tuple[Column, ...] = ()
     sources: tuple[Source, ...] = ()
-    pause: float = 1.0
+    times: np.ndarray = field(default_factory=lambda: np.ones(1))
+    arrays: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    _seen: dict[str, bool] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, quantity: Quantity, matter: Matter, elements: Callable[[], Elements]) -> Measure:
@@ -163,6 +188,10 @@ class Measure:
             return cls(quantity, matter)
         columns, sources = list[Column](), list[Source]()
         known = elements()
+        if quantity.function is not None:
+            arrays = tuple((name, known.shape(name)) for name in parameters(quantity))
+            wanted = tuple(Source(name) for name, _ in arrays)
+            return cls(quantity, matter, (), wanted, arrays=arrays)
         for one in known.find(quantity.series):
             if one.body is None:
                 columns.append(Column(one.name, one.unit, len(sources)))
@@ -190,6 +219,8 @@ class Measure:
         """The unit of the quantity and of its errors; "" without one."""
         if self.quantity.is_motion:
             return "m"
+        if self.quantity.function is not None:
+            return ""
         unit = self.columns[0].unit
         if self.quantity.reduction == "integral":
             return INTEGRALS.get(unit, f"{unit}·s")
@@ -211,7 +242,7 @@ class Measure:
         """The measured error in a few words."""
         if self.quantity.is_motion:
             return "RMS position error"
-        kind = "error" if self.quantity.reduction else "RMS error"
+        kind = "error" if self.quantity.is_scalar else "RMS error"
         return f"{kind} of {self.quantity.name}"
 
     @property
@@ -226,6 +257,9 @@ class Measure:
         """
         if self.quantity.is_motion:
             return apart(a, b, self.matter)
+        if self.quantity.function is not None:
+            far = np.abs(self.numbers(a) - self.numbers(b))[:, None, None]
+            return np.where(np.isnan(far), np.inf, far)
         with np.errstate(over="ignore", invalid="ignore"):
             far = np.stack([self._apart(column, a, b) for column in self.columns], axis=-1)
         far[np.isnan(far)] = np.inf
@@ -237,25 +271,88 @@ class Measure:
             return column.apart(a, b)
         if name == "final":
             return column.apart(a, b)[:, -1:]
-        first, second = (REDUCTIONS[name](column.values(one), self.pause) for one in (a, b))
-        return np.abs(first - second)[:, None]
+        return np.abs(self._reduced(column, a) - self._reduced(column, b))[:, None]
+
+    def _reduced(self, column: Column, tracks: Tracks) -> np.ndarray:
+        """Return the number of a column in each run, (starts,)."""
+        dt = float(self.times[0])
+        return np.asarray(REDUCTIONS[self.quantity.reduction](column.values(tracks), dt))
+
+    @property
+    def binary(self) -> bool:
+        """Whether the numbers are True or False; known after the first runs."""
+        return bool(self._seen.get("binary"))
+
+    def numbers(self, tracks: Tracks, starts: Sequence[int] | None = None) -> np.ndarray:
+        """Return the number of each run, (starts,); NaN of a run that failed.
+
+        starts: indices of the starts, for errors. Raises ValueError for a series, which has no
+        single number, and for a function that returns anything but a number of each run.
+        """
+        quantity, ran = self.quantity, np.isfinite(tracks.com).all(axis=(1, 2, 3))
+        numbers = np.full(len(tracks), np.nan)
+        if quantity.function is None:
+            numbers[ran] = self._reduced(self.columns[0], tracks)[ran]
+            return numbers
+        if ran.any():
+            numbers[ran] = self._called(tracks, ran)
+        bad = np.flatnonzero(ran & ~np.isfinite(numbers))
+        if len(bad):
+            which = bad[0] if starts is None else starts[int(bad[0])]
+            text = f"quantity: {quantity.name} is not finite in the run from start {which}"
+            raise ControlError(text)
+        return numbers
+
+    def check_scalar(self) -> None:
+        """Raise ValueError unless the quantity is one number of a run."""
+        if not self.quantity.is_scalar or len(self.columns) > 1:
+            shown = checks.quoted(self.quantity.name)
+            raise ValueError(
+                f"quantity: {shown} is not one number of a run: use max(…), min(…), mean(…), "
+                "final(…), integral(…) or range(…) of one element, or a function of runs"
+            )
+
+    def _called(self, tracks: Tracks, ran: np.ndarray) -> np.ndarray:
+        """Call the user's function with the runs that did not fail."""
+        function, name = self.quantity.function, self.quantity.name
+        assert function is not None and tracks.readings is not None
+        count, given, first = int(ran.sum()), dict[str, np.ndarray](), 0
+        for array, shape in self.arrays:
+            size = math.prod(shape)
+            part = tracks.readings[ran, :, first : first + size]
+            given[array], first = part.reshape(count, -1, *shape), first + size
+        if "time" in inspect.signature(function).parameters:
+            given["time"] = self.times
+        try:
+            made = np.asarray(function(**given))
+        except Exception as error:
+            text = f"{type(error).__name__}: {checks.one_line(error)}"
+            raise ControlError(f"quantity: {name} raised {text}") from error
+        if made.shape != (count,) or made.dtype.kind not in "bif":
+            limit = f"one number, or True or False, of each of {count} runs, shape ({count},)"
+            kind = f"{made.dtype} of shape {made.shape}"
+            raise ControlError(f"quantity: {name} returned {kind}: must return {limit}")
+        self._seen["binary"] = made.dtype.kind == "b"
+        return made.astype(float)
 
     def error(self, a: Tracks, b: Tracks, scored: np.ndarray | None = None) -> np.ndarray:
         """Return the RMS distance over samples and elements, (starts,).
 
         scored: the samples that count, (starts, n); by default all. A scalar needs all.
         """
-        return rms(self.apart(a, b), None if self.quantity.reduction else scored)
+        return rms(self.apart(a, b), None if self.quantity.is_scalar else scored)
 
     def largest(self, a: Tracks, b: Tracks, scored: np.ndarray | None = None) -> np.ndarray:
         """Return the largest distance at any sample that counts, (starts,)."""
-        return largest(self.apart(a, b), None if self.quantity.reduction else scored)
+        return largest(self.apart(a, b), None if self.quantity.is_scalar else scored)
 
     def range(self, tracks: Tracks) -> float:
         """Return the range of the series over a motion: of the element with the largest one.
 
         A series that stays constant counts by its value. Raises ValueError if it is always 0.
         """
+        if self.quantity.function is not None:
+            return _most(np.abs(self.numbers(tracks))) or 1.0
         widths = list[float]()
         for column in self.columns:
             if isinstance(column, Point) and column.axis is None:
@@ -273,6 +370,20 @@ class Measure:
                 "name another quantity, or give a motion that changes it"
             )
         return width
+
+
+def parameters(quantity: Quantity) -> list[str]:
+    """Return the names of the arrays that a function reads, apart from "time".
+
+    Raises ValueError for parameters that cannot be arrays.
+    """
+    assert quantity.function is not None
+    kinds = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
+    taken = inspect.signature(quantity.function).parameters.values()
+    if not taken or any(parameter.kind not in kinds for parameter in taken):
+        limit = "its parameters must name the arrays that it reads, such as qpos and time"
+        raise ValueError(f"quantity: {quantity.name}: {limit}")
+    return [parameter.name for parameter in taken if parameter.name != "time"]
 
 
 # The unit of an integral over time, where it has a name.

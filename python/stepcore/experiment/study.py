@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any, Unpack, overload
 
@@ -50,7 +50,7 @@ class Study:
     motion: a `Motion`, its kind ("hold"), or its fields as arguments (``horizon=0.5``); by default
         one that the machine could make, of about one second.
     quantity: the quantity whose error is measured, a `Quantity` or its name, such as "site/tip" or
-        "max(contact/foot)"; by default the motion of all bodies.
+        "max(contact/foot)", or a function of the runs; by default the motion of all bodies.
     engine: runs the changes: "stepcore", or "mujoco", which also runs files that stepcore cannot
         load; or an `Engine`, which has a scene already, so that `model` is not needed.
     period: the control period: seconds, or a text such as "8ms". Every time step divides it. By
@@ -80,7 +80,7 @@ class Study:
         model: Any = None,
         motion: Motion | str | None = None,
         *,
-        quantity: Quantity | str | None = None,
+        quantity: Quantity | str | Callable[..., Any] | None = None,
         engine: Engine | str = "stepcore",
         period: float | str | None = None,
         effort: float = EFFORT,
@@ -100,11 +100,10 @@ class Study:
             period = time_steps(shipped, None, self.motion.period(shipped), horizon)[1]
         period, count = units.time("period", period), self.motion.starts or STARTS
         self.schedule: Schedule = self.engine.scheduled(self.motion, period, starts=count)
-        if measure.quantity.reduction:
+        if measure.quantity.is_scalar:
             # Peaks are found between the usual samples too.
             self.schedule = dataclasses.replace(self.schedule, every=1)
-        pause = self.schedule.period * self.schedule.every
-        self.measure = dataclasses.replace(measure, pause=pause)
+        self.measure = dataclasses.replace(measure, times=self.schedule.times)
         self.starts: tuple[int, ...] = tuple(self.schedule.indices)
         self.workers, self.effort, self.by = workers or Workers(), effort, by
         self.spent, self.runs, self.allowed = 0.0, 0, effort
