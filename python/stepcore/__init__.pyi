@@ -41,6 +41,8 @@ from stepcore.measure.diagnosis import diagnose as diagnose
 from stepcore.measure.identification import Identification as Identification
 from stepcore.measure.identification import identify as identify
 from stepcore.measure.monitors import Finding as Finding
+from stepcore.measure.outcomes import Outcomes as Outcomes
+from stepcore.measure.outcomes import outcomes as outcomes
 from stepcore.measure.plan import plan as plan
 from stepcore.measure.predictability import Predictability as Predictability
 from stepcore.measure.predictability import predict as predict

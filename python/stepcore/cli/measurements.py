@@ -20,6 +20,7 @@ from stepcore.cli.arguments import (
     add_options,
     documented,
     frequency,
+    function_of,
     key_of,
     model_of,
     motion_of,
@@ -204,6 +205,15 @@ def _log(text: str) -> Any:
     return {name: file for name, _, file in parts} if apart else text
 
 
+def _quantity(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
+    """Return the quantity: a name, or a function in a file or module."""
+    text = args.quantity
+    file, _, name = (text or "").rpartition(":")
+    if file and name.isidentifier():
+        return {"quantity": function_of("quantity", text)}
+    return {"quantity": text}
+
+
 ENGINE = ("stepcore", "mujoco")
 NAMES = {"action": "append", "metavar": "NAME"}
 
@@ -244,6 +254,20 @@ MEASUREMENTS = {
         excluding=("error", "budget"),
         full="print every setting",
         more=lambda args, model: {"search": "grid" if args.grid else None},
+    ),
+    "outcomes": Measurement(
+        "outcomes",
+        "gymnasium:ant --quantity 'final(body/torso/x)' --horizon 3",
+        {
+            "quantity": {
+                "metavar": "NAME",
+                "required": True,
+                "help": "a scalar such as max(contact/foot), or FILE.py:FUNCTION, a function of "
+                "the runs",
+            },
+            **{"error": "AMOUNT", "most": "N", "effort": "OPERATIONS", "engine": ENGINE},
+        },
+        more=_quantity,
     ),
     "predict": Measurement(
         "predictability", "gymnasium:ant --horizon 5 --plot growth.png", {"engine": ENGINE}

@@ -58,6 +58,15 @@ class Difference:
         """The largest absolute difference in the interval; NaN if there is none."""
         return max(abs(self.low), abs(self.high))
 
+    @property
+    def significant(self) -> bool:
+        """Whether the interval does not contain 0."""
+        return self.low > 0 or self.high < 0
+
+    def widened(self, unsure: float) -> Difference:
+        """Return the difference with an interval wider by an uncertainty on both sides."""
+        return dataclasses.replace(self, low=self.low - unsure, high=self.high + unsure)
+
     def within(self, error: float) -> bool:
         """Return whether the entire interval is within ± error."""
         return self.bound <= error
@@ -249,7 +258,6 @@ class Numbers:
         self.study = study
         self._known: dict[Change, np.ndarray] = {}
         self.failures: dict[Change, str] = {}
-        self.unpredictable = math.inf
 
     def of(self, changes: Sequence[Change], count: int, bar: str | None = None) -> list[np.ndarray]:
         """Return the numbers of changes from the first `count` starts, (count,) each."""
@@ -283,20 +291,19 @@ class Numbers:
                     self._known[change] = np.concatenate([before, done[change, starts.start]])
         return [self._known[change][:count] for change in changes]
 
-    def outcome(self, change: Change, reference: np.ndarray, first: int = 0) -> Outcome:
-        """Compare a change with the reference's numbers, from a first start on."""
-        study, count = self.study, len(reference)
-        (numbers,) = self.of([change], count)
-        numbers, compared = numbers[first:], reference[first:]
+    def outcome(self, change: Change, reference: np.ndarray, unsure: float = 0.0) -> Outcome:
+        """Compare a change with the reference's numbers; unsure: the uncertainty of its mean."""
+        study = self.study
+        (numbers,) = self.of([change], len(reference))
         return Outcome(
             change=change,
             settings=study.engine.settings(change),
             numbers=numbers,
-            difference=difference(compared, numbers, study.measure.binary),
+            difference=difference(reference, numbers, study.measure.binary).widened(unsure),
             work=study.work(change),
             cost=study.cost(change),
-            spread=ratio_of_spreads(compared, numbers),
-            distance=distance_of(compared, numbers),
+            spread=ratio_of_spreads(reference, numbers),
+            distance=distance_of(reference, numbers),
             failure=self.failures.get(change, ""),
         )
 
@@ -306,5 +313,5 @@ def _numbers(
 ) -> tuple[np.ndarray, str]:
     """Run a change from some starts; return a number of each run, and the first failure."""
     change, starts = job
-    tracks = engine.follow(change, dataclasses.replace(schedule), starts)
+    tracks = engine.follow(change, schedule, starts)
     return measure.numbers(tracks, starts), tracks.failure_from(starts)

@@ -129,14 +129,14 @@ class Outcomes(Result):
         ran = f"{counted(len(self.rows), 'setting')} in {counted(self.runs, 'run')}"
         unsure = self._plus_minus(self.other)
         return (
-            f"{ran}. Differences are measured from the converged mean ({label(self.reference.settings)}"
-            f"); a second method differs from it by {unsure}."
+            f"{ran}. Differences are measured from the converged mean "
+            f"({label(self.reference.settings)}); a second method differs from it by {unsure}."
         )
 
     @property
     def sentences(self) -> list[str]:
         """The recommendation, its validation, and the effect of the shipped settings."""
-        said = list(self._answer()) + [self._as_shipped()]
+        said = [*self._answer(), self._as_shipped()]
         if math.isfinite(self.predictable):
             said.append(
                 f"Single trajectories are unpredictable after {seconds(self.predictable)}; the "
@@ -157,8 +157,8 @@ class Outcomes(Result):
             yield (
                 f"A difference of {error} in the mean of {name} cannot be resolved with "
                 f"{counted(self.starts, 'start')} (± {half}); it needs about "
-                f"{round_number(max(self.needed, 1.0), up=True):.0f}: --most, --effort and --seconds "
-                "allow more."
+                f"{round_number(max(self.needed, 1.0), up=True):.0f}: --most, --effort and "
+                "--seconds allow more."
             )
             return
         row = self.chosen
@@ -194,15 +194,20 @@ class Outcomes(Result):
     def _failures(self, row: Outcome) -> str:
         low, high = row.failing
         share = f"{percent(low)} to {percent(high)}"
-        return f"{row.failed} of {counted(len(row.numbers), 'run')} fail, {share} with 95 % confidence"
+        return (
+            f"{row.failed} of {counted(len(row.numbers), 'run')} fail, {share} with 95 % confidence"
+        )
 
     def _validated(self) -> str:
         """Describe the test on held-out starts."""
         if self.proof is None:
             return "It was not tried on held-out starts."
-        held = "It holds" if self.proof.within(self.error) else "It does NOT hold"
-        starts = counted(self.proof.starts, "held-out start")
-        return f"{held} on {starts}: {self._plus_minus(self.proof)}."
+        starts, apart = counted(self.proof.starts, "held-out start"), self._plus_minus(self.proof)
+        if self.proof.within(self.error):
+            return f"It holds on {starts}: {apart}."
+        if self.proof.outside(self.error):
+            return f"It does NOT hold on {starts}: {apart}."
+        return f"It is undecided on {starts}: {apart}; more starts decide it (--starts)."
 
     def _distribution(self, row: Outcome) -> str:
         """Compare the spread and the distribution of a row with the reference's."""
@@ -212,8 +217,9 @@ class Outcomes(Result):
             return "The spread of the reference is zero."
         chance = "no more than" if far <= limit else "more than"
         return (
-            f"Its standard deviation is {ratio:.2f} times the reference's ({low:.2f} to {high:.2f});"
-            f" the two distributions are {far:.2g} apart, {chance} by chance ({limit:.2g})."
+            f"Its standard deviation is {ratio:.2f} times the reference's ({low:.2f} to "
+            f"{high:.2f}); the two distributions are {far:.2g} apart, {chance} by chance "
+            f"({limit:.2g})."
         )
 
     def _as_shipped(self) -> str:
@@ -221,10 +227,10 @@ class Outcomes(Result):
         if row.failed == len(row.numbers):
             return f"{what} the simulation fails: {row.failure}."
         deviation = self.words(float(np.nanstd(row.numbers, ddof=1)))
+        starts, apart = counted(len(row.numbers), "start"), self._plus_minus(row.difference)
         said = (
-            f"{what} the mean is {self.words(row.mean)} over {counted(len(row.numbers), 'start')} "
-            f"(standard deviation {deviation}), which differs by {self._plus_minus(row.difference)} "
-            "from the converged mean"
+            f"{what} the mean is {self.words(row.mean)} over {starts} (standard deviation "
+            f"{deviation}), which differs by {apart} from the converged mean"
         )
         return f"{said}; {self._failures(row)}." if row.failed else f"{said}."
 
@@ -242,7 +248,9 @@ class Outcomes(Result):
     @property
     def table(self) -> Table:
         """All settings, the cheapest first."""
-        return Table({"settings": self._name(row), "dt": row.dt} | row.record() for row in self.rows)
+        return Table(
+            {"settings": self._name(row), "dt": row.dt} | row.record() for row in self.rows
+        )
 
     def _name(self, row: Outcome) -> str:
         return row.change.label(self.settings)
@@ -320,7 +328,8 @@ def outcomes(
     mean differs from the converged mean by at most `error`, with the entire 95 % interval.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
-    motion: the `Motion` of all runs, or its fields as arguments. By default 256 starts, at least 64.
+    motion: the `Motion` of all runs, or its fields as arguments. By default 256 starts; at least
+        64.
     quantity: a scalar such as "max(contact/foot)" or "final(body/torso/x)", or a function of the
         runs, see `stepcore.experiment.Quantity`; True and False are judged by their share.
     error: the largest allowed difference of the mean, in the unit of the quantity or "1%" of its
@@ -350,7 +359,12 @@ def outcomes(
     ran, far = settled_motion(setup.engine, setup.motion, STARTS, effort)
     held = ran.period(setup.engine.dt)
     _, period = time_steps(setup.engine.dt, None, held, far.length)
-    made = {"engine": setup.engine, "period": period, "effort": effort, "workers": setup.workers}
+    made: dict[str, Any] = {
+        "engine": setup.engine,
+        "period": period,
+        "effort": effort,
+        "workers": setup.workers,
+    }
     study = Study(motion=dataclasses.replace(ran, starts=starts), quantity=quantity, **made)
     study.measure.check_scalar()
     target = None if error is None else study.error_of("outcomes", error)
@@ -391,23 +405,17 @@ class _Search:
         """The requested error, or the smallest round one that the starts resolve."""
         if self.target is not None:
             return self.target
-        half = max(row.difference.half for row in (self.shipped, self.reference_row))
+        half = max(self.shipped.difference.half, self._outcome(self.second).difference.half)
         return round_number(max(half / RESOLVED, 1e-12), up=True)
 
     def refer(self) -> None:
         """Find the converged mean by two methods."""
         ways = [way for way in self.study.engine.ways(self.study.schedule, 1.0) if way.fixed][:2]
         found = [self._settled(way.at) for way in ways]
-        found.sort(key=lambda one: self.study.price(one[0], 1))
-        (self.finest, self.refined), (other, _) = found[0], found[-1]
-        self.reference, second = self.numbers.of([self.finest, other], self.count)
-        self.other = difference(self.reference, second, self.study.measure.binary)
-        self.second = other
-        self.shipped = self._outcome(SHIPPED)
-
-    @property
-    def reference_row(self) -> Outcome:
-        return self._outcome(self.second)
+        # The method that its last halving changed least.
+        found.sort(key=lambda one: one[1].bound)
+        (self.finest, self.refined), (self.second, _) = found[0], found[-1]
+        self._compare()
 
     def _settled(self, at: Callable[[int], Change]) -> tuple[Change, Difference]:
         """Halve the time step until that changes the mean no more; return the finer change."""
@@ -420,16 +428,29 @@ class _Search:
             last = difference(before, now, self.study.measure.binary)
             before = now
             settled = abs(last.value) <= max(enough, last.half) and np.isfinite(now).all()
-            if settled and rung > 1 or not self.study.affords(at(rung + 1), self.count):
+            if (settled and rung > 1) or not self.study.affords(at(rung + 1), self.count):
                 break
         assert last is not None
         if not np.isfinite(before).any():
-            raise ValueError(f"every run fails at shorter steps too: {self.numbers.failures[change]}")
+            raise ValueError(
+                f"every run fails at shorter steps too: {self.numbers.failures[change]}"
+            )
         return change, last
+
+    def _compare(self) -> None:
+        """Compare the two methods and the shipped settings with the reference."""
+        self.reference, second = self.numbers.of([self.finest, self.second], self.count)
+        self.other = difference(self.reference, second, self.study.measure.binary)
+        self.shipped = self._outcome(SHIPPED)
+
+    @property
+    def unsure(self) -> float:
+        """The uncertainty of the reference's mean, where the two methods show a difference."""
+        return abs(self.other.value) if self.other.significant else 0.0
 
     def _outcome(self, change: Change) -> Outcome:
         if change not in self.tried or len(self.tried[change].numbers) != len(self.reference):
-            self.tried[change] = self.numbers.outcome(change, self.reference)
+            self.tried[change] = self.numbers.outcome(change, self.reference, self.unsure)
         return self.tried[change]
 
     def resolve(self) -> None:
@@ -445,11 +466,9 @@ class _Search:
                 return
             if not self.study.affords(self.finest, self.count):
                 return
-            reference, second = self.numbers.of([self.finest, self.second], more, "more starts")
-            self.numbers.of([SHIPPED], more)
-            self.count, self.reference = more, reference
-            self.other = difference(reference, second, self.study.measure.binary)
-            self.shipped = self._outcome(SHIPPED)
+            self.numbers.of([self.finest, self.second, SHIPPED], more, "more starts")
+            self.count = more
+            self._compare()
 
     @property
     def agreed(self) -> bool:
@@ -498,8 +517,10 @@ class _Search:
             if not self.study.affords(self.finest, self.count):
                 return
             reference, numbers = self.numbers.of([self.finest, row.change], 2 * first, "held-out")
-            self.proof = difference(reference[first:], numbers[first:], self.study.measure.binary)
-            held = self.proof.within(self.error) or not self.proof.outside(self.error)
+            binary = self.study.measure.binary
+            apart = difference(reference[first:], numbers[first:], binary)
+            self.proof = apart.widened(self.unsure)
+            held = self.proof.within(self.error)
             rest = [
                 other
                 for other in self.tried.values()
@@ -528,7 +549,7 @@ class _Search:
             measure=study.measure,
             settings=study.engine.settings(SHIPPED),
             horizon=study.schedule.horizon,
-            reference=self.numbers.outcome(self.finest, self.reference),
+            reference=self._outcome(self.finest),
             other=self.other,
             refined=self.refined,
             rows=sorted(rows, key=lambda row: row.cost),
