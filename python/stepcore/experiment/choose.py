@@ -190,20 +190,12 @@ def share_of(missed: int, starts: int, confidence: float = CONFIDENCE) -> float:
     if missed >= starts:
         return 1.0
     low, high = missed / starts, 1.0
+    hits = np.arange(missed + 1)
+    # The logarithms of the binomial coefficients, which overflow.
+    rising = np.log(starts - hits[:-1]) - np.log(hits[:-1] + 1)
+    counts = np.concatenate([[0.0], np.cumsum(rising)])
     for _ in range(60):
         p = (low + high) / 2
-        low, high = (p, high) if _at_most(missed, starts, p) > 1 - confidence else (low, p)
+        logs = counts + hits * math.log(p) + (starts - hits) * math.log1p(-p)
+        low, high = (p, high) if np.exp(logs).sum() > 1 - confidence else (low, p)
     return high
-
-
-def _at_most(hits: int, count: int, share: float) -> float:
-    """Return the probability of at most this many hits in independent trials."""
-    logs = (
-        math.lgamma(count + 1)
-        - math.lgamma(k + 1)
-        - math.lgamma(count - k + 1)
-        + k * math.log(share)
-        + (count - k) * math.log1p(-share)
-        for k in range(hits + 1)
-    )
-    return math.fsum(math.exp(log) for log in logs)

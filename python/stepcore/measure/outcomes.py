@@ -47,6 +47,8 @@ RUNGS = 8
 RESOLVED = 0.5
 # Neighbouring time steps of a family differ by at least this factor: intervals resolve no less.
 RATIO = 1.25
+# The share of the time after which the number of starts grows no more.
+SETTLED = 0.45
 # The number of choices that may be tested on held-out starts, and of cheaper settings named.
 TESTS, REFUSALS = 3, 2
 
@@ -371,7 +373,7 @@ def outcomes(
     search = _Search(study, starts, max(most, starts), held is not None, target)
     deadline = setup.workers.deadline
     search.refer()
-    with deadline.stage("more starts", SEARCHED):
+    with deadline.stage("more starts", SETTLED):
         search.resolve()
     with deadline.stage("some of the settings", SEARCHED):
         search.choose()
@@ -479,6 +481,7 @@ class _Search:
         study, limit = self.study, self.study.cost(self.finest)
         if not self.agreed or self.shipped.difference.half > self.error:
             return
+        self.chosen = self.shipped if self.shipped.within(self.error) else None
         own = study.steps()
         families = study.engine.families(study.schedule)
         rates = {family: study.cost(self._at(family, own)) / own for family in families}
