@@ -62,7 +62,7 @@ class Outcomes(Result):
     method from it. refined: how much the last halving of the reference's time step changed it.
     rows: all settings that ran, the cheapest first. shipped: the settings as shipped.
     error: the requested largest difference, or if there was none, the smallest that was resolved.
-    requested: whether it was requested. chosen: the recommended settings, or None.
+    requested: whether it was requested. half: half the width of the intervals. chosen: the recommended settings, or None.
     proof: the difference of the recommended settings on held-out starts, or None.
     needed: the estimated number of starts that resolve the error.
     predictable: when the trajectory from the first start becomes unpredictable [s]; else inf.
@@ -80,6 +80,7 @@ class Outcomes(Result):
     rows: list[Outcome]
     error: float
     requested: bool
+    half: float
     needed: float
     chosen: Outcome | None = None
     proof: Difference | None = None
@@ -98,7 +99,7 @@ class Outcomes(Result):
     @property
     def resolved(self) -> bool:
         """Whether the starts suffice for the error."""
-        return self.shipped.difference.half <= self.error
+        return self.half <= self.error
 
     @property
     def starts(self) -> int:
@@ -155,7 +156,7 @@ class Outcomes(Result):
             )
             return
         if not self.resolved:
-            half = self.words(self.shipped.difference.half)
+            half = self.words(self.half)
             yield (
                 f"A difference of {error} in the mean of {name} cannot be resolved with "
                 f"{counted(self.starts, 'start')} (± {half}); it needs about "
@@ -407,8 +408,14 @@ class _Search:
         """The requested error, or the smallest round one that the starts resolve."""
         if self.target is not None:
             return self.target
-        half = max(self.shipped.difference.half, self._outcome(self.second).difference.half)
-        return round_number(max(half / RESOLVED, 1e-12), up=True)
+        return round_number(max(self.half / RESOLVED, 1e-12), up=True)
+
+    @property
+    def half(self) -> float:
+        """Half the width of the interval that the starts resolve."""
+        rows = self.shipped, self._outcome(self.second)
+        halves = [row.difference.half for row in rows if math.isfinite(row.difference.half)]
+        return max(halves, default=math.inf)
 
     def refer(self) -> None:
         """Find the converged mean by two methods."""
@@ -458,8 +465,8 @@ class _Search:
     def resolve(self) -> None:
         """Double the number of starts until the error can be resolved."""
         while True:
-            sd = max(self.shipped.difference.sd, self.other.sd)
-            half = max(self.shipped.difference.half, self.other.half)
+            sd = float(np.nanmax([self.shipped.difference.sd, self.other.sd]))
+            half = self.half
             if self.target is None:
                 return
             self.needed = (2 * sd / (RESOLVED * self.target)) ** 2 + PILOT
@@ -479,7 +486,7 @@ class _Search:
     def choose(self) -> None:
         """Find the fewest steps of each family that hold; the cheapest family first."""
         study, limit = self.study, self.study.cost(self.finest)
-        if not self.agreed or self.shipped.difference.half > self.error:
+        if not self.agreed or self.half > self.error:
             return
         self.chosen = self.shipped if self.shipped.within(self.error) else None
         own = study.steps()
@@ -558,6 +565,7 @@ class _Search:
             rows=sorted(rows, key=lambda row: row.cost),
             error=self.error,
             requested=self.target is not None,
+            half=self.half,
             needed=self.needed,
             chosen=self.chosen,
             proof=self.proof,
