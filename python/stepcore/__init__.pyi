@@ -7,6 +7,7 @@ from stepcore._core import SimulationError as SimulationError
 from stepcore._core import empty_caches as empty_caches
 from stepcore.deadline import OutOfTime as OutOfTime
 from stepcore.engine.batch import Batch as Batch
+from stepcore.engine.control import batched as batched
 from stepcore.engine.error_bar import ErrorBar as ErrorBar
 from stepcore.engine.gradients import Gradients as Gradients
 from stepcore.engine.gradients import GradientWarning as GradientWarning

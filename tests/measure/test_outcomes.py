@@ -111,6 +111,25 @@ def test_a_reduction_is_the_function_that_does_the_same():
     assert np.array_equal(*numbers)
 
 
+def swing(time, sim):
+    return -0.5 * sim.qvel[..., -1:] + np.sin(9 * time)
+
+
+def test_a_batched_control_gives_the_runs_of_a_single_one():
+    motion = {"horizon": 0.4, "control_dt": 0.02, "starts": 40}
+    model, numbers = "gymnasium:inverted_pendulum", []
+    for control in (swing, sc.batched(lambda time, worlds: swing(time, worlds))):
+        study = Study(model, control=control, quantity="max(joint/hinge)", **motion)
+        numbers += Numbers(study).of([Change(dt=0.005)], 40)
+    assert np.array_equal(*numbers) and np.isfinite(numbers[0]).all()
+
+
+def test_a_batched_control_of_another_shape_is_refused():
+    control = sc.batched(lambda time, worlds: np.zeros(3))
+    with pytest.raises(ValueError, match="shape"):
+        Study("gymnasium:inverted_pendulum", control=control, control_dt=0.02)
+
+
 def test_more_starts_continue_the_list():
     study = Study(sc.loads(BALL), quantity=height, horizon=0.2, starts=40)
     numbers = Numbers(study)

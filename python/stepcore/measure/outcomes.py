@@ -62,7 +62,8 @@ class Outcomes(Result):
     method from it. refined: how much the last halving of the reference's time step changed it.
     rows: all settings that ran, the cheapest first. shipped: the settings as shipped.
     error: the requested largest difference, or if there was none, the smallest that was resolved.
-    requested: whether it was requested. half: half the width of the intervals. chosen: the recommended settings, or None.
+    requested: whether it was requested. half: half the width of the intervals that the starts give.
+    chosen: the recommended settings, or None.
     proof: the difference of the recommended settings on held-out starts, or None.
     needed: the estimated number of starts that resolve the error.
     predictable: when the trajectory from the first start becomes unpredictable [s]; else inf.
