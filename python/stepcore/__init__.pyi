@@ -7,6 +7,7 @@ from stepcore._core import SimulationError as SimulationError
 from stepcore._core import empty_caches as empty_caches
 from stepcore.deadline import OutOfTime as OutOfTime
 from stepcore.engine.batch import Batch as Batch
+from stepcore.engine.control import batched as batched
 from stepcore.engine.error_bar import ErrorBar as ErrorBar
 from stepcore.engine.gradients import Gradients as Gradients
 from stepcore.engine.gradients import GradientWarning as GradientWarning
@@ -41,6 +42,8 @@ from stepcore.measure.diagnosis import diagnose as diagnose
 from stepcore.measure.identification import Identification as Identification
 from stepcore.measure.identification import identify as identify
 from stepcore.measure.monitors import Finding as Finding
+from stepcore.measure.outcomes import Outcomes as Outcomes
+from stepcore.measure.outcomes import outcomes as outcomes
 from stepcore.measure.plan import plan as plan
 from stepcore.measure.predictability import Predictability as Predictability
 from stepcore.measure.predictability import predict as predict

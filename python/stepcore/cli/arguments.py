@@ -276,21 +276,14 @@ def control_function(text: str) -> Callable[..., Any]:
 
     A module is found as by `python -m` in the working directory.
     """
-    module, colon, name = text.rpartition(":")
-    try:
-        if text.endswith(ENDINGS_OF_POLICIES):
-            policy = Policy(text)
+    if text.endswith(ENDINGS_OF_POLICIES):
+        policy = Policy(text)
+        try:
             policy.network()
-            return policy
-        if not colon or not module or not name:
-            raise ValueError("must be FILE.py:FUNCTION or MODULE:FUNCTION")
-        imported = _imported(module)
-        function = getattr(imported, name, None)
-        if not callable(function):
-            known = [key for key, value in vars(imported).items() if callable(value)]
-            raise ValueError(f"{module} has no function '{name}'{nearest(name, known)}")
-    except (ImportError, ValueError, OSError) as error:
-        raise Usage(f"--control {text}: {one_line(error)}") from None
+        except (ImportError, ValueError, OSError) as error:
+            raise Usage(f"--control {text}: {one_line(error)}") from None
+        return policy
+    function = function_of("control", text)
     try:
         inspect.signature(function).bind("time", "sim")
     except TypeError:
@@ -299,6 +292,22 @@ def control_function(text: str) -> Callable[..., Any]:
         # Some C functions have no signature.
         pass
     return _NamedControl(text, function)
+
+
+def function_of(option: str, text: str) -> Callable[..., Any]:
+    """Import a function named by "file.py:function" or "module:function"; option: for errors."""
+    module, colon, name = text.rpartition(":")
+    try:
+        if not colon or not module or not name:
+            raise ValueError("must be FILE.py:FUNCTION or MODULE:FUNCTION")
+        imported = _imported(module)
+        function = getattr(imported, name, None)
+        if not callable(function):
+            known = [key for key, value in vars(imported).items() if callable(value)]
+            raise ValueError(f"{module} has no function '{name}'{nearest(name, known)}")
+    except (ImportError, ValueError, OSError) as error:
+        raise Usage(f"--{option} {text}: {one_line(error)}") from None
+    return function
 
 
 class _NamedControl:

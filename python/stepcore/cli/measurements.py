@@ -20,6 +20,7 @@ from stepcore.cli.arguments import (
     add_options,
     documented,
     frequency,
+    function_of,
     key_of,
     model_of,
     motion_of,
@@ -204,6 +205,15 @@ def _log(text: str) -> Any:
     return {name: file for name, _, file in parts} if apart else text
 
 
+def _quantity(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
+    """Return the quantity: a name, or a function in a file or module."""
+    text = args.quantity
+    file, _, name = (text or "").rpartition(":")
+    if file and name.isidentifier():
+        return {"quantity": function_of("quantity", text)}
+    return {"quantity": text}
+
+
 ENGINE = ("stepcore", "mujoco")
 NAMES = {"action": "append", "metavar": "NAME"}
 
@@ -228,7 +238,13 @@ MEASUREMENTS = {
         "trade",
         "gymnasium:half_cheetah --error 1mm --plot trade.png",
         {
-            **{"error": "LENGTH", "budget": "COST", "further": "N", "by": ("time", "flops")},
+            **{
+                "quantity": "NAME",
+                "error": "AMOUNT",
+                "budget": "COST",
+                "further": "N",
+                "by": ("time", "flops"),
+            },
             "grid": {
                 "action": "store_true",
                 "help": "try a full grid of settings instead of a search",
@@ -238,6 +254,20 @@ MEASUREMENTS = {
         excluding=("error", "budget"),
         full="print every setting",
         more=lambda args, model: {"search": "grid" if args.grid else None},
+    ),
+    "outcomes": Measurement(
+        "outcomes",
+        "gymnasium:ant --quantity 'final(body/torso/x)' --horizon 3",
+        {
+            "quantity": {
+                "metavar": "NAME",
+                "required": True,
+                "help": "a scalar such as max(contact/foot), or FILE.py:FUNCTION, a function of "
+                "the runs",
+            },
+            **{"error": "AMOUNT", "most": "N", "effort": "OPERATIONS", "engine": ENGINE},
+        },
+        more=_quantity,
     ),
     "predict": Measurement(
         "predictability", "gymnasium:ant --horizon 5 --plot growth.png", {"engine": ENGINE}
@@ -266,7 +296,7 @@ MEASUREMENTS = {
     "converge": Measurement(
         "convergence",
         "lesson:stack --plot convergence.png",
-        {"engine": ENGINE},
+        {"quantity": "NAME", "engine": ENGINE},
     ),
     "identify": Measurement(
         "identification",
@@ -316,7 +346,8 @@ MEASUREMENTS = {
         "ablation",
         "gymnasium:half_cheetah --added 5mm --save small.xml",
         {
-            "added": {"default": "1mm", "metavar": "LENGTH"},
+            "quantity": "NAME",
+            "added": "AMOUNT",
             "further": "N",
             "engine": ENGINE,
             "save": {"metavar": "OUT.xml", "help": "write the smallest model as MJCF"},

@@ -47,6 +47,9 @@ def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) 
     run, where the motion may have diverged.
     """
     time, nu = sim.time, sim.model.nu
+    if is_batched(function):
+        one: Any = _OneWorld(sim)
+        return batch_controls(function, one)[0]
     try:
         value = function(time, sim)
     except SimulationError:
@@ -74,6 +77,61 @@ def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) 
         what = "NaN" if np.isnan(table[k]) else f"{table[k]:g}"
         text = _refused(function, sim, f"{what} for {sim.model.element_name('actuator', k)}")
         raise (ControlError if time == 0 else ValueError)(text)
+    return table
+
+
+def batched(function: Control) -> Control:
+    """Mark a control function of many worlds, which is called once per period for all of them.
+
+    Use it as a decorator. The function takes (time, worlds), where ``worlds.qpos`` has the shape
+    (n, nq), as of a `Batch`, and returns the controls, (n, nu). A measurement then runs its starts
+    together, in batches of any size, so that the controls of a world must depend on that world
+    alone. Where single runs are made, n is 1.
+
+    >>> import stepcore as sc
+    >>> @sc.batched
+    ... def balance(time, worlds):
+    ...     return 5.0 * worlds.qpos[:, 1:] + worlds.qvel[:, 1:]
+    >>> motion = sc.Motion(control=balance, control_dt=0.02)
+    """
+    function.batched = True  # type: ignore[attr-defined]
+    return function
+
+
+def is_batched(function: Callable[..., Any] | None) -> bool:
+    """Return whether a control function takes many worlds; see `batched`."""
+    return bool(getattr(inspect.unwrap(function), "batched", False)) if function else False
+
+
+class _OneWorld:
+    """A Sim as the only world of a batch: its arrays have a leading axis of length 1."""
+
+    def __init__(self, sim: World) -> None:
+        self._sim = sim
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._sim, name)
+        return value[None] if isinstance(value, np.ndarray) else value
+
+
+def batch_controls(function: Callable[[float, SomeWorld], ArrayLike], worlds: SomeWorld) -> Floats:
+    """Return the result of a function of many worlds, (n, nu); errors as of `controls`."""
+    time, shape = worlds.time, (len(worlds.qpos), worlds.model.nu)
+    try:
+        table = numbers("ctrl", function(time, worlds))
+    except SimulationError:
+        raise
+    except ValueError as error:
+        text = f"{type(error).__name__}: {checks.one_line(error)}"
+        raise ControlError(
+            f"{control_name(function)} raised {text} (at time {time:g} s)"
+        ) from error
+    if table.shape != shape:
+        limit = f"must return controls of {shape[0]} worlds, shape {shape}"
+        text = f"{control_name(function)} returned an array of shape {table.shape}"
+        raise ControlError(f"{text} at time {time:g} s: {limit}")
+    if not np.isfinite(table).all():
+        raise ControlError(f"{control_name(function)} returned numbers that are not finite")
     return table
 
 

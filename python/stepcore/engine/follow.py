@@ -15,7 +15,14 @@ from numpy.typing import ArrayLike
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, numbers
-from stepcore.engine.control import Control, ControlError, fresh, not_finite
+from stepcore.engine.control import (
+    Control,
+    ControlError,
+    batch_controls,
+    fresh,
+    is_batched,
+    not_finite,
+)
 from stepcore.engine.model import Model
 from stepcore.engine.replay import attach
 from stepcore.engine.sim import Sim, unwatched
@@ -89,6 +96,7 @@ def follow(
     hold: int = 1,
     control: Control | None = None,
     record: Sequence[str] = ("xpos", "xquat"),
+    probe: Callable[[Sim], Floats] | None = None,
     bound: float = np.inf,
     most: float = np.inf,
     threads: int = 1,
@@ -106,6 +114,7 @@ def follow(
     control: a function of (time, sim) that returns the controls, called every `hold` steps with the
         Sim of each start. A callable object is copied for each start.
     record: names as in `Sim.run`, read at the start and at each sample.
+    probe: a function of a Sim, read with them and recorded as "probe". Starts then run one by one.
     bound: the largest distance of a body from its position at the start [m]; a run ends at the
         first sample beyond it.
     most: the number of force evaluations at which an adaptive run ends. A run with a control
@@ -123,13 +132,16 @@ def follow(
     >>> run.times.tolist(), run["qpos"].shape
     ([0.0, 0.1, 0.2], (2, 3, 1))
     """
-    run = _Run(model, starts, steps, every, ctrl, hold, control, record, bound, most)
+    run = _Run(model, starts, steps, every, ctrl, hold, control, record, probe, bound, most)
     threads = checks.threads(threads)
     clock = thread_time if threads == 1 else process_time
     begun = clock()
     checkpoint()
-    if control is None and run.steps and sampled(run.names, model.settings):
+    free = probe is None and bool(run.steps)
+    if control is None and free and sampled(run.names, model.settings):
         run.whole(threads)
+    elif is_batched(control) and free and model.settings.accuracy is None:
+        run.together(threads)
     else:
         for start in range(len(starts)):
             run.alone(start)
@@ -158,13 +170,14 @@ class _Run:
         hold: int,
         control: Control | None,
         record: Sequence[str],
+        probe: Callable[[Sim], Floats] | None,
         bound: float,
         most: float,
     ) -> None:
         if not len(starts):
             raise ValueError("starts: must be at least one")
         self.model, self.starts, self.control = model, starts, control
-        self.bound, self.most = bound, most
+        self.bound, self.most, self.probe = bound, most, probe
         self.steps = checks.count("steps", steps, 0)
         self.every, self.hold = checks.count("every", every), checks.count("hold", hold)
         if self.steps % self.every:
@@ -194,8 +207,10 @@ class _Run:
 
     def keep(self, start: int, sample: int, sim: Sim) -> None:
         """Record a sample of a run, and end the run if a body is beyond the bound."""
-        for name in self.names:
-            value = np.asarray(getattr(sim, name))
+        values = {name: np.asarray(getattr(sim, name)) for name in self.names}
+        if self.probe is not None:
+            values["probe"] = self.probe(sim)
+        for name, value in values.items():
             if name not in self.data:
                 shape = (len(self.starts), self.steps // self.every + 1, *value.shape)
                 self.data[name] = np.full(shape, np.nan)
@@ -204,10 +219,13 @@ class _Run:
             home, step = self.home.setdefault(start, sim.xpos), sample * self.every
             far = float(np.linalg.norm(sim.xpos - home, axis=-1).max(initial=0.0))
             if far > self.bound:
-                time = step * self.model.settings.dt
-                where = f"a body is {far:.4g} m from where it began, beyond the bound of"
-                text = f"diverged in step {step} at time {time:.6f} s: {where} {self.bound:.4g} m."
-                self.end(start, _failure(text, step, time, start))
+                self._end_beyond(start, step, step * self.model.settings.dt, far)
+
+    def _end_beyond(self, start: int, step: int, time: float, far: float) -> None:
+        """End a run whose body is beyond the bound."""
+        where = f"a body is {far:.4g} m from where it began, beyond the bound of"
+        text = f"diverged in step {step} at time {time:.6f} s: {where} {self.bound:.4g} m."
+        self.end(start, _failure(text, step, time, start))
 
     def end(self, start: int, error: SimulationError) -> None:
         if start not in self.failures:
@@ -244,6 +262,50 @@ class _Run:
         if self.model.settings.accuracy is not None:
             self.inner[:] = evaluations
         _keep_batch(key, kept)
+
+    def together(self, threads: int) -> None:
+        """Run all starts in a Batch, under a control function of many worlds."""
+        # Imported here because batches use this module's parts.
+        from stepcore.engine.batch import Batch
+
+        count = len(self.starts)
+        worlds: Any = Batch(self.model, count, threads=threads, on_failure="go on")
+        worlds._core.unwatch()
+        for world, start in enumerate(self.starts):
+            start.put(worlds, world)
+        control, done = fresh(self.control) if self.control else None, 0
+        assert control is not None
+        self.keep_all(0, worlds)
+        while done < self.steps:
+            checkpoint()
+            if done % self.hold == 0:
+                worlds.ctrl[:] = batch_controls(control, worlds)
+            ends = (done // n * n + n for n in (self.hold, self.every))
+            following = min(self.steps, *ends)
+            worlds._call(worlds._core.step, following - done, None)
+            done = following
+            if done % self.every == 0:
+                self.keep_all(done // self.every, worlds)
+        for world, error in worlds.failures.items():
+            self.end(world, of_one_run(error))
+        for start, error in self.failures.items():
+            # The other worlds went on, and with them the samples of runs that had ended.
+            for values in self.data.values():
+                values[start, error.step // self.every + 1 :] = np.nan
+
+    def keep_all(self, sample: int, worlds: Any) -> None:
+        """Record a sample of all runs, and end those with a body beyond the bound."""
+        for name in self.names:
+            value = np.asarray(getattr(worlds, name))
+            if name not in self.data:
+                shape = (len(value), self.steps // self.every + 1, *value.shape[1:])
+                self.data[name] = np.full(shape, np.nan)
+            self.data[name][:, sample] = value
+        if np.isfinite(self.bound):
+            home, step = self.home.setdefault(-1, worlds.xpos), sample * self.every
+            far = np.linalg.norm(worlds.xpos - home, axis=-1).max(axis=1, initial=0.0)
+            for start in np.flatnonzero(far > self.bound).tolist():
+                self._end_beyond(start, step, step * self.model.settings.dt, float(far[start]))
 
     def alone(self, start: int) -> None:
         """Run one start in a Sim."""

@@ -25,11 +25,14 @@ class Matter:
     """The properties of a model's moving bodies that the norm needs.
 
     moving: their indices. ipos: centres of mass in the bodies' frames [m], (bodies, 3).
-    gyration: radii of gyration [m], (bodies,).
+    gyration: radii of gyration [m], (bodies,). mass: [kg], (bodies,).
     """
 
-    def __init__(self, moving: Sequence[int], ipos: np.ndarray, gyration: np.ndarray) -> None:
-        self.moving, self.ipos, self.gyration = list(moving), ipos, gyration
+    def __init__(
+        self, moving: Sequence[int], ipos: np.ndarray, gyration: np.ndarray, mass: np.ndarray
+    ) -> None:
+        self.moving, self.ipos = list(moving), ipos
+        self.gyration, self.mass = gyration, mass
 
     @classmethod
     def of(cls, model: Model) -> Matter:
@@ -38,7 +41,7 @@ class Matter:
         mass = np.asarray(model.body_mass, float)[moving]
         inertia = np.trace(np.asarray(model.body_inertia, float)[moving], axis1=1, axis2=2)
         gyration = np.sqrt(inertia / 2 / np.maximum(mass, 1e-300))
-        return cls(moving, np.asarray(model.body_ipos, float)[moving], gyration)
+        return cls(moving, np.asarray(model.body_ipos, float)[moving], gyration, mass)
 
     def tracks(
         self, xpos: np.ndarray, xquat: np.ndarray, failures: dict[int, str] | None = None
@@ -56,12 +59,14 @@ class Tracks:
         Both are NaN after a run has ended.
     failures: why a run ended early, by the index of its start.
     evaluations: the number of force evaluations of adaptive steps, (starts,), if counted.
+    readings: further quantities at the samples, (starts, n, k), if the engine reads any.
     """
 
     com: np.ndarray
     quat: np.ndarray
     failures: dict[int, str] = field(default_factory=dict)
     evaluations: np.ndarray | None = None
+    readings: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.com)
@@ -81,8 +86,21 @@ class Tracks:
         places = {k: n for n, k in enumerate(indices)}
         failures = {places[k]: why for k, why in self.failures.items() if k in places}
         chosen = list(indices)
-        evaluations = None if self.evaluations is None else self.evaluations[chosen]
-        return Tracks(self.com[chosen], self.quat[chosen], failures, evaluations)
+        evaluations, readings = (
+            None if array is None else array[chosen] for array in (self.evaluations, self.readings)
+        )
+        return Tracks(self.com[chosen], self.quat[chosen], failures, evaluations, readings)
+
+    def at(self, sample: int) -> Tracks:
+        """Return the tracks at one sample."""
+        return Tracks(self.com[:, [sample]], self.quat[:, [sample]])
+
+    def nothing(self, why: str) -> Tracks:
+        """Return tracks like the first of these, of a run that was not made."""
+        arrays = (self.com, self.quat, self.readings)
+        com, quat, readings = (None if array is None else array[:1] * np.nan for array in arrays)
+        assert com is not None and quat is not None
+        return Tracks(com, quat, {0: why}, readings=readings)
 
     def first(self, samples: int) -> Tracks:
         """Return the tracks until a sample, with the failures before it."""
@@ -98,14 +116,14 @@ class Tracks:
             failures |= {first + k: why for k, why in part.failures.items()}
             first += len(part)
         com, quat = (np.concatenate([getattr(p, name) for p in parts]) for name in ("com", "quat"))
-        evaluations = [part.evaluations for part in parts]
-        counted = [counts for counts in evaluations if counts is not None]
-        return cls(
-            com,
-            quat,
-            failures,
-            np.concatenate(counted) if len(counted) == len(evaluations) else None,
-        )
+        evaluations = _joined([part.evaluations for part in parts])
+        return cls(com, quat, failures, evaluations, _joined([part.readings for part in parts]))
+
+
+def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    """Return the arrays of all parts as one; None if some part has none."""
+    some = [array for array in arrays if array is not None]
+    return np.concatenate(some) if len(some) == len(arrays) else None
 
 
 def apart(a: Tracks, b: Tracks, matter: Matter) -> np.ndarray:
@@ -114,14 +132,18 @@ def apart(a: Tracks, b: Tracks, matter: Matter) -> np.ndarray:
     The distance is infinite at samples that a run has not reached.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        half = np.minimum(_length(a.quat - b.quat), _length(a.quat + b.quat))
-        arc = 4 * np.arcsin(np.minimum(half / 2, 1.0))
-        far = np.hypot(_length(a.com - b.com), matter.gyration * arc)
+        far = np.hypot(length(a.com - b.com), matter.gyration * arc(a.quat, b.quat))
     far[np.isnan(far)] = np.inf
     return far
 
 
-def _length(vectors: np.ndarray) -> np.ndarray:
+def arc(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the angle between orientations [rad]; quaternions: (…, 4)."""
+    half = np.minimum(length(a - b), length(a + b))
+    return np.asarray(4 * np.arcsin(np.minimum(half / 2, 1.0)))
+
+
+def length(vectors: np.ndarray) -> np.ndarray:
     """Return the norm over the last axis, in half the time of numpy.linalg for a few bodies."""
     return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
 

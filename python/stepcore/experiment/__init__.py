@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from stepcore.experiment.change import Change as Change
     from stepcore.experiment.change import Servo as Servo
     from stepcore.experiment.motion import Motion as Motion
+    from stepcore.experiment.quantity import Quantity as Quantity
     from stepcore.experiment.study import Study as Study
     from stepcore.experiment.trial import Trial as Trial
     from stepcore.report import units as units
@@ -24,10 +25,13 @@ if TYPE_CHECKING:
 # The module of each name. A module is imported when one of its names is first used.
 _HOME = {
     **{"Answer": "answer", "Change": "change", "Motion": "motion", "Servo": "change"},
-    **{"Study": "study", "Trial": "trial", "Workers": "arguments"},
+    **{"Quantity": "quantity", "Study": "study", "Trial": "trial", "Workers": "arguments"},
 }
 _MODULES = {"choose": "stepcore.experiment.choose", "units": "stepcore.report.units"}
-__all__ = ["Answer", "Change", "Motion", "Servo", "Study", "Trial", "Workers", "choose", "units"]
+__all__ = [
+    *("Answer", "Change", "Motion", "Quantity", "Servo", "Study", "Trial", "Workers"),
+    *("choose", "units"),
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from stepcore.experiment.trial import Trial
-from stepcore.report.units import counted, metres
+from stepcore.report.units import counted
 
 T = TypeVar("T")
 
@@ -123,7 +123,7 @@ def greedy(parts: Sequence[T], holds: Callable[[tuple[T, ...]], bool]) -> tuple[
 class Proof:
     """The validation of a choice on held-out starts.
 
-    trial: the choice, run from these starts. error: the requested error [m].
+    trial: the choice, run from these starts. error: the requested error, in the unit of the trial.
     missed: the number of starts that exceed it. unclear: the number of starts whose error differs
     from it by no more than the uncertainty.
 
@@ -138,7 +138,7 @@ class Proof:
 
     @classmethod
     def of(cls, trial: Trial, error: float) -> Proof:
-        """Return the validation of a trial against a requested error [m]."""
+        """Return the validation of a trial against a requested error."""
         if trial.failure:
             return cls(trial, error, len(trial.starts))
         unclear = np.abs(trial.errors - error) <= trial.unsure
@@ -169,7 +169,7 @@ class Proof:
             return f"It is not validated: the converged motion from {starts} is too uncertain."
         number = "None" if not self.missed else f"{self.missed}"
         share = math.ceil(100 * self.share)
-        worst = "fails" if self.trial.failure else f"has {metres(self.trial.error)}"
+        worst = "fails" if self.trial.failure else f"has {self.trial.words(self.trial.error)}"
         over = f"; the worst one {worst}" if self.missed else f" ({worst[4:]} in the worst)"
         if self.unclear:
             over = (
@@ -182,16 +182,20 @@ class Proof:
         )
 
 
-def share_of(missed: int, starts: int) -> float:
+def share_of(missed: int, starts: int, confidence: float = CONFIDENCE) -> float:
     """Return Clopper and Pearson's upper bound of the share of misses, from k misses of n starts.
 
-    The bound is the share p at which k or fewer misses have a probability of 5 %.
+    The bound is the share p at which k or fewer misses have a probability of 1 − confidence.
     """
     if missed >= starts:
         return 1.0
     low, high = missed / starts, 1.0
+    hits = np.arange(missed + 1)
+    # The logarithms of the binomial coefficients, which overflow.
+    rising = np.log(starts - hits[:-1]) - np.log(hits[:-1] + 1)
+    counts = np.concatenate([[0.0], np.cumsum(rising)])
     for _ in range(60):
         p = (low + high) / 2
-        terms = (math.comb(starts, k) * p**k * (1 - p) ** (starts - k) for k in range(missed + 1))
-        low, high = (p, high) if sum(terms) > 1 - CONFIDENCE else (low, p)
+        logs = counts + hits * math.log(p) + (starts - hits) * math.log1p(-p)
+        low, high = (p, high) if np.exp(logs).sum() > 1 - confidence else (low, p)
     return high

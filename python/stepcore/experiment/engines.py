@@ -7,12 +7,14 @@ engine; `stepcore.experiment.mujoco_engine` runs MuJoCo.
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, Self
 
 import numpy as np
 
@@ -29,6 +31,7 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
+from stepcore.experiment.elements import Elements, Source, contact_forces, elements_of
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
 from stepcore.experiment.sizes import scene_size
@@ -72,6 +75,10 @@ class Engine(ABC):
     """
 
     nearby = 1e-10
+    # What is read at the samples, besides the poses of the bodies.
+    sources: tuple[Source, ...] = ()
+    # The number of readings at a sample.
+    width = 0
     name: str
     title: str
     shipped: Any
@@ -105,6 +112,20 @@ class Engine(ABC):
     @property
     def dt(self) -> float:
         return float(self.shipped.dt)
+
+    @property
+    @abstractmethod
+    def elements(self) -> Elements:
+        """The named elements of the scene."""
+
+    def reading(self, sources: Sequence[Source]) -> Self:
+        """Return the engine, which also records these readings in `Tracks.readings`."""
+        engine = copy.copy(self) if sources else self
+        engine.sources, shape = tuple(sources), self.elements.shape if sources else None
+        whole = [one.array for one in sources if not one.indices and one.array != "contacts"]
+        engine.width = len(sources) - len(whole)
+        engine.width += sum(math.prod(shape(name)) for name in whole) if shape else 0
+        return engine
 
     def farthest(self, schedule: Schedule) -> float:
         """Return the distance of a body from its start beyond which a run has failed [m]."""
@@ -227,17 +248,56 @@ class Stepcore(Engine):
     ) -> Tracks:
         try:
             model = self.of(change)
-            ran = run(model, schedule, starts, bound=self.farthest(schedule))
+            ran = run(
+                model,
+                schedule,
+                starts,
+                record=("xpos", "xquat", *self._arrays),
+                probe=self._probe,
+                bound=self.farthest(schedule),
+            )
         except ControlError:
             raise
         except (ValueError, SimulationError) as error:
             shape = (len(starts), len(schedule.times) + 1 - first, len(self.matter.moving))
             why = dict.fromkeys(range(len(starts)), one_line(error))
-            return Tracks(np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan), why)
+            nothing = np.full((*shape, 4), np.nan)
+            readings = np.full((*shape[:2], self.width), np.nan) if self.sources else None
+            return Tracks(nothing[..., :3], nothing, why, readings=readings)
         failures = {k: one_line(error) for k, error in ran.failures.items()}
         tracks = self.matter.tracks(ran["xpos"][:, first:], ran["xquat"][:, first:], failures)
-        within = model.settings.accuracy is not None
-        return dataclasses.replace(tracks, evaluations=ran.inner) if within else tracks
+        evaluations = ran.inner if model.settings.accuracy is not None else None
+        readings = self._read(ran)[:, first:] if self.sources else None
+        return dataclasses.replace(tracks, evaluations=evaluations, readings=readings)
+
+    @property
+    def elements(self) -> Elements:
+        return elements_of(self.model, self.matter.moving)
+
+    @property
+    def _arrays(self) -> tuple[str, ...]:
+        """The arrays that are read, besides the poses."""
+        return tuple(dict.fromkeys(one.array for one in self.sources if one.array != "contacts"))
+
+    @property
+    def _probe(self) -> Callable[[Sim], np.ndarray] | None:
+        contacts = [source for source in self.sources if source.array == "contacts"]
+        return partial(contact_forces, sources=contacts) if contacts else None
+
+    def _read(self, ran: Followed) -> np.ndarray:
+        """Return the readings of runs, (starts, n, k)."""
+        readings, contacts = list[np.ndarray](), 0
+        for source in self.sources:
+            if source.array == "contacts":
+                readings.append(ran["probe"][..., [contacts]])
+                contacts += 1
+            elif source.indices:
+                some = ran[source.array][..., list(source.indices)]
+                readings.append(some.sum(axis=-1, keepdims=True))
+            else:
+                whole = ran[source.array]
+                readings.append(whole.reshape(*whole.shape[:2], -1))
+        return np.concatenate(readings, axis=-1)
 
     def evaluation(self, change: Change, schedule: Schedule) -> float:
         self.work(change, schedule)
@@ -349,6 +409,7 @@ def run(
     schedule: Schedule,
     starts: Sequence[int],
     record: Sequence[str] = ("xpos", "xquat"),
+    probe: Callable[[Sim], np.ndarray] | None = None,
     bound: float = math.inf,
     threads: int = 1,
 ) -> Followed:
@@ -359,7 +420,7 @@ def run(
     dt, model = model.settings.dt, schedule.on(model)
     count = schedule.steps(dt)
     begin = [schedule.starts[k] for k in starts]
-    how: dict[str, Any] = {"record": record, "bound": bound, "threads": threads}
+    how: dict[str, Any] = {"record": record, "probe": probe, "bound": bound, "threads": threads}
     how["most"] = schedule.most
     steps, every = schedule.periods * count, schedule.every * count
     if schedule.control is not None:

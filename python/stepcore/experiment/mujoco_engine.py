@@ -34,10 +34,12 @@ from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter, Tracks
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
+from stepcore.engine.trajectory import OF_WORLDS, recordable
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import Controls, PositionTable
 from stepcore.experiment.default_motion import Asked, by_rule
+from stepcore.experiment.elements import Elements, Source, contact_force
 from stepcore.experiment.engines import Engine, Stepcore, Way, spread
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import (
@@ -88,6 +90,8 @@ FLAGS = {
     # These change the method, not the modelled physics.
     **dict.fromkeys(("clampctrl", "filterparent", "eulerdamp"), ""),
 }
+# Arrays whose values after a step are those of the step, or of the state after it.
+OF_STEP = {"contacts", "qpos", "qvel", "act", "ctrl", "qacc", "sensordata", "actuator_force"}
 # Values that can be changed, by kind of element.
 VALUES = {
     "joint": ("damping", "armature", "frictionloss", "stiffness"),
@@ -208,7 +212,7 @@ class MuJoCo(Engine):
         moving = self.coordinates.moving
         mass = np.maximum(scene.body_mass[moving], 1e-300)
         gyration = np.sqrt(scene.body_inertia[moving].sum(axis=1) / 2 / mass)
-        self.matter = Matter(moving, scene.body_ipos[moving].copy(), gyration)
+        self.matter = Matter(moving, scene.body_ipos[moving].copy(), gyration, mass)
         # The same size as `scene_size` returns for a scene.
         extent = scene.geom_rbound.max(initial=0.0)
         extent += np.linalg.norm(scene.body_pos, axis=1).max(initial=0.0)
@@ -254,41 +258,56 @@ class MuJoCo(Engine):
     ) -> Tracks:
         shape = (len(starts), len(schedule.times) + 1 - first, self.scene.nbody)
         xpos, xquat = np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan)
+        readings = np.full((*shape[:2], self.width), np.nan)
         failures = dict[int, str]()
         try:
             with self._world(schedule.change.also(change)) as world:
                 for k, start in enumerate(starts):
-                    states, _, failure = self._run(world, schedule, start)
+                    states, _, read, failure = self._run(world, schedule, start)
                     places, turns = world.frames(states)
                     far = np.linalg.norm(places - places[0], axis=-1).max(axis=1, initial=0.0)
                     for sample in np.flatnonzero(far > self.farthest(schedule))[:1]:
                         away, time = far[sample], schedule.times[sample - 1]
                         failure = f"a body is {away:.3g} m from its start at {time:.4g} s"
-                        places[sample:] = turns[sample:] = np.nan
-                    xpos[k], xquat[k] = places[first:], turns[first:]
+                        places[sample:] = turns[sample:] = read[sample:] = np.nan
+                    xpos[k], xquat[k], readings[k] = places[first:], turns[first:], read[first:]
                     failures |= {k: failure} if failure else {}
         except ControlError:
             raise
         except ValueError as error:
             failures = dict.fromkeys(range(len(starts)), checks.one_line(error))
-        return self.matter.tracks(xpos, xquat, failures)
+        tracks = self.matter.tracks(xpos, xquat, failures)
+        return dataclasses.replace(tracks, readings=readings) if self.sources else tracks
+
+    @property
+    def elements(self) -> Elements:
+        return _elements(self.scene, self.coordinates)
+
+    def reading(self, sources: Sequence[Source]) -> MuJoCo:
+        engine = super().reading(sources)
+        if any(source.array == "sensordata" for source in sources):
+            engine.scene = copy.copy(self.scene)
+            engine.scene.opt.disableflags &= ~int(mujoco().mjtDisableBit.mjDSBL_SENSOR)
+        return engine
 
     def _run(
         self, world: _World, schedule: Schedule, start: int
-    ) -> tuple[np.ndarray, np.ndarray, str]:
-        """Run from one start; return its states and controls at the start and at the samples.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
+        """Run from one start; return its states, controls and readings at start and samples.
 
-        Both are NaN after a failure. The function also returns the failure's reason, or "".
+        They are NaN after a failure, and readings at the start. The function also returns the
+        failure's reason, or "".
         """
         dt, function = float(world.model.opt.timestep), schedule.function()
         steps, nu = schedule.steps(dt), self.scene.nu
         sample, state = schedule.every * steps, world.begin(schedule.starts[start])
         states = np.full((len(schedule.times) + 1, len(state)), np.nan)
         played = np.full((len(states), nu), np.nan)
+        read = np.full((len(states), self.width), np.nan)
         states[0], played[0] = state, 0.0
         if function is None:
             rows, hold = schedule.rows([start], dt)
-            once = sample * max(1, CHUNK // sample)
+            once = sample if self.sources else sample * max(1, CHUNK // sample)
         else:
             shown, once = unwatched(Sim(self.model)), steps
             schedule.starts[start].put(shown)
@@ -308,15 +327,17 @@ class MuJoCo(Engine):
             states[ends] = made[ends * sample - done - 1]
             played[ends] = ctrl[ends * sample - done - 1]
             if failure:
-                return states, played, f"{failure} at {(done + len(made)) * dt:.4g} s"
+                return states, played, read, f"{failure} at {(done + len(made)) * dt:.4g} s"
             state = made[-1]
-        return states, played, ""
+            if self.sources and len(ends):
+                read[ends[-1]] = world.readings(self.sources)
+        return states, played, read, ""
 
     def _counted(self, change: Change, schedule: Schedule) -> float:
         """Estimate the operations of a step from the counts that MuJoCo reports: `operations`."""
         if not self._looks:
             with self._world(schedule.change) as world:
-                states, played, _ = self._run(world, schedule, 0)
+                states, played, *_ = self._run(world, schedule, 0)
             self._looks = [(states[k], played[k]) for k in spread(states)]
         with self._world(schedule.change.also(change)) as world:
             world.begin(schedule.starts[0])
@@ -370,7 +391,7 @@ class MuJoCo(Engine):
     def seconds(self, change: Change, schedule: Schedule) -> float:
         with self._world(schedule.change.also(change)) as world:
             begun = time.thread_time()
-            failure = self._run(world, schedule, 0)[2]
+            failure = self._run(world, schedule, 0)[-1]
             return math.nan if failure else time.thread_time() - begun
 
 
@@ -444,6 +465,29 @@ class _World:
         # A warning ends the roll-out: the state after that step fills the rest.
         last = int(np.argmax(made[0, :, 0] >= made[0, -1, 0])) if failure else len(ctrl)
         return made[0, :last], failure
+
+    def readings(self, sources: Sequence[Source]) -> np.ndarray:
+        """Return readings after a step: forces are those of the step."""
+        mj, model, data = mujoco(), self.model, self.data
+        arrays = {source.array for source in sources}
+        forces, wrench = np.zeros(data.ncon), np.zeros(6)
+        for k in range(data.ncon if "contacts" in arrays else 0):
+            mj.mj_contactForce(model, data, k, wrench)
+            forces[k] = abs(wrench[0])
+        pairs = data.contact.geom.reshape(-1, 2).copy()
+        if arrays - OF_STEP:
+            # The step leaves the places of the state before it.
+            mj.mj_fwdPosition(model, data)
+            mj.mj_energyPos(model, data)
+            mj.mj_energyVel(model, data)
+
+        def read(source: Source) -> Any:
+            if source.array == "contacts":
+                return contact_force(source, pairs, forces)
+            values = getattr(data, source.array)
+            return values[list(source.indices)].sum() if source.indices else values.ravel()
+
+        return np.hstack([read(source) for source in sources])
 
     def frames(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the places and orientations of all bodies in some states."""
@@ -613,6 +657,48 @@ def _assign(model: Any, path: str, value: Any) -> None:
     given = np.atleast_1d(value)
     rows = array.reshape(len(array), -1)
     rows[model.dof_jntid == index if of_dofs else [index], : len(given)] = given
+
+
+def _elements(scene: Any, coordinates: Coordinates) -> Elements:
+    """Return the named elements of MuJoCo's model."""
+    mj = mujoco()
+    counts = {"joint": scene.njnt, "actuator": scene.nu}
+    counts |= {
+        kind: getattr(scene, f"n{kind}") for kind in ("body", "site", "geom", "tendon", "sensor")
+    }
+    names = {kind: [getattr(scene, kind)(k).name for k in range(n)] for kind, n in counts.items()}
+    points = {
+        kind: list(zip(bodies.tolist(), places.copy(), strict=True))
+        for kind, bodies, places in (
+            ("body", np.arange(scene.nbody), np.zeros((scene.nbody, 3))),
+            ("site", scene.site_bodyid, scene.site_pos),
+            ("geom", scene.geom_bodyid, scene.geom_pos),
+        )
+    }
+    driven = _Actuators(scene).actuator_joint
+    hinges = scene.jnt_type == int(mj.mjtJoint.mjJNT_HINGE)
+    types = (mj.mjtSensor(kind).name.removeprefix("mjSENS_").lower() for kind in scene.sensor_type)
+    sensors = zip(types, scene.sensor_adr.tolist(), scene.sensor_dim.tolist(), strict=True)
+    over_joints = scene.wrap_type[scene.tendon_adr] == int(mj.mjtWrap.mjWRAP_JOINT)
+    return Elements(
+        names=names,
+        moving=coordinates.moving,
+        joints=[joint[:3] for joint in coordinates.joints],
+        forces=["N·m" if k >= 0 and hinges[k] else "N" for k in driven],
+        points=points,
+        sensors=list(sensors),
+        tendons=["" if fixed else "m" for fixed in over_joints],
+        shape=partial(_shape, mj.MjData(scene)),
+    )
+
+
+def _shape(data: Any, name: str) -> tuple[int, ...]:
+    """Return the shape of an array of MuJoCo's data."""
+    recordable((name,), OF_WORLDS)
+    array = getattr(data, name, None)
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"quantity: MuJoCo's data has no array {checks.quoted(name)}")
+    return array.shape
 
 
 class _Flexible(Coordinates):

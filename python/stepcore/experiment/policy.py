@@ -36,18 +36,23 @@ class Policy:
         self.path, self.observe, self.act = path, observe, act
         # The name in sentences: "the control function `walk.onnx`".
         self.__qualname__ = os.path.basename(path)
+        # Without functions of a single Sim, one call serves all worlds of a batch.
+        self.batched = observe is None and act is None
         self._network: Network | None = None
         self._lock = threading.Lock()
 
     def __call__(self, time: float, sim: Sim) -> ArrayLike:
-        """Return the controls, shape (nu,)."""
+        """Return the controls, shape (nu,); of many worlds (n, nu)."""
+        if self.batched:
+            states = np.concatenate([sim.qpos, sim.qvel], axis=-1).astype(np.float32)
+            return self.network()(states)
         seen = [sim.qpos, sim.qvel] if self.observe is None else [self.observe(time, sim)]
         row = np.concatenate([np.ravel(part) for part in seen]).astype(np.float32)
         action = self.network()(row)
         return action if self.act is None else self.act(action, sim)
 
     def network(self) -> Network:
-        """Return the network as a function of its input, shape (n,); the file is read once."""
+        """Return the network as a function of its input, a row or rows; the file is read once."""
         with self._lock:
             self._network = self._network or _loaded(self.path)
         return self._network
@@ -96,7 +101,7 @@ def policy(
 
 
 def _loaded(path: str) -> Network:
-    """Return the network of a file as a function of its input, shape (n,)."""
+    """Return the network of a file as a function of its input, a row or rows."""
     shown = checks.cut(path, 80)
     if not os.path.isfile(path):
         raise FileNotFoundError(f"{checks.cut(path, 300)}: no such file")
@@ -117,11 +122,15 @@ def _onnx(path: str, shown: str) -> Network:
 
     def network(observed: np.ndarray) -> np.ndarray:
         width = shape[-1] if shape else None
-        if isinstance(width, int) and width != len(observed):
+        if isinstance(width, int) and width != observed.shape[-1]:
             how = "observe=FUNCTION of stepcore.policy makes its input (by default qpos and qvel)"
-            raise ValueError(f"{path} expects {width} inputs, not {len(observed)}: {how}")
-        row = observed[None] if len(shape) > 1 else observed
-        return np.ravel(session.run(None, {name: row})[0])
+            raise ValueError(f"{path} expects {width} inputs, not {observed.shape[-1]}: {how}")
+        if observed.ndim == 2 and (len(shape) == 1 or isinstance(shape[0], int)):
+            # The file has room for one row.
+            return np.stack([network(row) for row in observed])
+        rows = observed[None] if observed.ndim < len(shape) else observed
+        output = np.asarray(session.run(None, {name: rows})[0])
+        return output.reshape(len(observed), -1) if observed.ndim == 2 else np.ravel(output)
 
     return network
 
@@ -135,7 +144,8 @@ def _torch(path: str, shown: str) -> Network:
 
     def network(observed: np.ndarray) -> np.ndarray:
         with torch.inference_mode():
-            output = module(torch.from_numpy(observed)[None])
-        return np.ravel((output[0] if isinstance(output, (tuple, list)) else output).numpy())
+            output = module(torch.from_numpy(np.atleast_2d(observed)))
+        rows = (output[0] if isinstance(output, (tuple, list)) else output).numpy()
+        return rows.reshape(len(rows), -1) if observed.ndim == 2 else np.ravel(rows)
 
     return network

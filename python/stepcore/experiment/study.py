@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, partial
 from typing import Any, Unpack, overload
 
 import numpy as np
 
 from stepcore import checks, deadline
 from stepcore.engine.model import Model
-from stepcore.engine.norm import Tracks, apart, largest, rms
+from stepcore.engine.norm import Tracks
 from stepcore.engine.parameters import own_value
 from stepcore.experiment.answer import Answer
 from stepcore.experiment.arguments import Workers
@@ -26,9 +26,10 @@ from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import engine_of
 from stepcore.experiment.price import OPERATION, OVERHEAD, computing_time
+from stepcore.experiment.quantity import Measure, Quantity
 from stepcore.experiment.schedule import STARTS, Schedule, check_divide, time_steps
 from stepcore.experiment.trial import Trial
-from stepcore.experiment.truth import SHARE, Converging, Truth
+from stepcore.experiment.truth import PATIENCE, SHARE, Converging, Truth
 from stepcore.report import units
 from stepcore.report.units import counted, metres, rounded, seconds
 
@@ -48,6 +49,8 @@ class Study:
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, its kind ("hold"), or its fields as arguments (``horizon=0.5``); by default
         one that the machine could make, of about one second.
+    quantity: the quantity whose error is measured, a `Quantity` or its name, such as "site/tip" or
+        "max(contact/foot)", or a function of the runs; by default the motion of all bodies.
     engine: runs the changes: "stepcore", or "mujoco", which also runs files that stepcore cannot
         load; or an `Engine`, which has a scene already, so that `model` is not needed.
     period: the control period: seconds, or a text such as "8ms". Every time step divides it. By
@@ -58,7 +61,7 @@ class Study:
 
     schedule: the starts, the controls and the time grid of the motion. starts: the starts of the
     search, by index. spent: the operations counted until now. allowed: the operations that may be
-    spent at present, at most `effort`.
+    spent at present, at most `effort`. measure: the quantity in this scene, with its unit.
 
     For example, the error of two stiffnesses of a spring:
 
@@ -77,6 +80,7 @@ class Study:
         model: Any = None,
         motion: Motion | str | None = None,
         *,
+        quantity: Quantity | str | Callable[..., Any] | None = None,
         engine: Engine | str = "stepcore",
         period: float | str | None = None,
         effort: float = EFFORT,
@@ -87,13 +91,19 @@ class Study:
         checks.one_of("time", "flops")("study", "by", by)
         effort = checks.real(low=0)("study", "effort", effort)
         self.motion = Motion.of(motion, fields, Study)
-        self.engine = engine_of(model, engine, self.motion)
+        made = engine_of(model, engine, self.motion)
+        measure = Measure.of(Quantity.of(quantity), made.matter, lambda: made.elements)
+        self.engine = made.reading(measure.sources)
         shipped, self.size = self.engine.dt, self.engine.size
         if period is None:
             horizon = self.motion.horizon or 1.0
             period = time_steps(shipped, None, self.motion.period(shipped), horizon)[1]
         period, count = units.time("period", period), self.motion.starts or STARTS
         self.schedule: Schedule = self.engine.scheduled(self.motion, period, starts=count)
+        if measure.quantity.is_scalar:
+            # Peaks are found between the usual samples too.
+            self.schedule = dataclasses.replace(self.schedule, every=1)
+        self.measure = dataclasses.replace(measure, times=self.schedule.times)
         self.starts: tuple[int, ...] = tuple(self.schedule.indices)
         self.workers, self.effort, self.by = workers or Workers(), effort, by
         self.spent, self.runs, self.allowed = 0.0, 0, effort
@@ -118,6 +128,34 @@ class Study:
             return f"{self.schedule.drive or 'the controls given'}; in MuJoCo alone"
         schedule = self.schedule.part(0, len(self.starts))
         return motion_in_words(self.model, self.motion, schedule)
+
+    @cached_property
+    def scale(self) -> float:
+        """The range of the quantity over the motion; the scene's size for the motion itself.
+
+        Raises ValueError for a quantity that does not change.
+        """
+        if self.measure.quantity.is_motion:
+            return self.size
+        way = self.engine.ways(self.schedule, self.size)[0]
+        for change in (SHIPPED, *(way.at(k) for k in range(1, PATIENCE + 1))):
+            (tracks,) = self.tracks([change], self.starts[:1])
+            if not tracks.failures:
+                break
+        width = self.measure.range(tracks)
+        return width if math.isfinite(width) else self.size
+
+    def as_length(self, error: float) -> float:
+        """Return an error of the quantity as a length: as large a share of the scene's size [m]."""
+        return error if self.measure.quantity.is_motion else error / self.scale * self.size
+
+    def error_of(self, owner: str, value: object, name: str = "error") -> float:
+        """Return an error in the quantity's unit: a number, "1mm", or "1%" of its range.
+
+        owner, name: the function and its argument, for the ValueError.
+        """
+        share = isinstance(value, str) and "%" in value
+        return self.measure.parse(owner, name, value, self.scale if share else 1.0)
 
     def value(self, path: str) -> Any:
         """Return the scene's value at a path: a number, or an array; see `Change`."""
@@ -273,8 +311,7 @@ class Study:
         if len(made) == len(known):
             return Tracks.joined(made)
         why = next(own.failures[0] for own in made if own.failures)
-        nothing = made[0].com * np.nan, made[0].quat * np.nan
-        return Tracks.joined([own or Tracks(*nothing, {0: why}) for own in known])
+        return Tracks.joined([own or made[0].nothing(why) for own in known])
 
     def truth(
         self,
@@ -284,8 +321,9 @@ class Study:
     ) -> Truth:
         """Return the converged motion, with an uncertainty of a tenth of an error if affordable.
 
-        error: the error in question: metres, "1mm", or "0.1%" of the scene's size; by default a
-            tenth of the shipped settings' error.
+        error: the error in question, in the unit of the quantity: metres, "1mm", or "0.1%" of the
+            scene's size, or of the quantity's range; by default a tenth of the shipped settings'
+            error.
         starts: by index; by default the search's. physics: the change of the modelled physics.
 
         If a deadline leaves no time for all starts of the search, the search has fewer afterwards.
@@ -293,7 +331,7 @@ class Study:
         Raises ValueError if no converged motion can be run.
         """
         if isinstance(error, str):
-            error = units.length("truth", "error", error, self.size)
+            error = self.error_of("truth", error)
         if error is None:
             # The shipped settings run too.
             self.steps()
@@ -338,8 +376,9 @@ class Study:
 
         changes: one `Change`, for one `Trial`; or several, for a list.
         starts: by index; by default the search's.
-        error: the error in question: metres, "1mm", or "0.1%" of the scene's size. A tenth of it is
-            the target uncertainty of the converged motion.
+        error: the error in question: metres, "1mm", or "0.1%" of the scene's size; of another
+            quantity "2N", or "1%" of its range. A tenth of it is the target uncertainty of the
+            converged motion.
 
         Raises ValueError before anything runs for a change that the scene or the engine does not
         have, with the nearest names, and for a step that does not divide the control period, with
@@ -348,7 +387,7 @@ class Study:
         if isinstance(changes, Change):
             return self.run([changes], starts, error, bar)[0]
         if error is not None:
-            error = units.length("run", "error", error, self.size)
+            error = self.error_of("run", error)
         for start in starts or ():
             if start not in self.schedule.indices:
                 known = f"below {len(self.schedule.indices)}; fresh() makes others"
@@ -366,25 +405,26 @@ class Study:
 
     def score(self, change: Change, tracks: Tracks, truth: Truth) -> Trial:
         """Score runs against a converged motion from the same starts."""
-        matter, settings = self.engine.matter, self.engine.settings(change)
-        far = apart(tracks, truth.tracks, matter)
+        measure, settings = self.measure, self.engine.settings(change)
+        motions = tracks, truth.tracks, truth.scored
         modelled = None
         if change.models:
             whole = self.truth(truth.goal / SHARE, truth.starts)
-            modelled = rms(apart(truth.tracks, whole.tracks, matter), whole.scored)
+            modelled = measure.error(truth.tracks, whole.tracks, whole.scored)
         return Trial(
             change=change,
             settings=settings,
             starts=truth.starts,
             # A run like the truth's would look exact, so no error is below the uncertainty.
-            errors=np.maximum(rms(far, truth.scored), truth.unsure),
+            errors=np.maximum(measure.error(*motions), truth.unsure),
             unsure=truth.unsure,
-            largest=np.maximum(largest(far, truth.scored), truth.unsure),
+            largest=np.maximum(measure.largest(*motions), truth.unsure),
             work=self.work(change),
             cost=self.cost(change),
             failure=tracks.failure_from(truth.starts),
             tracks=tracks,
             modelled=modelled,
+            measure=measure,
         )
 
     def score_everywhere(self, change: Change) -> Trial:
@@ -455,7 +495,7 @@ class Study:
         ran = f"{counted(self.runs, 'run')} so far."
         if SHIPPED in self._truths:
             known = self._truths[SHIPPED].error(self.starts)
-            ran += f" The uncertainty of the converged motion is {metres(known)}."
+            ran += f" The uncertainty of the converged motion is {self.measure.words(known)}."
         return "\n".join(
             [
                 f"Study of {self.engine.title} under {self.engine.name}, size {metres(self.size)}.",
@@ -469,14 +509,15 @@ class Study:
     def tell(self, wrong: float, moved: float, goal: float, needs: float) -> None:
         """Report the progress of a search for the converged motion.
 
-        wrong: the error of the shipped settings [m]. moved: the distance that the last refinement
-        moved the motion [m]. goal: its target [m]. needs: the estimated operations until then.
+        wrong: the error of the shipped settings. moved: the distance that the last refinement
+        moved the motion. goal: its target. needs: the estimated operations until then.
         """
         if math.isfinite(wrong):
-            said = f"error as shipped {metres(wrong)}, ± {metres(moved)}"
+            words = self.measure.words
+            said = f"error as shipped {words(wrong)}, ± {words(moved)}"
             wait = seconds(max(1.0, rounded(self.lasts(needs), 1)))
             self.workers.deadline.so_far(
-                f"{said}: {metres(moved / SHARE)} can be verified now, {metres(goal / SHARE)} in "
+                f"{said}: {words(moved / SHARE)} can be verified now, {words(goal / SHARE)} in "
                 f"about {wait}"
             )
 

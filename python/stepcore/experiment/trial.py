@@ -12,6 +12,8 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.engine.norm import Tracks
 from stepcore.experiment.change import Change
+from stepcore.experiment.quantity import Measure
+from stepcore.report.units import metres
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,18 +22,20 @@ class Trial:
 
     change: the change that was run. settings: all settings under which it was run.
     starts: the starts from which it was run, by index.
-    errors: the RMS position error of every start [m], (starts,): the distance from the truth by the
-        norm of `stepcore.engine.norm`, over the samples that can be predicted, and never below
-        the truth's uncertainty; inf where the run failed, NaN without a truth.
-    unsure: the uncertainty of the truth of every start [m], (starts,).
-    largest: the largest error of a body at any time, of every start [m], (starts,).
+    errors: the error of every start, (starts,), in the unit of `measure`: by default the RMS
+        position error, the distance from the truth by the norm of `stepcore.engine.norm` [m], over
+        the samples that can be predicted. It is never below the truth's uncertainty; inf where the
+        run failed, NaN without a truth.
+    unsure: the uncertainty of the truth of every start, (starts,).
+    largest: the largest error of a body or element at any time, of every start, (starts,).
     work: counted floating-point operations per simulated second; the same on every machine.
     cost: ranks trials: the computing time by the counted work [µs per simulated second], see
         `stepcore.experiment.price`; or the work itself, see `Study`.
     failure: the reason of the first failure; "" if no run failed.
     tracks: the poses of the bodies.
     modelled: the modelling error of every start, the distance of the changed model's converged
-        motion from the scene's [m], (starts,); None for a change of settings alone.
+        motion from the scene's, (starts,); None for a change of settings alone.
+    measure: the quantity whose error it is.
     """
 
     change: Change
@@ -45,20 +49,25 @@ class Trial:
     failure: str = ""
     tracks: Tracks | None = field(default=None, repr=False)
     modelled: np.ndarray | None = None
+    measure: Measure | None = field(default=None, repr=False)
+
+    def words(self, error: float) -> str:
+        """Format an error in the unit of the quantity."""
+        return metres(error) if self.measure is None else self.measure.words(error)
 
     @property
     def error(self) -> float:
-        """The RMS position error of the worst start [m]; inf if a run failed."""
+        """The error of the worst start; inf if a run failed."""
         return math.inf if self.failure else float(np.max(self.errors, initial=0.0))
 
     @property
     def median(self) -> float:
-        """The RMS position error of the median start [m]; inf if a run failed."""
+        """The error of the median start; inf if a run failed."""
         return math.inf if self.failure else float(np.median(self.errors))
 
     @property
     def bound(self) -> float:
-        """The upper bound of the error of the worst start [m]; inf if a run failed.
+        """The upper bound of the error of the worst start; inf if a run failed.
 
         The bound is the error plus the truth's uncertainty and the modelling error.
         """
@@ -78,15 +87,15 @@ class Trial:
         return float(settings.dt)
 
     def within(self, error: float) -> bool:
-        """Return whether every start stays within an error [m], by its `bound`."""
+        """Return whether every start stays within an error, by its `bound`."""
         return self.bound <= error
 
     def refuted(self, error: float) -> bool:
-        """Return whether a start exceeds an error [m] beyond its uncertainty, or a run failed."""
+        """Return whether a start exceeds an error beyond its uncertainty, or a run failed."""
         return bool(self.failure) or bool((self.errors - self.unsure > error).any())
 
     def misses(self, error: float) -> list[int]:
-        """Return the starts that exceed an error [m], worst first; all if a run failed."""
+        """Return the starts that exceed an error, worst first; all if a run failed."""
         if self.failure:
             return list(self.starts)
         over = np.flatnonzero(~(self.errors <= error))

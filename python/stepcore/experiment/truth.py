@@ -21,17 +21,18 @@ import numpy as np
 
 from stepcore import deadline
 from stepcore.deadline import Deadline
-from stepcore.engine.norm import Tracks, apart, rms
+from stepcore.engine.norm import Tracks
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, Way
 from stepcore.experiment.predictable import GROWTH, Growth, settled
+from stepcore.experiment.quantity import Measure
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.settings import label
-from stepcore.report.units import counted, metres, seconds
+from stepcore.report.units import counted, seconds
 
 # The target uncertainty of the converged motion, as a share of the error in question.
 SHARE = 0.1
-# Errors below this share of a scene's size are rounding.
+# Errors below this share of a scene's size, or of a quantity's range, are rounding.
 ROUNDING = 1e-11
 # A rung that moves more than this share of the last one's change does not converge; after three of
 # them a start is left as it is (two coarse rungs may agree by luck, if they damp a fast swing).
@@ -53,14 +54,18 @@ class Runs(Protocol):
     engine: Engine
     schedule: Schedule
     size: float
+    measure: Measure
     starts: tuple[int, ...]
     effort: float
     spent: float
 
+    @property
+    def scale(self) -> float: ...
     def tracks(self, changes: Sequence[Change], starts: Sequence[int]) -> list[Tracks]: ...
     def price(self, change: Change, starts: int) -> float: ...
     def lasts(self, operations: float) -> float: ...
     def affords(self, change: Change, starts: int) -> bool: ...
+    def as_length(self, error: float) -> float: ...
     def tell(self, wrong: float, moved: float, goal: float, needs: float) -> None: ...
 
 
@@ -69,9 +74,9 @@ class Truth:
     """The converged motion from some starts.
 
     starts: by index. tracks: the motion. change, settings: of the finest run.
-    unsure: the uncertainty of every start [m], (starts,).
+    unsure: the uncertainty of every start, (starts,), in the unit of `measure`, the quantity.
     scored: the samples that can be predicted, (starts, n). growth: of perturbations from them.
-    goal: the target uncertainty [m]. needs: the estimated operations to reach it; 0 if it is
+    goal: the target uncertainty. needs: the estimated operations to reach it; 0 if it is
         reached, inf if finer runs do not reduce the uncertainty.
     """
 
@@ -83,6 +88,7 @@ class Truth:
     scored: np.ndarray
     growth: Growth
     goal: float
+    measure: Measure
     needs: float = 0.0
 
     def part(self, starts: Sequence[int]) -> Truth:
@@ -99,13 +105,13 @@ class Truth:
 
     @property
     def error(self) -> float:
-        """The uncertainty of the worst start [m]."""
+        """The uncertainty of the worst start."""
         return float(self.unsure.max(initial=0.0))
 
     @property
     def words(self) -> str:
         """The method and the uncertainty as a sentence."""
-        said = f"its uncertainty is {metres(self.error)}"
+        said = f"its uncertainty is {self.measure.words(self.error)}"
         if math.isinf(self.error):
             said = "from some start no run converges"
         return f"Errors are measured from a converged motion ({label(self.settings)}); {said}."
@@ -183,7 +189,7 @@ class Converging:
     def upto(self, starts: Sequence[int], goal: float | None, *, fewer: bool = False) -> Truth:
         """Return the converged motion from some starts, with uncertainty `goal` if affordable.
 
-        goal: [m]; by default a hundredth of the shipped settings' error in the worst of the starts.
+        goal: by default a hundredth of the shipped settings' error in the worst of the starts.
         fewer: whether it may be from fewer starts, if a deadline leaves no time for all.
         """
         own, goal = goal is None, self.goal if goal is None else goal
@@ -216,17 +222,18 @@ class Converging:
             scored=grown.scored(self.study.schedule.times),
             growth=grown,
             goal=goal,
+            measure=self.study.measure,
             needs=self._needs(starts, goal),
         )
 
     def error(self, starts: Sequence[int]) -> float:
-        """Return the uncertainty of the motion in the worst of some starts [m]."""
+        """Return the uncertainty of the motion in the worst of some starts."""
         return max((self.known[s].unsure for s in starts if s in self.known), default=math.inf)
 
     @property
     def _coarse(self) -> float:
-        """The goal if the shipped settings have no error [m], because they explode."""
-        return 1e-3 * self.study.size
+        """The goal if the shipped settings have no error, because they explode."""
+        return 1e-3 * self.study.scale
 
     def _shipped(self, starts: Sequence[int]) -> float:
         """Return a hundredth of the error of the shipped settings in the worst of some starts."""
@@ -250,11 +257,11 @@ class Converging:
         return needs
 
     def _between(self, a: Tracks, b: Tracks, starts: Sequence[int]) -> np.ndarray:
-        """Return the distance of two motions over the predictable samples [m], (starts,)."""
+        """Return the distance of two motions over the predictable samples, (starts,)."""
         scored = None
         if all(s in self.grown for s in starts):
             scored = self._growth(starts).scored(self.study.schedule.times)
-        return rms(apart(a, b, self.study.engine.matter), scored)
+        return self.study.measure.error(a, b, scored)
 
     def _growth(self, starts: Sequence[int]) -> Growth:
         return Growth.joined([self.grown[s] for s in starts])
@@ -265,7 +272,7 @@ class Converging:
         The default goal is a hundredth of the shipped settings' error.
         """
         study = self.study
-        ways = study.engine.ways(study.schedule, self.goal or self._coarse)
+        ways = study.engine.ways(study.schedule, study.as_length(self.goal or self._coarse))
         rungs, moved = [0] * len(ways), [math.inf] * len(ways)
         before: list[Tracks | None] = [None] * len(ways)
         last: list[Tracks | None] = [None] * len(ways)
@@ -311,7 +318,7 @@ class Converging:
                 moved = [off(*pair) for pair in zip(before, last, strict=True)]
             wrong = off(shipped, now)
             asked = SHARE**2 * wrong if 0 < wrong < math.inf else self._coarse
-            goal = max(asked, ROUNDING * study.size) if self.goal is None else self.goal
+            goal = max(asked, ROUNDING * study.scale) if self.goal is None else self.goal
             if moved[k] <= goal:
                 self.goal = goal
                 break

@@ -6,14 +6,13 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
 from stepcore import checks
 from stepcore.deadline import PROVEN
 from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal, without
-from stepcore.engine.norm import apart, largest, rms
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import JOIN, ROUNDS, Proof, greedy
@@ -21,6 +20,7 @@ from stepcore.experiment.engines import visits
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.mujoco_engine import MuJoCo
 from stepcore.experiment.predictable import until_in_words
+from stepcore.experiment.quantity import Measure, Quantity
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import KNOWN, Truth
@@ -32,7 +32,7 @@ from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import compact, counted, metres, percent
+from stepcore.report.units import compact, counted, percent
 from stepcore.scene.scene import Scene
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
@@ -46,9 +46,9 @@ UNUSED = ("colliders", "collider", "collider group", "self-collision", "limits",
 MEASURABLE = 1e-6
 LEGEND = (
     "saved: share of the floating-point operations per simulated second, negative if the variant "
-    "costs more; µs: computing time saved per simulated second, as measured here; added: RMS "
-    "position error added to the motion in the worst start [m]; max: the largest error added to "
-    "any body [m]; error: RMS position error against the converged motion in the worst start [m]."
+    "costs more; µs: computing time saved per simulated second, as measured here; added: {error} "
+    "added in the worst start{unit}; max: the largest error added at any time{unit}; error: "
+    "{error} against the converged motion in the worst start{unit}."
 )
 # A measured saving below this share of the time is noise: with one model under two names, the
 # fastest of five alternating runs differed by up to 4 % on half_cheetah and Go2. The difference
@@ -62,7 +62,7 @@ class FeatureEffect:
 
     trial: the motion without the feature; its errors are distances from the whole model's motion
         under the same settings.
-    error: RMS distance from the whole model's converged motion in the worst start [m]; None if this
+    error: distance from the whole model's converged motion in the worst start; None if this
         is unknown, or the run failed.
     cost: measured computing time without the feature [µs per simulated second]; NaN if not timed.
     """
@@ -77,14 +77,15 @@ class FeatureEffect:
 class Ablation(Result):
     """The cost of each modelled feature, and the error added by removal; `ablate` returns it.
 
-    tolerance: the error that the smallest model may add [m].
+    measure: the quantity whose error was measured, with its unit: by default the motion.
+    tolerance: the error that the smallest model may add.
     whole: the model with all features.
     rows: one for each feature, removed alone.
     removed: the features that the smallest model leaves out.
     best: the smallest model on the starts on which it was chosen.
     proof: the validation of the smallest model on held-out starts; None if it did not run there.
     smallest: the smallest model as a Scene; None for MuJoCo, whose flags are in `in_file`.
-    reference: the uncertainty of the converged motion in the worst start [m]; None without one.
+    reference: the uncertainty of the converged motion in the worst start; None without one.
     complete: whether the search for the smallest model was completed.
     noise: the relative difference of two timings of the whole model.
     resting: a sentence on bodies that only rest, and the saving if they are fixed; "" without any.
@@ -96,14 +97,11 @@ class Ablation(Result):
     """
 
     kind = "ablation"
-    units: ClassVar = {"saved": "1", "flops": "1/s", "cost": "µs/s"} | dict.fromkeys(
-        ("added", "added_median", "added_max", "error"), "m"
-    )
-
     settings: Any
     motion: Motion
     horizon: float
     starts: int
+    measure: Measure
     tolerance: float
     whole: FeatureEffect
     rows: list[FeatureEffect]
@@ -117,9 +115,21 @@ class Ablation(Result):
     resting: str = ""
 
     @property
+    def units(self) -> dict[str, str]:  # type: ignore[override]
+        """The units of the columns of `table`."""
+        errors = ("added", "added_median", "added_max", "error")
+        fixed = {"saved": "1", "flops": "1/s", "cost": "µs/s"}
+        return fixed | dict.fromkeys(errors, self.measure.unit)
+
+    def words(self, error: float) -> str:
+        """Format an error in the unit of the quantity."""
+        return self.measure.words(error)
+
+    @property
     def title(self) -> str:
         """The measured quantity in a few words."""
-        return f"{self.name}: cost and effect of each modelled feature"
+        of = "" if self.measure.quantity.is_motion else f" on {self.measure.quantity.name}"
+        return f"{self.name}: cost and effect of each modelled feature{of}"
 
     @property
     def setup(self) -> str:
@@ -127,7 +137,7 @@ class Ablation(Result):
         said = f"{counted(len(self.rows), 'feature')} under {label(self.settings)}"
         if self.reference is None:
             return f"{said}."
-        return f"{said}; the uncertainty of the reference is {metres(self.reference)}."
+        return f"{said}; the uncertainty of the reference is {self.words(self.reference)}."
 
     def saved(self, row: FeatureEffect) -> float:
         """Return the share of the whole model's operations that a row saves; NaN if it fails."""
@@ -203,7 +213,8 @@ class Ablation(Result):
 
         full: whether to include every feature, or only the removed ones and the largest savings.
         """
-        features, legend = self.sorted(), LEGEND
+        features = self.sorted()
+        legend = LEGEND.format(error=self.measure.error_words, unit=self.measure.in_unit)
         if not full and len(features) > SHORT + 1:
             first = sorted(features, key=lambda row: row.removal not in self.removed)[:SHORT]
             legend += f" {not_shown(counted(len(features) - SHORT, 'feature'))}"
@@ -252,7 +263,7 @@ class Ablation(Result):
             some = f"the {ran} of {self.starts} that ran" if self.partial(largest) else ran
             said.append(
                 f"The largest effect: without {largest.removal.label} the error in the worst of "
-                f"{some} is {metres(largest.trial.error)}."
+                f"{some} is {self.words(largest.trial.error)}."
             )
         failed = [row for row in self.rows if row.trial.failure]
         return said + [
@@ -261,14 +272,14 @@ class Ablation(Result):
 
     def _smallest(self) -> list[str]:
         """Describe the features that the smallest model leaves out, and the error added."""
-        within = metres(self.tolerance)
+        within = self.words(self.tolerance)
         if not self.removed and not self.complete:
             return [f"A smaller model within {within} has not been found so far."]
         if not self.removed:
             text = "removing any that costs work adds a larger error"
             return [f"No feature can be removed within {within}: {text}."]
         starts = counted(self.starts, "start")
-        added = f"It adds an error of {metres(self.best.trial.error)} in the worst of {starts}."
+        added = f"It adds an error of {self.words(self.best.trial.error)} in the worst of {starts}."
         if not self.measurable(self.best):
             added = f"It adds no measurable error from {starts}."
         listed = "; ".join(removal.label for removal in self.removed)
@@ -297,7 +308,7 @@ class Ablation(Result):
         return f"No measurable gain in speed: t{saves}, and takes about the same time here."
 
     def __repr__(self) -> str:
-        left_out = f"{len(self.removed)} removed within {metres(self.tolerance)}"
+        left_out = f"{len(self.removed)} removed within {self.words(self.tolerance)}"
         return f"<Ablation {self.name}: {len(self.rows)} features, {left_out}>"
 
 
@@ -306,7 +317,8 @@ def ablate(
     model: Source,
     motion: Motion | str | None = None,
     *,
-    added: float | str = 1e-3,
+    quantity: Quantity | str | None = None,
+    added: float | str | None = None,
     further: int = 32,
     engine: str = "stepcore",
     **fields: Unpack[MeasurementFields],
@@ -320,9 +332,11 @@ def ablate(
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Every run uses the
         settings in the model.
     motion: a `Motion`, or its fields as arguments. By default 1 s, and 8 starts for the choice.
-    added: the largest RMS position error, over samples and bodies, that the smallest model may add
-        to the whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's
-        size.
+    quantity: the quantity whose error is measured, such as "site/tip" or "max(contact/foot)", see
+        `stepcore.experiment.Quantity`. By default the motion of all bodies.
+    added: the largest error that the smallest model may add in the worst start: of the motion, the
+        RMS position error over samples and bodies: metres, "1mm" (the default), or "0.1%" of the
+        scene's size; of another quantity "2N", "0.5deg", or "1%" of its range (the default).
     further: the number of starts of the second and of the third set; 0 for neither.
     engine: "stepcore", or "mujoco", whose flags are then the features. It also runs files that
         stepcore cannot load.
@@ -340,12 +354,16 @@ def ablate(
     True
     """
     # Check the tolerance before minutes of work; the scene's size is known later.
-    units.length("ablate", "added", added, 1.0)
+    quantity = Quantity.of(quantity)
+    added = (1e-3 if quantity.is_motion else "1%") if added is None else added
+    if quantity.is_motion:
+        units.length("ablate", "added", added, 1.0)
     further = checks.count("further", further, least=0)
     setup = set_up(ablate, model, motion, fields, missing="no motion to keep", engine=engine)
-    study = Study(motion=setup.motion, engine=setup.engine, workers=setup.workers)
+    shared: dict[str, Any] = {"engine": setup.engine, "workers": setup.workers}
+    study = Study(motion=setup.motion, quantity=quantity, **shared)
     time = setup.workers.deadline
-    tolerance = units.length("ablate", "added", added, study.size)
+    tolerance = study.error_of("ablate", added, "added")
     truth, notes, resting = None, list[str](), ""
     if engine == "stepcore":
         with time.stage("bodies that only rest"):
@@ -384,6 +402,7 @@ def ablate(
         motion=dataclasses.replace(setup.motion, horizon=horizon, starts=starts),
         horizon=horizon,
         starts=len(choice.starts),
+        measure=study.measure,
         tolerance=tolerance,
         whole=effect(Removal("whole model", "", ()), choice.whole),
         rows=[effect(removal, trial) for removal, trial in choice.alone.items()],
@@ -409,8 +428,8 @@ def _truth(study: Study, tolerance: float) -> tuple[Truth | None, list[str]]:
     if truth.error <= tolerance:
         return truth, []
     return truth, [
-        f'column "error" is uncertain by {metres(truth.error)}, the uncertainty of the converged '
-        'motion, which is more than the tolerance; column "added" is not affected'
+        f'column "error" is uncertain by {study.measure.words(truth.error)}, the uncertainty of '
+        'the converged motion, which is more than the tolerance; column "added" is not affected'
     ]
 
 
@@ -434,18 +453,18 @@ class Choice:
         """Run the model without some features, and compare it with the whole model's motion."""
         study, change = self.study, Change(without=removals)
         whole, tracks = study.tracks([SHIPPED, change], starts)
-        far = apart(tracks, whole, study.engine.matter)
-        scored = self.scored(starts)
+        motions = tracks, whole, self.scored(starts)
         return Trial(
             change=change,
             settings=study.engine.settings(SHIPPED),
             starts=tuple(starts),
-            errors=rms(far, scored),
+            errors=study.measure.error(*motions),
             unsure=np.zeros(len(starts)),
-            largest=largest(far, scored),
+            largest=study.measure.largest(*motions),
             work=study.engine.work(change, study.schedule),
             cost=study.cost(change),
             failure=tracks.failure_from(starts),
+            measure=study.measure,
         )
 
     def scored(self, starts: Sequence[int]) -> np.ndarray:
@@ -456,12 +475,12 @@ class Choice:
         return self.study.truth(self.tolerance, starts).scored
 
     def off(self, change: Change, truth: Truth) -> float | None:
-        """Return the distance of a change from the whole model's converged motion [m], or None."""
+        """Return the distance of a change from the whole model's converged motion, or None."""
         known = [start for start in truth.starts if self.study.ran(change, start)]
         if not known:
             return None
         some, own = truth.part(known), self.study.tracks([change], known)[0]
-        far = rms(apart(own, some.tracks, self.study.engine.matter), some.scored)
+        far = self.study.measure.error(own, some.tracks, some.scored)
         return None if own.failure else float(far.max())
 
     def begin(self) -> None:
@@ -532,7 +551,7 @@ class Choice:
         """Describe the savings of features removed alone."""
         within = {one: t for one, t in self.alone.items() if t.error <= self.tolerance}
         said = f"{len(within)} of {units.counted(len(self.alone), 'feature')} add at most "
-        said += f"{metres(self.tolerance)} when removed alone"
+        said += f"{self.study.measure.words(self.tolerance)} when removed alone"
         if within:
             best = min(within, key=lambda one: within[one].work)
             share = units.percent(1 - within[best].work / self.whole.work)

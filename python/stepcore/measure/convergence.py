@@ -6,17 +6,17 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
 from stepcore.deadline import SEARCHED
-from stepcore.engine.norm import apart, rms
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.predictable import until_in_words
+from stepcore.experiment.quantity import Measure, Quantity
 from stepcore.experiment.schedule import divides, often
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.experiment.trial import Trial
@@ -48,7 +48,8 @@ class Ending:
     start, body: the start and the body for which the distance is largest.
     apart: that distance [m].
     speed: the body's mean speed over the tenth of the motion as shipped before it [m/s].
-    solver: RMS distance over what can be predicted in the worst start [m].
+    solver: the distance of the quantity in the worst start; of the motion, the RMS distance over
+        what can be predicted.
     """
 
     start: int
@@ -68,7 +69,8 @@ class Convergence(Result):
         number of sweeps.
     has_rows: whether any row was ever active.
     reference: the converged motion that all trials are compared with.
-    size: the size of the scene [m].
+    measure: the quantity whose error was measured, with its unit: by default the motion.
+    size: the size of the scene [m]. scale: the same for the motion, else the quantity's range.
     ending: the difference that the sweeps make; None if a run fails.
     findings: problems of the settings in the first start, such as rows that stay unsolved.
 
@@ -79,7 +81,6 @@ class Convergence(Result):
     """
 
     kind = "convergence"
-    units: ClassVar = dict.fromkeys(("error", "median", "largest"), "m")
 
     settings: Any
     motion: Motion
@@ -90,7 +91,9 @@ class Convergence(Result):
     sweeps: list[Trial]
     has_rows: bool
     reference: Truth
+    measure: Measure
     size: float
+    scale: float
     ending: Ending | None
     findings: list[Finding] = field(default_factory=list)
 
@@ -102,7 +105,7 @@ class Convergence(Result):
         if not self.has_rows:
             return "no rows"
         # Unconverged forces matter if they move bodies further than the time step does.
-        least = max(self.solved.error, NOTABLE * self.size)
+        least = max(self.solved.error, NOTABLE * self.scale)
         return "under-solved" if self.ending.solver > least else "solved"
 
     @property
@@ -139,6 +142,15 @@ class Convergence(Result):
     # --- tables and data -------------------------------------------------------------------------
 
     @property
+    def units(self) -> dict[str, str]:  # type: ignore[override]
+        """The units of the columns of `table`."""
+        return dict.fromkeys(("error", "median", "largest"), self.measure.unit)
+
+    def words(self, error: float) -> str:
+        """Format an error in the unit of the quantity."""
+        return self.measure.words(error)
+
+    @property
     def title(self) -> str:
         """The scene measured."""
         return f"{self.name}: convergence over time steps and sweeps"
@@ -155,7 +167,7 @@ class Convergence(Result):
 
     @property
     def table(self) -> Table:
-        """One row for each run; errors in metres, work in operations per simulated second."""
+        """One row for each run; work in operations per simulated second."""
         named = [(f"dt {seconds(trial.dt)}", trial) for trial in self.dts]
         named += [(f"{dict(t.change.settings)['sweeps']} sweeps", t) for t in self.sweeps]
         named.append(("converged forces", self.solved))
@@ -163,7 +175,7 @@ class Convergence(Result):
         records = [{"settings": words} | trial.record() for words, trial in named]
         failed = any(record["failure"] for record in records)
         columns = ["settings", *(names if failed else names[:-1])]
-        heading = "All else as shipped: RMS position error [m]"
+        heading = f"All else as shipped: {self.measure.error_words}{self.measure.in_unit}"
         return Table(records, columns, dict.fromkeys(names[:-1], ".2e"), heading=heading)
 
     def details(self) -> dict[str, Any]:
@@ -206,12 +218,13 @@ class Convergence(Result):
         if not self.has_rows:
             none = "No contact, limit or other row was ever active, so sweeps have no effect."
             return f"{none} {step}"
-        distance = f"{metres(solver)} (RMS) from the motion with converged forces"
+        rms = "" if self.measure.quantity.reduction else " (RMS)"
+        distance = f"{self.words(solver)}{rms} from the motion with converged forces"
         if self.verdict == "under-solved":
             end = self._end(ending)
             alone = f"The time step alone causes an error of {error}."
             return f"Under-solved: {end} Over the motion it is {distance}. {alone}"
-        fine = "the solver is fine." if solver < 1e-9 * self.size else f"the motion is {distance}."
+        fine = "the solver is fine." if solver < 1e-9 * self.scale else f"the motion is {distance}."
         return f"Solved: {fine} {step}"
 
     def _shorter(self) -> str:
@@ -260,7 +273,7 @@ class Convergence(Result):
         return trial.error > self.reference.error * (1 + 1e-9)
 
     def _error(self, trial: Trial) -> str:
-        error = metres(trial.error)
+        error = self.words(trial.error)
         exact = self._exceeds_uncertainty(trial) or error.startswith("<")
         return error if exact else f"at most {error}"
 
@@ -270,17 +283,17 @@ class Convergence(Result):
         if math.isnan(work):
             return "Both smaller steps and more sweeps fail." if math.isinf(steps) else ""
         if max(self.shipped.error, steps, sweeps) <= self._least * (1 + 1e-9):
-            least = metres(self.reference.error)
+            least = self.words(self.reference.error)
             return f"With more sweeps or smaller steps no error exceeds the uncertainty, {least}."
         answer = {"neither": "Smaller steps and more sweeps are equally accurate"}
         words = answer.get(self.better, f"Use {self.better}")
         price = "" if self.shipped.failure else f" ({times(work / self.shipped.work)} the shipped)"
-        left = ["fail" if math.isinf(x) else f"leave {metres(x)}" for x in (steps, sweeps)]
+        left = ["fail" if math.isinf(x) else f"leave {self.words(x)}" for x in (steps, sweeps)]
         return f"{words}: at equal work{price}, smaller steps {left[0]}, more sweeps {left[1]}."
 
 
 def _error_at(work: float, trials: Sequence[Trial], least: float) -> float:
-    """Return the error of trials at a work, interpolated on log axes; `least`: uncertainty [m]."""
+    """Return the error of trials at a work, interpolated on log axes; `least`: uncertainty."""
     known = sorted((t.work, max(t.error, least)) for t in trials)
     x, y = np.log(np.array(known).T)
     return float(np.exp(np.interp(math.log(work), x, y)))
@@ -291,19 +304,22 @@ def converge(
     model: Source,
     motion: Motion | str | None = None,
     *,
+    quantity: Quantity | str | None = None,
     engine: str = "stepcore",
     **fields: Unpack[MeasurementFields],
 ) -> Convergence:
     """Find which part of the error comes from the time step and which from the sweeps.
 
     `converge` runs the motion as shipped, with converged forces, at other time steps, and with more
-    sweeps, and names what to increase. Errors are RMS distances from the scene's converged motion
-    in the worst start [m], as in `stepcore.trade`.
+    sweeps, and names what to increase. Errors are distances from the scene's converged motion in
+    the worst start, as in `stepcore.trade`.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). The model's settings
         are judged.
     motion: a `Motion`, or its fields as arguments. By default 3 starts and 1 s, or longer
         if it is not at rest by then; see `stepcore.experiment.horizon`.
+    quantity: the quantity whose error is measured, such as "site/tip" or "max(contact/foot)", see
+        `stepcore.experiment.Quantity`. By default the motion of all bodies (RMS distance, [m]).
     engine: "stepcore", or "mujoco", which also runs files that stepcore cannot load.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
@@ -324,15 +340,16 @@ def converge(
     motion = dataclasses.replace(motion, starts=starts)
     motion, far = settled_motion(setup.engine, motion, starts, EFFORT)
     period = motion.period(shipped.dt) or often(FACTORS[0] * shipped.dt, shipped.dt, far.length)
-    study = Study(motion=motion, engine=setup.engine, period=period, workers=workers)
+    shared: dict[str, Any] = {"engine": setup.engine, "period": period, "workers": workers}
+    study = Study(motion=motion, quantity=quantity, **shared)
     dts, sweeps, solved = other_steps(study), more_sweeps(shipped), converged_forces(study)
     truth = study.truth()
     has_rows = study.engine.has_rows(study.schedule)
     # The answer needs these two, so they run first.
     first, exact = study.run([SHIPPED, solved], bar="runs")
     workers.deadline.so_far(
-        f"as shipped the error is {metres(first.error)}, with converged forces "
-        f"{metres(exact.error)}, ± {metres(truth.error)}; other settings are run now"
+        f"as shipped the error is {first.words(first.error)}, with converged forces "
+        f"{first.words(exact.error)}, ± {first.words(truth.error)}; other settings are run now"
     )
     every = list(dict.fromkeys([SHIPPED, solved, *dts, *sweeps]))
 
@@ -359,7 +376,9 @@ def converge(
             sweeps=study.run(done(sweeps)),
             has_rows=has_rows,
             reference=truth,
+            measure=study.measure,
             size=study.size,
+            scale=study.scale,
             ending=_ending(study, first, exact, truth),
             notes=[*(setup.model.scene.notes if setup.engine.known else ()), *study.schedule.notes],
             findings=findings,
@@ -395,7 +414,7 @@ def _ending(study: Study, shipped: Trial, solved: Trial, truth: Truth) -> Ending
     a, b = shipped.tracks, solved.tracks
     if a is None or b is None or shipped.failure or solved.failure:
         return None
-    over = rms(apart(a, b, study.engine.matter), truth.scored)
+    over = study.measure.error(a, b, truth.scored)
     # The last samples that can be predicted.
     last, times = truth.scored.sum(axis=1) - 1, study.schedule.times
     every = np.arange(len(last))

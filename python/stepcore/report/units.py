@@ -179,7 +179,7 @@ def _in_units(text: str, units: Units, plain: bool = True) -> float | None:
     if plain:
         with suppress(ValueError):
             return float(text)
-    match = re.fullmatch(NUMBER + r"(%|\w+)\s*", text)
+    match = re.fullmatch(NUMBER + r"(%|[\w·/²°]+)\s*", text)
     known = dict(units) | {unit.replace("µ", "u"): size for unit, size in units}
     if match is None or match[2] not in known:
         return None
@@ -213,6 +213,48 @@ def length(owner: str, name: str, value: object, size: float) -> float:
     if result is None or not 0 < result < math.inf:
         raise checks.refuse(owner, name, value, LENGTH_FORMS)
     return result
+
+
+# The units of quantities by their SI unit; other units have no prefixes.
+PREFIXED: dict[str, Units] = {
+    **{"m": (*LENGTHS, CENTIMETRES), "N": FORCES, "N·m": TORQUES, "J": ENERGIES, "s": TIMES},
+    "rad": (*ANGLES, ("deg", math.pi / 180), ("°", math.pi / 180)),
+    "m/s": tuple((f"{unit}/s", size) for unit, size in LENGTHS),
+    "rad/s": (*((f"{unit}/s", size) for unit, size in ANGLES), ("deg/s", math.pi / 180)),
+}
+
+
+def amount(owner: str, name: str, value: object, unit: str, whole: float, of: str) -> float:
+    """Parse a quantity with a unit: a number, "2N", or "1%" of a whole.
+
+    owner, name: the function and its argument, for the ValueError. unit: the SI unit; "" for none.
+    whole: 100 %, and `of` its name.
+
+    >>> [amount("trade", "error", value, "rad", 2.0, "its range") for value in ("1%", "2mrad", 1)]
+    [0.02, 0.002, 1.0]
+    """
+    result, known = checks.number(value), PREFIXED.get(unit, ((unit, 1.0),) if unit else ())
+    if result is None and isinstance(value, str):
+        plain = {name.replace("·", ""): size for name, size in known}
+        result = _in_units(value, (*known, *plain.items(), ("%", whole / 100)))
+    if result is None or not 0 < result < math.inf:
+        forms = f'an amount > 0: a number in {unit}, "1{unit}"' if unit else "a number > 0"
+        raise checks.refuse(owner, name, value, f'{forms}, or "1%" of {of}')
+    return result
+
+
+def amount_in(value: float, unit: str) -> str:
+    """Format a number of an SI unit with a prefix, where the unit has any.
+
+    >>> amount_in(2e-4, "m"), amount_in(0.5, "N"), amount_in(3.0, "m/s²"), amount_in(0.25, "")
+    ('200 µm', '500 mN', '3 m/s²', '0.25')
+    """
+    if unit == "m":
+        return metres(value)
+    if unit in PREFIXED:
+        prefixed = [(n, s) for n, s in PREFIXED[unit] if not n.startswith(("deg", "°"))]
+        return quantity(value, prefixed)
+    return f"{value:.3g} {unit}".rstrip()
 
 
 def budget(owner: str, name: str, value: object, dt: float, by: str) -> float:

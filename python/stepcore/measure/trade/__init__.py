@@ -14,6 +14,7 @@ from stepcore.experiment.arguments import MeasurementFields, Source, measurement
 from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.quantity import Quantity
 from stepcore.experiment.schedule import STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.measure.monitors import monitored
@@ -38,6 +39,7 @@ def trade(
     model: Source,
     motion: Motion | str | None = None,
     *,
+    quantity: Quantity | str | None = None,
     error: float | str | None = None,
     budget: float | str | None = None,
     further: int = 32,
@@ -67,9 +69,12 @@ def trade(
         there are 8 starts, and the horizon is near 1 s, longer if the motion is not at rest then;
         see `stepcore.experiment.horizon`. Recommended steps divide your control period; without one
         they are the shipped step times or divided by a whole number.
-    error: the largest allowed error in every start (RMS position error over bodies and time):
-        metres, "1mm", or "0.1%" of the scene's size. The cheapest settings that meet this tolerance
-        are recommended.
+    quantity: the quantity whose error is measured: "site/tip", "joint/knee", "max(contact/foot)"
+        and others, see `stepcore.experiment.Quantity`. By default the motion of all bodies.
+    error: the largest allowed error in every start (of the motion: RMS position error over bodies
+        and time): metres, "1mm", or "0.1%" of the scene's size; of another quantity "2N", "0.5deg",
+        or "1%" of its range over the motion. The cheapest settings that meet this tolerance are
+        recommended.
     budget: the largest allowed cost: "20us/step" (computing time per shipped time step simulated),
         "5ms/s" (per simulated second), "100x" (times real time), or µs per simulated second;
         "2kflop/step" and similar units if `by` is "flops". The most accurate settings within the
@@ -107,7 +112,8 @@ def trade(
     checks.one_of("time", "flops")("trade", "by", by)
     further = checks.count("further", further, least=0)
     effort = checks.real(low=0)("trade", "effort", effort)
-    if error is not None:
+    quantity = Quantity.of(quantity)
+    if error is not None and quantity.is_motion:
         units.length("trade", "error", error, 1.0)
     if mujoco and engine == "mujoco":
         raise ValueError("mujoco = True: must be False where the engine is MuJoCo already")
@@ -119,8 +125,8 @@ def trade(
     held = ran.period(shipped.dt)
     steps, period = time_steps(shipped.dt, dts, held, far.length)
     how: dict[str, Any] = {"period": period, "effort": effort, "by": by, "workers": workers}
-    study = Study(motion=ran, engine=setup.engine, **how)
-    target = None if error is None else units.length("trade", "error", error, study.size)
+    study = Study(motion=ran, engine=setup.engine, quantity=quantity, **how)
+    target = None if error is None else study.error_of("trade", error)
     known = setup.engine.known
     search_ = Search.of(study, None if full else target, held=held is not None)
     result = Trade(
@@ -135,6 +141,8 @@ def trade(
         by=by,
         effort=effort,
         size=study.size,
+        scale=study.scale,
+        measure=study.measure,
         notes=[*study.schedule.notes, *(setup.model.scene.notes if known else ())],
     )
     result.reference, result.shipped = search_.truth, search_.shipped
@@ -155,7 +163,8 @@ def trade(
     if mujoco:
         with workers.deadline.stage("the same trade in MuJoCo"):
             own: Any = {"threads": fields.get("threads"), "executor": fields.get("executor")}
-            asked: Any = {"error": error, "budget": budget, "by": by, "effort": effort}
+            asked: Any = {"error": target, "budget": budget, "by": by, "effort": effort}
+            asked["quantity"] = quantity
             again = trade(model, ran, engine="mujoco", further=0, **asked, **own, progress=False)
             result.compare(again)
     return result

@@ -6,20 +6,20 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stepcore._core import Settings
 from stepcore.deadline import SECONDS
 from stepcore.engine.model import Model
-from stepcore.engine.norm import Matter, apart, rms
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof, frontier
 from stepcore.experiment.motion import Motion, picklable
 from stepcore.experiment.predictable import until_in_words
+from stepcore.experiment.quantity import Measure
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
@@ -35,8 +35,6 @@ from stepcore.report.units import (
     compact,
     computing,
     counted,
-    length,
-    metres,
     operations,
     rounded,
     seconds,
@@ -70,29 +68,31 @@ class Trade(Result):
 
     motion: the motion that every setting ran; schedule: its starts and controls.
     engine: "stepcore" or "mujoco".
+    measure: the quantity whose error was measured, with its unit: by default the motion. Errors are
+        in this unit.
     model: the scene as shipped; None for a file that only MuJoCo can load.
     reference: the converged motion, with its uncertainty.
     rows: every setting that ran, with the errors from all its starts; coarsest step first. `whole`
         has the rows that ran from all starts of the search.
     shipped: the trial of the settings as shipped.
-    target, budget: the requested error [m] or the requested budget.
-    unsure: the uncertainty of the converged motion when the settings were chosen [m].
-    verified: if the target cannot be verified, the least round error that can [m].
+    target, budget: the requested error or the requested budget.
+    unsure: the uncertainty of the converged motion when the settings were chosen.
+    verified: if the target cannot be verified, the least round error that can.
     chosen: the settings for `target`, or for `verified`, or for `budget`.
     proof: the validation of the chosen settings on held-out starts; None without one.
     by: "time" or "flops". times: measured computing times [µs per simulated second], by change.
-    size: the size of the scene [m].
+    size: the size of the scene [m]. scale: 100 % of an error: the scene's size, or the range of the
+        quantity.
     effort: the largest number of operations of the runs. ended: whether it ended the search.
     pace: the measured time of an operation [s].
     runs: the number of runs that the trade made.
     findings: problems of the shipped settings in the first start, such as creep; see `Finding`.
     chatter: joints that chatter there under the chosen settings.
     beside: the same trade with MuJoCo, if it was requested.
-    parted: the distance of the two engines' converged motions in the worst start [m].
+    parted: the distance of the two engines' converged motions in the worst start.
     """
 
     kind = "trade"
-    units: ClassVar = UNITS
 
     motion: Motion
     model: Model | None
@@ -104,6 +104,8 @@ class Trade(Result):
     unsure: float = math.nan
     verified: float | None = None
     size: float = math.nan
+    scale: float = math.nan
+    measure: Measure = field(kw_only=True)
     rows: list[Trial] = field(default_factory=list)
     chosen: Trial | None = None
     proof: Proof | None = None
@@ -146,11 +148,9 @@ class Trade(Result):
         ours, theirs = self.reference, beside.reference
         both = [start for start in ours.starts if start in theirs.starts]
         ours, theirs = ours.part(both), theirs.part(both)
-        matter = Matter.of(self.model) if self.model is not None else None
+        scored = ours.scored & theirs.scored
         self.beside = beside
-        if matter is not None:
-            scored = ours.scored & theirs.scored
-            self.parted = float(rms(apart(ours.tracks, theirs.tracks, matter), scored).max())
+        self.parted = float(self.measure.error(ours.tracks, theirs.tracks, scored).max())
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(self.__dict__)
@@ -160,12 +160,27 @@ class Trade(Result):
             state["schedule"] = dataclasses.replace(self.schedule, controls=controls)
         return state
 
+    @property
+    def units(self) -> dict[str, str]:  # type: ignore[override]
+        """The units of the columns of `table`."""
+        return UNITS | dict.fromkeys(("error", "median", "largest", "unsure"), self.measure.unit)
+
+    def words(self, error: float) -> str:
+        """Format an error in the unit of the quantity."""
+        return self.measure.words(error)
+
     # Rows and recommendations.
 
     @property
     def asked(self) -> float:
-        """The error that settings are chosen for [m]: `verified`, or else `target`."""
-        return self.verified or self.target or ERROR
+        """The error that settings are chosen for: `verified`, or else `target`."""
+        return self.verified or self.target or self._usual
+
+    @property
+    def _usual(self) -> float:
+        """The error that `best` uses without any request."""
+        shipped = self.shipped.error
+        return ERROR if self.measure.quantity.is_motion or math.isinf(shipped) else shipped
 
     @property
     def starts(self) -> int:
@@ -257,7 +272,7 @@ class Trade(Result):
         return self.reference.growth.overall
 
     def error(self, row: Trial) -> float:
-        """Return the RMS position error of the worst start that a row ran from [m].
+        """Return the error of the worst start that a row ran from.
 
         For the chosen settings it includes the held-out starts. It is inf if a run failed.
         """
@@ -266,9 +281,11 @@ class Trade(Result):
     def best(self, error: float | str | None = None) -> Settings:
         """Return the cheapest Settings whose error in every start is at most `error`.
 
-        error: metres, "1mm", or "0.1%" of the scene's size. The default is the error that `trade`
+        error: metres, "1mm", or "0.1%" of the scene's size; of another quantity in its unit, or
+            "1%" of its range. The default is the error that `trade`
             was called with. After a call with a budget, the most accurate settings within the
-            budget are returned. After a call with neither, the default is 1 mm.
+            budget are returned. After a call with neither, the default is 1 mm; of another quantity
+            it is the error of the shipped settings.
 
         Raises ValueError, naming the smallest error reached, if no row is accurate enough.
         """
@@ -278,13 +295,16 @@ class Trade(Result):
 
     def cheapest(self, error: float | str | None = None) -> Trial:
         """Return the row with the lowest price whose error is at most `error`; see `best`."""
-        limit = self.target or ERROR
+        limit = self.target or self._usual
         if error is not None:
-            limit = length("best", "error", error, self.size)
+            limit = self._error_of(error)
         good = [row for row in self.whole if row.error <= limit]
         if not good:
             least = min((row.error for row in self.whole), default=math.inf)
-            raise ValueError(f"error = {limit:g} m: the smallest in this trade is {least:.3g} m")
+            unit = self.measure.unit
+            raise ValueError(
+                f"error = {limit:g} {unit}: the smallest in this trade is {least:.3g} {unit}"
+            )
         return min(good, key=lambda row: (row.cost, row.error))
 
     def next_better(self, error: float | str | None = None) -> Trial | None:
@@ -293,9 +313,13 @@ class Trade(Result):
         error: as in `best`; by default the error of the chosen settings, or of the shipped ones.
         """
         own = self.chosen or self.shipped
-        half = (own.error if error is None else length("best", "error", error, self.size)) / 2
+        half = (own.error if error is None else self._error_of(error)) / 2
         good = [row for row in self.whole if row.error <= half < math.inf]
         return min(good, key=COST) if good and half > 0 else None
+
+    def _error_of(self, error: float | str) -> float:
+        """Return an error in the unit of the quantity."""
+        return self.measure.parse("best", "error", error, self.scale)
 
     def _same(self) -> Trial | None:
         """Return a notably cheaper row with at most the shipped error."""
@@ -333,7 +357,9 @@ class Trade(Result):
     @property
     def title(self) -> str:
         """The measured quantity in a few words."""
-        return f"{self.name}: position error against cost"
+        if self.measure.quantity.is_motion:
+            return f"{self.name}: position error against cost"
+        return f"{self.name}: {self.measure.error_words} against cost"
 
     @property
     def setup(self) -> str:
@@ -363,15 +389,15 @@ class Trade(Result):
                 # The motion may be uncertain from joined starts only: report the number of these.
                 well = f" from {lost.sum()} of {counted(len(lost), 'start')}"
             verb = "was" if unsure > self.reference.error else "is"
-            known = f"the uncertainty of the converged motion {verb} {metres(unsure)}"
+            known = f"the uncertainty of the converged motion {verb} {self.words(unsure)}"
             known += " in the worst start"
             if not math.isfinite(unsure):
                 known = "from some start no run converges"
-            yield f"{metres(target)} cannot be verified{well}: {known}. {self._surer()}"
+            yield f"{self.words(target)} cannot be verified{well}: {known}. {self._surer()}"
         elif target is not None and self.verified is not None:
-            yield f"No setting tried has an error of at most {metres(target)} in every start."
+            yield f"No setting tried has an error of at most {self.words(target)} in every start."
         if row is not None:
-            within = f"an error of at most {metres(self.asked)}"
+            within = f"an error of at most {self.words(self.asked)}"
             if self.budget is not None:
                 within = f"a cost of at most {self._amount(self.budget)} per simulated second"
             choice = f"Recommended for {within}: {self.label(row)}"
@@ -382,7 +408,7 @@ class Trade(Result):
                     choice = f"No setting tried has {within} in every start. The fewest exceed it "
                     choice += f"with {self.label(row)}"
             wrong, priced = self._wrong_in(row), self._priced_beside(row)
-            yield f"{choice}. Its RMS position error is {wrong}, for {priced}."
+            yield f"{choice}. Its {self.measure.error_words} is {wrong}, for {priced}."
             if self.proof is not None:
                 yield self.proof.words
             elif target is not None:
@@ -396,7 +422,8 @@ class Trade(Result):
                 yield f"In the file: {row.change.mjcf}"
             yield self._halved()
         elif target is not None:
-            yield f"No setting tried has an error of at most {metres(self.asked)} in every start."
+            most = self.words(self.asked)
+            yield f"No setting tried has an error of at most {most} in every start."
             done = [row for row in self.whole if row.error < math.inf]
             if done:
                 least = min(done, key=lambda row: row.error)
@@ -409,7 +436,7 @@ class Trade(Result):
         ran, count = counted(len(row.starts), "start"), len(row.starts)
         if row.failure:
             rest = [float(error) for error in row.errors if error < math.inf]
-            most = f" of at most {metres(max(rest))} from {len(rest)} of {ran}" if rest else ""
+            most = f" of at most {self.words(max(rest))} from {len(rest)} of {ran}" if rest else ""
             return (
                 f"infinite, because a run fails ({beginning(row.failure)}){most and ', and'}{most}"
             )
@@ -427,13 +454,13 @@ class Trade(Result):
         )
         more = len(self.refused) - len(some)
         others = f"; and {counted(more, 'other')}" if more else ""
-        return f"Cheaper settings that exceed {metres(self.asked)}: {named}{others}."
+        return f"Cheaper settings that exceed {self.words(self.asked)}: {named}{others}."
 
     def _least(self, row: Trial) -> str:
         """Return the error of a row in words, a lower bound if it ran from fewer starts."""
         if row.failure:
             return "fails"
-        return f"at least {metres(row.error)}" if self.partial(row) else metres(row.error)
+        return f"at least {self.words(row.error)}" if self.partial(row) else self.words(row.error)
 
     def _surer(self) -> str:
         """Describe what is needed to verify the requested error."""
@@ -457,7 +484,9 @@ class Trade(Result):
         if better is None:
             return "No setting tried halves that error."
         cost = f"{self._multiple(better)}: {self.label(better)}"
-        return f"Half that error or less comes at {cost}, with an error of {metres(better.error)}."
+        return (
+            f"Half that error or less comes at {cost}, with an error of {self.words(better.error)}."
+        )
 
     def _as_shipped(self) -> str:
         """Describe the error of the shipped settings, in the worst and in the median start."""
@@ -467,20 +496,27 @@ class Trade(Result):
             return f"{what} the simulation fails: {beginning(row.failure)}."
         where, count = "", len(row.starts)
         if count > 1:
-            median = f"start {row.worst}; median {metres(row.median)}"
+            median = f"start {row.worst}; median {self.words(row.median)}"
             where = f" in the worst of {count} starts ({median})"
         if math.isinf(row.error):
             return (
-                f"{what} the RMS position error is {metres(row.median)} in the median of {count} "
-                f"starts, for {self._priced(row)}; from start {row.worst} no run converges."
+                f"{what} the {self.measure.error_words} is {self.words(row.median)} in the median "
+                f"of {count} starts, for {self._priced(row)}; from start {row.worst} no run "
+                "converges."
             )
         scored = min(self.horizon, self.predictable)
         over = seconds(self.horizon) if scored == self.horizon else "what can be predicted"
         return (
-            f"{what} the RMS position error over {over} is {self._wrong(row)}{where}, for "
-            f"{self._priced(row)}. The largest error of a body at any time is "
-            f"{metres(float(row.largest.max()))}."
+            f"{what} the {self.measure.error_words} over {over} is {self._wrong(row)}{where}, for "
+            f"{self._priced(row)}.{self._largest(row)}"
         )
+
+    def _largest(self, row: Trial) -> str:
+        """Describe the largest error at any time; "" for a scalar, which has one error per run."""
+        if self.measure.quantity.reduction:
+            return ""
+        of = " of a body" if self.measure.quantity.is_motion else ""
+        return f" The largest error{of} at any time is {self.words(float(row.largest.max()))}."
 
     def _improvements(self) -> Iterator[str]:
         """Yield the cost of half the shipped error, and of the shipped error itself."""
@@ -496,7 +532,7 @@ class Trade(Result):
         if same is not None and same is not self.next_better():
             yield (
                 f"The same error or less comes at {self._multiple(same)}: {self.label(same)}, with "
-                f"an error of {metres(same.error)}."
+                f"an error of {self.words(same.error)}."
             )
 
     def _beside(self) -> Iterator[str]:
@@ -506,7 +542,7 @@ class Trade(Result):
             return
         ours, theirs = self.reference.error, other.reference.error
         if self.parted <= ours + theirs:
-            known = metres(max(ours, theirs))
+            known = self.words(max(ours, theirs))
             yield (
                 "MuJoCo computes the same physics: both converge to one motion, with an "
                 f"uncertainty of {known}."
@@ -514,19 +550,19 @@ class Trade(Result):
         else:
             yield (
                 f"MuJoCo does NOT compute the same physics: the converged motions are "
-                f"{metres(self.parted)} apart, with uncertainties of {metres(ours)} and "
-                f"{metres(theirs)}."
+                f"{self.words(self.parted)} apart, with uncertainties of {self.words(ours)} and "
+                f"{self.words(theirs)}."
             )
         said = f"As shipped MuJoCo's error is {other._wrong(other.shipped)}"
         yield f"{said}{self._there(other.shipped)}{self._times(SHIPPED)}."
         row = other.chosen
         if row is not None and row.change != SHIPPED:
-            within = f"an error of at most {metres(other.asked)}"
+            within = f"an error of at most {self.words(other.asked)}"
             own = None if self.chosen is None else self.chosen.change
             said = f"Its cheapest settings for {within} are {other.label(row)}"
-            yield f"{said}, with {metres(row.error)}{self._times(row.change, own)}."
+            yield f"{said}, with {self.words(row.error)}{self._times(row.change, own)}."
         elif self.target is not None and row is None:
-            yield f"None of its settings has an error of at most {metres(other.asked)}."
+            yield f"None of its settings has an error of at most {self.words(other.asked)}."
 
     def _there(self, theirs: Trial) -> str:
         """Return the shipped error from MuJoCo's starts, if other starts joined the search."""
@@ -534,9 +570,8 @@ class Trade(Result):
         errors = [e for s, e in zip(row.starts, row.errors, strict=True) if s in theirs.starts]
         if row.failure or len(errors) == len(row.starts):
             return ""
-        return (
-            f" in the worst of {len(errors)} starts (stepcore's from these: {metres(max(errors))})"
-        )
+        ours = self.words(max(errors))
+        return f" in the worst of {len(errors)} starts (stepcore's from these: {ours})"
 
     def _times(self, theirs: Change, ours: Change | None = None) -> str:
         """Return the measured ratio of MuJoCo's to stepcore's time, in words; "" if unknown."""
@@ -558,8 +593,8 @@ class Trade(Result):
         # A held-out start with more uncertainty counts by how far it may exceed the worst error.
         of_search = [u for s, u in zip(row.starts, row.unsure, strict=True) if s in self._searched]
         unsure = max(row.bound - row.error, *of_search, 0.0)
-        sure = "" if unsure < 0.005 * row.error else f" (± {metres(unsure).removeprefix('< ')})"
-        return f"{metres(row.error)}{sure}"
+        sure = "" if unsure < 0.005 * row.error else f" (± {self.words(unsure).removeprefix('< ')})"
+        return f"{self.words(row.error)}{sure}"
 
     def _multiple(self, row: Trial) -> str:
         if self.shipped.failure:
@@ -634,9 +669,9 @@ class Trade(Result):
         legend = (
             "*: no other setting is cheaper and at least as accurate; s: shipped; r: chosen. dt "
             "[ms]; cost: by counted work, of the shipped settings'; measured: computing time here "
-            f"[µs per simulated second]; error: RMS position error of the worst of {ran} [m], "
-            "rotations included as arcs; median: of the median start; max: the largest of any body "
-            "at any time."
+            f"[µs per simulated second]; error: {self._error_legend(ran)}; median: of the median "
+            "start; max: the largest"
+            f"{self._of_any} at any time."
         )
         if any(self.partial(row) for row in shown):
             most = counted(len(self.reference.starts), "start")
@@ -645,14 +680,23 @@ class Trade(Result):
         near = [row for row in shown if chosen and row.cost < chosen.cost]
         if any(row.error <= self.asked and not self.partial(row) for row in near):
             legend += (
-                f" Cheaper settings within the error are above {metres(MARGIN * self.asked)}, or "
-                "were not tested on other starts."
+                " Cheaper settings within the error are above "
+                f"{self.words(MARGIN * self.asked)}, or were not tested on other starts."
             )
         if len(shown) < len(self.rows):
             legend += f" {not_shown(counted(len(self.rows) - len(shown), 'setting'))}"
         right = ("dt", "cost", "measured", "error", "median", "max", "starts")
         numbers = dict.fromkeys(right, "")
         return [Table(records, columns, numbers, legend=legend)]
+
+    @property
+    def _of_any(self) -> str:
+        return " of any body" if self.measure.quantity.is_motion else ""
+
+    def _error_legend(self, ran: str) -> str:
+        """Describe the column of errors."""
+        arcs = ", rotations included as arcs" if self.measure.quantity.is_motion else ""
+        return f"{self.measure.error_words} of the worst of {ran}{self.measure.in_unit}{arcs}"
 
     def _main_rows(self) -> list[Trial]:
         """Return about a screen of rows: those that the answer names, and others of the front."""
@@ -677,6 +721,7 @@ class Trade(Result):
                 "predictable_starts": truth.growth.ends,
             },
             "orders": self.orders,
+            "quantity": self.measure.quantity.name,
             "asked": {"error": self.target, "budget": self.budget, "by": self.by},
             "recommended": None if self.recommended is None else self.recommended.settings,
             "verified": self.verified,

@@ -18,14 +18,13 @@ from functools import cached_property
 import numpy as np
 
 from stepcore.deadline import OutOfTime
-from stepcore.engine.norm import Tracks, apart, rms
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import JOIN, ROUNDS, Proof, frontier, least
 from stepcore.experiment.schedule import FINEST
 from stepcore.experiment.study import SHIPPED, TOGETHER, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import ROUNDING, SHARE, Truth
-from stepcore.report.units import metres, times
+from stepcore.report.units import times
 
 # The quantity by which settings are ranked.
 COST = operator.attrgetter("cost")
@@ -67,7 +66,7 @@ class Search:
     def of(cls, study: Study, error: float | None, *, held: bool) -> Search:
         """Return a search in which only the shipped settings were tried.
 
-        error: the tolerance [m], or None. held: whether the user gave the control period.
+        error: the tolerance, or None. held: whether the user gave the control period.
         """
         study.allowed = KNOWING * study.effort
         search = cls(study, study.truth(error), usable_steps(study, held))
@@ -90,10 +89,14 @@ class Search:
 
     @property
     def moved(self) -> float:
-        """The displacement of the bodies from the first sample [m], in the start with the least."""
-        tracks = self.truth.tracks
-        still = Tracks(tracks.com[:, :1], tracks.quat[:, :1])
-        return float(rms(apart(tracks, still, self.study.engine.matter)).min())
+        """The displacement of the bodies from the first sample [m], in the start with the least.
+
+        For another quantity than the motion it is the quantity's range.
+        """
+        tracks, measure = self.truth.tracks, self.study.measure
+        if not measure.quantity.is_motion:
+            return self.study.scale
+        return float(measure.error(tracks, tracks.at(0)).min())
 
     def at(self, family: Change, steps: int) -> Change:
         """Return a family at a number of steps in a control period."""
@@ -105,7 +108,7 @@ class Search:
     def trial(self, change: Change, error: float | None = None) -> Trial:
         """Run a change from the starts of the search.
 
-        error: the tolerance [m]; the truth is refined if it does not show whether the change holds.
+        error: the tolerance; the truth is refined if it does not show whether the change holds.
         """
         study, starts = self.study, self.truth.starts
         (tracks,) = study.tracks([change], starts)
@@ -122,7 +125,7 @@ class Search:
         self.trial(SHIPPED)
 
     def sharpen(self, error: float) -> None:
-        """Refine the truth for another error [m], and score all trials again."""
+        """Refine the truth for another error, and score all trials again."""
         self.truth = self.study.truth(error, self.truth.starts)
         self.score_again()
 
@@ -143,7 +146,7 @@ class Search:
         while self.truth.error < before:
             before = self.truth.error
             least = min((t.error for t in self.trials.values() if not t.failure), default=0.0)
-            if ROUNDING * self.study.size < least < before / SHARE:
+            if ROUNDING * self.study.scale < least < before / SHARE:
                 self.sharpen(least)
 
     def remember(self, error: float) -> None:
@@ -156,7 +159,7 @@ class Search:
             self.trials[change] = self.study.score(change, tracks, self.truth)
 
     def cheapest(self, error: float) -> Trial | None:
-        """Return the cheapest settings within an error [m] on the starts of the search, or None."""
+        """Return the cheapest settings within an error on the starts of the search, or None."""
         best = next((trial for trial in self.whole if trial.within(error)), None)
         own, limit = self.study.steps(), self.study.cost(self.truth.change)
         if best is not None:
@@ -178,7 +181,7 @@ class Search:
     def row(self, change: Change, error: float) -> Trial:
         """Score a change from every start that it ran from, including held-out ones.
 
-        error: the tolerance [m]; a held-out start is left out if its converged motion does not show
+        error: the tolerance; a held-out start is left out if its converged motion does not show
         whether the change holds.
         """
         trial = self.study.score_everywhere(change)
@@ -217,15 +220,16 @@ class Search:
     def so_far(self, best: Trial | None = None) -> str:
         """Describe the errors of the shipped settings and of the best ones so far."""
         shipped = self.shipped
-        known = metres(self.truth.error)
-        said = f"error as shipped {metres(shipped.error)}, ± {known}"
+        words = self.study.measure.words
+        known = words(self.truth.error)
+        said = f"error as shipped {words(shipped.error)}, ± {known}"
         if not math.isfinite(shipped.error):
             said = f"the shipped settings fail; the uncertainty of errors is {known}"
         if best is None:
             return said
         cost = f"{times(best.cost / shipped.cost)} the shipped cost"
         named = best.change.label(shipped.settings)
-        return f"{said}; best {named}: {metres(best.error)} at {cost}"
+        return f"{said}; best {named}: {words(best.error)} at {cost}"
 
     @cached_property
     def families(self) -> list[Change]:
@@ -271,7 +275,7 @@ class Search:
         most = BETTER * best.cost if best is not None else self.study.cost(truth.change)
         # A tolerance above the motion's displacement requires nothing.
         for share in (share for share in ACCURACIES if share * error < self.moved):
-            accuracy = share * error / study.schedule.horizon
+            accuracy = study.as_length(share * error) / study.schedule.horizon
             change = Change(accuracy=accuracy, dt=study.schedule.period)
             if not study.affords(change, len(truth.starts)) or study.cost(change) >= most:
                 break
@@ -364,7 +368,7 @@ def tested(
 ) -> Trial:
     """Run a change from held-out starts.
 
-    error: the tolerance [m]. early: whether to stop at the first eight that exceed it anywhere.
+    error: the tolerance. early: whether to stop at the first eight that exceed it anywhere.
     """
     parts = list[Trial]()
     for part in by_eight(study, change, starts, error):
@@ -389,7 +393,7 @@ def by_eight(study: Study, change: Change, starts: Sequence[int], error: float) 
 
 
 def cleared(study: Study, trial: Trial, error: float, finest: float) -> bool:
-    """Refine the truth where it does not show whether a trial holds an error [m].
+    """Refine the truth where it does not show whether a trial holds an error.
 
     finest: the smallest uncertainty to aim for, as a share of the error. Return whether any start
     needed it.

@@ -18,7 +18,7 @@ MODULES = {
     **dict.fromkeys(
         ("answer", "convergence", "postmortem", "predictability", "trajectory"), "curves"
     ),
-    **{kind: kind for kind in ("identification", "stability", "trade")},
+    **{kind: kind for kind in ("identification", "outcomes", "stability", "trade")},
 }
 
 

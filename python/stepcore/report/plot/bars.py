@@ -24,7 +24,7 @@ from stepcore.report.plot.style import (
     patches,
     say,
 )
-from stepcore.report.units import metres, seconds
+from stepcore.report.units import seconds
 
 if TYPE_CHECKING:
     from stepcore.engine.plan import Plan
@@ -185,7 +185,7 @@ def ablation(result: Ablation) -> Any:
         colour = GREEN if row.removal in result.removed else RED
         colour = "black" if row is result.best else colour
         bar(work, place, share, colour, f"{share:.1f}" if abs(share) < 10 else f"{share:.0f}")
-        text = result.least(row, metres(added)) if result.measurable(row) else "none"
+        text = result.least(row, result.words(added)) if result.measurable(row) else "none"
         bar(error, place, added, colour, text, left=low)
     error.set_xscale("log")
     error.set_xlim(low, 40 * max(*(row.trial.error for row in rows), tolerance))
@@ -194,10 +194,10 @@ def ablation(result: Ablation) -> Any:
     error.tick_params(axis="y", length=0)
     work.set_xlim(right=1.25 * max(1.0, *(100 * result.saved(row) for row in rows)))
     frame(work, f"{result.name}: without …", "work saved [% of operations]")
-    frame(error, "", "RMS position error added [m]")
+    frame(error, "", f"{result.measure.error_words} added{result.measure.in_unit}")
     figure.get_layout_engine().set(wspace=0.06)
-    needed = {f"not needed within {metres(tolerance)}": GREEN, "kept": RED}
+    needed = {f"not needed within {result.words(tolerance)}": GREEN, "kept": RED}
     entries = patches(needed | {"the smallest model": "black"})
-    entries.append(line(f"tolerance {metres(tolerance)}", color=GREY, ls="--", lw=1))
+    entries.append(line(f"tolerance {result.words(tolerance)}", color=GREY, ls="--", lw=1))
     legend(figure, entries, columns=2)
     return figure

@@ -270,7 +270,8 @@ def convergence(result: Convergence) -> Any:
     figure = new_figure()
     axes = figure.add_subplot()
     work = "floating-point operations per simulated second"
-    frame(axes, f"{result.name}: {result.verdict}", work, "RMS position error [m]")
+    words = f"{result.measure.error_words}{result.measure.in_unit}"
+    frame(axes, f"{result.name}: {result.verdict}", work, words)
     kinds = {"time steps": (BLUE, result.dts), "sweeps": (RED, [result.shipped, *result.sweeps])}
     for name, (colour, trials) in kinds.items():
         good = sorted((t.work, t.error) for t in trials if not t.failure and t.error > 0)

@@ -18,7 +18,7 @@ from stepcore.report.plot.style import (
     write_beside,
 )
 from stepcore.report.settings import label
-from stepcore.report.units import counted, metres, operations, seconds
+from stepcore.report.units import counted, operations, seconds
 
 if TYPE_CHECKING:
     from stepcore.experiment.trial import Trial
@@ -71,7 +71,7 @@ def trade(trade: Trade) -> Any:
         axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **dashed)
     if error > low:
         axes.axhspan(low, error, color="#DDDDDD", zorder=0)
-        text = f"below what the converged motion is sure of, {metres(error)}"
+        text = f"below what the converged motion is sure of, {trade.words(error)}"
         place = {"transform": axes.get_yaxis_transform(), "va": "top", "fontsize": FONT["small"]}
         axes.text(0.01, error, text, **place)
     flops = trade.by == "flops"
@@ -82,7 +82,7 @@ def trade(trade: Trade) -> Any:
     starts = counted(trade.starts, "start")
     starts += " or more" if any(len(row.starts) > trade.starts for row in good) else ""
     title = f"{trade.name}: error over {seconds(trade.horizon)} against cost, {starts}"
-    error_words = "RMS position error of the worst start [m]"
+    error_words = f"{trade.measure.error_words} of the worst start{trade.measure.in_unit}"
     frame(axes, title, counts if flops else timed, error_words)
     _legend(figure, trade, good, bool(far))
     _rings(axes, trade, good, top)
@@ -169,7 +169,7 @@ def _legend(figure: Any, trade: Trade, good: Sequence[Trial], failed: bool) -> N
         entries.append(line("single precision", marker="o", mec=GREY, ms=6, **hollow))
     entries.append(line("best for its cost", color="black", lw=1.3))
     if trade.target is not None:
-        entries.append(line(f"target {metres(trade.asked)}", color=GREY, ls="--", lw=1.0))
+        entries.append(line(f"target {trade.words(trade.asked)}", color=GREY, ls="--", lw=1.0))
     if theirs:
         entries.append(line("MuJoCo", marker=THEIRS, mec="black", ms=11, **hollow))
         entries.append(line("MuJoCo's best for its cost", color="black", lw=1.1, ls=":"))
