@@ -123,6 +123,8 @@ def call(args: argparse.Namespace, name: str) -> Result:
         given |= motion_of(args, model)
     if name in SECONDS:
         given["seconds"] = args.seconds
+    if given.get("quantity") is not None:
+        given["quantity"] = _quantity(given["quantity"])
     given |= measurement.more(args, model)
     # MuJoCo reads the file itself, if no option of loading changes it.
     source = getattr(args, "engine", "") == "mujoco"
@@ -205,13 +207,10 @@ def _log(text: str) -> Any:
     return {name: file for name, _, file in parts} if apart else text
 
 
-def _quantity(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
-    """Return the quantity: a name, or a function in a file or module."""
-    text = args.quantity
-    file, _, name = (text or "").rpartition(":")
-    if file and name.isidentifier():
-        return {"quantity": function_of("quantity", text)}
-    return {"quantity": text}
+def _quantity(text: str) -> Any:
+    """Return a quantity: its name, or a function in a file or module."""
+    file, _, name = text.rpartition(":")
+    return function_of("quantity", text) if file and name.isidentifier() else text
 
 
 ENGINE = ("stepcore", "mujoco")
@@ -267,7 +266,6 @@ MEASUREMENTS = {
             },
             **{"error": "AMOUNT", "most": "N", "effort": "OPERATIONS", "engine": ENGINE},
         },
-        more=_quantity,
     ),
     "predict": Measurement(
         "predictability", "gymnasium:ant --horizon 5 --plot growth.png", {"engine": ENGINE}

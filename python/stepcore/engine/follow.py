@@ -288,10 +288,10 @@ class _Run:
                 self.keep_all(done // self.every, worlds)
         for world, error in worlds.failures.items():
             self.end(world, of_one_run(error))
-        for start, error in self.failures.items():
+        for world, error in self.failures.items():
             # The other worlds went on, and with them the samples of runs that had ended.
             for values in self.data.values():
-                values[start, error.step // self.every + 1 :] = np.nan
+                values[world, error.step // self.every + 1 :] = np.nan
 
     def keep_all(self, sample: int, worlds: Any) -> None:
         """Record a sample of all runs, and end those with a body beyond the bound."""

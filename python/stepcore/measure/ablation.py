@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Unpack
 
@@ -317,7 +317,7 @@ def ablate(
     model: Source,
     motion: Motion | str | None = None,
     *,
-    quantity: Quantity | str | None = None,
+    quantity: Quantity | str | Callable[..., Any] | None = None,
     added: float | str | None = None,
     further: int = 32,
     engine: str = "stepcore",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Unpack
 
@@ -304,7 +304,7 @@ def converge(
     model: Source,
     motion: Motion | str | None = None,
     *,
-    quantity: Quantity | str | None = None,
+    quantity: Quantity | str | Callable[..., Any] | None = None,
     engine: str = "stepcore",
     **fields: Unpack[MeasurementFields],
 ) -> Convergence:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Unpack
 
 from stepcore import checks
@@ -39,7 +39,7 @@ def trade(
     model: Source,
     motion: Motion | str | None = None,
     *,
-    quantity: Quantity | str | None = None,
+    quantity: Quantity | str | Callable[..., Any] | None = None,
     error: float | str | None = None,
     budget: float | str | None = None,
     further: int = 32,
@@ -70,7 +70,8 @@ def trade(
         see `stepcore.experiment.horizon`. Recommended steps divide your control period; without one
         they are the shipped step times or divided by a whole number.
     quantity: the quantity whose error is measured: "site/tip", "joint/knee", "max(contact/foot)"
-        and others, see `stepcore.experiment.Quantity`. By default the motion of all bodies.
+        and others, or a function of the runs; see `stepcore.experiment.Quantity`. By default the
+        motion of all bodies. Each start is judged; `stepcore.outcomes` judges the mean of many.
     error: the largest allowed error in every start (of the motion: RMS position error over bodies
         and time): metres, "1mm", or "0.1%" of the scene's size; of another quantity "2N", "0.5deg",
         or "1%" of its range over the motion. The cheapest settings that meet this tolerance are

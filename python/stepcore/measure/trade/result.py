@@ -375,6 +375,8 @@ class Trade(Result):
         said += [*self._answer(), self._as_shipped()]
         if self.target is None and self.budget is None:
             said += self._improvements()
+        if self.measure.quantity.is_scalar and math.isfinite(self.predictable):
+            said.append("The mean over many starts may be known: `stepcore outcomes` measures it.")
         said += self._beside()
         return [*said, *(finding.text for finding in self.findings)]
 
