@@ -79,7 +79,7 @@ class Source:
     directory: the folder of the main file, in which includes are found.
     urdf: the text of a URDF. unfilled: its joints whose limit has 0 for effort and velocity, as
         exporters leave it.
-    fuse: the argument `fuse` of `stepcore.load`.
+    fuse, free: the arguments of `stepcore.load`.
     files: the files that were read, the main file first.
     unread: files that the text names only for drawing; the reader does not open them.
     read_bytes: the total size of the mesh and height field files that were read [bytes].
@@ -92,6 +92,7 @@ class Source:
     urdf: bytes = b""
     unfilled: tuple[str, ...] = ()
     fuse: bool | None = None
+    free: bool = False
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
     read_bytes: int = 0

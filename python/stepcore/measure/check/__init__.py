@@ -486,10 +486,10 @@ def _file(source: Source, model: Model) -> str:
     )
 
 
-def file_in_words(file: str, without: list[str], fuse: bool = True) -> str:
-    """Return a file argument with the options that leave out some kinds of elements."""
+def file_in_words(file: str, without: list[str], flags: Sequence[str] = ()) -> str:
+    """Return a file argument with the options of loading: kinds left out, and flags."""
     left_out = [word for kind in without for word in ("--without", kind)]
-    words = [file, *left_out, *(() if fuse else ("--no-fuse",))]
+    words = [file, *left_out, *flags]
     return " ".join(map(shlex.quote, words))
 
 
