@@ -12,8 +12,8 @@ from typing import Any
 
 from stepcore.checks import cut, nearest, refuse, shown
 from stepcore.mjcf.nodes import (
-    OF_TREE,
     GROUPS,
+    OF_TREE,
     SECTIONS,
     MJCFError,
     Node,
