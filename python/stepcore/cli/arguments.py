@@ -22,7 +22,7 @@ from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
 from stepcore.experiment.control_table import PositionTable, control_table
 from stepcore.experiment.default_motion import KINDS
-from stepcore.experiment.log_files import ENDINGS, is_file, parts_of
+from stepcore.experiment.log_files import ENDINGS, endings_for, is_file, parts_of
 from stepcore.experiment.motion import INTERPOLATIONS, Motion
 from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
 from stepcore.experiment.policy import Policy
@@ -241,7 +241,7 @@ def controls_of(text: str, model: Model | None) -> Any:
     if is_file(text):
         return _table("ctrl", text, control_table)
     if os.path.exists(text):
-        raise Usage(f"--ctrl {text}: must end in {', '.join(ENDINGS)}")
+        raise Usage(f"--ctrl {text}: must end in {endings_for(text)}")
     if model is None:
         raise Usage(f"--ctrl {text}: must be a file where stepcore cannot load the scene")
     if not model.nu:

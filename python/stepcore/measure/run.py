@@ -253,6 +253,7 @@ def simulated(
     if motion.control_dt is not None:
         whole_steps("control_dt", motion.control_dt, dt, least=1)
     drive, shoved = drive_of(sim, motion, horizon), [Push.of(push) for push in pushes]
+    notes += drive.remarks
     if drive.servos:
         # The servos follow the controls instead of the motors.
         state, finer = sim.state(), sim._finer is not None

@@ -321,7 +321,7 @@ def check(
             if motion.is_users or holds.kind
             else held_motion_in_words(compiled, motion.key, schedule.horizon, held)
         ),
-        notes=[*notes, *compiled.scene.notes],
+        notes=[*notes, *(schedule.notes if motion.is_users else ()), *compiled.scene.notes],
         file=_file(model, compiled),
         options=_options(motion),
         holding={"kind": holds.kind} if holds.kind and not motion.kind else {},
