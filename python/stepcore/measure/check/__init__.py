@@ -314,7 +314,7 @@ def check(
         name=setup.name,
         settings=compiled.settings,
         motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=1),
-        findings=ordered(found),
+        findings=_causes_first(ordered(found), compiled),
         diagnosis=diagnosis,
         ran=far.after(
             motion_in_words(compiled, holds, schedule)
@@ -327,6 +327,32 @@ def check(
         holding={"kind": holds.kind} if holds.kind and not motion.kind else {},
         examined=_examined(compiled, motion, schedule, AS_SHIPPED not in deadline.left_out),
     )
+
+
+def _causes_first(findings: list[Finding], model: Model) -> list[Finding]:
+    """Return findings with overlaps at the start before the passages of the same bodies.
+
+    Parts that begin inside each other are pushed out on any side.
+    """
+    passed = [k for k, finding in enumerate(findings) if finding.kind == "tunnelling"]
+    if not passed:
+        return findings
+    bodies = _bodies_of(findings[passed[0]], model)
+    causes = [
+        finding
+        for finding in findings[passed[0] :]
+        if finding.kind.startswith("overlap") and bodies & _bodies_of(finding, model)
+    ]
+    others = [finding for finding in findings if not any(finding is cause for cause in causes)]
+    return [*others[: passed[0]], *causes, *others[passed[0] :]]
+
+
+def _bodies_of(finding: Finding, model: Model) -> set[int]:
+    """Return the moving bodies of the geoms and contacts of a finding."""
+    geoms = [of.index for of in finding.elements if of.kind == "geom"]
+    pairs = [of.index for of in finding.elements if of.kind == "contact"]
+    geoms += np.ravel(model.pair_geoms[pairs]).tolist() if pairs else []
+    return {int(model.geom_body[geom]) for geom in geoms} - {0}
 
 
 def _for_urdf(path: str, findings: Sequence[Finding]) -> Iterator[str]:
