@@ -102,7 +102,7 @@ An error lists everything that is wrong with a file or not built yet, one line f
 
     robot.xml:12: <flexcomp> in <body> is not built yet: its points move, … (also in line 15)
     robot.xml:40: a spring that yields (springyield) is not built yet: the spring of the …
-    without=["worldbody/flexcomp", "joint/springyield"] leaves these things out
+    without=["worldbody/flexcomp", "joint/springyield"] leaves these things out; trade(…)
 
 `without` takes a section (`contact`, `tendon`, `equality`, `actuator`, `sensor`, `keyframe`), an
 element (`weld`, or `actuator/muscle` where a name is ambiguous), an attribute

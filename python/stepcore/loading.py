@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from stepcore import checks
-from stepcore.checks import brief, nearest
+from stepcore.checks import brief, flag, nearest
+from stepcore.engine.sim import Sim
 from stepcore.engine.stiffness import warn_of_stiffness
 from stepcore.engine.world import compiled
 from stepcore.mjcf.from_mujoco import is_mujoco, read_mujoco
@@ -34,6 +38,8 @@ def load(
     *,
     without: Iterable[str] = (),
     fuse: bool | None = None,
+    free: bool = False,
+    ground: bool = False,
 ) -> Scene:
     """Read a scene from an MJCF or a URDF file, or from an MjModel or an MjSpec of MuJoCo.
 
@@ -57,8 +63,14 @@ def load(
         `Scene.notes` lists the consequences. Every result states that its scene is reduced.
     fuse: True merges bodies without joints into their parents, as MJCF's ``fusestatic`` does. None
         takes the value of the file; for a URDF that gives no value, True. False keeps every link as
-        a named body; a free joint can then be added to the root link. `Scene.fused` maps the name
-        of each merged body to the body that contains it.
+        a named body. `Scene.fused` maps the name of each merged body to the body that contains it.
+    free: whether the base of a URDF gets a free joint, as a legged robot needs. The base is the
+        root link, or the link that is fixed to a root link "world"; the joint has its name.
+    ground: whether a URDF gets a floor, a plane at z = 0. A free base is moved up or down until the
+        lowest geom touches the floor; under a fixed base the floor is at the lowest geom.
+
+    The meshes of ``package://NAME`` are searched in the folders that contain the URDF, on
+    ``ROS_PACKAGE_PATH``, and in ``share`` of the folders of ``AMENT_PREFIX_PATH``.
 
     Raises FileNotFoundError for a missing file, IsADirectoryError for a folder, ValueError for an
     unknown name or kind, and MJCFError for a file that cannot be read. MJCFError is a ValueError;
@@ -71,7 +83,7 @@ def load(
     if not isinstance(path, (str, bytes, os.PathLike)) and not is_mujoco(path):
         limit = 'the path of an MJCF file, "package:name", or a MjModel or MjSpec of mujoco'
         raise checks.refuse("load", "path", path, limit)
-    scene = find_scene(path, without, fuse)
+    scene = find_scene(path, without, fuse, free, ground)
     warn_of_stiffness(scene)
     return scene
 
@@ -83,13 +95,15 @@ def loads(
     name: str = "<string>",
     without: Iterable[str] = (),
     fuse: bool | None = None,
+    free: bool = False,
+    ground: bool = False,
 ) -> Scene:
     """Read a scene from a text in MJCF or URDF; `load` reads a file.
 
     text: the XML.
     base: the folder of included files.
     name: the name of the text in error messages.
-    without, fuse: see `load`.
+    without, fuse, free, ground: see `load`.
 
     Raises and warns as `load` does.
 
@@ -103,12 +117,20 @@ def loads(
     scene = Scene()
     if isinstance(text, str) and text.strip() and "<" not in text:
         raise MJCFError(checks.word("name", name), 1, "is no XML; `load` reads a file by its path")
-    read_text(scene, text, base=base, name=name, without=without, fuse=fuse)
+    read_text(scene, text, base=base, name=name, without=without, fuse=fuse, free=free)
+    if flag("loads", "ground", ground):
+        add_ground(scene)
     warn_of_stiffness(scene)
     return scene
 
 
-def find_scene(source: Any, without: Iterable[str] = (), fuse: bool | None = None) -> Scene:
+def find_scene(
+    source: Any,
+    without: Iterable[str] = (),
+    fuse: bool | None = None,
+    free: bool = False,
+    ground: bool = False,
+) -> Scene:
     """Return the scene that `source` names; see `load`, whose warning is left to the caller.
 
     The package of "package:name" is not imported. If several of its files have this name, give more
@@ -116,25 +138,67 @@ def find_scene(source: Any, without: Iterable[str] = (), fuse: bool | None = Non
     others. Raises ValueError for an unknown name, and the errors of `load` for a path.
     """
     scene = Scene()
+    if flag("load", "ground", ground):
+        scene = find_scene(source, without, fuse, free)
+        add_ground(scene)
+        return scene
     if is_mujoco(source):
+        if flag("load", "free", free):
+            raise ValueError("free: only a URDF takes it, not a model of MuJoCo")
         read_mujoco(scene, source, without, fuse)
         return scene
     text = os.fsdecode(source)
     package, _, name = text.partition(":")
     # "C:" is a drive.
     if ":" not in text or len(package) == 1 or os.path.exists(text):
-        read_file(scene, text, without, fuse)
+        read_file(scene, text, without, fuse, free)
     elif package == "lesson":
         if name not in LESSON:
             raise ValueError(brief(f"lesson:{name}: the lesson's scenes are {', '.join(LESSON)}"))
         from stepcore.lesson import scenes
 
+        if flag("load", "free", free):
+            raise ValueError(f"free: only a URDF takes it, not lesson:{name}")
         scene = getattr(scenes, name)()
         scene.name = name
     else:
-        read_file(scene, find_asset(package, name), without, fuse)
+        read_file(scene, find_asset(package, name), without, fuse, free)
         scene.name = scene.name or name
     return scene
+
+
+def add_ground(scene: Scene) -> None:
+    """Add a floor to a scene that was read from a URDF; see `load`."""
+    if scene._source is None or not scene._source.urdf:
+        raise ValueError("ground: only a URDF takes it; in MJCF the world needs a plane")
+    lowest = lowest_point(Sim(scene)) if scene.geoms else 0.0
+    bases = [joint.body for joint in scene.joints if joint.type == "free"]
+    for base in bases:
+        x, y, z = base.pos
+        base.pos = (x, y, z - lowest)
+    names = {geom.name for geom in scene.geoms}
+    name = next(name for name in ("ground", "floor", "") if name not in names)
+    height = 0.0 if bases else lowest
+    scene.add_geom("world", "plane", (0, 0, 1), name=name, pos=(0, 0, height))
+
+
+def lowest_point(sim: Sim) -> float:
+    """Return the height of the lowest point of a world's geoms [m]; no geom is a plane."""
+    model, heights = sim.model, list[float]()
+    down = -np.reshape(sim.geom_xmat, (-1, 3, 3))[:, 2]
+    for geom, kind in enumerate(model.geom_type):
+        (x, y, z), way = model.geom_size[geom], down[geom]
+        if kind == "mesh":
+            reach = float((model.geom_hull(geom)[0] @ way).max(initial=0.0))
+        elif kind == "box":
+            reach = float(np.abs(way) @ (x, y, z))
+        elif kind == "cylinder":
+            reach = x * math.hypot(way[0], way[1]) + y * abs(way[2])
+        else:
+            # A sphere has no half length.
+            reach = x + (y * abs(way[2]) if kind == "capsule" else 0.0)
+        heights.append(sim.geom_xpos[geom, 2] - reach)
+    return min(heights)
 
 
 def find_model(source: Any) -> Model:

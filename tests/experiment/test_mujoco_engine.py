@@ -227,10 +227,18 @@ def test_the_estimated_cost_ranks_methods():
     assert 2 < computing_time(work["euler"], engine.shipped) * engine.dt < 50
 
 
+def test_a_refusal_of_mujocos_names_the_file_and_the_version(tmp_path):
+    file = tmp_path / "new.xml"
+    file.write_text('<mujoco><worldbody><geom size="1" newattribute="1"/></worldbody></mujoco>')
+    text = f"new.xml: MuJoCo {mujoco.__version__} refuses it: .*newattribute"
+    with pytest.raises(ValueError, match=text):
+        sc.trade(file, engine="mujoco", progress=False)
+
+
 def test_a_file_that_stepcore_refuses_can_be_predicted():
     result = sc.predict(JELLY, engine="mujoco", horizon=0.3, starts=2, progress=False)
     assert result.time > 0 and result.integrator in ("rk4", "implicitfast", "discrete")
-    assert result.ran.endswith("in MuJoCo alone")
+    assert result.ran.endswith(f"in MuJoCo {mujoco.__version__} alone")
 
 
 def test_a_file_that_stepcore_refuses_has_sweeps_and_steps():

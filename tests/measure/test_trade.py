@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from small import by
@@ -471,6 +472,25 @@ def test_what_cannot_be_verified_is_said():
         result.best()
 
 
+@pytest.mark.parametrize("lack", ["starts", "proof", "error", ""])
+def test_a_choice_that_lacks_starts_or_validation_is_preliminary(ball, lack):
+    """An <option> to paste is printed only for a request that is met."""
+    result = copy.copy(ball)
+    result.engine, result.beside = "mujoco", None
+    assert result.chosen.change.settings
+    if lack == "starts":
+        result.chosen = result.chosen.part(result.chosen.starts[:-1])
+        result.proof = None
+    elif lack == "proof":
+        result.proof = None
+    elif lack == "error":
+        result.target = result.chosen.error / 2
+    answer = list(result._answer())
+    assert answer[0].startswith("Best so far" if lack in ("starts", "proof") else "Recommended")
+    pasted = any(sentence.startswith("In the file: <option") for sentence in answer)
+    assert pasted == (lack in ("proof", ""))
+
+
 def test_an_error_that_the_choice_exceeds_is_not_said_to_be_kept(ball):
     worse, lost = copy.copy(ball), copy.copy(ball)
     worse.chosen = max((row for row in ball.rows if not row.failure), key=lambda row: row.error)
@@ -657,7 +677,7 @@ def test_a_file_that_stepcore_refuses_is_traded_by_mujoco(tmp_path, capsys):
     assert main(["trade", str(path), "--engine", "mujoco", *quick]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "Recommended for an error of at most 5 mm" in said
-    assert "In MuJoCo alone" in said or "in MuJoCo alone" in said
+    assert f"in MuJoCo {mujoco.__version__} alone" in said
     assert main(["trade", str(path), *quick]) != 0
 
 

@@ -69,6 +69,31 @@ def test_where_all_is_only_unbuilt_the_message_says_how_to_leave_it_out() -> Non
     assert loads(MIXED, without=kinds) == loads(MIXED, without=KINDS)
 
 
+@pytest.mark.parametrize("tty", [True, False])
+def test_on_a_shell_a_refusal_begins_with_the_command_that_works(
+    tmp_path, capsys, monkeypatch, tty
+):
+    """A line a reason on a terminal, and none for what only follows from another."""
+    file = tmp_path / "m.xml"
+    exclude = '<contact><exclude body1="f_0" body2="b"/></contact>'
+    file.write_text(MIXED.replace("<actuator>", f"{exclude}<actuator>", 1))
+    monkeypatch.setattr("stepcore.cli.terminal.watched", lambda: tty)
+    assert main(["check", str(file)]) == 2
+    said = capsys.readouterr().err.replace(f"{file}:", "m.xml:")
+    assert f"`stepcore trade {file} --engine mujoco` works." in said.split(" m.xml:")[0]
+    assert "f_0" not in said and "without=" not in said
+    *_, last = said.rstrip().split("--without extension/plugin")
+    assert last.endswith("leaves these things out.")
+    places = [line.partition(" ")[0] for line in said.splitlines()[1:-1]]
+    assert places == (["m.xml:2:", "m.xml:5:", "m.xml:6:", "m.xml:10:"] if tty else [])
+
+
+def test_a_geom_that_is_not_built_cannot_be_left_out() -> None:
+    with pytest.raises(MJCFError) as caught:
+        loads('<mujoco><worldbody><geom type="sdf"/></worldbody></mujoco>')
+    assert "without=" not in str(caught.value) and 'engine="mujoco"' in str(caught.value)
+
+
 def test_the_same_error_in_many_places_is_one_line() -> None:
     bodies = "\n".join(f'<body name="b{i}"><flexcomp/></body>' for i in range(100))
     with pytest.raises(MJCFError) as caught:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import stepcore as sc
+from stepcore.engine.start import Start
+from stepcore.measure.check.described import Described, described
 
 INERTIA = '<inertia ixx=".1" iyy=".2" izz=".25" ixy=".01" ixz=".02" iyz="-.03"/>'
 HEAVY = f'<inertial><origin xyz=".1 0 .2" rpy=".1 .2 .3"/><mass value="2"/>{INERTIA}</inertial>'
@@ -366,3 +368,109 @@ def test_what_mujoco_passes_over_is_passed_over_with_a_note(what):
     sim.forward()
     mujoco.mj_forward(theirs, data)
     assert sim.qacc == pytest.approx(data.qacc, rel=1e-8, abs=1e-9)
+
+
+# Robots that stand on the ground.
+
+LEGS = [
+    part
+    for side in ("left", "right")
+    for part in (
+        link(f"{side}_leg", HEAVY + BALL),
+        joint(f"{side}_hip", "revolute", "base", f"{side}_leg", LIMITED),
+    )
+]
+BASE = link("base", HEAVY + '<collision><geometry><box size=".2 .4 .6"/></geometry></collision>')
+WALKER = robot(BASE, *LEGS, extension="")
+
+
+@pytest.mark.parametrize("fuse", [None, False])
+def test_a_free_base_stands_on_the_ground(fuse):
+    scene = sc.loads(WALKER, free=True, ground=True, fuse=fuse)
+    sim = sc.Sim(scene)
+    base = scene.joint("base")
+    assert (base.type, base.body.name, scene.geoms[-1].type) == ("free", "base", "plane")
+    # The lowest point is of the box, 0.3 m below the base.
+    assert (base.body.pos[2], scene.geoms[-1].pos[2]) == (pytest.approx(0.3), 0)
+    sim.step(10)
+    assert sim.qpos[2] == pytest.approx(0.3, abs=1e-3)
+    assert sc.loads(scene.to_mjcf()) == scene
+
+
+@pytest.mark.parametrize("shape", ["box", "capsule", "cylinder", "mesh", "sphere"])
+def test_the_ground_touches_the_lowest_geom(shape, tmp_path):
+    """Under a turned geom, the ground is where the first contact appears."""
+    corners = [(x, y, z) for x in (0, 0.1) for y in (0, 0.2) for z in (0, 0.3)]
+    (tmp_path / "m.obj").write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners))
+    sizes = {"box": 'size=".1 .2 .3"', "mesh": f'filename="{tmp_path}/m.obj"'}
+    size = sizes.get(shape, 'radius=".1"' + ' length=".3"' * (shape != "sphere"))
+    collision = f"<collision>{POSE}<geometry><{shape} {size}/></geometry></collision>"
+    text = robot(link("base", HEAVY + collision), extension="")
+    for gap in (1e-6, -1e-6):
+        scene = sc.loads(text, free=True, ground=True)
+        x, y, z = scene.bodies[1].pos
+        scene.bodies[1].pos = (x, y, z + gap)
+        sim = sc.Sim(scene)
+        sim.forward()
+        assert (sim.contacts["dist"] < 0).any() == (gap < 0)
+
+
+def test_the_ground_is_below_a_fixed_base():
+    scene = sc.loads(WALKER, ground=True)
+    assert scene.geoms[-1].pos[2] == pytest.approx(-0.3) and scene.joint("left_hip")
+
+
+def test_the_link_on_a_root_called_world_is_set_free():
+    scene = sc.loads(
+        robot(link("world", ""), BASE, joint("j", "fixed", "world", "base")), free=True
+    )
+    assert [(one.name, one.type) for one in scene.joints] == [("base", "free")]
+
+
+@pytest.mark.parametrize(
+    ("text", "option", "says"),
+    [
+        ("<mujoco><worldbody/></mujoco>", "free", "free: only a URDF takes it"),
+        ("<mujoco><worldbody/></mujoco>", "ground", "ground: only a URDF takes it"),
+        (robot(BASE, link("b"), joint("j", "floating", "base", "b")), "free", 'joint "j"'),
+        (
+            robot(link("world"), link("b"), joint("j", "continuous", "world", "b")),
+            "free",
+            "0 links",
+        ),
+    ],
+)
+def test_what_cannot_be_set_free(text, option, says):
+    with pytest.raises(ValueError, match=says):
+        sc.loads(text, **{option: True})
+
+
+@pytest.mark.parametrize(
+    ("options", "kinds"), [({}, ["fixed base"]), ({"free": True, "ground": True}, [])]
+)
+@pytest.mark.parametrize("fuse", [None, False])
+def test_legs_under_a_fixed_base_are_a_finding(options, kinds, fuse):
+    scene = sc.loads(WALKER, fuse=fuse, **options)
+    read = described(
+        Described(scene.compile(), Start(np.array(sc.Sim(scene).qpos), np.zeros(0)), np.zeros(0))
+    )
+    assert [finding.kind for finding in read if finding.kind == "fixed base"] == kinds
+
+
+@pytest.mark.parametrize("variable", ["ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"])
+def test_packages_are_searched_where_ros_does(variable, tmp_path, monkeypatch):
+    prefix = tmp_path / "install"
+    (prefix / "share" / "arm" / "meshes").mkdir(parents=True)
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    data = "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+    (prefix / "share" / "arm" / "meshes" / "m.obj").write_text(data)
+    mesh = (
+        '<collision><geometry><mesh filename="package://arm/meshes/m.obj"/></geometry></collision>'
+    )
+    (tmp_path / "r.urdf").write_text(robot(link("base", HEAVY + mesh), extension=""))
+    for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(FileNotFoundError, match=f'package "arm" .*{variable}'):
+        sc.load(tmp_path / "r.urdf")
+    monkeypatch.setenv(variable, str(prefix / "share" if variable[0] == "R" else prefix))
+    assert len(sc.load(tmp_path / "r.urdf").meshes) == 1

@@ -22,6 +22,7 @@ from stepcore.cli.terminal import (
     ends_early_on_ctrl_c,
     print_what_can_be_printed,
     reason,
+    refusal,
     say,
     tells_so_far,
 )
@@ -99,11 +100,11 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return the exit status."""
-    debug = False
+    debug, file = False, ""
     print_what_can_be_printed()
     try:
         args = _parsed(sys.argv[1:] if argv is None else list(argv))
-        debug = args.debug
+        debug, file = args.debug, getattr(args, "file", "")
         return _run(args)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 2
@@ -118,7 +119,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             raise
-        say(reason(error))
+        say(refusal(error, file) if file else reason(error))
         if isinstance(error, OutOfTime):
             return INTERRUPTED if error.interrupted else UNDECIDED
         return 2 if isinstance(error, (ValueError, OSError)) else 1

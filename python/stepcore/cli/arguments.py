@@ -22,7 +22,7 @@ from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
 from stepcore.experiment.control_table import PositionTable, control_table
 from stepcore.experiment.default_motion import KINDS
-from stepcore.experiment.log_files import ENDINGS, is_file, parts_of
+from stepcore.experiment.log_files import ENDINGS, endings_for, is_file, parts_of
 from stepcore.experiment.motion import INTERPOLATIONS, Motion
 from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
 from stepcore.experiment.policy import Policy
@@ -177,6 +177,12 @@ def add_file(command: argparse.ArgumentParser) -> None:
         help="bodies that nothing moves against their parent, such as links of a URDF on fixed "
         "joints, stay bodies of their own",
     )
+    command.add_argument(
+        "--free", action="store_true", help="the base of a URDF gets a free joint: a legged robot"
+    )
+    command.add_argument(
+        "--ground", action="store_true", help="a URDF gets a floor, which its lowest geom touches"
+    )
 
 
 def add_motion(group: Any, fields: Collection[str], **usual: Any) -> None:
@@ -195,7 +201,13 @@ def add_motion(group: Any, fields: Collection[str], **usual: Any) -> None:
 def model_of(args: argparse.Namespace, warn: bool = True) -> Model:
     """Return the compiled model of FILE; warn: whether to warn of stiffness, as `load` does."""
     read = load if warn else find_scene
-    return read(args.file, without=args.without, fuse=args.fuse).compile()
+    options = {name: getattr(args, name) for name in ("without", "fuse", "free", "ground")}
+    return read(args.file, **options).compile()
+
+
+def is_whole(args: argparse.Namespace) -> bool:
+    """Return whether no option of loading changes FILE."""
+    return not (args.without or args.fuse is False or args.free or args.ground)
 
 
 def key_of(args: argparse.Namespace, model: Model | None) -> str | int | None:
@@ -229,7 +241,7 @@ def controls_of(text: str, model: Model | None) -> Any:
     if is_file(text):
         return _table("ctrl", text, control_table)
     if os.path.exists(text):
-        raise Usage(f"--ctrl {text}: must end in {', '.join(ENDINGS)}")
+        raise Usage(f"--ctrl {text}: must end in {endings_for(text)}")
     if model is None:
         raise Usage(f"--ctrl {text}: must be a file where stepcore cannot load the scene")
     if not model.nu:

@@ -21,6 +21,7 @@ from stepcore.cli.arguments import (
     documented,
     frequency,
     function_of,
+    is_whole,
     key_of,
     model_of,
     motion_of,
@@ -115,7 +116,7 @@ def call(args: argparse.Namespace, name: str) -> Result:
         model = model_of(args, warn=measurement.warn)
     except ValueError:
         # MuJoCo may run a file that stepcore cannot load.
-        if getattr(args, "engine", "stepcore") == "stepcore":
+        if getattr(args, "engine", "stepcore") == "stepcore" or not is_whole(args):
             raise
     takes = inspect.signature(function).parameters
     given = {option: getattr(args, option) for option in measurement.options if option in takes}
@@ -128,7 +129,7 @@ def call(args: argparse.Namespace, name: str) -> Result:
     given |= measurement.more(args, model)
     # MuJoCo reads the file itself, if no option of loading changes it.
     source = getattr(args, "engine", "") == "mujoco"
-    whole = model is None or (source and not args.without and args.fuse is not False)
+    whole = model is None or (source and is_whole(args))
     result: Result = function(args.file if whole else model, **given)
     measurement.done(result, args)
     return result
@@ -139,7 +140,8 @@ def _name_the_file(result: Any, args: argparse.Namespace) -> None:
     from stepcore.measure.check import file_in_words
 
     said = {name: getattr(args, name, None) for name in OPTIONS}
-    result.file = file_in_words(args.file, args.without, args.fuse is not False)
+    flags = {"--no-fuse": args.fuse is False, "--free": args.free, "--ground": args.ground}
+    result.file = file_in_words(args.file, args.without, [k for k, on in flags.items() if on])
     result.options = {name: str(value) for name, value in said.items() if value is not None}
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import codecs
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -82,6 +83,28 @@ def reason(error: BaseException) -> str:
     # Any other error is a bug in stepcore.
     kind = type(error).__name__
     return f"internal error ({kind}: {one_line(error)}); --debug shows the traceback"
+
+
+def refusal(error: BaseException, file: str) -> str:
+    """Describe an error of a command; of a file, the command that works, then a line a reason.
+
+    file: the argument FILE. The lines are joined to one if the output is not a terminal.
+    """
+    from stepcore.mjcf.nodes import MJCFError, can_be_left_out, runs_in_mujoco
+
+    if not isinstance(error, MJCFError):
+        return reason(error)
+    lines, kinds = str(error).split("\n"), dict.fromkeys(one.kind for one in error.errors)
+    if all(kinds) and len(lines) > 1:
+        # The last line has the same advice for Python.
+        lines.pop()
+    if can_be_left_out(kinds):
+        words = " ".join(f"--without {shlex.quote(kind)}" for kind in kinds)
+        lines.append(f"{words} leaves these things out.")
+    if runs_in_mujoco(kinds):
+        command = f"stepcore trade {shlex.quote(file)} --engine mujoco"
+        lines.insert(0, f"{file} has features that only MuJoCo has; `{command}` works.")
+    return ("\n" if watched() else " ").join(lines)
 
 
 def stop(number: int, frame: FrameType | None) -> None:

@@ -25,6 +25,7 @@ from stepcore.engine.control import Control
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Servo
 from stepcore.experiment.log import Log
+from stepcore.report.units import counted
 
 # The longest time step that is tried by default, in shipped steps. A period that follows from a log
 # has at least this many of the model's steps.
@@ -258,6 +259,24 @@ class ControlTable(Log):
             index = np.searchsorted(self.times, periods + 1e-6 * period, side="right") - 1
             return ControlLog(periods, rows[index])
         return ControlLog(self.times, rows, linear)
+
+    def clamped(self, model: Model, rows: np.ndarray) -> tuple[str, ...]:
+        """Return a remark on controls beyond their ctrlrange, if any; rows: (n, nu)."""
+        low, high = model.actuator_ctrlrange.T
+        if not model.scene.features.clampctrl or not len(rows):
+            return ()
+        over = np.maximum(low - rows, rows - high) > 1e-9 * np.maximum(1.0, np.abs(rows))
+        outside = np.flatnonzero(over.any(axis=0))
+        if not len(outside):
+            return ()
+        k = int(outside[0])
+        value = rows[int(over[:, k].argmax()), k]
+        limits = f"clamped to its ctrlrange of {low[k]:.4g} to {high[k]:.4g}"
+        more = f", and {len(outside) - 1} more actuators" if len(outside) > 1 else ""
+        some = f"{counted(int(over[:, k].sum()), 'row')} of {len(rows)}"
+        share = f" ({some}{more})" if len(rows) > 1 else more
+        named = model.called("actuator")[k]
+        return (f"the control {value:.4g} of {named} is {limits}{share}",)
 
 
 class PositionTable(ControlTable):

@@ -67,7 +67,8 @@ class Way:
 class Engine(ABC):
     """Base class of the engines, each of which runs changes of one scene.
 
-    name: of the engine. title: of the scene. refusal: why stepcore has no model of it; else "".
+    name: of the engine. version: "MuJoCo 4.0.0"; "" for stepcore. title: of the scene. refusal: why
+    stepcore has no model of it; else "".
     shipped: the settings of the scene. dt: its time step [s]. nv: the number of dofs.
     matter: the moving bodies. coordinates: of the states. size: the size of the scene [m].
     gravity: [m/s²]. nearby: the perturbation of a state whose growth is measured, relative to the
@@ -79,6 +80,7 @@ class Engine(ABC):
     sources: tuple[Source, ...] = ()
     # The number of readings at a sample.
     width = 0
+    version = ""
     name: str
     title: str
     shipped: Any

@@ -41,6 +41,10 @@ CLOCK = re.compile(r"[%_]*(time|t|stamp|time_?stamp|seconds|elapsed)_*", re.IGNO
 # This many rows this far apart [s] have times in another unit: 2 Hz does not resolve the motion of
 # a robot, and slower schedules that a person writes have fewer rows.
 SLOW, MANY = 0.5, 20
+# The share of intervals above which longer ones are no gaps: the rows come at irregular times.
+IRREGULAR = 0.25
+# Positions of a hinge without limits beyond this many radians, nearly two turns, may be degrees.
+TURNS = 10.0
 
 
 class Names:
@@ -334,7 +338,22 @@ class Log:
         if isinstance(model, Model):
             self._check_degrees(model, placed)
             self._unwrap(model, placed)
+        placed.notes += self._gaps()
         return placed
+
+    def _gaps(self) -> list[str]:
+        """Return a note on rows that are missing between others, if most rows are regular."""
+        if self.times is None or len(self.times) < MANY:
+            return []
+        apart = np.diff(self.times)
+        usual = float(np.median(apart))
+        missing = np.round(apart / usual) - 1
+        rows, longest = int(missing.sum()), int(apart.argmax())
+        if not rows or np.mean(missing > 0) > IRREGULAR:
+            return []
+        at = seconds(float(self.times[longest]))
+        gap = f"the longest gap is {seconds(float(apart[longest]))}, at {at}"
+        return [f"{counted(rows, 'row')} of {len(apart) + 1 + rows} are missing ({gap})"]
 
     def _worded(self, names: Names, title: str) -> tuple[str, int, str] | None:
         """Return array, entry and unit of a column such as "knee.position"; None for another."""
@@ -497,11 +516,23 @@ class Log:
                 rate = float(np.nansum(speed * moved) / (np.nansum(speed**2) or 1.0))
             if np.degrees(0.8) < rate < np.degrees(1.2):
                 why = f"changes {rate:.3g} times as fast as its velocity"
+            elif limit == np.inf and most > TURNS and not self._turns(values):
+                placed.notes.append(
+                    f"{title} reaches {most:.3g} rad: if these are degrees, name the column "
+                    f'"{title} [deg]"'
+                )
+                continue
             # A column within a radian would be within a degree.
             elif not max(3 * limit, 1.0) < most < np.degrees(3 * limit):
                 continue
             cure = f'it looks like degrees: name the column "{title} [deg]"'
             raise ValueError(f"{self.source}, column {title}: {why}: {cure}")
+
+    @staticmethod
+    def _turns(values: np.ndarray) -> bool:
+        """Return whether a joint goes on turning, as a wheel does: it does not come back."""
+        known = values[np.isfinite(values)]
+        return abs(known[-1] - known[0]) > 0.5 * float(np.ptp(known))
 
     # --- controls ---------------------------------------------------------------------------------
 

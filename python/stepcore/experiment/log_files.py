@@ -31,6 +31,8 @@ PATH = re.compile(
     rf"(?P<file>.+({'|'.join(map(re.escape, ENDINGS))}))(:(?P<part>[^:]+))?", re.DOTALL
 )
 TABLE = "a table"
+# The endings of other recordings of ROS: SQLite of ROS 2, and ROS 1.
+ROS = (".db3", ".bag")
 # Cells without a number, and the beginnings of lines that are comments.
 MISSING = ("", "nan", "null", "none", "na", "n/a", "-", "--")
 COMMENTS = ("#", "%", "//")
@@ -68,9 +70,9 @@ def parts_of(path: str) -> tuple[str, str | None, str]:
     >>> parts_of("log.csv:effort"), parts_of("a.mcap:/joints.effort"), parts_of("a.mcap:/joints")
     (('log.csv', None, 'effort'), ('a.mcap', '/joints', 'effort'), ('a.mcap', '/joints', ''))
     """
-    match = PATH.fullmatch(path)
+    match = PATH.fullmatch(_in_folder(path))
     if match is None:
-        raise ValueError(f"{checks.cut(path, 200)}: must end in {', '.join(ENDINGS)}")
+        raise ValueError(f"{checks.cut(path, 200)}: must end in {endings_for(path)}")
     file, part = match["file"], match["part"] or ""
     if not file.endswith(".mcap") or part in STATES:
         return file, None, part
@@ -79,8 +81,35 @@ def parts_of(path: str) -> tuple[str, str | None, str]:
 
 
 def is_file(text: str) -> bool:
-    """Return whether a text is the path of a log, by its ending."""
-    return PATH.fullmatch(text) is not None
+    """Return whether a text is the path of a log, by its ending, or of a rosbag2 folder."""
+    return PATH.fullmatch(_in_folder(text)) is not None
+
+
+def endings_for(path: str) -> str:
+    """Return the endings of logs in words; for a recording of ROS in another format, how to convert
+    it.
+    """
+    folder = path.partition(":")[0]
+    inside = os.listdir(folder) if os.path.isdir(folder) else []
+    endings = ", ".join(ENDINGS)
+    if not any(name.endswith(ROS) for name in (folder, *inside)):
+        return endings
+    command = f"rosbags-convert --src {checks.cut(folder, 200)} --dst FOLDER --dst-storage mcap"
+    return f"{endings}; `{command}` (pip install rosbags) writes a folder with a .mcap file"
+
+
+def _in_folder(path: str) -> str:
+    """Return a path in which the folder of a rosbag2 is replaced by its only .mcap file."""
+    folder, colon, part = path.partition(":")
+    if not os.path.isdir(folder):
+        return path
+    files = sorted(name for name in os.listdir(folder) if name.endswith(".mcap"))
+    if len(files) > 1:
+        raise ValueError(
+            f"{checks.cut(folder, 200)}: has {len(files)} .mcap files: name one, such as "
+            f"{os.path.join(folder, files[0])}"
+        )
+    return f"{os.path.join(folder, files[0])}{colon}{part}" if files else path
 
 
 def content_of(source: Any, name: str) -> Content:

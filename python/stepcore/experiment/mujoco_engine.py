@@ -199,6 +199,7 @@ class MuJoCo(Engine):
 
     def __init__(self, source: Any) -> None:
         self.scene = scene = load(source)
+        self.version = version()
         super().__init__(*_read_by_stepcore(source, scene))
         # A state that is not finite is a failure, so MuJoCo must not reset it. Sensors and energies
         # do not affect the motion.
@@ -545,10 +546,15 @@ def mujoco() -> Any:
     return mujoco
 
 
+def version() -> str:
+    """Return MuJoCo's name and version."""
+    return f"MuJoCo {mujoco().__version__}"
+
+
 def load(source: Any) -> Any:
     """Return MuJoCo's model of a source; see `MuJoCo`."""
     mj = mujoco()
-    with quiet():
+    with quiet(), _refusals_name_the_version(source):
         if isinstance(source, mj.MjModel):
             return copy.copy(source)
         if isinstance(source, mj.MjSpec):
@@ -572,6 +578,20 @@ def load(source: Any) -> Any:
             return load(find_scene(text))
         path = text if os.path.exists(text) or not colon else find_asset(package, name)
         return mj.MjModel.from_xml_path(os.fspath(path))
+
+
+@contextmanager
+def _refusals_name_the_version(source: Any) -> Iterator[None]:
+    """Add the file and MuJoCo's version to errors of MuJoCo's reader of XML."""
+    try:
+        yield
+    except ValueError as error:
+        text = checks.one_line(error)
+        if not text.startswith(("XML Error", "Error")):
+            raise
+        path = isinstance(source, (str, os.PathLike)) and not _is_text(os.fsdecode(source))
+        file = f"{checks.brief(os.fsdecode(source))}: " if path else ""
+        raise ValueError(f"{file}{version()} refuses it: {text}") from None
 
 
 def _is_text(source: str) -> bool:

@@ -237,7 +237,9 @@ def given_controls(motion: Motion, model: Any, held: np.ndarray, period: float) 
         return Controls(function=motion.control)
     # With a control period, held rows take effect at the beginning of each period.
     linear, sampled = motion.interpolation == "linear", motion.control_dt is not None
-    return Controls(motion.table.log(model, held, period, linear, sampled))
+    log = motion.table.log(model, held, period, linear, sampled)
+    remarks = motion.table.clamped(model, log.rows) if isinstance(model, Model) else ()
+    return Controls(log, remarks=remarks)
 
 
 def time_steps(

@@ -118,7 +118,7 @@ def _finite(push: str, part: str, read: Callable[[str], float | None] = float) -
 
 
 class Drive(NamedTuple):
-    """The input of a run: a control function or rows, their period [s], words, and servos added.
+    """The input of a run: a control function or rows, their period [s], words, servos and remarks.
 
     Without control, the controls are constant.
     """
@@ -127,6 +127,7 @@ class Drive(NamedTuple):
     period: float | None
     words: str
     servos: tuple[Servo, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def fresh(self) -> Drive:
         """Return the same drive with a new copy of a control object."""
@@ -151,10 +152,10 @@ def drive_of(sim: Sim, motion: Motion, horizon: float) -> Drive:
     assert log is not None
     if len(log.times) == 1:
         sim.ctrl = log.rows.reshape(-1)
-        return Drive(None, every, said, controls.servos)
+        return Drive(None, every, said, controls.servos, controls.remarks)
     # Without a control period, each row of controls is for one step.
     rows = log.steps(0.0, period, periods).reshape(periods, -1)
-    return Drive(rows, period, said, controls.servos)
+    return Drive(rows, period, said, controls.servos, controls.remarks)
 
 
 @dataclass

@@ -125,9 +125,11 @@ class Study:
     def motion_ran(self) -> str:
         """The motion of the search in words."""
         if not self.engine.known:
-            return f"{self.schedule.drive or 'the controls given'}; in MuJoCo alone"
+            drive = self.schedule.drive or "the controls given"
+            return f"{drive}; in {self.engine.version} alone"
         schedule = self.schedule.part(0, len(self.starts))
-        return motion_in_words(self.model, self.motion, schedule)
+        motion = motion_in_words(self.model, self.motion, schedule)
+        return f"{motion}; in {self.engine.version}" if self.engine.version else motion
 
     @cached_property
     def scale(self) -> float:

@@ -29,6 +29,7 @@ from stepcore.measure.monitors.recording import RECORDED, whole
 from stepcore.report.progress import Choice
 from stepcore.report.report import not_shown
 from stepcore.report.result import Result
+from stepcore.report.settings import differing
 from stepcore.report.table import Table
 from stepcore.report.units import computing, counted, seconds, times
 
@@ -91,7 +92,7 @@ class SimulationRun(Result):
 
     @property
     def setup(self) -> str:
-        return repr(self.settings)
+        return differing(self.settings)
 
     @property
     def sentences(self) -> list[str]:
@@ -253,6 +254,7 @@ def simulated(
     if motion.control_dt is not None:
         whole_steps("control_dt", motion.control_dt, dt, least=1)
     drive, shoved = drive_of(sim, motion, horizon), [Push.of(push) for push in pushes]
+    notes += drive.remarks
     if drive.servos:
         # The servos follow the controls instead of the motors.
         state, finer = sim.state(), sim._finer is not None

@@ -450,7 +450,8 @@ class _Runs:
 def _ran(engine: Engine, key: str | int | None, horizon: float) -> str:
     """Return the motion and the contact law in words."""
     if not engine.known:
-        return f"{seconds(horizon)} from the start; the keyframe's controls; in MuJoCo alone"
+        drive = f"{seconds(horizon)} from the start; the keyframe's controls"
+        return f"{drive}; in {engine.version} alone"
     model = engine.model
     drive = held_in_words(model, home(model, key)[1])
     begin, without = start_in_words(model, key), without_in_words(model)

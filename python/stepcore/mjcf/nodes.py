@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -79,7 +79,7 @@ class Source:
     directory: the folder of the main file, in which includes are found.
     urdf: the text of a URDF. unfilled: its joints whose limit has 0 for effort and velocity, as
         exporters leave it.
-    fuse: the argument `fuse` of `stepcore.load`.
+    fuse, free: the arguments of `stepcore.load`.
     files: the files that were read, the main file first.
     unread: files that the text names only for drawing; the reader does not open them.
     read_bytes: the total size of the mesh and height field files that were read [bytes].
@@ -92,6 +92,7 @@ class Source:
     urdf: bytes = b""
     unfilled: tuple[str, ...] = ()
     fuse: bool | None = None
+    free: bool = False
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
     read_bytes: int = 0
@@ -291,7 +292,7 @@ class Refusals:
                 bool(self._gone)
                 and not error.kind
                 and any(
-                    name in self._gone
+                    self._is_gone(name)
                     for inner in below(node)
                     for attribute, name in inner.attrs.items()
                     if attribute != "name"
@@ -302,13 +303,18 @@ class Refusals:
                 return
         self.errors += error.errors
 
+    def _is_gone(self, name: str) -> bool:
+        """Return whether a name is of an element that was not read, or of a body that it makes."""
+        maker, _, number = name.rpartition("_")
+        return name in self._gone or (number.isdecimal() and maker in self._gone)
+
     def raise_all(self) -> None:
         if not self.errors:
             return
         files = list(dict.fromkeys(error.file for error in self.errors))
         self.errors.sort(key=lambda error: (files.index(error.file), error.line))
         first, *further = self.errors
-        if not further:
+        if not further and not first.kind:
             raise first
         raise first.with_others(tuple(further), _message(self.errors))
 
@@ -326,10 +332,28 @@ def _message(errors: list[MJCFError], most: int = 20, width: int = 600, places: 
     if len(lines) > most:
         lines[most:] = [f"… and {len(lines) - most} more"]
     kinds = list(dict.fromkeys(error.kind for error in errors))
-    if all(kinds):
+    advice = list[str]()
+    if can_be_left_out(kinds):
         words = ", ".join(f'"{kind}"' for kind in kinds)
-        lines.append(cut(f"without=[{words}] leaves these things out", width))
+        advice.append(f"without=[{words}] leaves these things out")
+    if runs_in_mujoco(kinds):
+        advice.append('trade(…, engine="mujoco") runs the whole file')
+    if advice:
+        lines.append(cut("; ".join(advice), width))
     return "\n".join(lines)
+
+
+def can_be_left_out(kinds: Iterable[str]) -> bool:
+    """Return whether `without` takes all these kinds, "" for an error."""
+    return all(
+        kind and (not kind.startswith("worldbody/") or kind.partition("/")[2] in OF_TREE)
+        for kind in kinds
+    )
+
+
+def runs_in_mujoco(kinds: Iterable[str]) -> bool:
+    """Return whether MuJoCo has all features of these kinds, "" for an error."""
+    return all(kind and not kind.endswith("composite") for kind in kinds)
 
 
 # Kinds that appear in several sections.
@@ -339,6 +363,8 @@ GROUPS = {
 }
 # Sections that can be left out as a whole.
 SECTIONS = ("contact", "tendon", "equality", "actuator", "sensor", "keyframe", "deformable")
+# The only elements of the tree that can be left out; the rest of the file needs the others.
+OF_TREE = ("flexcomp", "composite", "attach", "replicate", "plugin", "camera", "light")
 # The most specific key takes precedence.
 _EFFECTS = {
     "flex": "its points move, collide, and pull on what they are pinned to",

@@ -95,6 +95,7 @@ def read_file(
     path: str | os.PathLike[str],
     without: Iterable[str] = (),
     fuse: bool | None = None,
+    free: bool = False,
 ) -> None:
     """Fill an empty scene from an MJCF file; see `stepcore.load`."""
     shown = os.fsdecode(path)
@@ -102,7 +103,7 @@ def read_file(
     data = read_main(shown)
     root = parse(data, shown)
     scene.notes += expand(root, main.parent, main)
-    _fill(scene, root, Source(data, os.path.abspath(main.parent), fuse=fuse), without)
+    _fill(scene, root, Source(data, os.path.abspath(main.parent), fuse=fuse, free=free), without)
 
 
 @gc_pause.paused()
@@ -114,6 +115,7 @@ def read_text(
     name: str = "<string>",
     without: Iterable[str] = (),
     fuse: bool | None = None,
+    free: bool = False,
 ) -> None:
     """Fill an empty scene from an MJCF text; see `stepcore.loads`."""
     if not isinstance(text, (str, bytes)):
@@ -124,15 +126,18 @@ def read_text(
     scene.notes += expand(root, None if base is None else Path(base), None)
     data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
     directory = None if base is None else os.path.abspath(base)
-    _fill(scene, root, Source(data, directory, fuse=fuse), without)
+    _fill(scene, root, Source(data, directory, fuse=fuse, free=free), without)
 
 
 def _fill(scene: Scene, root: Node, source: Source, without: Iterable[str]) -> None:
     """Fill the scene from a model whose includes are expanded."""
     if source.fuse is not None:
         flag("load", "fuse", source.fuse)
+    if flag("load", "free", source.free) and root.tag != "robot":
+        raise root.error("free: only a URDF takes it; in MJCF its root body needs a <freejoint/>")
+    urdf = None
     if root.tag == "robot":
-        urdf = translate.to_mjcf(root, source.directory)
+        urdf = translate.to_mjcf(root, source.directory, source.free)
         root = urdf.tree
         scene.ignored += urdf.ignored
         scene.notes += urdf.notes()
@@ -156,6 +161,8 @@ def _fill(scene: Scene, root: Node, source: Source, without: Iterable[str]) -> N
         # The check of the whole scene names the element: add its file and line.
         node = world.nodes.get(id(error.owner), root)
         raise node.error(str(named(scene, error))) from None
+    except FileNotFoundError as error:
+        raise (urdf.missing(error) if urdf is not None else error) from None
     except MJCFError:
         raise
     except ValueError as error:

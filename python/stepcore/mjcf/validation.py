@@ -13,6 +13,7 @@ from typing import Any
 from stepcore.checks import cut, nearest, refuse, shown
 from stepcore.mjcf.nodes import (
     GROUPS,
+    OF_TREE,
     SECTIONS,
     MJCFError,
     Node,
@@ -205,8 +206,6 @@ REFERENCES = {
 OBJECTS = {"objname": "objtype", "refname": "reftype"}
 # Sections whose elements share one set of names.
 _ONE_KIND = ("tendon", "actuator", "sensor", "equality", "keyframe")
-# The only elements of the tree that can be left out; the rest of the file needs the others.
-_OF_TREE = ("flexcomp", "composite", "attach", "replicate", "plugin", "camera", "light")
 _KEPT = ("compiler", "default", "worldbody", "asset", "size")
 
 
@@ -236,7 +235,7 @@ def _known_kinds() -> dict[str, str]:
         if section != "default":
             with_attributes |= spec.children
         if section == "worldbody":
-            elements += [(section, tag) for tag in _OF_TREE]
+            elements += [(section, tag) for tag in OF_TREE]
         elif section not in _KEPT:
             elements += [(section, tag) for tag in spec.children]
     tags = [tag for _, tag in elements]

@@ -17,6 +17,12 @@ def label(settings: Settings, shipped: Settings | None = None, sweeps: bool = Tr
     return ", ".join([*filter(None, parts), f"dt {seconds(settings.dt)}"])
 
 
+def differing(settings: Settings) -> str:
+    """Return the fields that differ from the defaults, as text of Python; else a description."""
+    text = repr(settings)
+    return text if text != "Settings()" else f"Under {label(settings)}."
+
+
 def within(settings: Settings) -> str:
     """Return the accuracy that the steps keep, in words; "" for steps of a fixed length."""
     return "" if settings.accuracy is None else f"accuracy {metres(settings.accuracy)}"

@@ -5,7 +5,8 @@ body, a collision a geom, and an inertial an inertial. As in MuJoCo, `effort` li
 force on a joint (actuatorfrcrange), and `mimic` becomes a joint equality. A planar joint becomes
 two slides and a hinge (named _TX, _TY, _RZ). The root link is fixed to the world. Links on fixed
 joints are fused with their parent unless the file sets fusestatic="false". Unlike in MuJoCo, a
-planar joint moves in the plane normal to its axis, as URDF specifies.
+planar joint moves in the plane normal to its axis, as URDF specifies. With `free` the base has a
+free joint.
 """
 
 from __future__ import annotations
@@ -162,9 +163,14 @@ def file_path(node: Node, directory: str | None, extended: bool) -> str:
 
 
 def _in_package(name: str, directory: str | None) -> str:
-    """Return the path of a file in the URDF's own package or on ROS_PACKAGE_PATH; "" if none."""
+    """Return the path of a file of a package; "" if none.
+
+    Packages are searched on ROS_PACKAGE_PATH (ROS 1), in ``share`` of the folders of
+    AMENT_PREFIX_PATH (ROS 2), and in the folders that contain the URDF.
+    """
     package, _, rest = name.partition("/")
-    roots = [place for place in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if place]
+    roots = _folders("ROS_PACKAGE_PATH")
+    roots += [os.path.join(prefix, "share") for prefix in _folders("AMENT_PREFIX_PATH")]
     above = None if directory is None else os.path.abspath(directory)
     while above is not None:
         roots.append(above)
@@ -179,13 +185,18 @@ def _in_package(name: str, directory: str | None) -> str:
     return ""
 
 
+def _folders(variable: str) -> list[str]:
+    return [folder for folder in os.environ.get(variable, "").split(os.pathsep) if folder]
+
+
 MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "spherical": "ball"}
 
 
-def to_mjcf(root: Node, directory: str | None) -> Robot:
+def to_mjcf(root: Node, directory: str | None, free: bool = False) -> Robot:
     """Translate a URDF to MJCF.
 
     directory: the folder of the file, for relative mesh paths; None for a text without a folder.
+    free: whether the base has a free joint.
 
     Raises MJCFError with all errors of the file: unknown shapes and attributes, a circle of links,
     several roots.
@@ -197,7 +208,7 @@ def to_mjcf(root: Node, directory: str | None) -> Robot:
     root.children = [child for child in root.children if child.tag != "mujoco"]
     ignored = validate(root, ROBOT, refusals)
     refusals.raise_all()
-    robot = Robot(root, directory, extension)
+    robot = Robot(root, directory, extension, free)
     robot.ignored = ignored
     try:
         robot.tree = robot.translated()
@@ -211,6 +222,7 @@ class Robot:
     """The links and joints of a URDF, and their translation.
 
     extension: the MJCF elements of the file, `<mujoco><compiler …/></mujoco>`.
+    free: whether the base has a free joint.
     tree: the MJCF tree.
     ignored: the lines for `Scene.ignored`.
     """
@@ -218,8 +230,10 @@ class Robot:
     tree: Node
     ignored: list[str]
 
-    def __init__(self, root: Node, directory: str | None, extension: list[Node]) -> None:
-        self.root, self.directory, self.extension = root, directory, extension
+    def __init__(
+        self, root: Node, directory: str | None, extension: list[Node], free: bool
+    ) -> None:
+        self.root, self.directory, self.extension, self.free = root, directory, extension, free
         self.links = _by_name(child for child in root.children if child.tag == "link")
         self.joints = _by_name(child for child in root.children if child.tag == "joint")
         if not self.links:
@@ -239,6 +253,8 @@ class Robot:
         self.unfollowed: list[str] = []
         self.unnamed: list[str] = []
         self.shape_names: set[str] = set()
+        # Paths of meshes that were not found, with their package.
+        self.unfound: dict[str, str] = {}
 
     def _place(self, joint: Node) -> None:
         for end in ("parent", "child"):
@@ -266,7 +282,8 @@ class Robot:
             raise second.error(f"{text}: a robot has one root")
         world = _element("worldbody", self.root)
         equality = _element("equality", self.root)
-        placed = self._bodies(roots[0], world, equality)
+        base = self._base(roots[0]) if self.free else ""
+        placed = self._bodies(roots[0], base, world, equality)
         lost = next((name for name in self.links if name not in placed), None)
         if lost is not None:
             raise self.links[lost].error(f'link "{cut(lost, 80)}" is in a circle of links')
@@ -281,8 +298,25 @@ class Robot:
         model.children = [compiler, *extended, asset, world, equality]
         return model
 
-    def _bodies(self, root: str, world: Node, equality: Node) -> set[str]:
-        """Add the bodies, parents first, and return the names of their links."""
+    def _base(self, root: str) -> str:
+        """Return the link that gets a free joint: the root, or the link fixed to a root "world"."""
+        floating = [j for j in self.joints.values() if j.values["type"] == "floating"]
+        if floating:
+            name = cut(floating[0].values["name"], 80)
+            raise floating[0].error(f'free: the floating joint "{name}" is a free base already')
+        if root != "world":
+            return root
+        fixed = [j for j in self.below[root] if j.values["type"] == "fixed"]
+        if len(fixed) != 1:
+            why = f'{len(fixed)} links are fixed to the root link "world": must be 1'
+            raise self.links[root].error(f"free: {why}")
+        return str(_value(fixed[0], "child", "link"))
+
+    def _bodies(self, root: str, base: str, world: Node, equality: Node) -> set[str]:
+        """Add the bodies, parents first, and return the names of their links.
+
+        base: the link that gets a free joint, or "".
+        """
         placed: set[str] = set()
         pending: list[tuple[str, Node]] = [(root, world)]
         while pending:
@@ -296,6 +330,9 @@ class Robot:
             ):
                 raise joint.error("a floating joint needs the root link as its parent")
             body = self._body(self.links[name], joint, equality)
+            if name == base:
+                own = name if name not in self.joints else f"{name}_free"
+                body.children.insert(0, _element("freejoint", self.links[name], name=own))
             if name == root == "world":
                 # A root link named "world" is the world, which has no mass.
                 parent.children += [child for child in body.children if child.tag == "geom"]
@@ -414,6 +451,9 @@ class Robot:
     def _mesh(self, node: Node) -> str:
         scale = node.values.get("scale", (1.0, 1.0, 1.0))
         path = file_path(node, self.directory, bool(self.extension))
+        scheme, _, rest = node.values["filename"].replace("\\", "/").partition("://")
+        if scheme == "package" and not os.path.isabs(path):
+            self.unfound[path] = rest.partition("/")[0]
         if (path, scale) not in self.meshes:
             name = stem = os.path.splitext(os.path.basename(path))[0] or "mesh"
             while name in self.mesh_names:
@@ -424,6 +464,17 @@ class Robot:
                 "mesh", node, name=name, file=path, scale=_written(scale)
             )
         return self.meshes[path, scale].attrs["name"]
+
+    def missing(self, error: FileNotFoundError) -> FileNotFoundError:
+        """Return the error about a missing mesh, with the places where its package is searched."""
+        text = str(error)
+        package = next((name for path, name in self.unfound.items() if path in text), None)
+        if package is None:
+            return error
+        return FileNotFoundError(
+            f'{text}; the package "{cut(package, 80)}" is searched in the folders that contain the '
+            "URDF, on ROS_PACKAGE_PATH, and in share of the folders of AMENT_PREFIX_PATH"
+        )
 
     def notes(self) -> list[str]:
         """Return the notes about the translation for the user."""
@@ -438,10 +489,10 @@ class Robot:
         root = next(name for name in self.links if name not in self.above)
         floats = any(joint.values["type"] == "floating" for joint in self.joints.values())
         # A root called world is the world.
-        if not floats and root != "world":
+        if not floats and root != "world" and not self.free:
             notes.append(
-                "the root link is fixed to the world; load(..., fuse=False) keeps it a "
-                f'body, which scene.add_joint("{cut(root, 80)}", "free") sets free'
+                "the root link is fixed to the world; load(..., free=True), or --free, gives it a "
+                "free joint"
             )
         return [f"{self.root.file}:{self.root.line}: {note}" for note in notes]
 

@@ -314,19 +314,45 @@ def check(
         name=setup.name,
         settings=compiled.settings,
         motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=1),
-        findings=ordered(found),
+        findings=_causes_first(ordered(found), compiled),
         diagnosis=diagnosis,
         ran=far.after(
             motion_in_words(compiled, holds, schedule)
             if motion.is_users or holds.kind
             else held_motion_in_words(compiled, motion.key, schedule.horizon, held)
         ),
-        notes=[*notes, *compiled.scene.notes],
+        notes=[*notes, *(schedule.notes if motion.is_users else ()), *compiled.scene.notes],
         file=_file(model, compiled),
         options=_options(motion),
         holding={"kind": holds.kind} if holds.kind and not motion.kind else {},
         examined=_examined(compiled, motion, schedule, AS_SHIPPED not in deadline.left_out),
     )
+
+
+def _causes_first(findings: list[Finding], model: Model) -> list[Finding]:
+    """Return findings with overlaps at the start before the passages of the same bodies.
+
+    Parts that begin inside each other are pushed out on any side.
+    """
+    passed = [k for k, finding in enumerate(findings) if finding.kind == "tunnelling"]
+    if not passed:
+        return findings
+    bodies = _bodies_of(findings[passed[0]], model)
+    causes = [
+        finding
+        for finding in findings[passed[0] :]
+        if finding.kind.startswith("overlap") and bodies & _bodies_of(finding, model)
+    ]
+    others = [finding for finding in findings if not any(finding is cause for cause in causes)]
+    return [*others[: passed[0]], *causes, *others[passed[0] :]]
+
+
+def _bodies_of(finding: Finding, model: Model) -> set[int]:
+    """Return the moving bodies of the geoms and contacts of a finding."""
+    geoms = [of.index for of in finding.elements if of.kind == "geom"]
+    pairs = [of.index for of in finding.elements if of.kind == "contact"]
+    geoms += np.ravel(model.pair_geoms[pairs]).tolist() if pairs else []
+    return {int(model.geom_body[geom]) for geom in geoms} - {0}
 
 
 def _for_urdf(path: str, findings: Sequence[Finding]) -> Iterator[str]:
@@ -486,10 +512,10 @@ def _file(source: Source, model: Model) -> str:
     )
 
 
-def file_in_words(file: str, without: list[str], fuse: bool = True) -> str:
-    """Return a file argument with the options that leave out some kinds of elements."""
+def file_in_words(file: str, without: list[str], flags: Sequence[str] = ()) -> str:
+    """Return a file argument with the options of loading: kinds left out, and flags."""
     left_out = [word for kind in without for word in ("--without", kind)]
-    words = [file, *left_out, *(() if fuse else ("--no-fuse",))]
+    words = [file, *left_out, *flags]
     return " ".join(map(shlex.quote, words))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -67,6 +68,8 @@ SOLID = (1.0, 25_000.0)
 # Largest excess of a keyframe, relative to the range: keyframes are written on purpose, and only
 # the rounding of their numbers may be outside. kitchen_env_model.xml has 0.19 %.
 KEYED = 1e-3
+# Names of links and joints of legs and wheels, in lower case: FL_foot, left_knee, RR_wheel.
+FOOT = re.compile(r"foot|feet|ankle|calf|shank|thigh|knee|wheel|(?<![a-z])(leg|toe)s?(?![a-z])")
 # The kind of a finding on a motion that grows at every time step.
 ENDLESS = "ball joint"
 LIST = (Next("plan", "every body, geom and row that a step computes", ("--all",)),)
@@ -125,6 +128,34 @@ def described(scene: Described) -> Iterator[Finding]:
     for find in FINDINGS:
         if scene.model.scene.features.limit or find not in OF_LIMITS:
             yield from find(scene)
+
+
+# The base.
+
+
+def _fixed_base(scene: Described) -> Iterator[Finding]:
+    """Yield a robot of a URDF that has legs or wheels and a base fixed to the world."""
+    model, source = scene.model, scene.model.scene._source
+    if source is None or not source.urdf:
+        return
+    # For each moving body: the body with which its limb begins; bodies come after their parents.
+    first = dict[int, int]()
+    for body in scene.moving:
+        first[body] = first.get(int(model.body_parent[body]), body)
+    joints = [(int(body), k) for k, body in enumerate(model.jnt_body)]
+    if any(model.jnt_type[k] != "hinge" for body, k in joints if first[body] == body):
+        return
+    names = [*((body, model.joint_names[k]) for body, k in joints), *enumerate(model.body_names)]
+    names += [(model.index("body", into), name) for name, into in model.scene.fused.items()]
+    limbs = {first[body] for body, name in names if body in first and FOOT.search(name.lower())}
+    if len(limbs) > 1:
+        elements = named(model, "body", sorted(limbs))
+        problem = (
+            f"{listed(elements, 'body')} look like legs or wheels, and the base is fixed to the "
+            "world, as in every URDF without a floating joint"
+        )
+        cure = "--free adds a free joint and --ground a floor (load(..., free=True, ground=True))"
+        yield Finding("fixed base", "warning", problem, cure, elements, commands=LIST)
 
 
 # Units.
@@ -616,6 +647,6 @@ def _unused(scene: Described) -> Iterator[Finding]:
 # Equally severe findings are reported in this order; OF_LIMITS only if limits are enabled.
 OF_LIMITS = (_beyond, _asked_beyond, _overpowered)
 FINDINGS = (
-    *(_lengths, _tiny, _angles, _degrees, _densities, _beyond, _clamped),
+    *(_fixed_base, _lengths, _tiny, _angles, _degrees, _densities, _beyond, _clamped),
     *(_asked_beyond, _overpowered, _saturated, _balance, _turning, _unused),
 )

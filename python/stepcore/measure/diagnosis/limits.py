@@ -75,7 +75,11 @@ class Limit:
         ran = min(self.dt, self.longest)
         if not self.known:
             ran = self.holds if self.holds < self.fails else 0.0
-        return ran, min(self.held, LONGEST)
+        held = min(self.held, LONGEST)
+        if math.isinf(self.held):
+            # No limit of the held pose is shown beyond the steps that were run.
+            held = ran if ran > 0 else math.nan
+        return ran, held
 
 
 def run_limit(

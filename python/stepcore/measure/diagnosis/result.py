@@ -277,6 +277,8 @@ class Diagnosis(Result):
             tried = f"every step tried unstable, down to {seconds(limit.shortest)}"
             return f"{step} {fails} under {own}: {name}{traits} {_verb(elements, 'make')} {tried}."
         cause = f"{name}{traits} {_verb(elements, 'limit')} dt to {seconds(limit.dt)}"
+        if elements and not self.motion.is_users and {e.kind for e in elements} == {"control"}:
+            cause += " (the controller of stepcore's test motion, not of the model)"
         if not limit.ran:
             return f"{cause[0].upper()}{cause[1:]} under {own}, {judged}."
         if self.fails and self.observed is not None and self.observed.holds:

@@ -16,6 +16,7 @@ from stepcore.measure.identification.log import DELAY, is_delay
 from stepcore.measure.identification.misfit import FINER, Quality
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.result import Result
+from stepcore.report.settings import differing
 from stepcore.report.table import Table
 from stepcore.report.units import counted, seconds, times
 from stepcore.scene.value_paths import WHOLE
@@ -130,7 +131,7 @@ class Identification(Result):
     def setup(self) -> str:
         """The method in one line."""
         made = f"{self.steps} steps, of which {self.linearised} were linearised"
-        return f"{counted(self.samples, 'measured number')}, {made}. {self.settings!r}"
+        return f"{counted(self.samples, 'measured number')}, {made}. {differing(self.settings)}"
 
     @property
     def residuals(self) -> dict[str, float]:

@@ -402,10 +402,11 @@ class Trade(Result):
             within = f"an error of at most {self.words(self.asked)}"
             if self.budget is not None:
                 within = f"a cost of at most {self._amount(self.budget)} per simulated second"
-            choice = f"Recommended for {within}: {self.label(row)}"
+            heading = "Best so far" if self._is_preliminary(row) else "Recommended"
+            choice = f"{heading} for {within}: {self.label(row)}"
             if self.budget is None and row.error > self.asked:
                 held, ran = len(row.starts) - self.missed(row), counted(len(row.starts), "start")
-                choice = f"Recommended for {within} from {held} of {ran}: {self.label(row)}"
+                choice = f"{heading} for {within} from {held} of {ran}: {self.label(row)}"
                 if not any(other.error <= self.asked for other in self.whole):
                     choice = f"No setting tried has {within} in every start. The fewest exceed it "
                     choice += f"with {self.label(row)}"
@@ -420,7 +421,7 @@ class Trade(Result):
                 yield self._refusals()
             for finding in self.chatter:
                 yield f"Under these settings {finding.text[0].lower()}{finding.text[1:]}"
-            if self.engine == "mujoco" and row.change.settings:
+            if self.engine == "mujoco" and row.change.settings and self._meets_request(row):
                 yield f"In the file: {row.change.mjcf}"
             yield self._halved()
         elif target is not None:
@@ -432,6 +433,20 @@ class Trade(Result):
                 yield f"The smallest is {self._wrong(least)}: {self.label(least)}."
         elif self.budget is not None:
             yield f"No setting costs at most {self._amount(self.budget)} per simulated second."
+
+    def _is_preliminary(self, row: Trial) -> bool:
+        """Return whether a choice ran from fewer starts than requested, or was not validated."""
+        return self._lacks_starts(row) or (self.target is not None and self.proof is None)
+
+    def _lacks_starts(self, row: Trial) -> bool:
+        requested = 0 if self.schedule is None else len(self.schedule.indices)
+        return len(row.starts) < max(requested, self.starts)
+
+    def _meets_request(self, row: Trial) -> bool:
+        """Return whether a choice meets the requested error or budget from all starts."""
+        if self._lacks_starts(row) or row.failure:
+            return False
+        return self.target is None or (self.verified is None and row.error <= self.target)
 
     def _wrong_in(self, row: Trial) -> str:
         """Describe the error of a row in the worst start that it ran from."""
