@@ -38,6 +38,7 @@ SECONDS = {
     "trade": 60.0,
     "predict": 60.0,
     "ablate": 60.0,
+    "compare": 60.0,
     "converge": 60.0,
     "stability-map": 60.0,
     "tune": 60.0,
