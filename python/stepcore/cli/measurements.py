@@ -26,7 +26,7 @@ from stepcore.cli.arguments import (
     time,
 )
 from stepcore.cli.output import add_output
-from stepcore.cli.terminal import Usage
+from stepcore.cli.terminal import UNDECIDED, Usage
 from stepcore.deadline import SECONDS
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
@@ -331,6 +331,7 @@ MEASUREMENTS = {
         },
         full="print every difference",
         more=_other_model,
+        status=lambda result, args: UNDECIDED if result.unmapped else 0,
     ),
     "ablate": Measurement(
         "ablation",

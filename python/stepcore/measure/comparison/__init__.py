@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Unpack
 
 import numpy as np
@@ -22,6 +23,7 @@ from stepcore.experiment.schedule import HORIZON, Schedule, time_steps
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import KNOWN, SHARE, Truth
 from stepcore.measure.comparison.differences import (
+    ROUNDING,
     Difference,
     Differences,
     Names,
@@ -35,6 +37,7 @@ from stepcore.report.units import metres
 from stepcore.scene.layout import DOFS, QPOS
 
 __all__ = ["Attribution", "Comparison", "DifferenceEffect", "compare"]
+
 
 @measurement()
 def compare(
@@ -83,11 +86,20 @@ def compare(
     return _Comparing(first, second, found, within).result()
 
 
+@dataclass(frozen=True)
+class _Base:
+    """Settings in which differences are compared; error: of A under them [m], NaN as shipped."""
+
+    change: Change = SHIPPED
+    error: float = math.nan
+
+
 class _Comparing:
     """The runs of a comparison.
 
     study, other: of A and of B, in A's motion. starts: by index. scored: the samples that can be
-    predicted; None for all. fine: the settings of A's converged motion; None if there is none.
+    predicted; None for all. truth: A's converged motion; None if there is none. base: the settings
+    in which changes of the model are compared.
     """
 
     def __init__(
@@ -95,7 +107,8 @@ class _Comparing:
     ) -> None:
         self.first, self.second, self.found, self.within = first, second, found, within
         self.time, self.scored = first.workers.deadline, None
-        self.fine: Change | None = None
+        self.truth: Truth | None = None
+        self.base = _Base()
         self.comparison = Comparison(
             name=first.name,
             other=second.name,
@@ -120,14 +133,43 @@ class _Comparing:
             self._converge()
         models = [one for one in self.found.changes if one.change.models]
         settings = [one for one in self.found.changes if not one.change.models]
-        if models:
-            base, far = self.fine or SHIPPED, result.distance
-            far = far if self.fine is None else result.converged
-            result.models = self._attributed(models, base, SHIPPED, far)
         if settings:
-            others = together(models)
-            result.settings_effects = self._attributed(settings, SHIPPED, others, result.distance)
+            # The numerical settings differ between A with B's model, and B.
+            others, within = together(models), self._equal(result.distance)
+            result.numerical = self._attributed(settings, _Base(), others, within)
+        if models:
+            converged = self.truth is not None
+            far = result.converged if converged else result.distance
+            within = max(self._equal(far), result.unsure if converged else 0.0)
+            with self.time.stage("cheaper settings of the converged motion"):
+                self._cheaper(within)
+            result.models = self._attributed(models, self.base, SHIPPED, within)
         return result
+
+    def _equal(self, distance: float) -> float:
+        """Return the distance up to which motions count as equal [m]; distance: of A and B [m]."""
+        if self.within is None:
+            return SHARE * distance
+        return units.length("compare", "within", self.within, self.study.size)
+
+    def _cheaper(self, within: float) -> None:
+        """Find the longest steps whose error is at most half of a distance [m].
+
+        The error of the distance of two such runs is then at most this distance.
+        """
+        while self.truth is not None:
+            settings = self.study.engine.settings(self.base.change)
+            coarser = Change(dt=2 * settings.dt)
+            if settings.accuracy is not None:
+                coarser = Change(accuracy=4 * settings.accuracy)
+            elif coarser.settings[0][1] > self.study.schedule.period * (1 + ROUNDING):
+                return
+            change = self.base.change.also(coarser)
+            (tracks,) = self.study.tracks([change], self.starts)
+            error = self.far(tracks, self.truth.tracks)
+            if 2 * error > within:
+                return
+            self.base = _Base(change, error)
 
     def _begin(self) -> None:
         """Run A, B, and A with all differences as shipped."""
@@ -166,45 +208,49 @@ class _Comparing:
     def _converge(self) -> None:
         """Measure the integration errors, and the distance of the converged motions."""
         result, studies = self.comparison, (self.study, self.other)
+        models = together([one for one in self.found.changes if one.change.models])
+        a, changed = self.study.tracks([SHIPPED, models], self.starts)
+        moved = self.far(a, changed) or result.distance
+        # Half of the distance that counts as equal: see `_cheaper`.
+        error = self._equal(moved) / 2 / SHARE if 0 < moved < math.inf else None
         try:
-            truths: list[Truth] = [study.truth() for study in studies]
+            truths: list[Truth] = [study.truth(error) for study in studies]
         except ValueError as error:
             result.notes.append(f"there is no converged motion: {checks.one_line(error)}")
             return
         starts = [s for s in truths[0].starts if s in truths[1].starts]
         of_a, of_b = (truth.part(starts) for truth in truths)
         self.starts, self.scored = tuple(starts), of_a.scored & of_b.scored
-        result.converged, result.unsure = self.far(of_a.tracks, of_b.tracks), of_a.error + of_b.error
+        result.converged, result.unsure = (
+            self.far(of_a.tracks, of_b.tracks),
+            of_a.error + of_b.error,
+        )
         result.errors = tuple(
             study.score(SHIPPED, study.tracks([SHIPPED], starts)[0], truth).error
             for study, truth in zip(studies, (of_a, of_b), strict=True)
         )
-        self.fine = of_a.change
+        self.truth, self.base = of_a, _Base(of_a.change, of_a.error)
         self._measure()
 
     def _attributed(
-        self, some: list[Difference], base: Change, others: Change, distance: float
+        self, some: list[Difference], base: _Base, others: Change, within: float
     ) -> Attribution:
         """Return the effects of some differences, and the smallest set of them.
 
-        base: settings of all runs. others: changes that all runs of the search have.
-        distance: of A and B in such runs [m].
+        base: the settings of the runs. others: changes that all runs of the search have.
+        within: the distance up to which motions count as equal [m].
         """
-        converged = base != SHIPPED
-        within = max(SHARE * distance, self.comparison.unsure if converged else 0.0)
-        if self.within is not None:
-            within = units.length("compare", "within", self.within, self.study.size)
-        runs = _Runs(self, some, base, others)
+        runs = _Runs(self, some, base.change, others)
         with self.time.stage("some of the differences, alone and removed"):
             runs.alone_and_removed()
         with self.time.closing():
             rows = runs.effects()
         needed, left = None, math.nan
         with self.time.stage("the search for the smallest set"):
-            if math.isfinite(distance):
+            if math.isfinite(within):
                 needed, left = runs.smallest([row.difference for row in rows], within)
         rows = [dataclasses.replace(r, needed=r.difference in (needed or ())) for r in rows]
-        return Attribution(converged, rows, distance, within, needed, left)
+        return Attribution(base.change, base.error, rows, within, needed, left)
 
 
 class _Runs:

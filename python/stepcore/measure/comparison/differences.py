@@ -29,7 +29,10 @@ KINDS = tuple(kind for kind in LISTS if kind not in ("key", "sensor"))
 # Fields that do not act on a motion, or that are compared otherwise.
 SKIPPED = ("name", "file", "group", "hidden")
 LAW = ("type", *ALL_LAW_FIELDS)
+MASSES = ("mass", "density", "shellinertia")
 GAINS = ("kp", "kv")
+# The parameters of a general law, and their number in MJCF.
+PADDED, PARAMETERS = ("gainprm", "biasprm", "dynprm"), 10
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,9 @@ class _Search:
     def __init__(self, a: Model, b: Model) -> None:
         self.a, self.b, self.names = a, b, (Names(a), Names(b))
         self.rounding, self.others = 0, list[str]()
+        # The bodies whose mass from geoms differs by a factor, or not at all.
+        self.scaled: dict[int, Difference | None] = {}
+        self._masses()
 
     def unmatched(self) -> tuple[list[str], list[str]]:
         """Describe elements without a counterpart; the second list: those that states need."""
@@ -149,9 +155,33 @@ class _Search:
             for key in of_a.keys() & of_b.keys() if said is unmapped else ():
                 kinds = [_state(of[key]) for of in (of_a, of_b)]
                 if kinds[0] != kinds[1]:
-                    text = f"{kind} {checks.quoted(key)} is of type {kinds[0]} in A, {kinds[1]} in B"
+                    text = (
+                        f"{kind} {checks.quoted(key)} is of type {kinds[0]} in A, {kinds[1]} in B"
+                    )
                     unmapped.append(text)
         return others + unmapped, unmapped
+
+    def _masses(self) -> None:
+        """Compare masses that come from geoms as masses of bodies, where this is enough."""
+        of_a, of_b = (names.elements["body"] for names in self.names)
+        place = [{key: k for k, key in enumerate(of)} for of in (of_a, of_b)]
+        for key, body in of_a.items():
+            if key == "world" or key not in of_b or body.mass is not None:  # type: ignore[attr-defined]
+                continue
+            i, j = place[0][key], place[1][key]
+            a, b = float(self.a.body_mass[i]), float(self.b.body_mass[j])
+            inertia = [self.a.body_inertia[i] * b, self.b.body_inertia[j] * a]
+            centres = (self.a.body_ipos[i], self.b.body_ipos[j])
+            if (
+                a > 0
+                and b > 0
+                and self.near(inertia, inertia[::-1])
+                and self.near([centres[0]], [centres[1]])
+            ):
+                path = f"{self.names[0].path(body)}/mass"
+                differ = self.differ(a, b, "mass")
+                found = Difference(path, a, b, Change({path: b})) if differ else None
+                self.scaled[id(body)] = found
 
     def differ(self, a: Any, b: Any, field: str) -> bool:
         """Return whether values differ, and count those that do so by rounding."""
@@ -181,6 +211,8 @@ class _Search:
         for kind in KINDS:
             of_a, of_b = (names.elements[kind] for names in self.names)
             deadline.check()
+            if kind == "body":
+                yield from filter(None, self.scaled.values())
             for key in of_a:
                 if key in of_b:
                     yield from self._element(of_a[key], of_b[key])
@@ -192,6 +224,8 @@ class _Search:
         for row in table(type(a)).values():
             name = row.name
             if name in SKIPPED or (law and name in LAW):
+                continue
+            if name in MASSES and id(getattr(a, "body", None)) in self.scaled:
                 continue
             old, new = (n.plain(getattr(e, name)) for n, e in zip(self.names, (a, b), strict=True))
             if not self.differ(old, new, name):
@@ -205,9 +239,9 @@ class _Search:
     def _law(self, path: str, a: Actuator, b: Actuator) -> Iterator[Difference]:
         """Yield the differences of force laws: gains if these are all, else all of the fields."""
         # An input has the law of the actuator that it feeds.
-        if a.type == b.type == "input" or a.law == b.law:
+        if a.type == b.type == "input" or _law(a) == _law(b):
             return
-        if self.near(a.law, b.law):
+        if self.near(_law(a), _law(b)):
             self.rounding += 1
             return
         gains = {}
@@ -215,7 +249,7 @@ class _Search:
             old, new = (e.servo_gains.get(name, present(e, name)) for e in (a, b))
             if old is not None and new is not None and self.differ(old, new, name):
                 gains[name] = old, new
-        if gains and self.near(_with_gains(a, gains), b.law):
+        if gains and self.near(_with_gains(a, gains), _law(b)):
             for name, (old, new) in gains.items():
                 yield Difference(f"{path}/{name}", old, new, Change({f"{path}/{name}": new}))
             return
@@ -243,10 +277,23 @@ class _Search:
             pairs.append({tuple(sorted(names.plain(pair))) for pair in model.scene.excludes})
         for inside, out, which in ((0, 1, "A"), (1, 0, "B")):
             for first, second in sorted(pairs[inside] - pairs[out]):
-                self.others.append(f"contacts of {first} and {second} are excluded in {which} alone")
-        for name in ("mass_rules", "contact_override"):
+                self.others.append(
+                    f"contacts of {first} and {second} are excluded in {which} alone"
+                )
+        # Rules of masses act on masses alone, which may be compared already.
+        inferred = [b for b in self.a.scene.bodies[1:] if b.mass is None]
+        known = all(id(body) in self.scaled for body in inferred)
+        for name in ("mass_rules", "contact_override")[known:]:
             if getattr(self.a.scene, name).record() != getattr(self.b.scene, name).record():
                 self.others.append(f"{name.replace('_', ' ')} differ")
+
+
+def _law(actuator: Actuator) -> tuple[Any, ...]:
+    """Return a force law with all parameters; the writing of general ones leaves out zeros."""
+    values = actuator.law._asdict()
+    for name in PADDED:
+        values[name] = (*values[name], *[0.0] * PARAMETERS)[:PARAMETERS]
+    return tuple(values.values())
 
 
 def _with_gains(actuator: Actuator, gains: Mapping[str, tuple[float, float]]) -> Any:
@@ -258,7 +305,7 @@ def _with_gains(actuator: Actuator, gains: Mapping[str, tuple[float, float]]) ->
                 tried.set_servo_gain(name, new)
             else:
                 setattr(tried, name, new)
-        return tried.law
+        return _law(tried)
     except ValueError:
         return ()
 

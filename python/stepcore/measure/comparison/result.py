@@ -12,8 +12,9 @@ from stepcore.experiment.motion import Motion
 from stepcore.measure.comparison.differences import Difference, together
 from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
+from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import compact, counted, metres
+from stepcore.report.units import beginning, compact, counted, metres
 
 LEGEND = (
     "alone: RMS distance by which this difference alone moves A's motion in the worst start [m]; "
@@ -50,19 +51,25 @@ class DifferenceEffect:
 class Attribution:
     """The effects of the differences of one kind: changes of the model, or numerical settings.
 
-    converged: whether the runs are converged; else they have the settings as shipped.
-    rows: the effect of each difference, largest first. distance: of A and B in such runs [m].
-    within: the distance up to which motions count as equal [m]. needed: the smallest set that
-    brings A this close to A with all differences; None if it was not searched, or a run fails.
-    left: the effect of the differences that are not in the set [m].
+    change: the settings of the runs; empty for the settings as shipped. error: of A's run under
+        them [m]; NaN as shipped.
+    rows: the effect of each difference, largest first.
+    within: the distance up to which motions count as equal [m].
+    needed: the smallest set that brings A this close to A with all differences; None if it was not
+        searched, or a run fails. left: the effect of the differences that are not in the set [m].
     """
 
-    converged: bool
+    change: Change
+    error: float
     rows: list[DifferenceEffect]
-    distance: float
     within: float
     needed: list[Difference] | None
     left: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the runs are close to converged motions; else they are as shipped."""
+        return not math.isnan(self.error)
 
     @property
     def interactions(self) -> list[DifferenceEffect]:
@@ -79,7 +86,7 @@ class Comparison(Result):
         motion, so that nothing was run.
     rounding: the number of values that differ by rounding alone.
     models: the effects of changes of the model on the converged motion; None without any.
-    settings_effects: the effects of numerical settings on the motion as shipped; None without any.
+    numerical: the effects of numerical settings on the motion as shipped; None without any.
     distance: between A and B as shipped, in the worst start [m]; inf if one fails; NaN if not run.
     converged: between their converged motions [m]; NaN if unknown. unsure: its uncertainty [m].
     errors: the integration errors of A and of B as shipped [m]; NaN if unknown.
@@ -103,7 +110,7 @@ class Comparison(Result):
     unmapped: list[str]
     rounding: int
     models: Attribution | None = None
-    settings_effects: Attribution | None = None
+    numerical: Attribution | None = None
     distance: float = math.nan
     converged: float = math.nan
     unsure: float = math.nan
@@ -120,7 +127,7 @@ class Comparison(Result):
     @property
     def parts(self) -> list[Attribution]:
         """The effects of changes of the model, and of numerical settings."""
-        return [part for part in (self.models, self.settings_effects) if part is not None]
+        return [part for part in (self.models, self.numerical) if part is not None]
 
     @property
     def rows(self) -> list[DifferenceEffect]:
@@ -202,8 +209,8 @@ class Comparison(Result):
         said = [self._answer(), *self._distances()]
         for part in self.parts:
             said += _interactions(part)
-        failed = [row for row in self.rows if row.failure]
-        said += [f"With {row.difference.path} a run fails: {row.failure}." for row in failed[:MOST]]
+        failed = [row.difference.path for row in self.rows if row.failure]
+        said += [f"Runs fail with or without {_few(failed)}."] * bool(failed)
         if self.others:
             said.append(f"Not tried: {_few(self.others)}.")
         if self.rounding:
@@ -220,18 +227,20 @@ class Comparison(Result):
             tried = " that could be tried" if self.others else ""
             return f"There is no difference{beyond}{tried}."
         count = counted(len(self.differences), "difference")
-        fails = [f"{side} fails from {why}" for side, why in zip("AB", self.failures, strict=True)]
-        fails = [said for said, why in zip(fails, self.failures, strict=True) if why]
+        sides = zip("AB", self.failures, strict=True)
+        fails = [f"{side} fails as shipped from {beginning(why)}" for side, why in sides if why]
         if fails:
-            return f"{count}; as shipped {', and '.join(fails)}."
+            return f"{count}; {', and '.join(fails)}."
         if not any(part.needed is not None for part in self.parts):
             first = max(self.rows, key=lambda row: row.largest, default=None)
             if first is None or not first.largest:
                 return f"{count}; their effects are not known yet."
-            return f"{count}; the largest effect has {first.difference.words}: {_far(first.largest)}."
+            return (
+                f"{count}; the largest effect has {first.difference.words}: {_far(first.largest)}."
+            )
         if not self.needed:
             within = metres(max(part.within for part in self.parts))
-            return f"None of {count} matters: without them the motion is the same within {within}."
+            return f"0 of {count} matter: together they move the motion by at most {within}."
         matter = "matters" if len(self.needed) == 1 else "matter"
         listed = _few([one.words for one in self.needed])
         return f"{len(self.needed)} of {count} {matter}: {listed}."
@@ -242,7 +251,7 @@ class Comparison(Result):
         if not math.isnan(self.converged) and self.models is not None:
             far = f"{_far(self.converged)} apart (± {metres(self.unsure)})"
             said.append(f"The converged motions of A and B are {far}{_rest(self.models)}.")
-        if not math.isnan(self.distance) and (self.differences or self.others):
+        if math.isfinite(self.distance) and (self.differences or self.others):
             worst = f"in the worst of {counted(self.starts, 'start')}"
             text = f"As shipped they are {_far(self.distance)} apart {worst}"
             if not any(map(math.isnan, self.errors)):
@@ -257,8 +266,12 @@ class Comparison(Result):
     @property
     def setup(self) -> str:
         """The differences that matter in MJCF."""
+        said, part = "", self.models
+        if part is not None and part.converged:
+            how = label(self.settings.replace(**dict(part.change.settings)))
+            said = f"Changes of the model were compared under {how} (error {metres(part.error)}).\n"
         lines = self.mjcf
-        return f"In MJCF, these lines turn A into B:\n{lines}" if lines else ""
+        return said + (f"In MJCF, these lines turn A into B:\n{lines}" if lines else "")
 
     def __repr__(self) -> str:
         count = counted(len(self.differences), "difference")
