@@ -231,19 +231,17 @@ class Comparison(Result):
         fails = [f"{side} fails as shipped from {beginning(why)}" for side, why in sides if why]
         if fails:
             return f"{count}; {', and '.join(fails)}."
-        if not any(part.needed is not None for part in self.parts):
-            first = max(self.rows, key=lambda row: row.largest, default=None)
-            if first is None or not first.largest:
-                return f"{count}; their effects are not known yet."
-            return (
-                f"{count}; the largest effect has {first.difference.words}: {_far(first.largest)}."
-            )
+        judged = [part for part in self.parts if part.needed is not None]
+        missing = len(self.differences) - sum(len(part.rows) for part in judged)
+        rest = f"; {missing} could not be judged" if missing else ""
+        if not judged:
+            first = max(self.rows, key=lambda row: row.largest)
+            return f"{count}; the largest effect so far has {first.difference.words}{rest}."
         if not self.needed:
-            within = metres(max(part.within for part in self.parts))
-            return f"0 of {count} matter: together they move the motion by at most {within}."
+            within = metres(max(part.within for part in judged))
+            return f"0 of {count} matter: they move the motion by at most {within}{rest}."
         matter = "matters" if len(self.needed) == 1 else "matter"
-        listed = _few([one.words for one in self.needed])
-        return f"{len(self.needed)} of {count} {matter}: {listed}."
+        return f"{len(self.needed)} of {count} {matter}: {_few([n.words for n in self.needed])}{rest}."
 
     def _distances(self) -> list[str]:
         """Describe the distances of A and B, and the effects of all that does not matter."""
