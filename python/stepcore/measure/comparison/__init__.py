@@ -36,7 +36,7 @@ from stepcore.report import units
 from stepcore.report.units import metres
 from stepcore.scene.layout import DOFS, QPOS
 
-__all__ = ["Attribution", "Comparison", "DifferenceEffect", "compare"]
+__all__ = ["Attribution", "Comparison", "Difference", "DifferenceEffect", "compare"]
 
 
 @measurement()

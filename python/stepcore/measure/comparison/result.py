@@ -209,8 +209,8 @@ class Comparison(Result):
         said = [self._answer(), *self._distances()]
         for part in self.parts:
             said += _interactions(part)
-        failed = [row.difference.path for row in self.rows if row.failure]
-        said += [f"Runs fail with or without {_few(failed)}."] * bool(failed)
+        failed = [row.difference.path for row in self.rows if math.isinf(row.alone)]
+        said += [f"A also fails with one of these alone: {_few(failed)}."] * bool(failed)
         if self.others:
             said.append(f"Not tried: {_few(self.others)}.")
         if self.rounding:
