@@ -22,7 +22,9 @@ RIGHT = """<body name="right" pos="0 -.2 1"><joint name="r" axis="0 1 0" damping
 <geom name="r" type="capsule" size=".03" fromto="0 0 0 0 0 -.3"/></body>"""
 SERVO = '<position name="l" joint="l" kp="{kp}" kv=".2"/>'
 GENERAL = """<general name="l" joint="l" gainprm="{kp}" biastype="affine" biasprm="0 -{kp} -.2"/>"""
-MOTORS = '<position name="t" joint="t" kp="2" kv=".05"/><position name="r" joint="r" kp="4" kv=".1"/>'
+MOTORS = (
+    '<position name="t" joint="t" kp="2" kv=".05"/><position name="r" joint="r" kp="4" kv=".1"/>'
+)
 PLANTED = {
     "joint/l/damping": 0.3,
     "joint/t/armature": 0.02,

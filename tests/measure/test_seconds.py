@@ -49,9 +49,7 @@ def measurements(hinge):
             spring, **short, starts=3, error="1mm", further=4, by="flops", seconds=seconds
         ),
         "predict": lambda seconds: sc.predict(spring, **short, starts=3, seconds=seconds),
-        "compare": lambda seconds: sc.compare(
-            spring, stiffer, **short, starts=2, seconds=seconds
-        ),
+        "compare": lambda seconds: sc.compare(spring, stiffer, **short, starts=2, seconds=seconds),
         "ablate": lambda seconds: sc.ablate(hinge, **short, starts=2, seconds=seconds),
         "converge": lambda seconds: sc.converge(spring, **short, starts=1, seconds=seconds),
         "stability_map": lambda seconds: sc.stability_map(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Unpack
 
 import numpy as np
@@ -86,20 +85,12 @@ def compare(
     return _Comparing(first, second, found, within).result()
 
 
-@dataclass(frozen=True)
-class _Base:
-    """Settings in which differences are compared; error: of A under them [m], NaN as shipped."""
-
-    change: Change = SHIPPED
-    error: float = math.nan
-
-
 class _Comparing:
     """The runs of a comparison.
 
     study, other: of A and of B, in A's motion. starts: by index. scored: the samples that can be
-    predicted; None for all. truth: A's converged motion; None if there is none. base: the settings
-    in which changes of the model are compared.
+    predicted; None for all. truth: A's converged motion; None if there is none. base, error: the
+    settings in which changes of the model are compared, and A's error under them [m].
     """
 
     def __init__(
@@ -108,7 +99,7 @@ class _Comparing:
         self.first, self.second, self.found, self.within = first, second, found, within
         self.time, self.scored = first.workers.deadline, None
         self.truth: Truth | None = None
-        self.base = _Base()
+        self.base, self.error = SHIPPED, math.nan
         self.comparison = Comparison(
             name=first.name,
             other=second.name,
@@ -136,14 +127,14 @@ class _Comparing:
         if settings:
             # The numerical settings differ between A with B's model, and B.
             others, within = together(models), self._equal(result.distance)
-            result.numerical = self._attributed(settings, _Base(), others, within)
+            result.numerical = self._attributed(settings, SHIPPED, math.nan, others, within)
         if models:
             converged = self.truth is not None
             far = result.converged if converged else result.distance
             within = max(self._equal(far), result.unsure if converged else 0.0)
             with self.time.stage("cheaper settings of the converged motion"):
                 self._cheaper(within)
-            result.models = self._attributed(models, self.base, SHIPPED, within)
+            result.models = self._attributed(models, self.base, self.error, SHIPPED, within)
         return result
 
     def _equal(self, distance: float) -> float:
@@ -158,18 +149,18 @@ class _Comparing:
         The error of the distance of two such runs is then at most this distance.
         """
         while self.truth is not None:
-            settings = self.study.engine.settings(self.base.change)
+            settings = self.study.engine.settings(self.base)
             coarser = Change(dt=2 * settings.dt)
             if settings.accuracy is not None:
                 coarser = Change(accuracy=4 * settings.accuracy)
             elif coarser.settings[0][1] > self.study.schedule.period * (1 + ROUNDING):
                 return
-            change = self.base.change.also(coarser)
+            change = self.base.also(coarser)
             (tracks,) = self.study.tracks([change], self.starts)
             error = self.far(tracks, self.truth.tracks)
             if 2 * error > within:
                 return
-            self.base = _Base(change, error)
+            self.base, self.error = change, error
 
     def _begin(self) -> None:
         """Run A, B, and A with all differences as shipped."""
@@ -212,35 +203,34 @@ class _Comparing:
         a, changed = self.study.tracks([SHIPPED, models], self.starts)
         moved = self.far(a, changed) or result.distance
         # Half of the distance that counts as equal: see `_cheaper`.
-        error = self._equal(moved) / 2 / SHARE if 0 < moved < math.inf else None
+        goal = self._equal(moved) / 2 / SHARE if 0 < moved < math.inf else None
         try:
-            truths: list[Truth] = [study.truth(error) for study in studies]
+            truths: list[Truth] = [study.truth(goal) for study in studies]
         except ValueError as error:
             result.notes.append(f"there is no converged motion: {checks.one_line(error)}")
             return
         starts = [s for s in truths[0].starts if s in truths[1].starts]
         of_a, of_b = (truth.part(starts) for truth in truths)
         self.starts, self.scored = tuple(starts), of_a.scored & of_b.scored
-        result.converged, result.unsure = (
-            self.far(of_a.tracks, of_b.tracks),
-            of_a.error + of_b.error,
-        )
+        result.converged = self.far(of_a.tracks, of_b.tracks)
+        result.unsure = of_a.error + of_b.error
         result.errors = tuple(
             study.score(SHIPPED, study.tracks([SHIPPED], starts)[0], truth).error
             for study, truth in zip(studies, (of_a, of_b), strict=True)
         )
-        self.truth, self.base = of_a, _Base(of_a.change, of_a.error)
+        self.truth, self.base, self.error = of_a, of_a.change, of_a.error
         self._measure()
 
     def _attributed(
-        self, some: list[Difference], base: _Base, others: Change, within: float
+        self, some: list[Difference], base: Change, error: float, others: Change, within: float
     ) -> Attribution:
         """Return the effects of some differences, and the smallest set of them.
 
-        base: the settings of the runs. others: changes that all runs of the search have.
+        base, error: the settings of the runs, and A's error under them [m]; NaN as shipped.
+        others: changes that all runs of the search have.
         within: the distance up to which motions count as equal [m].
         """
-        runs = _Runs(self, some, base.change, others)
+        runs = _Runs(self, some, base, others)
         with self.time.stage("some of the differences, alone and removed"):
             runs.alone_and_removed()
         with self.time.closing():
@@ -250,7 +240,7 @@ class _Comparing:
             if math.isfinite(within):
                 needed, left = runs.smallest([row.difference for row in rows], within)
         rows = [dataclasses.replace(r, needed=r.difference in (needed or ())) for r in rows]
-        return Attribution(base.change, base.error, rows, within, needed, left)
+        return Attribution(base, error, rows, within, needed, left)
 
 
 class _Runs:
@@ -300,7 +290,7 @@ class _Runs:
     ) -> tuple[list[Difference] | None, float]:
         """Return the smallest set found, and the distance that the other differences make [m].
 
-        Differences are dropped greedily, those of the smallest effect first, while A with the
+        Differences are dropped greedily, the smallest effect first, while A with the
         others stays `within` a distance of A with all.
         """
         with_all = self._tracks(self._without([]))

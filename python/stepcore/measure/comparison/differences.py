@@ -31,8 +31,7 @@ SKIPPED = ("name", "file", "group", "hidden")
 LAW = ("type", *ALL_LAW_FIELDS)
 MASSES = ("mass", "density", "shellinertia")
 GAINS = ("kp", "kv")
-# The parameters of a general law, and their number in MJCF.
-PADDED, PARAMETERS = ("gainprm", "biasprm", "dynprm"), 10
+PARAMETERS = ("gainprm", "biasprm", "dynprm")
 
 
 @dataclass(frozen=True)
@@ -106,6 +105,10 @@ class Names:
         """Return the path of an element, "kind/name" or "kind/#index"."""
         return self._paths[id(element)]
 
+    def record(self, value: Any) -> Any:
+        """Return rules of a scene, or pairs of bodies, as plain data."""
+        return value.record() if isinstance(value, Element) else set(map(self.plain, value))
+
     def plain(self, value: Any) -> Any:
         """Return a value with elements replaced by their keys, so that models can be compared."""
         if isinstance(value, Element) and id(value) in self._keys:
@@ -139,6 +142,7 @@ class _Search:
 
     def __init__(self, a: Model, b: Model) -> None:
         self.a, self.b, self.names = a, b, (Names(a), Names(b))
+        self.sides = tuple(zip(self.names, (a, b), strict=True))
         self.rounding, self.others = 0, list[str]()
         # The bodies whose mass from geoms differs by a factor, or not at all.
         self.scaled: dict[int, Difference | None] = {}
@@ -149,39 +153,40 @@ class _Search:
         others, unmapped = list[str](), list[str]()
         for kind in KINDS:
             of_a, of_b = (names.elements[kind] for names in self.names)
-            said = others if kind not in ("joint", "actuator") else unmapped
-            said += [f"{kind} {checks.quoted(key)} is only in A" for key in of_a if key not in of_b]
-            said += [f"{kind} {checks.quoted(key)} is only in B" for key in of_b if key not in of_a]
+            said = unmapped if kind in ("joint", "actuator") else others
+            for mine, theirs, side in ((of_a, of_b, "A"), (of_b, of_a, "B")):
+                named = (checks.quoted(key) for key in mine if key not in theirs)
+                said += [f"{kind} {name} is only in {side}" for name in named]
             for key in of_a.keys() & of_b.keys() if said is unmapped else ():
                 kinds = [_state(of[key]) for of in (of_a, of_b)]
                 if kinds[0] != kinds[1]:
-                    text = (
-                        f"{kind} {checks.quoted(key)} is of type {kinds[0]} in A, {kinds[1]} in B"
-                    )
-                    unmapped.append(text)
+                    both = f"{kinds[0]} in A, {kinds[1]} in B"
+                    unmapped.append(f"{kind} {checks.quoted(key)} is a {both}")
         return others + unmapped, unmapped
 
     def _masses(self) -> None:
         """Compare masses that come from geoms as masses of bodies, where this is enough."""
-        of_a, of_b = (names.elements["body"] for names in self.names)
-        place = [{key: k for k, key in enumerate(of)} for of in (of_a, of_b)]
-        for key, body in of_a.items():
-            if key == "world" or key not in of_b or body.mass is not None:  # type: ignore[attr-defined]
-                continue
-            i, j = place[0][key], place[1][key]
+        bodies = [list(names.elements["body"].items()) for names in self.names]
+        places = {key: k for k, (key, _) in enumerate(bodies[1])}
+        for i, (key, body) in enumerate(bodies[0]):
+            j, inferred = places.get(key, 0), getattr(body, "mass", None) is None
             a, b = float(self.a.body_mass[i]), float(self.b.body_mass[j])
-            inertia = [self.a.body_inertia[i] * b, self.b.body_inertia[j] * a]
-            centres = (self.a.body_ipos[i], self.b.body_ipos[j])
+            alike = [
+                m.body_inertia[k] / (m.body_mass[k] or 1.0) for m, k in ((self.a, i), (self.b, j))
+            ]
+            centres = [m.body_ipos[k] for m, k in ((self.a, i), (self.b, j))]
             if (
-                a > 0
-                and b > 0
-                and self.near(inertia, inertia[::-1])
-                and self.near([centres[0]], [centres[1]])
+                inferred
+                and i
+                and j
+                and a
+                and b
+                and self.near(alike[:1] + centres[:1], alike[1:] + centres[1:])
             ):
-                path = f"{self.names[0].path(body)}/mass"
-                differ = self.differ(a, b, "mass")
-                found = Difference(path, a, b, Change({path: b})) if differ else None
-                self.scaled[id(body)] = found
+                path, differ = f"{self.names[0].path(body)}/mass", self.differ(a, b, "mass")
+                self.scaled[id(body)] = (
+                    Difference(path, a, b, Change({path: b})) if differ else None
+                )
 
     def differ(self, a: Any, b: Any, field: str) -> bool:
         """Return whether values differ, and count those that do so by rounding."""
@@ -272,28 +277,19 @@ class _Search:
                 yield Difference(name, True, False, Change(without=[name]))
             elif old[name] != new[name]:
                 self.others.append(f"{name} is disabled in A alone")
-        pairs = []
-        for model, names in zip((self.a, self.b), self.names, strict=True):
-            pairs.append({tuple(sorted(names.plain(pair))) for pair in model.scene.excludes})
-        for inside, out, which in ((0, 1, "A"), (1, 0, "B")):
-            for first, second in sorted(pairs[inside] - pairs[out]):
-                self.others.append(
-                    f"contacts of {first} and {second} are excluded in {which} alone"
-                )
         # Rules of masses act on masses alone, which may be compared already.
         inferred = [b for b in self.a.scene.bodies[1:] if b.mass is None]
         known = all(id(body) in self.scaled for body in inferred)
-        for name in ("mass_rules", "contact_override")[known:]:
-            if getattr(self.a.scene, name).record() != getattr(self.b.scene, name).record():
+        for name in ("mass_rules", "contact_override", "excludes")[known:]:
+            old, new = (n.record(getattr(m.scene, name)) for n, m in self.sides)
+            if old != new:
                 self.others.append(f"{name.replace('_', ' ')} differ")
 
 
 def _law(actuator: Actuator) -> tuple[Any, ...]:
-    """Return a force law with all parameters; the writing of general ones leaves out zeros."""
-    values = actuator.law._asdict()
-    for name in PADDED:
-        values[name] = (*values[name], *[0.0] * PARAMETERS)[:PARAMETERS]
-    return tuple(values.values())
+    """Return a force law without zeros after its parameters, which files may leave out."""
+    law = actuator.law._asdict()
+    return tuple(np.trim_zeros(v, "b") if name in PARAMETERS else v for name, v in law.items())
 
 
 def _with_gains(actuator: Actuator, gains: Mapping[str, tuple[float, float]]) -> Any:
@@ -325,7 +321,7 @@ def _state(element: Any) -> str:
     """Return the properties of a joint or an actuator on which the size of states depends."""
     if isinstance(element, Actuator):
         return f"actuator with {element.law.states} activations"
-    return str(element.type)
+    return f"{element.type} joint"
 
 
 def _expressible(

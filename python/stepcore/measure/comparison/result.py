@@ -21,8 +21,6 @@ LEGEND = (
     "removed: distance from A with all differences, if it has all but this one [m]; *: it matters, "
     "because it is in the smallest set that brings A to B."
 )
-# The most sentences on elements without counterpart, and on interactions.
-MOST = 5
 
 
 @dataclass(frozen=True)
@@ -207,8 +205,12 @@ class Comparison(Result):
     def sentences(self) -> list[str]:
         """The differences that matter, the distances, and what remains unexplained."""
         said = [self._answer(), *self._distances()]
-        for part in self.parts:
-            said += _interactions(part)
+        said += [
+            f"{row.difference.path} interacts with other differences: alone it moves the motion by "
+            f"{_far(row.alone)}, together with them by {_far(row.removed)}."
+            for part in self.parts
+            for row in part.interactions[:SHORT]
+        ]
         failed = [row.difference.path for row in self.rows if math.isinf(row.alone)]
         said += [f"A also fails with one of these alone: {_few(failed)}."] * bool(failed)
         if self.others:
@@ -241,7 +243,9 @@ class Comparison(Result):
             within = metres(max(part.within for part in judged))
             return f"0 of {count} matter: they move the motion by at most {within}{rest}."
         matter = "matters" if len(self.needed) == 1 else "matter"
-        return f"{len(self.needed)} of {count} {matter}: {_few([n.words for n in self.needed])}{rest}."
+        return (
+            f"{len(self.needed)} of {count} {matter}: {_few([n.words for n in self.needed])}{rest}."
+        )
 
     def _distances(self) -> list[str]:
         """Describe the distances of A and B, and the effects of all that does not matter."""
@@ -283,19 +287,10 @@ def _rest(part: Attribution | None) -> str:
     return f"; all other differences move the motion by {metres(part.left)}"
 
 
-def _interactions(part: Attribution) -> list[str]:
-    """Describe the differences whose effect depends on the others."""
-    return [
-        f"{row.difference.path} interacts with other differences: alone it moves the motion by "
-        f"{_far(row.alone)}, together with them by {_far(row.removed)}."
-        for row in part.interactions[:MOST]
-    ]
-
-
 def _few(listed: Sequence[str]) -> str:
     """Return the first of some texts as a list, and the number of the others."""
-    more = len(listed) - MOST
-    return "; ".join(listed[:MOST]) + (f"; and {more} more" if more > 0 else "")
+    more = len(listed) - SHORT
+    return "; ".join(listed[:SHORT]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _far(far: float) -> str:
