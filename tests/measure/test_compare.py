@@ -113,6 +113,20 @@ def test_an_element_of_one_model_is_listed_and_its_effect_is_unexplained():
     assert result.unexplained == result.distance > 1e-3
 
 
+def test_another_shape_is_one_difference():
+    box = '<geom name="load" type="box" pos=".1 0 0" size=".04 .03 .02"/>'
+    ball = '<geom name="load" pos=".1 0 0" size=".05"/>'
+    result = sc.compare(arm(extra=box), arm(extra=ball), **SHORT)
+    assert [one.path for one in result.differences] == ["geom/load (type, size)"]
+    assert result.unexplained < 1e-9 < result.distance
+
+
+def test_equal_changes_of_several_elements_are_one_entry_of_the_answer():
+    a = arm()
+    b = a.with_values({f"joint/{name}/frictionloss": 0.2 for name in "lr"})
+    assert "frictionloss of 2 joints (0 → 0.2)." in sc.compare(a, b, **SHORT).sentences[0]
+
+
 def test_a_joint_without_counterpart_stops_the_comparison():
     joint = '<body name="z"><joint name="z"/><geom size=".1"/></body>'
     result = sc.compare(arm(), arm(extra=joint), **SHORT)

@@ -189,8 +189,10 @@ class Change:
                 fields[field] = _number(value)
         for element, fields in by_element.items():
             kind, _, name = element.partition("/")
-            head = f'{kind} name="{name}"' if name else "option"
-            lines.append(f"<{head} {_attributes(fields)}/>")
+            # "#3" is the index of an element without a name.
+            unnamed = f"  <!-- {kind} {name[1:]} -->" if name.startswith("#") else ""
+            head = kind if unnamed else f'{kind} name="{name}"' if name else "option"
+            lines.append(f"<{head} {_attributes(fields)}/>{unnamed}")
         for servo in self.servos:
             known = {"name": servo.actuator, **_law(servo)}.items()
             fields = {name: _number(value) for name, value in known if value is not None}

@@ -74,7 +74,7 @@ class Differences:
 class Names:
     """The elements of a model by kind and key, in the order of the compiled model.
 
-    The key of an element is its name. An element without a name is the n-th of its owner.
+    The key of an element is its name. An element without a name is the n-th of its type and owner.
     """
 
     def __init__(self, model: Model) -> None:
@@ -98,6 +98,7 @@ class Names:
         owners = ("parent", "body", "joint", "tendon", "site", "joint1", "body1")
         owner = next((o for o in (getattr(element, f, None) for f in owners) if o), None)
         first = "" if owner is None else self._keys.get(id(owner), "")
+        first = f"{first}/{getattr(element, 'type', '') or kind}"
         taken = self.elements[kind]
         return next(key for n in range(len(taken) + 1) if (key := f"{first}#{n}") not in taken)
 
@@ -219,8 +220,10 @@ class _Search:
             if kind == "body":
                 yield from filter(None, self.scaled.values())
             for key in of_a:
-                if key in of_b:
-                    yield from self._element(of_a[key], of_b[key])
+                several = list(self._element(of_a[key], of_b[key])) if key in of_b else []
+                # Another type needs other values of the other fields.
+                typed = any(one.path.endswith("/type") for one in several)
+                yield from [_joined(several)] if typed else several
 
     def _element(self, a: Any, b: Any) -> Iterator[Difference]:
         path, law = self.names[0].path(a), isinstance(a, Actuator)
@@ -338,15 +341,21 @@ def _expressible(
         else:
             taken.append(one)
     said = []
-    for element, several in refused.items():
-        fields = ", ".join(one.path.rpartition("/")[2] for one in several)
-        joined = Difference(f"{element} ({fields})", None, None, together(several))
+    for several in refused.values():
+        joined = _joined(several)
         why = _refusal(engine, joined.change)
         if why:
             said.append(f"{joined.path} differs, and A does not take B's value: {why}")
         else:
             taken.append(joined)
     return taken, said
+
+
+def _joined(several: Sequence[Difference]) -> Difference:
+    """Return differences of one element as one."""
+    element = several[0].path.rpartition("/")[0]
+    fields = ", ".join(one.path.rpartition("/")[2] for one in several)
+    return Difference(f"{element} ({fields})", None, None, together(several))
 
 
 def _refusal(engine: Stepcore, change: Change) -> str:

@@ -243,9 +243,7 @@ class Comparison(Result):
             within = metres(max(part.within for part in judged))
             return f"0 of {count} matter: they move the motion by at most {within}{rest}."
         matter = "matters" if len(self.needed) == 1 else "matter"
-        return (
-            f"{len(self.needed)} of {count} {matter}: {_few([n.words for n in self.needed])}{rest}."
-        )
+        return f"{len(self.needed)} of {count} {matter}: {_few(_grouped(self.needed))}{rest}."
 
     def _distances(self) -> list[str]:
         """Describe the distances of A and B, and the effects of all that does not matter."""
@@ -285,6 +283,19 @@ def _rest(part: Attribution | None) -> str:
     if part is None or not part.needed or len(part.needed) == len(part.rows):
         return ""
     return f"; all other differences move the motion by {metres(part.left)}"
+
+
+def _grouped(some: Sequence[Difference]) -> list[str]:
+    """Return differences in words; elements that share a field and its values are one entry."""
+    groups: dict[tuple[str, ...], list[Difference]] = {}
+    for one in some:
+        kind, field = one.path.partition("/")[0], one.path.rpartition("/")[2]
+        values = one.words.removeprefix(one.path)
+        groups.setdefault((kind, field, values), []).append(one)
+    return [
+        f"{field} of {counted(len(group), kind)}{values}" if len(group) > 1 else group[0].words
+        for (kind, field, values), group in groups.items()
+    ]
 
 
 def _few(listed: Sequence[str]) -> str:
