@@ -93,6 +93,14 @@ def test_states_and_controls_are_mapped_by_name():
     assert result.unexplained < 1e-9 < result.distance
 
 
+def test_constant_controls():
+    """The converged motion has adaptive steps."""
+    controls = {"ctrl": {"l": 0.5}, "horizon": 0.5, "progress": False}
+    result = sc.compare(arm(), arm(damping=0.3, reverse=True), **controls)
+    assert [one.path for one in result.needed] == ["joint/l/damping"]
+    assert result.models.error < 0.5 * result.models.within
+
+
 def test_differences_by_rounding_are_counted():
     result = sc.compare(arm(), arm(damping=0.1 * (1 + 1e-8)), **SHORT)
     assert (result.differences, result.rounding) == ([], 1)

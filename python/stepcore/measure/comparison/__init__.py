@@ -150,17 +150,19 @@ class _Comparing:
         """
         while self.truth is not None:
             settings = self.study.engine.settings(self.base)
-            coarser = Change(dt=2 * settings.dt)
-            if settings.accuracy is not None:
-                coarser = Change(accuracy=4 * settings.accuracy)
-            elif coarser.settings[0][1] > self.study.schedule.period * (1 + ROUNDING):
+            longer, looser = 2 * settings.dt, 4 * (settings.accuracy or 0.0)
+            if not looser and longer > self.study.schedule.period * (1 + ROUNDING):
                 return
-            change = self.base.also(coarser)
+            change = self.base.also(Change(accuracy=looser) if looser else Change(dt=longer))
             (tracks,) = self.study.tracks([change], self.starts)
-            error = self.far(tracks, self.truth.tracks)
+            error = max(self.far(tracks, self.truth.tracks), self._allowed(looser))
             if 2 * error > within:
                 return
             self.base, self.error = change, error
+
+    def _allowed(self, accuracy: float | None) -> float:
+        """Return the error that adaptive steps may have [m]: two runs may be equal by chance."""
+        return (accuracy or 0.0) * self.study.schedule.horizon
 
     def _begin(self) -> None:
         """Run A, B, and A with all differences as shipped."""
@@ -213,12 +215,13 @@ class _Comparing:
         of_a, of_b = (truth.part(starts) for truth in truths)
         self.starts, self.scored = tuple(starts), of_a.scored & of_b.scored
         result.converged = self.far(of_a.tracks, of_b.tracks)
-        result.unsure = of_a.error + of_b.error
+        unsure = [max(t.error, self._allowed(t.settings.accuracy)) for t in (of_a, of_b)]
+        result.unsure = sum(unsure)
         result.errors = tuple(
             study.score(SHIPPED, study.tracks([SHIPPED], starts)[0], truth).error
             for study, truth in zip(studies, (of_a, of_b), strict=True)
         )
-        self.truth, self.base, self.error = of_a, of_a.change, of_a.error
+        self.truth, self.base, self.error = of_a, of_a.change, unsure[0]
         self._measure()
 
     def _attributed(
