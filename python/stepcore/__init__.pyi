@@ -35,6 +35,8 @@ from stepcore.measure.ablation import Ablation as Ablation
 from stepcore.measure.ablation import ablate as ablate
 from stepcore.measure.check import Check as Check
 from stepcore.measure.check import check as check
+from stepcore.measure.comparison import Comparison as Comparison
+from stepcore.measure.comparison import compare as compare
 from stepcore.measure.convergence import Convergence as Convergence
 from stepcore.measure.convergence import converge as converge
 from stepcore.measure.diagnosis import Diagnosis as Diagnosis

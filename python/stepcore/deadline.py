@@ -39,6 +39,7 @@ SECONDS = {
     "outcomes": 60.0,
     "predict": 60.0,
     "ablate": 60.0,
+    "compare": 60.0,
     "converge": 60.0,
     "stability-map": 60.0,
     "tune": 60.0,

@@ -41,6 +41,7 @@ def hinge():
 def measurements(hinge):
     short = {"horizon": 0.2, "progress": False, "threads": 1}
     spring = lesson.spring()
+    stiffer = spring.compile().with_values({"joint/spring/stiffness": 90.0})
     return {
         "check": lambda seconds: sc.check(hinge, **short, seconds=seconds),
         "diagnose": lambda seconds: sc.diagnose(hinge, **short, dt=0.2, seconds=seconds),
@@ -48,6 +49,7 @@ def measurements(hinge):
             spring, **short, starts=3, error="1mm", further=4, by="flops", seconds=seconds
         ),
         "predict": lambda seconds: sc.predict(spring, **short, starts=3, seconds=seconds),
+        "compare": lambda seconds: sc.compare(spring, stiffer, **short, starts=2, seconds=seconds),
         "ablate": lambda seconds: sc.ablate(hinge, **short, starts=2, seconds=seconds),
         "converge": lambda seconds: sc.converge(spring, **short, starts=1, seconds=seconds),
         "stability_map": lambda seconds: sc.stability_map(
@@ -61,7 +63,9 @@ def measurements(hinge):
     }
 
 
-NAMES = ("check", "diagnose", "trade", "predict", "ablate", "converge", "stability_map")
+NAMES = (
+    *("check", "diagnose", "trade", "predict", "compare", "ablate", "converge", "stability_map"),
+)
 
 
 @pytest.mark.parametrize("name", NAMES)

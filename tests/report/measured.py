@@ -46,6 +46,13 @@ MADE = {
         **FAST,
     ),
     "ablation": lambda: sc.ablate(lesson.drop(), horizon=0.2, starts=1, **FAST),
+    "comparison": lambda: sc.compare(
+        lesson.spring(),
+        lesson.spring().compile().with_values({"joint/spring/stiffness": 90.0}),
+        horizon=0.2,
+        starts=1,
+        **FAST,
+    ),
     "convergence": lambda: sc.converge(lesson.stack(), horizon=0.1, starts=1, **FAST),
     "predictability": lambda: sc.predict(lesson.spring(), horizon=0.5, starts=3, **FAST),
     "stability": lambda: sc.stability_map(

@@ -46,6 +46,7 @@ COMMANDS = {
     "converge": "split the error into the parts of the time step and of the sweeps",
     "plan": "list what a step computes and what it leaves out",
     "ablate": "measure the cost and the effect of each modelled feature",
+    "compare": "explain why two models behave differently",
     "info": "print versions and the machine",
 }
 # Commands that take no second.

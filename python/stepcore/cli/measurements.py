@@ -28,11 +28,12 @@ from stepcore.cli.arguments import (
     time,
 )
 from stepcore.cli.output import add_output
-from stepcore.cli.terminal import Usage
+from stepcore.cli.terminal import UNDECIDED, Usage
 from stepcore.deadline import SECONDS
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment import schedule
+from stepcore.loading import load
 from stepcore.report.result import Result
 
 # Returns further arguments of the measuring function, from the command line and the model.
@@ -150,6 +151,11 @@ def _save_smallest(result: Any, args: argparse.Namespace) -> None:
         if result.smallest is None:
             raise Usage(f"--save {args.save}: give MuJoCo the file with {result.in_file}")
         result.smallest.save(args.save)
+
+
+def _other_model(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
+    """Return the second model, loaded like the first."""
+    return {"other": load(args.other, without=args.without, fuse=args.fuse).compile()}
 
 
 def _sim_at_key(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
@@ -341,6 +347,21 @@ MEASUREMENTS = {
         {"time": {}, "key": {"help": f"{WORDS['key']} (default: the first)"}},
         full="print every entry, the names of all its elements",
         more=_sim_at_key,
+    ),
+    "compare": Measurement(
+        "comparison",
+        "robot.xml other.urdf --plot compare.png",
+        {
+            "other": {
+                "flags": ("other",),
+                "metavar": "OTHER",
+                "help": "the second model: path, package:name or lesson:name",
+            },
+            "within": "LENGTH",
+        },
+        full="print every difference",
+        more=_other_model,
+        status=lambda result, args: UNDECIDED if result.unmapped else 0,
     ),
     "ablate": Measurement(
         "ablation",

@@ -184,11 +184,15 @@ class Change:
         by_element: dict[str, dict[str, str]] = {}
         for path, value in self.values:
             element, _, field = path.rpartition("/")
-            by_element.setdefault(element, {})[field] = _number(value)
+            fields = by_element.setdefault(element, {})
+            if value is not None:
+                fields[field] = _number(value)
         for element, fields in by_element.items():
             kind, _, name = element.partition("/")
-            head = f'{kind} name="{name}"' if name else "option"
-            lines.append(f"<{head} {_attributes(fields)}/>")
+            # "#3" is the index of an element without a name.
+            unnamed = f"  <!-- {kind} {name[1:]} -->" if name.startswith("#") else ""
+            head = kind if unnamed else f'{kind} name="{name}"' if name else "option"
+            lines.append(f"<{head} {_attributes(fields)}/>{unnamed}")
         for servo in self.servos:
             known = {"name": servo.actuator, **_law(servo)}.items()
             fields = {name: _number(value) for name, value in known if value is not None}
@@ -301,6 +305,8 @@ def _setting(name: str, value: Any) -> str:
 def _number(value: Any) -> str:
     if isinstance(value, tuple):
         return " ".join(_number(one) for one in value)
+    if isinstance(value, bool):
+        return str(value).lower()
     return shortest(value) if isinstance(value, float) else str(value)
 
 

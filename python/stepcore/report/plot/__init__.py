@@ -14,7 +14,7 @@ from stepcore.report.outputs import remark
 
 # The module of the plotting function, by kind of result.
 MODULES = {
-    **dict.fromkeys(("ablation", "check", "diagnosis", "plan", "tuning"), "bars"),
+    **dict.fromkeys(("ablation", "check", "comparison", "diagnosis", "plan", "tuning"), "bars"),
     **dict.fromkeys(
         ("answer", "convergence", "postmortem", "predictability", "trajectory"), "curves"
     ),

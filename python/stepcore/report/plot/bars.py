@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from stepcore.engine.plan import Plan
     from stepcore.measure.ablation import Ablation
     from stepcore.measure.check import Check
+    from stepcore.measure.comparison import Comparison
     from stepcore.measure.diagnosis.result import Diagnosis
     from stepcore.measure.tune import Tuning
 
@@ -200,4 +201,30 @@ def ablation(result: Ablation) -> Any:
     entries = patches(needed | {"the smallest model": "black"})
     entries.append(line(f"tolerance {result.words(tolerance)}", color=GREY, ls="--", lw=1))
     legend(figure, entries, columns=2)
+    return figure
+
+
+def comparison(result: Comparison) -> Any:
+    """Draw the effect of each difference alone and removed, for each kind of runs."""
+    parts = [(part, row) for part in result.parts for row in part.rows if row.largest > 0][:24]
+    names = [row.difference.path for _, row in parts]
+    figure, (axes,), places = named_bars(names, LETTERS, width=9.0)
+    finite = [x for _, row in parts for x in (row.alone, row.removed) if 0 < x < math.inf]
+    low, high = _range(finite or [1.0])
+    for place, (part, row) in zip(places, parts, strict=True):
+        colours = (BLUE, ORANGE) if row.needed else (GREY, GREY)
+        for k, far in enumerate((row.alone, row.removed)):
+            at = place + GROUP * (0.25 - k / 2)
+            if far > low:
+                width = min(far, high) - low
+                axes.barh(at, width, 0.42 * GROUP, left=low, color=colours[k], zorder=3)
+        axes.plot([part.within] * 2, (place - 0.5, place + 0.5), color="black", lw=1.3, zorder=4)
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    log_ticks(axes.xaxis)
+    frame(axes, result.title, "distance by which a difference moves the motion [m]")
+    axes.grid(False, axis="y")
+    entries = patches({"alone": BLUE, "removed": ORANGE, "does not matter": GREY})
+    entries.append(line("counts as equal", color="black", lw=1.3))
+    legend(figure, entries, columns=4)
     return figure
