@@ -50,7 +50,7 @@ def test_planted_differences_are_named(planted):
     assert {one.path for one in planted.differences} == {*PLANTED, "dt"}
     assert not planted.others and not planted.rounding
     assert planted.unexplained == 0.0
-    assert planted.unsure < 0.1 * planted.converged
+    assert planted.uncertainty < 0.1 * planted.converged
 
 
 def test_effects_are_those_of_swaps_made_by_hand(planted):
@@ -69,7 +69,7 @@ def test_effects_are_those_of_swaps_made_by_hand(planted):
     effects = {row.difference.path: row.alone for row in planted.models.rows}
     assert sorted(effects, key=effects.get) == sorted(by_hand, key=by_hand.get)
     for path, far in by_hand.items():
-        assert effects[path] == pytest.approx(far, rel=0.1, abs=planted.unsure)
+        assert effects[path] == pytest.approx(far, rel=0.1, abs=planted.uncertainty)
 
 
 def test_the_smallest_set_explains_the_distance(planted):

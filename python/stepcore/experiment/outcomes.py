@@ -63,9 +63,9 @@ class Difference:
         """Whether the interval does not contain 0."""
         return self.low > 0 or self.high < 0
 
-    def widened(self, unsure: float) -> Difference:
+    def widened(self, uncertainty: float) -> Difference:
         """Return the difference with an interval wider by an uncertainty on both sides."""
-        return dataclasses.replace(self, low=self.low - unsure, high=self.high + unsure)
+        return dataclasses.replace(self, low=self.low - uncertainty, high=self.high + uncertainty)
 
     def within(self, error: float) -> bool:
         """Return whether the entire interval is within ± error."""
@@ -291,15 +291,15 @@ class Numbers:
                     self._known[change] = np.concatenate([before, done[change, starts.start]])
         return [self._known[change][:count] for change in changes]
 
-    def outcome(self, change: Change, reference: np.ndarray, unsure: float = 0.0) -> Outcome:
-        """Compare a change with the reference's numbers; unsure: the uncertainty of its mean."""
+    def outcome(self, change: Change, reference: np.ndarray, uncertainty: float = 0.0) -> Outcome:
+        """Compare a change with the reference's numbers; uncertainty: of its mean."""
         study = self.study
         (numbers,) = self.of([change], len(reference))
         return Outcome(
             change=change,
             settings=study.engine.settings(change),
             numbers=numbers,
-            difference=difference(reference, numbers, study.measure.binary).widened(unsure),
+            difference=difference(reference, numbers, study.measure.binary).widened(uncertainty),
             work=study.work(change),
             cost=study.cost(change),
             spread=ratio_of_spreads(reference, numbers),

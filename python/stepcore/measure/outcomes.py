@@ -115,7 +115,7 @@ class Outcomes(Result):
     def best(self) -> Any:
         """Return the recommended Settings; ValueError if there are none."""
         if self.chosen is None:
-            raise ValueError(f"no setting is known to stay within {self.words(self.error)}")
+            raise ValueError(f"no setting was shown to stay within {self.words(self.error)}")
         return self.chosen.settings
 
     def words(self, value: float) -> str:
@@ -131,10 +131,10 @@ class Outcomes(Result):
     def setup(self) -> str:
         """The runs that were made, and the reference."""
         ran = f"{counted(len(self.rows), 'setting')} in {counted(self.runs, 'run')}"
-        unsure = self._plus_minus(self.other)
+        uncertainty = self._plus_minus(self.other)
         return (
             f"{ran}. Differences are measured from the converged mean "
-            f"({label(self.reference.settings)}); a second method differs from it by {unsure}."
+            f"({label(self.reference.settings)}); a second method differs from it by {uncertainty}."
         )
 
     @property
@@ -170,7 +170,7 @@ class Outcomes(Result):
         if not self.requested:
             within += f" (the smallest that {counted(self.starts, 'start')} resolve)"
         if row is None:
-            yield f"No setting tried is known to have {within}."
+            yield f"No setting tried was shown to have {within}."
         else:
             cost = f"{row.cost / self.shipped.cost:.2f}× the cost of the shipped settings"
             yield (
@@ -454,13 +454,13 @@ class _Search:
         self.shipped = self._outcome(SHIPPED)
 
     @property
-    def unsure(self) -> float:
+    def uncertainty(self) -> float:
         """The uncertainty of the reference's mean, where the two methods show a difference."""
         return abs(self.other.value) if self.other.significant else 0.0
 
     def _outcome(self, change: Change) -> Outcome:
         if change not in self.tried or len(self.tried[change].numbers) != len(self.reference):
-            self.tried[change] = self.numbers.outcome(change, self.reference, self.unsure)
+            self.tried[change] = self.numbers.outcome(change, self.reference, self.uncertainty)
         return self.tried[change]
 
     def resolve(self) -> None:
@@ -530,7 +530,7 @@ class _Search:
             reference, numbers = self.numbers.of([self.finest, row.change], 2 * first, "held-out")
             binary = self.study.measure.binary
             apart = difference(reference[first:], numbers[first:], binary)
-            self.proof = apart.widened(self.unsure)
+            self.proof = apart.widened(self.uncertainty)
             held = self.proof.within(self.error)
             rest = [
                 other

@@ -131,7 +131,7 @@ class _Comparing:
         if models:
             converged = self.truth is not None
             far = result.converged if converged else result.distance
-            within = max(self._equal(far), result.unsure if converged else 0.0)
+            within = max(self._equal(far), result.uncertainty if converged else 0.0)
             with self.time.stage("cheaper settings of the converged motion"):
                 self._cheaper(within)
             result.models = self._attributed(models, self.base, self.error, SHIPPED, within)
@@ -215,13 +215,13 @@ class _Comparing:
         of_a, of_b = (truth.part(starts) for truth in truths)
         self.starts, self.scored = tuple(starts), of_a.scored & of_b.scored
         result.converged = self.far(of_a.tracks, of_b.tracks)
-        unsure = [max(t.error, self._allowed(t.settings.accuracy)) for t in (of_a, of_b)]
-        result.unsure = sum(unsure)
+        uncertainty = [max(t.error, self._allowed(t.settings.accuracy)) for t in (of_a, of_b)]
+        result.uncertainty = sum(uncertainty)
         result.errors = tuple(
             study.score(SHIPPED, study.tracks([SHIPPED], starts)[0], truth).error
             for study, truth in zip(studies, (of_a, of_b), strict=True)
         )
-        self.truth, self.base, self.error = of_a, of_a.change, unsure[0]
+        self.truth, self.base, self.error = of_a, of_a.change, uncertainty[0]
         self._measure()
 
     def _attributed(
@@ -328,8 +328,9 @@ def _common_bodies(a: Matter, b: Matter, names: tuple[Names, Names]) -> tuple[Ma
     kept = [k for k, body in enumerate(a.moving) if body in at]
     if not kept:
         raise ValueError("no moving body has the same name in both models")
-    ipos, gyration, moving = a.ipos[kept], a.gyration[kept], [a.moving[k] for k in kept]
-    return Matter(moving, ipos, gyration), Matter([at[k] for k in moving], ipos, gyration)
+    moving = [a.moving[k] for k in kept]
+    matter = a.ipos[kept], a.gyration[kept], a.mass[kept]
+    return Matter(moving, *matter), Matter([at[k] for k in moving], *matter)
 
 
 def _for_counterpart(

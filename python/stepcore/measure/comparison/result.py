@@ -86,7 +86,7 @@ class Comparison(Result):
     models: the effects of changes of the model on the converged motion; None without any.
     numerical: the effects of numerical settings on the motion as shipped; None without any.
     distance: between A and B as shipped, in the worst start [m]; inf if one fails; NaN if not run.
-    converged: between their converged motions [m]; NaN if unknown. unsure: its uncertainty [m].
+    converged: between their converged motions [m]; NaN if unknown. uncertainty: of it [m].
     errors: the integration errors of A and of B as shipped [m]; NaN if unknown.
     unexplained: the distance between A with all differences and B, as shipped [m].
     failures: why A and B fail as shipped; "" if they do not. starts: the number of starts.
@@ -111,7 +111,7 @@ class Comparison(Result):
     numerical: Attribution | None = None
     distance: float = math.nan
     converged: float = math.nan
-    unsure: float = math.nan
+    uncertainty: float = math.nan
     errors: tuple[float, ...] = (math.nan, math.nan)
     unexplained: float = math.nan
     failures: tuple[str, str] = ("", "")
@@ -170,7 +170,7 @@ class Comparison(Result):
             "other": self.other,
             "distance": self.distance,
             "converged": self.converged,
-            "uncertainty": self.unsure,
+            "uncertainty": self.uncertainty,
             "errors": list(self.errors),
             "unexplained": self.unexplained,
             "needed": [one.path for one in self.needed],
@@ -249,7 +249,7 @@ class Comparison(Result):
         """Describe the distances of A and B, and the effects of all that does not matter."""
         said = list[str]()
         if not math.isnan(self.converged) and self.models is not None:
-            far = f"{_far(self.converged)} apart (± {metres(self.unsure)})"
+            far = f"{_far(self.converged)} apart (± {metres(self.uncertainty)})"
             said.append(f"The converged motions of A and B are {far}{_rest(self.models)}.")
         if math.isfinite(self.distance) and (self.differences or self.others):
             worst = f"in the worst of {counted(self.starts, 'start')}"
