@@ -242,7 +242,7 @@ def test_the_help_says_how_long_a_command_takes(capsys, monkeypatch):
         assert limit == math.inf  # in tests; see conftest
         monkeypatch.setitem(deadline.SECONDS, command, 20.0)
         assert main([command, "--help"]) == 0
-        assert "(default: 20)" in capsys.readouterr().out.replace("\n", " ").replace("  ", " ")
+        assert "(default: 20)" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_long_check_says_first_what_the_file_alone_shows(capsys, clock, tmp_path):

@@ -20,7 +20,7 @@ from stepcore.experiment.choose import Proof, frontier
 from stepcore.experiment.motion import Motion, picklable
 from stepcore.experiment.predictable import until_in_words
 from stepcore.experiment.quantity import Measure
-from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.schedule import STARTS, Schedule
 from stepcore.experiment.study import EFFORT, SHIPPED
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Truth
@@ -439,7 +439,8 @@ class Trade(Result):
         return self._lacks_starts(row) or (self.target is not None and self.proof is None)
 
     def _lacks_starts(self, row: Trial) -> bool:
-        requested = 0 if self.schedule is None else len(self.schedule.indices)
+        # The schedule has held-out starts too.
+        requested = 0 if self.motion is None else self.motion.starts or STARTS
         return len(row.starts) < max(requested, self.starts)
 
     def _meets_request(self, row: Trial) -> bool:
