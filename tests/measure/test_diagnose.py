@@ -9,8 +9,8 @@ from covering import every_value, first
 
 import stepcore as sc
 from stepcore.engine.linear_maps import INTEGRATORS
-from stepcore.measure.diagnosis.linear import Held
-from stepcore.measure.diagnosis.running import State, with_converged_rows
+from stepcore.experiment.engines import Stepcore
+from stepcore.measure.diagnosis.linear import Held, State
 
 # Runs beyond their limits are what these tests make.
 pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
@@ -53,7 +53,7 @@ def test_rates_are_those_of_the_motion():
     rod = scene.add_body("rod")
     scene.add_joint(rod, "hinge", axis=(0, 1, 0))
     scene.add_geom(rod, "sphere", 0.1, pos=(0, 0, 0.5), mass=2.0)
-    model = with_converged_rows(scene.compile())
+    model = Stepcore(scene.compile()).converged().model
     omega = math.sqrt(2.0 * 9.81 * 0.5 / (2.0 * 0.25 + 0.4 * 2.0 * 0.01))
     for angle, expected in ((0.0, [-omega, omega]), (math.pi, [-1j * omega, 1j * omega])):
         still = np.zeros(1), np.zeros(0), np.zeros(0)

@@ -74,7 +74,7 @@ def test_a_limit_is_stated_only_after_it_was_found(monkeypatch, measure):
 
 def test_the_limit_of_a_step_that_fails_is_found_first(monkeypatch):
     """The arm of a public question: 13.5 µs under euler, in fewer than 30 runs."""
-    from stepcore.measure.diagnosis.running import Motions
+    from stepcore.experiment.pairs import Motions
 
     own, count = Motions.pair, itertools.count(1)
     monkeypatch.setattr(Motions, "pair", lambda *a, **k: (next(count), own(*a, **k))[1])

@@ -11,7 +11,7 @@ import copy
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Self
@@ -23,7 +23,7 @@ from stepcore.checks import one_line
 from stepcore.engine.control import Control, ControlError
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.follow import COUNTED, Followed, follow
-from stepcore.engine.linear_maps import STAGED
+from stepcore.engine.linear_maps import INTEGRATORS, STAGED
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter, Tracks
 from stepcore.engine.run_settings import converged_settings
@@ -35,6 +35,7 @@ from stepcore.experiment.elements import Elements, Source, contact_forces, eleme
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
 from stepcore.experiment.sizes import scene_size
+from stepcore.report.units import seconds
 
 # A run has failed if a body is this many sizes of the scene away from its start. A distance of a
 # few sizes is reported as an error; at a hundred, bodies have left the modelled scene.
@@ -49,6 +50,8 @@ ON_VELOCITIES = ("rk4", "semi-implicit", "midpoint", "explicit")
 DEAR = 5e9
 # Numbers of sweeps that are tried.
 SWEEPS = (2, 8, 30)
+# The arrays of a `Recording`.
+RECORDED = ("qpos", "qvel", "act", "ctrl", "energy", "actuator_force")
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,29 @@ class Way:
     fixed: bool = True
 
 
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A run, recorded to be judged.
+
+    times: of the samples [s], (n + 1,); the first is 0. arrays: the arrays `RECORDED` at the
+    samples, (n + 1, …), NaN after a failure; "energy" has kinetic and potential energy [J].
+    failure: why the run ended early, "" if it did not. reached: the simulated time [s].
+    """
+
+    times: np.ndarray
+    arrays: dict[str, np.ndarray]
+    failure: str
+    reached: float
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.arrays[name]
+
+    @property
+    def last(self) -> Start:
+        """The state of the last sample."""
+        return Start(*(self.arrays[name][-1] for name in ("qpos", "qvel", "act")))
+
+
 class Engine(ABC):
     """Base class of the engines, each of which runs changes of one scene.
 
@@ -71,8 +97,9 @@ class Engine(ABC):
     stepcore has no model of it; else "".
     shipped: the settings of the scene. dt: its time step [s]. nv: the number of dofs.
     matter: the moving bodies. coordinates: of the states. size: the size of the scene [m].
-    gravity: [m/s²]. nearby: the perturbation of a state whose growth is measured, relative to the
-    size or in radians.
+    gravity: [m/s²]. integrators: their names. force_ranges: of the actuators, (nu, 2).
+    nearby: the perturbation of a state whose growth is measured, relative to the size or in
+    radians.
     """
 
     nearby = 1e-10
@@ -89,6 +116,8 @@ class Engine(ABC):
     nv: int
     size: float
     gravity: float
+    integrators: tuple[str, ...]
+    force_ranges: np.ndarray
 
     def __init__(self, model: Model | None, refusal: str = "") -> None:
         self._model, self.refusal = model, refusal
@@ -110,6 +139,10 @@ class Engine(ABC):
         if self._model is None:
             raise ValueError(f"stepcore cannot load this scene: {self.refusal}")
         return self._model
+
+    def of(self, change: Change) -> Model:
+        """Return stepcore's changed model; ValueError if there is none."""
+        return change.of(self.model)
 
     @property
     def dt(self) -> float:
@@ -186,6 +219,54 @@ class Engine(ABC):
         first: 0 for tracks that have the start itself before the samples of the schedule.
         """
 
+    # --- runs that are judged: see `stepcore.experiment.pairs` ------------------------------------
+
+    @abstractmethod
+    def converged(self) -> Engine:
+        """Return the engine with rows solved to rounding, fixed steps, and without sleep.
+
+        The largest stable step then belongs to the integrator alone, without the effects of an
+        unfinished solve.
+        """
+
+    @abstractmethod
+    def changed(self, change: Change) -> Engine:
+        """Return the engine of the changed scene."""
+
+    def driven(self, schedule: Schedule) -> Engine:
+        """Return the engine of the scene with the servos that the controls need."""
+        return self.changed(schedule.change) if schedule.controls.servos else self
+
+    def finest(self, schedule: Schedule) -> Change:
+        """Return the integrator of a converged motion at short steps."""
+        return Change(integrator="implicitfast")
+
+    @abstractmethod
+    def record(
+        self,
+        change: Change,
+        start: Start,
+        steps: int,
+        every: int,
+        drive: Mapping[str, Any],
+        bound: float,
+    ) -> Recording:
+        """Run a change from a start, and record it in every so many steps.
+
+        drive: the arguments ctrl, hold and control of `follow`. bound: the largest distance of a
+        body from its start [m]. Raises ValueError or SimulationError if no step can be made.
+        """
+
+    @abstractmethod
+    def inertia(self, start: Start) -> np.ndarray:
+        """Return the diagonal of the mass matrix at a start, (nv,)."""
+
+    @abstractmethod
+    def operations_at(self, start: Start, ctrl: np.ndarray | None = None) -> float:
+        """Return the operations of a step at a state; 0 if none can be made."""
+
+    # --- truths and candidates --------------------------------------------------------------------
+
     @abstractmethod
     def ways(self, schedule: Schedule, goal: float) -> list[Way]:
         """Return methods for the converged motion; goal: its target uncertainty [m]."""
@@ -229,7 +310,10 @@ class Stepcore(Engine):
         super().__init__(model)
         self.title, self.shipped = model.scene.name or "scene", model.settings
         self.matter, self.coordinates, self.nv = Matter.of(model), Coordinates(model), model.nv
-        self.size, self.gravity = scene_size(model.scene), math.hypot(*model.scene.gravity)
+        self.size, self.gravity = scene_size(model.scene), 0.0
+        if model.scene.features.gravity:
+            self.gravity = math.hypot(*model.scene.gravity)
+        self.integrators, self.force_ranges = INTEGRATORS, model.actuator_forcerange
         self._models: dict[Change, Model] = {}
         self._looks: list[tuple[np.ndarray, ...]] = []
         self._evaluations: dict[Change, float] = {}
@@ -367,6 +451,48 @@ class Stepcore(Engine):
         most = often * model.settings.dt / schedule.horizon
         ran = follow(model, starts, 1, ctrl=ctrl, record=("qpos",), most=most)
         return float(np.mean(ran.inner)) if ran.failures else 0.0
+
+    def converged(self) -> Stepcore:
+        shipped = self.shipped
+        count = 200 if shipped.sweeps == "auto" else max(shipped.sweeps, 200)
+        exact = converged_settings(shipped, sweeps=count, tolerance=1e-14)
+        if shipped.sweeps == "auto":
+            exact = exact.replace(sweeps="auto")
+        return Stepcore(self.model.with_settings(exact.replace(sleep=False)))
+
+    def changed(self, change: Change) -> Stepcore:
+        return Stepcore(change.of(self.model))
+
+    def record(
+        self,
+        change: Change,
+        start: Start,
+        steps: int,
+        every: int,
+        drive: Mapping[str, Any],
+        bound: float,
+    ) -> Recording:
+        ran = follow(self.of(change), [start], steps, every, record=RECORDED, bound=bound, **drive)
+        failed = ran.failures.get(0)
+        reached = float(ran.times[-1]) if failed is None else float(failed.time)
+        # The text of the error itself would need an analysis of the last steps.
+        why = "" if failed is None else f"diverged in step {failed.step} at {seconds(reached)}"
+        return Recording(ran.times, {name: ran[name][0] for name in RECORDED}, why, reached)
+
+    def inertia(self, start: Start) -> np.ndarray:
+        sim = unwatched(Sim(self.model))
+        start.put(sim)
+        return np.diag(np.array(sim.mass_matrix()))
+
+    def operations_at(self, start: Start, ctrl: np.ndarray | None = None) -> float:
+        sim = unwatched(Sim(self.model))
+        start.put(sim)
+        if ctrl is not None:
+            sim.ctrl[:] = ctrl
+        try:
+            return float(sim.count_flops())
+        except (SimulationError, ValueError):
+            return 0.0
 
     def has_rows(self, schedule: Schedule) -> bool:
         if self._rows is None:

@@ -18,7 +18,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.control import ControlError, controls
+from stepcore.engine.control import ControlError, controls, fresh
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter, Tracks
@@ -40,7 +40,7 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import Controls, PositionTable
 from stepcore.experiment.default_motion import Asked, by_rule
 from stepcore.experiment.elements import Elements, Source, contact_force
-from stepcore.experiment.engines import Engine, Stepcore, Way, spread
+from stepcore.experiment.engines import RECORDED, Engine, Recording, Stepcore, Way, spread
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import (
     FINEST,
@@ -132,7 +132,7 @@ class MujocoSettings:
     sleep: bool
 
     # Further fields of stepcore's settings, for the words of tables.
-    accuracy = None
+    accuracy, law = None, "solref"
     precision, acceleration, tolerance = "f64", "none", 0.0
 
     @classmethod
@@ -218,7 +218,11 @@ class MuJoCo(Engine):
         extent = scene.geom_rbound.max(initial=0.0)
         extent += np.linalg.norm(scene.body_pos, axis=1).max(initial=0.0)
         self.size = scene_size(self.model.scene) if self.known else float(extent) or UNKNOWN
-        self.gravity = math.hypot(*scene.opt.gravity)
+        falls = not opt.disableflags & int(mj.mjtDisableBit.mjDSBL_GRAVITY)
+        self.gravity = math.hypot(*opt.gravity) if falls else 0.0
+        self.integrators = INTEGRATORS
+        limited = scene.actuator_forcelimited.astype(bool)[:, None]
+        self.force_ranges = np.where(limited, scene.actuator_forcerange, (-np.inf, np.inf))
         self._rows, self._looks = False, list[tuple[np.ndarray, np.ndarray]]()
         self._free, self._lock = list[_World](), threading.Lock()
 
@@ -334,6 +338,83 @@ class MuJoCo(Engine):
                 read[ends[-1]] = world.readings(self.sources)
         return states, played, read, ""
 
+    def converged(self) -> MuJoCo:
+        exact = {"solver": "newton", "sweeps": 200, "cost_tolerance": 1e-15, "sleep": False}
+        return self.changed(self._change(**exact))
+
+    def changed(self, change: Change) -> MuJoCo:
+        engine = copy.copy(self)
+        engine.scene = _changed(self.scene, change.physics)
+        self.settings(change).put(engine.scene.opt)
+        engine.shipped = MujocoSettings.of(engine.scene.opt)
+        engine._free, engine._lock, engine._counts = [], threading.Lock(), {}
+        if self.known:
+            engine._model = change.physics.of(self.model)
+        return engine
+
+    def finest(self, schedule: Schedule) -> Change:
+        return Change(integrator=self.ways(schedule, self.size)[0].name)
+
+    def record(
+        self,
+        change: Change,
+        start: Start,
+        steps: int,
+        every: int,
+        drive: Mapping[str, Any],
+        bound: float,
+    ) -> Recording:
+        dt, function, hold = float(self.settings(change).dt), drive.get("control"), drive["hold"]
+        table = None if drive.get("ctrl") is None else drive["ctrl"][0]
+        if function is not None:
+            function, shown = fresh(function), unwatched(Sim(self.model))
+            start.put(shown)
+        samples, done, failure = list[dict[str, np.ndarray]](), 0, ""
+        with self._world(change) as world:
+            world.begin(start)
+            data, samples = world.data, [world.sample()]
+            home = data.xpos.copy()
+            while done < steps and not failure:
+                if function is not None and done % hold == 0:
+                    shown.qpos, shown.qvel, shown.time = data.qpos, data.qvel, done * dt
+                    shown.forward()
+                    data.ctrl[:] = controls(function, shown)
+                elif table is not None:
+                    data.ctrl[:] = table[min(done // hold, len(table) - 1)]
+                # Until the next sample, or the next row of controls.
+                ahead = every - done % every
+                if function is not None or (table is not None and done < hold * len(table)):
+                    ahead = min(ahead, hold - done % hold)
+                checkpoint()
+                failure, done = world.advance(ahead), done + ahead
+                if not failure and done % every == 0:
+                    samples.append(world.sample())
+                    if np.abs(data.xpos - home).max() > bound:
+                        failure = f"a body is more than {bound:.3g} m from its start"
+        arrays = {name: np.array([sample[name] for sample in samples]) for name in RECORDED}
+        missing = steps // every + 1 - len(samples)
+        for name, values in arrays.items():
+            arrays[name] = np.pad(values, ((0, missing), (0, 0)), constant_values=np.nan)
+        why = f"{failure} at {done * dt:.4g} s" if failure else ""
+        return Recording(every * dt * np.arange(len(arrays["qpos"])), arrays, why, done * dt)
+
+    def inertia(self, start: Start) -> np.ndarray:
+        with self._world(Change()) as world:
+            world.begin(start)
+            mujoco().mj_forward(world.model, world.data)
+            column, diagonal = np.zeros(self.nv), np.zeros(self.nv)
+            for k, unit in enumerate(np.eye(self.nv)):
+                mujoco().mj_mulM(world.model, world.data, column, unit)
+                diagonal[k] = column[k]
+        return diagonal
+
+    def operations_at(self, start: Start, ctrl: np.ndarray | None = None) -> float:
+        with self._world(Change()) as world:
+            state, row = world.begin(start), np.zeros(self.scene.nu)
+            # The second step is warm-started from the first one's forces.
+            world.roll(state, np.stack(2 * [row if ctrl is None else ctrl]))
+            return operations(world.model, world.data)
+
     def _counted(self, change: Change, schedule: Schedule) -> float:
         """Estimate the operations of a step from the counts that MuJoCo reports: `operations`."""
         if not self._looks:
@@ -417,6 +498,8 @@ class _World:
 
     def __init__(self, physics: Change, model: Any) -> None:
         self.physics, self.model, self.data = physics, model, mujoco().MjData(model)
+        codes = {name: int(getattr(mujoco().mjtWarning, f"mjWARN_{name}")) for name in WARNINGS}
+        self.warnings = [(codes[name], text) for name, text in WARNINGS.items()]
         kinds = mujoco().mjtState
         self.state = kinds.mjSTATE_FULLPHYSICS
         self.inputs = int(kinds.mjSTATE_CTRL)
@@ -460,12 +543,25 @@ class _World:
             )
         except mujoco().FatalError as error:
             raise ValueError(checks.one_line(error)) from None
-        kinds, count = mujoco().mjtWarning, self.data.warning
-        warned = (w for w in WARNINGS if count[int(getattr(kinds, f"mjWARN_{w}"))].number)
-        failure = WARNINGS.get(next(warned, ""), "")
+        failure = self.warning
         # A warning ends the roll-out: the state after that step fills the rest.
         last = int(np.argmax(made[0, :, 0] >= made[0, -1, 0])) if failure else len(ctrl)
         return made[0, :last], failure
+
+    @property
+    def warning(self) -> str:
+        """The reason of a warning that ends a run; "" without one."""
+        counts = self.data.warning
+        return next((text for k, text in self.warnings if counts[k].number), "")
+
+    def advance(self, steps: int) -> str:
+        """Make steps under the present controls; return why they fail, or ""."""
+        try:
+            mujoco().mj_step(self.model, self.data, steps)
+        except mujoco().FatalError as error:
+            raise ValueError(checks.one_line(error)) from None
+        finite = np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all()
+        return self.warning if finite else self.warning or WARNINGS["BADQVEL"]
 
     def readings(self, sources: Sequence[Source]) -> np.ndarray:
         """Return readings after a step: forces are those of the step."""
@@ -489,6 +585,16 @@ class _World:
             return values[list(source.indices)].sum() if source.indices else values.ravel()
 
         return np.hstack([read(source) for source in sources])
+
+    def sample(self) -> dict[str, np.ndarray]:
+        """Return the arrays of a `Recording` after a step: forces are those of the step."""
+        mj, model, data = mujoco(), self.model, self.data
+        mj.mj_fwdPosition(model, data)
+        mj.mj_energyPos(model, data)
+        mj.mj_energyVel(model, data)
+        arrays = {name: np.array(getattr(data, name)) for name in RECORDED}
+        # MuJoCo has the potential energy first.
+        return arrays | {"energy": data.energy[::-1].copy()}
 
     def frames(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the places and orientations of all bodies in some states."""

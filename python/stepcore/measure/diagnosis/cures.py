@@ -22,8 +22,10 @@ from stepcore._core import SimulationError
 from stepcore.engine.element import EQUALITIES, Element, Elements, SceneField
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
+from stepcore.experiment.judge import Judge
+from stepcore.experiment.pairs import Loop
 from stepcore.measure.diagnosis.limits import FAILS, FINE, HOLDS, STEP, Limit, run_limit
-from stepcore.measure.diagnosis.linear import Held, bisected, solref_of
+from stepcore.measure.diagnosis.linear import Held, State, bisected, solref_of
 from stepcore.measure.diagnosis.naming import (
     Figures,
     Knob,
@@ -33,7 +35,6 @@ from stepcore.measure.diagnosis.naming import (
     path_of,
     scaled,
 )
-from stepcore.measure.diagnosis.running import Judge, Loop, State
 from stepcore.report.units import rounded, seconds, unit_of
 from stepcore.scene.layout import Layout
 

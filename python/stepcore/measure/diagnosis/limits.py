@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from stepcore.experiment.change import Change
+from stepcore.experiment.judge import Judge
+from stepcore.experiment.pairs import LONGEST, SHORTEST, Loop
 from stepcore.measure.diagnosis.linear import Held, bisected
-from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Judge, Loop
 
 # The shares of a limit at which the run is stable, and at which it fails; limits that differ by
 # less than the ratio STEP count as one.

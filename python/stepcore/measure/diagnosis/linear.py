@@ -15,7 +15,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,11 +25,12 @@ from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.element import EQUALITIES, FRICTION_LOSSES, ROWS, Element
 from stepcore.engine.model import Model
+from stepcore.engine.pitfalls import unwarned
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.stiffness import slack_lengths
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
-from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Motions, Pair, State
+from stepcore.experiment.pairs import LONGEST, SHORTEST, Motions, Pair
 from stepcore.scene.frames import Vec
 
 DAMPED, FASTER, PER_RADIAN = 1e-3, 1.5, 0.05
@@ -46,6 +49,43 @@ NAMED = ("spring", "damper", "actuator", "tendon spring", "tendon damper", "spin
 VELOCITY_LAWS = ("lesson", "relaxed", "rigid")
 # The most states along a motion, and the most dofs of all these states.
 STATES, DOFS = 6, 200
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A state of the motion, at which the step is linearised.
+
+    label: its place in the motion. time: [s]. qpos, qvel, ctrl, act: as in a Sim.
+    rows: the elements whose rows act there, and under the law `penalty` the contacts that overlap.
+    """
+
+    label: str
+    time: float
+    qpos: Floats
+    qvel: Floats
+    ctrl: Floats
+    act: Floats
+    rows: tuple[Element, ...] = ()
+
+    @classmethod
+    def of(cls, label: str, time: float, arrays: Iterable[Any]) -> State:
+        qpos, qvel, ctrl, act = (np.array(array) for array in arrays)
+        return cls(label, time, qpos, qvel, ctrl, act)
+
+    @classmethod
+    def first(cls, motions: Motions) -> State:
+        """Return the start of a motion, under its first controls."""
+        start, ctrl = motions.starts[0], motions.first_ctrl()
+        sim = unwatched(Sim(motions.of(Change())))
+        start.put(sim)
+        return cls.of("the start", 0.0, (sim.qpos, sim.qvel, ctrl, sim.act))
+
+    def sim(self, model: Model) -> Sim:
+        """Return a Sim of a model in this state."""
+        sim = unwatched(Sim(unwarned(model)))
+        sim.qpos[:], sim.qvel[:], sim.ctrl[:] = self.qpos, self.qvel, self.ctrl
+        sim.act[:] = self.act
+        return sim
 
 
 def acting(sim: Sim) -> list[tuple[str, int]]:
@@ -77,9 +117,9 @@ def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
     model, seen, rows = motions.of(Change()), list[int](), list[list[tuple[str, int]]]()
     sets, slack = dict[frozenset[tuple[str, int]], int](), slack_lengths(model)
     sim = unwatched(Sim(model))
-    for k in np.flatnonzero(np.isfinite(ran["qvel"][0]).all(axis=-1)).tolist():
+    for k in np.flatnonzero(np.isfinite(ran["qvel"]).all(axis=-1)).tolist():
         for name in ("qpos", "qvel", "ctrl", "act"):
-            getattr(sim, name)[:] = ran[name][0, k] if k else getattr(start, name)
+            getattr(sim, name)[:] = ran[name][k] if k else getattr(start, name)
         try:
             sim.forward()
         except SimulationError:
@@ -101,7 +141,7 @@ def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
     def state(n: int) -> State:
         k = seen[n]
         time = float(ran.times[k])
-        own = (ran[name][0, k] for name in ("qpos", "qvel", "ctrl", "act"))
+        own = (ran[name][k] for name in ("qpos", "qvel", "ctrl", "act"))
         at = State.of(f"t = {time:.3g} s", time, own) if k else start
         return dataclasses.replace(at, rows=tuple(Element.of(model, *one) for one in rows[n]))
 

@@ -14,6 +14,8 @@ from stepcore._core import SimulationError
 from stepcore.engine.element import FRICTION_LOSSES, OVERRIDE, ROWS, Element, SceneField
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
+from stepcore.experiment.judge import Judge
+from stepcore.experiment.pairs import LONGEST, SHORTEST, Loop
 from stepcore.measure.diagnosis.limits import FAILS
 from stepcore.measure.diagnosis.linear import (
     NAMED,
@@ -22,7 +24,6 @@ from stepcore.measure.diagnosis.linear import (
     shares,
     softened_from,
 )
-from stepcore.measure.diagnosis.running import LONGEST, SHORTEST, Judge, Loop
 from stepcore.scene.layout import Layout
 
 # The factor that multiplies the strength of a softened element.

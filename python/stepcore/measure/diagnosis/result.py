@@ -19,13 +19,14 @@ from stepcore.engine.element import (
     Elements,
     listed,
 )
+from stepcore.experiment.judge import Outcome, Runaway
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.pairs import AMPLE, SHORTEST, Pair
 from stepcore.measure.diagnosis.cures import MARGIN, Advice
 from stepcore.measure.diagnosis.inner_steps import InnerSteps
 from stepcore.measure.diagnosis.limits import HOLDS, STEP, Limit
-from stepcore.measure.diagnosis.linear import VELOCITY_LAWS
+from stepcore.measure.diagnosis.linear import VELOCITY_LAWS, State
 from stepcore.measure.diagnosis.naming import Figures
-from stepcore.measure.diagnosis.running import AMPLE, SHORTEST, Outcome, Pair, Runaway, State
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, hertz, round_number, seconds, times
@@ -60,6 +61,7 @@ class Diagnosis(Result):
     longest_period: the longest control period at which the wanted step is stable [s], inf beyond
         the horizon; None without a control function and a control_dt.
     inner: the inner steps of a model with adaptive steps; None for others.
+    engine: the version of MuJoCo if it ran the motion; "" for stepcore.
     """
 
     kind = "diagnosis"
@@ -88,6 +90,7 @@ class Diagnosis(Result):
     confirmed: bool = True
     longest_period: float | None = None
     inner: InnerSteps | None = None
+    engine: str = ""
 
     def __post_init__(self) -> None:
         self.notes = [*self._remarks(), *self.notes]
@@ -413,7 +416,7 @@ class Diagnosis(Result):
         elif failed:
             left = f" ({len(failed)} tried, {len(self.untried)} not tried)" * bool(self.untried)
             yield f"No change that was tried makes {wanted} stable{left}."
-        else:
+        elif not self.engine:
             yield f"Which changes make {wanted} stable is not known: none was run."
         if failed:
             yield f"Tried without success: {', '.join(failed)}."
@@ -425,7 +428,7 @@ class Diagnosis(Result):
 
     def _remarks(self) -> Iterator[str]:
         fine, limit = self.covered, self.own
-        labels = ", ".join(state.label for state in self.states)
+        labels = ", ".join(state.label for state in self.states) or "no state"
         if fine.dt >= limit.shortest:
             yield (
                 f"compared with runs at dt {seconds(fine.dt)} under implicitfast, "
