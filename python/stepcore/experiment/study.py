@@ -22,9 +22,11 @@ from stepcore.experiment.answer import Answer
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, check_repeatable
+from stepcore.experiment.judge import Judge
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import engine_of
+from stepcore.experiment.pairs import Motions
 from stepcore.experiment.price import OPERATION, OVERHEAD, computing_time
 from stepcore.experiment.quantity import Measure, Quantity
 from stepcore.experiment.schedule import STARTS, Schedule, check_divide, time_steps
@@ -354,6 +356,7 @@ class Study:
         starts: Sequence[int] | None = None,
         error: float | str | None = None,
         bar: str | None = None,
+        stability: bool = False,
     ) -> Trial: ...
     @overload
     def run(
@@ -362,6 +365,7 @@ class Study:
         starts: Sequence[int] | None = None,
         error: float | str | None = None,
         bar: str | None = None,
+        stability: bool = False,
     ) -> list[Trial]: ...
     def run(
         self,
@@ -369,6 +373,7 @@ class Study:
         starts: Sequence[int] | None = None,
         error: float | str | None = None,
         bar: str | None = None,
+        stability: bool = False,
     ) -> Trial | list[Trial]:
         """Run changes from some starts, and score each against its converged motion.
 
@@ -381,13 +386,16 @@ class Study:
         error: the error in question: metres, "1mm", or "0.1%" of the scene's size; of another
             quantity "2N", or "1%" of its range. A tenth of it is the target uncertainty of the
             converged motion.
+        stability: whether to judge stability, too, by longer runs from the first start, one of
+            them perturbed: `Trial.energy`, `growth`, `chatter`, and `failure` if a run gains
+            energy, its perturbation grows, or it chatters.
 
         Raises ValueError before anything runs for a change that the scene or the engine does not
         have, with the nearest names, and for a step that does not divide the control period, with
         the nearest steps. Raises ValueError if no converged motion can be run.
         """
         if isinstance(changes, Change):
-            return self.run([changes], starts, error, bar)[0]
+            return self.run([changes], starts, error, bar, stability)[0]
         if error is not None:
             error = self.error_of("run", error)
         for start in starts or ():
@@ -400,10 +408,29 @@ class Study:
                 self.steps(change)
                 self.engine.compile(change, self.schedule)
         made = zip(changes, self.tracks(changes, starts, bar), strict=True)
-        return [
+        trials = [
             self.score(change, tracks, self.truth(error, starts, change.physics))
             for change, tracks in made
         ]
+        return [self._judged(trial) for trial in trials] if stability else trials
+
+    @cached_property
+    def judge(self) -> Judge:
+        """The judge of stability: the motion from the first start at a short step, rows converged.
+
+        `Judge.outcome(change, dt)` is the outcome at any step, also one that does not divide the
+        control period.
+        """
+        period = None if self.schedule.control is None else self.schedule.period
+        of_motion = self.schedule.part(0, 1), self.size, self.engine.dt, period
+        motions = Motions(self.engine.converged(), *of_motion)
+        # The shipped step may be beyond the limit, but rarely by a factor of 4.
+        return Judge.of(motions, self.engine.dt / 4, smooth=True)
+
+    def _judged(self, trial: Trial) -> Trial:
+        outcome = self.judge.outcome(trial.change, trial.dt)
+        failure = trial.failure or outcome.failure
+        return dataclasses.replace(trial, stability=outcome, failure=failure)
 
     def score(self, change: Change, tracks: Tracks, truth: Truth) -> Trial:
         """Score runs against a converged motion from the same starts."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from stepcore.engine.norm import Tracks
 from stepcore.experiment.change import Change
 from stepcore.experiment.quantity import Measure
 from stepcore.report.units import metres
+
+if TYPE_CHECKING:
+    from stepcore.experiment.judge import Outcome
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +39,8 @@ class Trial:
     modelled: the modelling error of every start, the distance of the changed model's converged
         motion from the scene's, (starts,); None for a change of settings alone.
     measure: the quantity whose error it is.
+    stability: the outcome of a longer run and of a perturbed one, from the first start; None unless
+        `Study.run` was called with ``stability=True``. An unstable run counts as failed.
     """
 
     change: Change
@@ -50,6 +55,28 @@ class Trial:
     tracks: Tracks | None = field(default=None, repr=False)
     modelled: np.ndarray | None = None
     measure: Measure | None = field(default=None, repr=False)
+    stability: Outcome | None = None
+
+    @property
+    def energy(self) -> float:
+        """The largest kinetic energy relative to the converged motion's; NaN without `stability`.
+
+        Of a converged motion that rests, the energy of a slow motion counts.
+        """
+        return math.nan if self.stability is None else self.stability.energy
+
+    @property
+    def growth(self) -> float:
+        """The distance of a perturbed run towards the end, relative to the converged motion's.
+
+        It is NaN without `stability`.
+        """
+        return math.nan if self.stability is None else self.stability.growth
+
+    @property
+    def chatter(self) -> bool:
+        """Whether forces of actuators jump between bounds; False without `stability`."""
+        return self.stability is not None and self.stability.kind == "chatters"
 
     def words(self, error: float) -> str:
         """Format an error in the unit of the quantity."""
@@ -135,4 +162,5 @@ class Trial:
             "work": self.work,
             "cost": self.cost,
             "failure": self.failure or None,
+            **({} if self.stability is None else {"stability": vars(self.stability)}),
         }
