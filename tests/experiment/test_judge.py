@@ -82,7 +82,7 @@ def test_both_engines_chatter_above_the_closed_form_of_a_bounded_servo(engine, i
     """The run without stability does not fail: a force range bounds its motion."""
     study = Study(sc.loads(stiff.damped_servo()), "hold", engine=engine, horizon=0.1)
     limit, change = factor / stiff.POLE, Change(integrator=integrator)
-    stable, unstable = (study.judge.outcome(change, part * limit) for part in (0.97, 1.05))
+    stable, unstable = (study.judge().outcome(change, part * limit) for part in (0.97, 1.05))
     assert stable.holds and unstable.kind in ("chatters", "gains energy", "grows")
 
 
@@ -97,6 +97,15 @@ def test_a_trial_has_the_stability_that_was_requested():
     assert judged.record()["stability"]["kind"] == judged.stability.kind
     calm = study.run(Change(dt=0.01 / 10_000), stability=True)
     assert calm.stability.holds and not calm.failure
+
+
+def test_a_change_of_the_physics_is_judged_against_its_converged_motion():
+    """A spring 200 times as stiff has more energy, and the limit 2/ω of its closed form."""
+    study = Study(sc.lesson.spring(), horizon=0.48, starts=2)
+    stiffer, limit = Change({"joint/spring/stiffness": 2e4}), 2 / math.sqrt(2e4)
+    outcomes = [study.judge(stiffer).outcome(Change(), part * limit) for part in (0.96, 1.04)]
+    assert [outcome.holds for outcome in outcomes] == [True, False]
+    assert study.run(stiffer.also(Change(dt=0.005)), stability=True).stability.holds
 
 
 def test_diagnose_finds_limits_of_mujoco():

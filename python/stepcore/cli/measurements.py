@@ -281,7 +281,7 @@ MEASUREMENTS = {
     "diagnose": Measurement(
         "diagnosis",
         "gymnasium:half_cheetah --dt 0.01",
-        {"dt": "S", "integrators": {"flags": ("--integrator",), **NAMES}},
+        {"dt": "S", "integrators": {"flags": ("--integrator",), **NAMES}, "engine": ENGINE},
         full="print every element on its own",
         warn=False,
     ),

@@ -313,7 +313,7 @@ class Stepcore(Engine):
         self.size, self.gravity = scene_size(model.scene), 0.0
         if model.scene.features.gravity:
             self.gravity = math.hypot(*model.scene.gravity)
-        self.integrators, self.force_ranges = INTEGRATORS, model.actuator_forcerange
+        self.integrators, self.force_ranges = tuple(INTEGRATORS), model.actuator_forcerange
         self._models: dict[Change, Model] = {}
         self._looks: list[tuple[np.ndarray, ...]] = []
         self._evaluations: dict[Change, float] = {}

@@ -114,6 +114,7 @@ class Study:
         # Adaptive runs aborted after too many force evaluations.
         self._given_up: set[Change] = set()
         self._truths: dict[Change, Converging] = {}
+        self._judges: dict[Change, Judge] = {}
         self._blocks, self._dearer = 0, 1.0
         if self.schedule.control is not None:
             check_repeatable(self.model, self.schedule, self.schedule.control)
@@ -414,23 +415,30 @@ class Study:
         ]
         return [self._judged(trial) for trial in trials] if stability else trials
 
-    @cached_property
-    def judge(self) -> Judge:
-        """The judge of stability: the motion from the first start at a short step, rows converged.
+    def judge(self, physics: Change = SHIPPED) -> Judge:
+        """Return the judge of stability: the motion from the first start, at a short step.
 
-        `Judge.outcome(change, dt)` is the outcome at any step, also one that does not divide the
-        control period.
+        Its rows are solved to rounding. `Judge.outcome(settings, dt)` is the outcome of any step,
+        also of one that does not divide the control period.
+
+        physics: the change of the modelled physics.
         """
-        period = None if self.schedule.control is None else self.schedule.period
-        of_motion = self.schedule.part(0, 1), self.size, self.engine.dt, period
-        motions = Motions(self.engine.converged(), *of_motion)
-        # The shipped step may be beyond the limit, but rarely by a factor of 4.
-        return Judge.of(motions, self.engine.dt / 4, smooth=True)
+        if physics not in self._judges:
+            period = None if self.schedule.control is None else self.schedule.period
+            engine = self.engine.converged()
+            engine = engine if physics == SHIPPED else engine.changed(physics)
+            motions = Motions(engine, self.schedule.part(0, 1), self.size, self.engine.dt, period)
+            # The shipped step may be beyond the limit, but rarely by a factor of 4.
+            self._judges[physics] = Judge.of(motions, self.engine.dt / 4, smooth=True)
+        return self._judges[physics]
 
     def _judged(self, trial: Trial) -> Trial:
-        outcome = self.judge.outcome(trial.change, trial.dt)
-        failure = trial.failure or outcome.failure
-        return dataclasses.replace(trial, stability=outcome, failure=failure)
+        """Return a trial with its stability, judged against the changed model's motion."""
+        settings = Change(**dict(trial.change.settings))
+        outcome = self.judge(trial.change.physics).outcome(settings, trial.dt)
+        return dataclasses.replace(
+            trial, stability=outcome, failure=trial.failure or outcome.failure
+        )
 
     def score(self, change: Change, tracks: Tracks, truth: Truth) -> Trial:
         """Score runs against a converged motion from the same starts."""

@@ -11,7 +11,6 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.element import Element
-from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
@@ -173,7 +172,7 @@ def _able(study: Study) -> Sequence[str]:
     """Return the integrators that the engine can run."""
     engine = study.engine
     if not engine.version:
-        return INTEGRATORS
+        return engine.integrators
     changes = {name: Change(integrator=name) for name in engine.integrators}
     return [n for n, change in changes.items() if math.isfinite(study.work(change))]
 
