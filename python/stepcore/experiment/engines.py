@@ -11,7 +11,7 @@ import copy
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Self
@@ -88,6 +88,22 @@ class Recording:
     def last(self) -> Start:
         """The state of the last sample."""
         return Start(*(self.arrays[name][-1] for name in ("qpos", "qvel", "act")))
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A run to be recorded, apart from its change and start.
+
+    steps, every: as in `follow`, as are ctrl, hold and control. bound: the largest distance of a
+    body from its start [m].
+    """
+
+    steps: int
+    every: int
+    bound: float
+    ctrl: np.ndarray | None = None
+    hold: int = 1
+    control: Control | None = None
 
 
 class Engine(ABC):
@@ -242,20 +258,8 @@ class Engine(ABC):
         return Change(integrator="implicitfast")
 
     @abstractmethod
-    def record(
-        self,
-        change: Change,
-        start: Start,
-        steps: int,
-        every: int,
-        drive: Mapping[str, Any],
-        bound: float,
-    ) -> Recording:
-        """Run a change from a start, and record it in every so many steps.
-
-        drive: the arguments ctrl, hold and control of `follow`. bound: the largest distance of a
-        body from its start [m]. Raises ValueError or SimulationError if no step can be made.
-        """
+    def record(self, change: Change, start: Start, course: Course) -> Recording:
+        """Record a run of a change; ValueError or SimulationError if no step can be made."""
 
     @abstractmethod
     def inertia(self, start: Start) -> np.ndarray:
@@ -463,16 +467,8 @@ class Stepcore(Engine):
     def changed(self, change: Change) -> Stepcore:
         return Stepcore(change.of(self.model))
 
-    def record(
-        self,
-        change: Change,
-        start: Start,
-        steps: int,
-        every: int,
-        drive: Mapping[str, Any],
-        bound: float,
-    ) -> Recording:
-        ran = follow(self.of(change), [start], steps, every, record=RECORDED, bound=bound, **drive)
+    def record(self, change: Change, start: Start, course: Course) -> Recording:
+        ran = follow(self.of(change), [start], record=RECORDED, **vars(course))
         failed = ran.failures.get(0)
         reached = float(ran.times[-1]) if failed is None else float(failed.time)
         # The text of the error itself would need an analysis of the last steps.

@@ -18,7 +18,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -40,7 +40,15 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import Controls, PositionTable
 from stepcore.experiment.default_motion import Asked, by_rule
 from stepcore.experiment.elements import Elements, Source, contact_force
-from stepcore.experiment.engines import RECORDED, Engine, Recording, Stepcore, Way, spread
+from stepcore.experiment.engines import (
+    RECORDED,
+    Course,
+    Engine,
+    Recording,
+    Stepcore,
+    Way,
+    spread,
+)
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import (
     FINEST,
@@ -355,26 +363,18 @@ class MuJoCo(Engine):
     def finest(self, schedule: Schedule) -> Change:
         return Change(integrator=self.ways(schedule, self.size)[0].name)
 
-    def record(
-        self,
-        change: Change,
-        start: Start,
-        steps: int,
-        every: int,
-        drive: Mapping[str, Any],
-        bound: float,
-    ) -> Recording:
-        dt, function, hold = float(self.settings(change).dt), drive.get("control"), drive["hold"]
-        table = None if drive.get("ctrl") is None else drive["ctrl"][0]
-        if function is not None:
-            function, shown = fresh(function), unwatched(Sim(self.model))
+    def record(self, change: Change, start: Start, course: Course) -> Recording:
+        dt, every, hold = float(self.settings(change).dt), course.every, course.hold
+        table, function = None if course.ctrl is None else course.ctrl[0], None
+        if course.control is not None:
+            function, shown = fresh(course.control), unwatched(Sim(self.model))
             start.put(shown)
         samples, done, failure = list[dict[str, np.ndarray]](), 0, ""
         with self._world(change) as world:
             world.begin(start)
             data, samples = world.data, [world.sample()]
             home = data.xpos.copy()
-            while done < steps and not failure:
+            while done < course.steps and not failure:
                 if function is not None and done % hold == 0:
                     shown.qpos, shown.qvel, shown.time = data.qpos, data.qvel, done * dt
                     shown.forward()
@@ -389,10 +389,10 @@ class MuJoCo(Engine):
                 failure, done = world.advance(ahead), done + ahead
                 if not failure and done % every == 0:
                     samples.append(world.sample())
-                    if np.abs(data.xpos - home).max() > bound:
-                        failure = f"a body is more than {bound:.3g} m from its start"
+                    if np.abs(data.xpos - home).max() > course.bound:
+                        failure = f"a body is more than {course.bound:.3g} m from its start"
         arrays = {name: np.array([sample[name] for sample in samples]) for name in RECORDED}
-        missing = steps // every + 1 - len(samples)
+        missing = course.steps // every + 1 - len(samples)
         for name, values in arrays.items():
             arrays[name] = np.pad(values, ((0, missing), (0, 0)), constant_values=np.nan)
         why = f"{failure} at {done * dt:.4g} s" if failure else ""

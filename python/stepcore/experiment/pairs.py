@@ -21,7 +21,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import ControlLog, Controls
-from stepcore.experiment.engines import Engine, Recording
+from stepcore.experiment.engines import Course, Engine, Recording
 from stepcore.experiment.price import OVERHEAD
 from stepcore.experiment.schedule import SPEED, SPIN, Schedule
 
@@ -323,12 +323,12 @@ class Motions:
         count = every * math.ceil(length / every)
         ranges, sampled = self.engine.force_ranges, self.period or 0.0
         try:
-            drive = self._driven(dt, count, loop)
             far, runs = FAR * (self.size + (count * dt) ** 2), list[Recording]()
+            course = self._driven(Course(count, every, far), dt, loop)
             for start in self.starts:
                 # Run one by one: two worlds in lanes take more time, and one failure is enough.
                 at = change.also(Change(dt=dt))
-                runs.append(self.engine.record(at, start, count, every, drive, far))
+                runs.append(self.engine.record(at, start, course))
                 if runs[-1].failure:
                     break
         except ControlError:
@@ -346,12 +346,14 @@ class Motions:
         of_runs = ran.times, apart, kinetic, gained, last.failure, last.reached, ran
         return Pair(dt, *of_runs, ranges, self.floor, sampled)
 
-    def _driven(self, dt: float, count: int, loop: Loop | None) -> dict[str, Any]:
+    def _driven(self, course: Course, dt: float, loop: Loop | None) -> Course:
+        """Return a run under the controls of the motion, which then holds the last ones."""
         if self.users is None:
-            steps = min(count, max(1, math.ceil(self.horizon / dt * (1 - 1e-9))))
+            steps = min(course.steps, max(1, math.ceil(self.horizon / dt * (1 - 1e-9))))
             rows, hold = self.schedule.controls.rows([0], dt, steps)
             # The motion ends with its horizon, even if a table is longer.
-            return {"ctrl": rows if rows is None else rows[:, : -(-steps // hold)], "hold": hold}
+            rows = rows if rows is None else rows[:, : -(-steps // hold)]
+            return replace(course, ctrl=rows, hold=hold)
         loop = loop or Loop()
         period = self.period if loop.period is None else loop.period
         hold = 1 if period is None else max(1, round(period / dt))
@@ -359,7 +361,7 @@ class Motions:
         end = max(self.horizon - self.engine.dt, 0.0)
         control = UntilTheEnd(self.users, end, loop.gain, loop.frozen, usual[1], usual[0])
         control.__dict__["__wrapped__"] = self.users
-        return {"control": control, "hold": hold}
+        return replace(course, control=control, hold=hold)
 
     def falling(self, dt: float) -> float:
         """Return the kinetic energy that gravity gives all bodies in one step [J].
