@@ -100,14 +100,14 @@ def inner_steps(model: Model, schedule: Schedule) -> InnerSteps:
     dt, failure = model.settings.dt, ""
     sim = unwatched(Sim(schedule.on(model)))
     schedule.starts[0].put(sim)
-    rows, held = schedule.rows([0], dt)
+    rows, hold = schedule.rows([0], dt)
     drive = schedule.function() if rows is None else rows[0]
     count = schedule.steps(dt)
     costs, hardest = Counter[str](), dict[str, HardStep]()
     least, before, was, time = math.inf, 0, frozenset[Element](), 0.0
     steps = schedule.periods * count
     try:
-        for done in pieces(sim, steps, drive, count if rows is None else held, pauses=(1,)):
+        for done in pieces(sim, steps, drive, count if rows is None else hold, pauses=(1,)):
             checkpoint()
             if not done:
                 continue
@@ -123,7 +123,7 @@ def inner_steps(model: Model, schedule: Schedule) -> InnerSteps:
             was, time = now, sim.time
     except SimulationError as error:
         failure = one_line(error)
-    asked = model.settings.accuracy
-    assert asked is not None
+    accuracy = model.settings.accuracy
+    assert accuracy is not None
     shares = {body: cost / before for body, cost in costs.most_common()}
-    return InnerSteps(asked, dt, sim.time, before, least, shares, hardest, failure)
+    return InnerSteps(accuracy, dt, sim.time, before, least, shares, hardest, failure)

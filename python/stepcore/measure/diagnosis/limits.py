@@ -72,15 +72,15 @@ class Limit:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The steps up to which runs, and the held pose, were found to be stable [s]."""
+        """The steps up to which runs, and the pose at the end, are stable [s]."""
         ran = min(self.dt, self.longest)
         if not self.known:
             ran = self.holds if self.holds < self.fails else 0.0
-        held = min(self.held, LONGEST)
+        at_end = min(self.held, LONGEST)
         if math.isinf(self.held):
             # No limit of the held pose is shown beyond the steps that were run.
-            held = ran if ran > 0 else math.nan
-        return ran, held
+            at_end = ran if ran > 0 else math.nan
+        return ran, at_end
 
 
 def run_limit(
@@ -121,7 +121,7 @@ def run_limit(
     coarse = judge.motions.costly and judge.motions.users is None
     if limit is None:
         limit = _between(holds, good, bad, STEP if coarse else FINE)
-    return _settled(judge, change, limit, loop), longest
+    return _lowered(judge, change, limit, loop), longest
 
 
 def _lower(
@@ -176,7 +176,7 @@ def _between(holds: Callable[[float], bool], good: float, bad: float, fine: floa
     return next((x for x in tried if holds(HOLDS * x) and not holds(FAILS * x)), tried[-1])
 
 
-def _settled(judge: Judge, change: Change, limit: float, loop: Loop | None) -> float:
+def _lowered(judge: Judge, change: Change, limit: float, loop: Loop | None) -> float:
     """Return the limit, lowered until no run just below it fails."""
     while True:
         below = _below(judge, limit)
@@ -207,11 +207,11 @@ def held_limits(
     """
     last = least = states[-1].limit(integrator, near)
     limits = [math.inf] * (len(states) - 1)
-    for k, held in enumerate(states[:-1]):
+    for k, step in enumerate(states[:-1]):
         if least <= 0:
             break
         top = min(least, LONGEST)
-        if not all(held.stable(integrator, top * share) for share in (0.999, 0.5)):
-            limits[k] = held.limit(integrator, min(top, near), fine)
+        if not all(step.stable(integrator, top * share) for share in (0.999, 0.5)):
+            limits[k] = step.limit(integrator, min(top, near), fine)
             least = min(least, limits[k])
     return last, [*limits, last]

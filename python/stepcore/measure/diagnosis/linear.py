@@ -141,8 +141,8 @@ def visited(motions: Motions, fine: Pair, start: State) -> list[State]:
     def state(n: int) -> State:
         k = seen[n]
         time = float(ran.times[k])
-        own = (ran[name][k] for name in ("qpos", "qvel", "ctrl", "act"))
-        at = State.of(f"t = {time:.3g} s", time, own) if k else start
+        arrays = (ran[name][k] for name in ("qpos", "qvel", "ctrl", "act"))
+        at = State.of(f"t = {time:.3g} s", time, arrays) if k else start
         return dataclasses.replace(at, rows=tuple(Element.of(model, *one) for one in rows[n]))
 
     return [state(n) for n in sorted(list(dict.fromkeys(order))[:most])]
@@ -242,10 +242,10 @@ class Held:
         self.model = without_rows(model) if bare else model
         self.state, self.horizon = state, horizon
         self.softened = min((softened_from(model, e) for e in state.rows), default=math.inf)
-        own = self.model.with_settings(refsafe=False)
+        free = self.model.with_settings(refsafe=False)
         if model.settings.law in VELOCITY_LAWS:
-            own = without_rows(model)
-        matrix = step_matrix(own, state, "explicit", TINY)
+            free = without_rows(model)
+        matrix = step_matrix(free, state, "explicit", TINY)
         values = eigenvalues(matrix)
         if matrix is None or values is None:
             raise ValueError("the scene cannot be linearised: its accelerations are not finite")
@@ -362,15 +362,15 @@ def shares(held: Held, integrator: str, dt: float) -> dict[Element, float]:
 
 def every_element(model: Model, states: Sequence[State]) -> Iterator[Element]:
     """Yield the named elements that act at some state."""
-    known = set[Element]()
+    yielded = set[Element]()
     for state in states:
         sim = state.sim(model)
         try:
             sim.forward()
-            found = [*sim.element_slopes(), *state.rows]
+            acting_here = [*sim.element_slopes(), *state.rows]
         except (SimulationError, ValueError):
             continue
-        for element in found:
-            if element.kind in NAMED and element not in known:
-                known.add(element)
+        for element in acting_here:
+            if element.kind in NAMED and element not in yielded:
+                yielded.add(element)
                 yield element

@@ -78,18 +78,18 @@ def path_of(field: SceneField) -> str:
 @functools.lru_cache(maxsize=1024)
 def knobs(model: Model, element: Element) -> tuple[Knob, ...]:
     """Return the numbers that make an element strong, in the order kp, kv."""
-    every = [field for field in element.fields(model) if field.kind != OVERRIDE]
-    found = [
+    fields = [field for field in element.fields(model) if field.kind != OVERRIDE]
+    numbers = [
         Knob(element, field, field.name)
-        for field in every
+        for field in fields
         if field.name in STRENGTH and field.value is not None and np.any(field.value)
         if model.settings.law == "solref" or not field.name.startswith("solref")
     ]
-    bias = next((field for field in every if field.name == "biasprm"), None)
+    bias = next((field for field in fields if field.name == "biasprm"), None)
     if bias is not None and bias.value is not None:
         parts = [(part, name) for part, name in ((1, "kp"), (2, "kv")) if len(bias.value) > part]
-        found += [Knob(element, bias, name, part) for part, name in parts if bias.value[part]]
-    return tuple(found)
+        numbers += [Knob(element, bias, name, part) for part, name in parts if bias.value[part]]
+    return tuple(numbers)
 
 
 def scaled(model: Model, knob: Knob, x: float) -> dict[str, Any]:
@@ -118,18 +118,18 @@ def softened(model: Model, elements: Sequence[Element], x: float = SOFT) -> Chan
     values = dict[str, Any]()
     for element in elements:
         for knob in knobs(model, element):
-            own = scaled(model, knob, x)
+            weaker = scaled(model, knob, x)
             if knob.part >= 0 and knob.path in values:
                 # kp and kv are in one row.
                 row = list(values[knob.path])
-                row[knob.part] = own[knob.path][knob.part]
-                own[knob.path] = tuple(row)
-            values |= own
+                row[knob.part] = weaker[knob.path][knob.part]
+                weaker[knob.path] = tuple(row)
+            values |= weaker
         if element.kind in POLYNOMIALS:
             kind, name = POLYNOMIALS[element.kind]
-            more = SceneField.of(Layout(model.scene), kind, element.index, name)
-            if np.any(more.value):
-                values[path_of(more)] = tuple((x * np.asarray(more.value)).tolist())
+            further = SceneField.of(Layout(model.scene), kind, element.index, name)
+            if np.any(further.value):
+                values[path_of(further)] = tuple((x * np.asarray(further.value)).tolist())
     settings = dict[str, Any]()
     if model.settings.law == "penalty" and any(e.kind == "contact" for e in elements):
         settings["penalty_stiffness"] = x * model.settings.penalty_stiffness
@@ -142,8 +142,8 @@ def linear_limiters(model: Model, held: Held, integrator: str, limit: float) -> 
     limit: the limit of this state [s].
     """
     beyond = min(max(limit, SHORTEST), LONGEST)
-    own = shares(held, integrator, 1.05 * beyond)
-    if not own:
+    by_element = shares(held, integrator, 1.05 * beyond)
+    if not by_element:
         return ()
     rises = dict[tuple[Element, ...], float]()
 
@@ -152,9 +152,9 @@ def linear_limiters(model: Model, held: Held, integrator: str, limit: float) -> 
             rises[group] = _rise(model, held, integrator, beyond, group)
         return rises[group]
 
-    likely = [element for element, share in own.items() if share > SHARE]
+    likely = [element for element, share in by_element.items() if share > SHARE]
     best = max(likely, key=lambda element: rise((element,)))
-    group = equals(model, best, own)
+    group = equals(model, best, by_element)
     if rise((best,)) < ALONE and len(group) > 1 and rise(group) >= ALONE:
         return group
     if rise((best,)) > 1.02:
@@ -183,7 +183,7 @@ def _rise(
     return bisected(lambda dt: softer.stable(integrator, dt), FAILS * limit, top, 0.03) / limit
 
 
-def equals(model: Model, first: Element, own: Iterable[Element]) -> tuple[Element, ...]:
+def equals(model: Model, first: Element, elements: Iterable[Element]) -> tuple[Element, ...]:
     """Return the elements with the kind and the gains of `first`, itself among them."""
     alike = [knob.value for knob in knobs(model, first)]
     if not alike:
@@ -198,7 +198,7 @@ def equals(model: Model, first: Element, own: Iterable[Element]) -> tuple[Elemen
             and all(max(a / b, b / a) <= EQUAL for a, b in pairs)
         )
 
-    return tuple(sorted(element for element in own if equal(element)))
+    return tuple(sorted(element for element in elements if equal(element)))
 
 
 def run_limiters(
@@ -230,18 +230,18 @@ def run_limiters(
             frozen = tuple(element.index for element in group if element.kind == "control")
             rest = [element for element in group if element.kind != "control"]
             softer = change.also(softened(motions.of(Change()), rest))
-            found = judge.outcome(softer, dt, Loop(frozen=frozen) if frozen else None)
+            outcome = judge.outcome(softer, dt, Loop(frozen=frozen) if frozen else None)
             # After the motion, a frozen control goes on pushing.
-            late = frozen and judge.outcome(change, dt).time < motions.horizon < found.time
-            return found.holds or bool(late)
+            late = frozen and judge.outcome(change, dt).time < motions.horizon < outcome.time
+            return outcome.holds or bool(late)
 
         if linear and holds(linear):
             return linear
         for group in kinds.values():
             if holds(group):
                 # Within a kind, the linearised step identifies the element best.
-                known = set(linear) <= set(group) and linear
-                return known or tuple(sorted(_fewest(holds, group)))
+                likeliest = set(linear) <= set(group) and linear
+                return likeliest or tuple(sorted(_fewest(holds, group)))
     return linear
 
 
@@ -278,23 +278,23 @@ class Figures:
         return self.element.name
 
 
-def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict[Element, Figures]:
-    """Return the figures of the elements that act at a state, except those in `known`."""
+def figures(held: Held, state: int = 0, done: Collection[Element] = ()) -> dict[Element, Figures]:
+    """Return the figures of the elements that act at a state, except those in `done`."""
     sim = held.state.sim(held.model)
     try:
         sim.forward()
         half = np.linalg.inv(np.linalg.cholesky(np.array(sim.mass_matrix())))
     except (SimulationError, np.linalg.LinAlgError):
         return {}
-    found = {}
+    by_element = {}
     for element, slopes in sim.element_slopes().items():
-        if element in known or element.kind not in NAMED:
+        if element in done or element.kind not in NAMED:
             continue
         dofs = slopes.dofs
         # Over the dofs of the element alone, half·m·halfᵀ has the same nonzero eigenvalues.
-        own = np.linalg.qr(half[:, dofs]).R
+        root = np.linalg.qr(half[:, dofs]).R
         with np.errstate(all="ignore"):
-            stiff, damp = own @ slopes.blocks @ own.T
+            stiff, damp = root @ slopes.blocks @ root.T
         finite = np.isfinite(stiff).all() and np.isfinite(damp).all()
         if not finite or not len(dofs):
             continue
@@ -314,5 +314,5 @@ def figures(held: Held, state: int = 0, known: Collection[Element] = ()) -> dict
                 ratio = math.nan
         if omega > 0 or rate > 0:
             soft = softened_from(held.model, element)
-            found[element] = Figures(element, omega, ratio, rate, soft, state)
-    return found
+            by_element[element] = Figures(element, omega, ratio, rate, soft, state)
+    return by_element

@@ -169,8 +169,8 @@ class Diagnosis(Result):
     @property
     def _late(self) -> bool:
         """Whether a run just above the limit fails only after the motion."""
-        own = self.own
-        return own.outcome == "diverges" and own.state < 0 and own.time > self.horizon
+        limit = self.own
+        return limit.outcome == "diverges" and limit.state < 0 and limit.time > self.horizon
 
     @property
     def _grows(self) -> bool:
@@ -189,15 +189,15 @@ class Diagnosis(Result):
     def _unknown(self) -> str:
         """Return the sentence about the runs if the limit is unknown."""
         limit, step = self.own, f"step of {seconds(self.wanted)}"
-        own = limit.integrator
+        integrator = limit.integrator
         if self.observed is None:
-            does = f"Whether a {step} is stable under {own} is not known"
+            does = f"Whether a {step} is stable under {integrator} is not known"
         elif self.observed.holds:
-            does = f"A {step} is stable under {own} over {seconds(self.horizon)}"
+            does = f"A {step} is stable under {integrator} over {seconds(self.horizon)}"
         else:
             elements = self._limiters(None)
             fed = f", fed by {Elements(elements).together}" if elements else ""
-            does = f"A {step} {self._failure(elements)} under {own}{fed}"
+            does = f"A {step} {self._failure(elements)} under {integrator}{fed}"
         tried = "no stable step was found"
         if limit.holds:
             holds, fails = seconds(limit.holds), seconds(limit.fails)
@@ -265,7 +265,7 @@ class Diagnosis(Result):
         limit, step = self.own, f"A step of {seconds(self.wanted)}"
         if not limit.known:
             return self._unknown()
-        elements, own = self._limiters(None), limit.integrator
+        elements, under = self._limiters(None), f"under {limit.integrator}"
         name = Elements(elements).together or "the motion as a whole"
         traits, fails = self._traits(elements), self._failure(elements)
         judged = f"judged over {seconds(self.horizon)} of motion"
@@ -273,24 +273,24 @@ class Diagnosis(Result):
             judged = "by the linearised step"
         if math.isinf(limit.dt):
             below = seconds(min(limit.longest, max(self.wanted, self.horizon / 10)))
-            return f"No element limits dt below {below} under {own}, {judged}."
+            return f"No element limits dt below {below} {under}, {judged}."
         if limit.dt <= 0 and self.longest_period:
-            return f"{step} {fails} under {own}: the control function is sampled too rarely."
+            return f"{step} {fails} {under}: the control function is sampled too rarely."
         if limit.dt <= 0:
             tried = f"every step tried unstable, down to {seconds(limit.shortest)}"
-            return f"{step} {fails} under {own}: {name}{traits} {_verb(elements, 'make')} {tried}."
+            return f"{step} {fails} {under}: {name}{traits} {_verb(elements, 'make')} {tried}."
         cause = f"{name}{traits} {_verb(elements, 'limit')} dt to {seconds(limit.dt)}"
         if elements and not self.motion.is_users and {e.kind for e in elements} == {"control"}:
             cause += " (the controller of stepcore's test motion, not of the model)"
         if not limit.ran:
-            return f"{cause[0].upper()}{cause[1:]} under {own}, {judged}."
+            return f"{cause[0].upper()}{cause[1:]} {under}, {judged}."
         if self.fails and self.observed is not None and self.observed.holds:
-            return f"{step} holds in this run under {own}, but shorter ones fail: {cause}."
+            return f"{step} holds in this run {under}, but shorter ones fail: {cause}."
         if self.fails:
-            return f"{step} {fails} under {own}: {cause}."
+            return f"{step} {fails} {under}: {cause}."
         over = f"over {seconds(self.horizon)}"
         margin = limit.dt / self.wanted
-        holds = f"{step} is stable under {own} {over}, with a stability margin of {times(margin)}"
+        holds = f"{step} is stable {under} {over}, with a stability margin of {times(margin)}"
         accurate = "" if margin < AMPLE else " Accuracy ends before that: run stepcore trade."
         return f"{holds}: {cause}.{accurate}"
 
@@ -335,20 +335,20 @@ class Diagnosis(Result):
 
     def _differs(self) -> Iterator[str]:
         limit = self.own
-        run, held = limit.dt, limit.held
-        if not limit.ran or run == held or not run > 0 or math.isnan(held):
+        run, at_end = limit.dt, limit.held
+        if not limit.ran or run == at_end or not run > 0 or math.isnan(at_end):
             return
         elements = self._limiters(None)
         if self.motion.control is not None and "control" in {of.kind for of in elements}:
             # The linearised step does not include the feedback of a user's function.
             return
-        if limit.longest <= held if math.isinf(run) else 1 / STEP < held / run < STEP:
+        if limit.longest <= at_end if math.isinf(run) else 1 / STEP < at_end / run < STEP:
             return
         name, rows = limit.integrator, self.states[-1].rows
-        bears = "bears any step" if math.isinf(held) else f"bears {seconds(held)}"
-        if held <= 0:
-            bears = "bears no step"
-        if run < held:
+        words = "bears any step" if math.isinf(at_end) else f"bears {seconds(at_end)}"
+        if at_end <= 0:
+            words = "bears no step"
+        if run < at_end:
             why = "the motion passes through other states than its end"
             servos = Elements(self.saturated)
             if self.saturated and limit.outcome == "chatters" and limit.state < 0:
@@ -371,7 +371,7 @@ class Diagnosis(Result):
         limited = f"no limit up to {seconds(limit.longest)}" if math.isinf(run) else seconds(run)
         yield (
             f"Runs show {limited}, while the linearised step at the end of the motion, held there, "
-            f"{bears} under {name}: {why}."
+            f"{words} under {name}: {why}."
         )
 
     def _blown_up(self, runaway: Runaway) -> str:
