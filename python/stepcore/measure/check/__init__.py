@@ -216,7 +216,7 @@ class Check(Result):
     @property
     def table(self) -> Table:
         """The findings; see `Finding`."""
-        columns = ["severity", "kind", "element", "value", "unit", "text"]
+        columns = ["severity", "kind", "element", "value", "unit", "fix", "text"]
         return Table((finding.record() for finding in self.findings), columns)
 
     def tables(self, full: bool) -> list[Table]:
@@ -224,7 +224,7 @@ class Check(Result):
         if not self.findings:
             return []
         table = self.table
-        return [Table(table, table.columns[:-1], heading="By element and value")]
+        return [Table(table, table.columns[:-2], heading="By element and value")]
 
     def details(self) -> dict[str, Any]:
         """Return the commands and the diagnosis as plain data."""
@@ -369,7 +369,9 @@ def _for_urdf(path: str, findings: Sequence[Finding]) -> Iterator[str]:
 
 def _first(findings: list[Finding], where: str) -> str:
     """Return the findings that do not depend on runs of their fixes, as text."""
-    findings = [one for one in ordered(findings) if one.remedy is None or not one.remedy.needed]
+    findings = [
+        one for one in ordered(findings) if one.proposals is None or not one.proposals.needed
+    ]
     said = (f"\n- {finding.severity}: {finding.problem}" for finding in findings)
     what = counted(len(findings), "finding") if findings else "no problem"
     return f"{what} in {where}{':' * bool(findings)}{''.join(said)}"
@@ -454,7 +456,7 @@ def _unblamed(findings: list[Finding]) -> Iterator[Finding]:
     for finding in findings:
         if finding.kind == "servo does not follow":
             problem = f"{finding.observation}, in a run whose time step fails"
-            yield dataclasses.replace(finding, problem=problem, cure="", commands=())
+            yield dataclasses.replace(finding, problem=problem, fix="", commands=())
         elif finding.kind != "saturation":
             yield finding
 

@@ -114,10 +114,10 @@ def _inertias(scene: Described, bodies: dict[int, _Body]) -> Iterator[Finding]:
         f"centre, but the body reaches {only}{metres(of.reach)} (a ball of its mass and "
         f"size has {ball:.2g} kg·m²)"
     )
-    cure = "correct its <inertial>, or let mass and inertia come from the geoms "
-    cure += '(inertiafromgeom="true")'
+    fix = "correct its <inertial>, or let mass and inertia come from the geoms "
+    fix += '(inertiafromgeom="true")'
     severity = "error" if only else "warning"
-    yield Finding("inertia", severity, problem, cure, elements, of.gyration, "m", LIST)
+    yield Finding("inertia", severity, problem, fix, elements, of.gyration, "m", LIST)
 
 
 def _centres(scene: Described, bodies: dict[int, _Body]) -> Iterator[Finding]:
@@ -133,8 +133,8 @@ def _centres(scene: Described, bodies: dict[int, _Body]) -> Iterator[Finding]:
             f"the centre of mass of {listed(elements, 'body')} is {metres(share * size)} outside "
             f"of the convex hull of its geoms and joints, which is {metres(2 * size)} large"
         )
-        cure, value = "correct the pos of its <inertial>", share * size
-        yield Finding("centre of mass", "warning", problem, cure, elements, value, "m", LIST)
+        fix, value = "correct the pos of its <inertial>", share * size
+        yield Finding("centre of mass", "warning", problem, fix, elements, value, "m", LIST)
 
 
 def outside(points: Floats) -> tuple[float, float]:
@@ -179,8 +179,8 @@ def _singular(scene: Described, sim: Sim) -> Iterator[Finding]:
                 f"{where}, so the mass matrix is singular (smallest "
                 f"eigenvalue {share:.2g}, scaled to a unit diagonal)"
             )
-            cure = "give one of them an armature, remove it, or start from another pose"
-            yield Finding("mass matrix", "error", problem, cure, elements, share, "1", LIST)
+            fix = "give one of them an armature, remove it, or start from another pose"
+            yield Finding("mass matrix", "error", problem, fix, elements, share, "1", LIST)
             return
 
 
@@ -214,5 +214,5 @@ def _soft(model: Model) -> Iterator[Finding]:
             f"{listed(elements, 'contact')} is soft: the time constant of its solref is "
             f"{seconds(value)}, {times(value / DEFAULT)} MuJoCo's default"
         )
-        cure = 'solref="0.02 1" on its geoms, unless it is meant to be soft'
-        yield Finding("soft contact", "remark", problem, cure, elements, value, "s", LIST)
+        fix = 'solref="0.02 1" on its geoms, unless it is meant to be soft'
+        yield Finding("soft contact", "remark", problem, fix, elements, value, "s", LIST)

@@ -12,6 +12,7 @@ from stepcore.engine.coordinates import rotated
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change
+from stepcore.experiment.proposal import Proposal
 from stepcore.measure.monitors.finding import (
     DEEP,
     FEW,
@@ -20,9 +21,8 @@ from stepcore.measure.monitors.finding import (
     PARTS,
     SEEN,
     TEST_CONTACTS,
-    Cure,
     Finding,
-    Remedy,
+    Proposals,
     assigned,
     listed,
     named,
@@ -237,14 +237,14 @@ def _overlapping(
     # The foot of a robot is moved together with the whole robot.
     base = roots[moved] if roots[moved] in free else bodies[moved]
     mover = model.element_name("body", base)
-    cure = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
+    fix = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
     lines = tuple[str, ...]()
     if kind == "overlap" or machine or (roots[0] == roots[1] and roots[0]):
         lines = _excludes(model, found)
         pose = "start from another pose, or " if of.movable and kind != "overlap" else ""
         more = f" and {len(lines) - 1} more (`stepcore check` lists them)" if lines[1:] else ""
-        cure = f"{pose}leave them out with {lines[0]}{more}, or make the geoms smaller"
-    what = problem, cure, contacts, of.depth, "m", TEST_CONTACTS
+        fix = f"{pose}leave them out with {lines[0]}{more}, or make the geoms smaller"
+    what = problem, fix, contacts, of.depth, "m", TEST_CONTACTS
     return Finding(kind, severity, *what, lines=lines[len(lines) == 1 :])
 
 
@@ -296,10 +296,10 @@ def _depths(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
     steep = model.settings.cone == "pyramidal" and friction_of(model, of.pair) > 1
     ways = (harder, other_cone(model))[:: -1 if steep or run.unsolved else 1]
     # A requested depth is met within 1 %.
-    remedy = Remedy(ways, lambda other: depth_of(other, pairs), (1 + SEEN) * most(of), metres)
+    proposals = Proposals(ways, lambda other: depth_of(other, pairs), (1 + SEEN) * most(of), metres)
     severity = "warning" if of.depth > DEEP * thick else "remark"
     what = "depth at rest", severity, problem, "", contacts, of.depth, "m", TEST_CONTACTS
-    yield Finding(*what, remedy=remedy)
+    yield Finding(*what, proposals=proposals)
 
 
 def depth_of(run: Recording, pairs: Collection[int]) -> float | None:
@@ -339,15 +339,15 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
         deep = _deepest(other)
         return max(deep[pair] for pair in pairs) if set(pairs) <= set(deep) else None
 
-    remedy = Remedy(ways, pressed, HALF * thick, metres, needed=True)
+    proposals = Proposals(ways, pressed, HALF * thick, metres, needed=True)
     what = "depth under load", "remark", problem, "", contacts, depth, "m", TEST_CONTACTS
-    yield Finding(*what, remedy=remedy)
+    yield Finding(*what, proposals=proposals)
 
 
-def other_cone(model: Model) -> tuple[Cure, ...]:
+def other_cone(model: Model) -> tuple[Proposal, ...]:
     """Return the fix that changes a model's cone to the other type."""
     cone = "elliptic" if model.settings.cone == "pyramidal" else "pyramidal"
-    return (Cure(f'cone="{cone}"', Change(cone=cone)),)
+    return (Proposal(f'cone="{cone}"', Change(cone=cone)),)
 
 
 def _deepest(run: Recording) -> dict[int, float]:
@@ -380,9 +380,9 @@ def _slides(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
     falls = "" if fast else ", so a slight push lets the body slide or topple"
     problem = f"{listed(contacts, 'contact')} {does} without friction, because {why}{falls}"
     given = 'condim="3"' if frictionless else 'friction="0.8"'
-    cure = f"{given} on one of the two geoms gives it friction"
+    fix = f"{given} on one of the two geoms gives it friction"
     value, unit = (of.speed, "m/s") if fast else (of.force, "N")
-    yield Finding("no friction", "remark", problem, cure, contacts, value, unit)
+    yield Finding("no friction", "remark", problem, fix, contacts, value, unit)
 
 
 def _carries(run: Recording, at: Contact) -> bool:
@@ -428,8 +428,8 @@ def _noisy(run: Recording, kind: str, noises: Callable[[Recording], Noises]) -> 
 
     # Noise that no change lowers belongs to the motion.
     say = f"{{:.3g}} {unit}".format
-    remedy = Remedy(tuple(_knobs(model, pairs)), left, FEW * mean, say, needed=True)
-    yield Finding("force noise", "remark", problem, "", elements, rms, unit, remedy=remedy)
+    proposals = Proposals(tuple(_knobs(model, pairs)), left, FEW * mean, say, needed=True)
+    yield Finding("force noise", "remark", problem, "", elements, rms, unit, proposals=proposals)
 
 
 def of_contacts(run: Recording) -> Noises:
@@ -457,21 +457,21 @@ def of_sensors(run: Recording) -> Noises:
     return {k: noise(values) for k, values in series.items() if _lasts(values)}
 
 
-def _knobs(model: Model, pairs: Collection[int]) -> Iterator[tuple[Cure, ...]]:
+def _knobs(model: Model, pairs: Collection[int]) -> Iterator[tuple[Proposal, ...]]:
     """Yield the changes that may lower the noise of some pairs."""
     settings, contacts = model.settings, named(model, "contact", pairs)
     solrefs = [model.contact_pair(pair).solref for pair in pairs]
     if settings.law == "solref" and solrefs:
         base = max(2 * settings.dt, *(ref[0] for ref in solrefs))
         yield tuple(
-            Cure(
+            Proposal(
                 f'solref="{constant:g} 1" on the geoms that touch',
                 Change(assigned(model, contacts, {"solref": (constant, 1.0)})),
             )
             for constant in (float(f"{base * part:.3g}") for part in PARTS[1:])
         )
     if settings.cone == "pyramidal":
-        yield (Cure('cone="elliptic"', Change(cone="elliptic")),)
+        yield (Proposal('cone="elliptic"', Change(cone="elliptic")),)
     yield shorter(settings.dt / part for part in PARTS[1:])
 
 

@@ -20,6 +20,7 @@ from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
+from stepcore.experiment.proposal import Proposal
 from stepcore.experiment.schedule import SPEED, SPIN
 from stepcore.measure.monitors.finding import (
     DEEP,
@@ -29,10 +30,9 @@ from stepcore.measure.monitors.finding import (
     PLOT,
     SEEN,
     TEST_CONTACTS,
-    Cure,
     Finding,
     Next,
-    Remedy,
+    Proposals,
     listed,
     named,
     worst,
@@ -68,9 +68,9 @@ def chatter_findings(run: Recording) -> Iterator[Finding]:
         unit = f"{unit_of(model, joints[0])}/s"
         who = f"{listed(elements, 'joint')} chatters"
         problem = f"{who}: it moves to and fro from step to step, at {speed:.3g} {unit}"
-        cure = "take a shorter dt, or lower gains; stepcore diagnose names what limits dt"
+        fix = "take a shorter dt, or lower gains; stepcore diagnose names what limits dt"
         limits = (Next("diagnose", "which element limits dt"),)
-        yield Finding("chatter", "warning", problem, cure, elements, speed, unit, limits)
+        yield Finding("chatter", "warning", problem, fix, elements, speed, unit, limits)
 
 
 def _to_and_fro(run: Recording) -> dict[int, float]:
@@ -157,14 +157,16 @@ def _gaps(run: Recording) -> Iterator[Finding]:
         f'solref="{solref[0]:g} {solref[1]:g}"'
     )
     wanted = LEFT * min(SEEN * size(of), now(of))
-    cures = stiffened(model, connections, solref, solimp, now(of), wanted)
+    fixes = stiffened(model, connections, solref, solimp, now(of), wanted)
 
     def widest(other: Recording) -> float | None:
         return max((now(at) for at in gapes(other) if at.equality in tied), default=None)
 
-    remedy = Remedy((cures,), widest, SEEN * size(of), metres)
+    proposals = Proposals((fixes,), widest, SEEN * size(of), metres)
     commands = (Next("converge", "whether the connections are solved"), TEST_CONTACTS[1])
-    yield Finding("gap", "warning", problem, "", connections, now(of), "m", commands, remedy=remedy)
+    yield Finding(
+        "gap", "warning", problem, "", connections, now(of), "m", commands, proposals=proposals
+    )
 
 
 # Limits.
@@ -248,29 +250,29 @@ def _overpowered(run: Recording) -> Iterator[Finding]:
     of, joints = pushed[0], [at.joint for at in pushed]
     (kind, index), force = of.forces[0]
     pusher = "gravity" if kind == "gravity" else model.element_name(kind, index)
-    cure, unit = "less of that force", unit_of(model, of.joint)
+    fix, unit = "less of that force", unit_of(model, of.joint)
     if kind == "actuator":
         ranges = "forcerange or ctrlrange" if actuators(model)[index].holds else "ctrlrange"
-        cure = f"a smaller {ranges} of {pusher}"
+        fix = f"a smaller {ranges} of {pusher}"
     problem = (
         f"{pusher} pushes {listed(named(model, 'joint', joints), 'joint')} "
         f"{length_of(model, of.joint, of.kept)} beyond its range with "
         f"{quantity(force, TORQUES if unit == 'rad' else FORCES)}"
         f"{', and stays there' if of.rest is not None else ''}"
     )
-    limits, remedy = named(model, "limit", joints), limit_remedy(model, of.joint, of.kept)
-    yield Finding("limit", "warning", problem, cure, limits, of.kept, unit, PLOT, {}, remedy)
+    limits, proposals = named(model, "limit", joints), limit_proposals(model, of.joint, of.kept)
+    yield Finding("limit", "warning", problem, fix, limits, of.kept, unit, PLOT, {}, proposals)
 
 
-def limit_remedy(model: Model, joint: int, now: float) -> Remedy:
+def limit_proposals(model: Model, joint: int, now: float) -> Proposals:
     """Return the solreflimits that should make a limit's excess small."""
-    cures, enough = tuple[Cure, ...](), FEW * width_of(model, joint)
+    fixes, enough = tuple[Proposal, ...](), FEW * width_of(model, joint)
     if model.settings.law == "solref":
         at, limit = Layout(model.scene).joints[joint], named(model, "limit", [joint])
         wanted = LEFT * enough
-        cures = stiffened(model, limit, at.solreflimit, at.solimplimit, now, wanted)
+        fixes = stiffened(model, limit, at.solreflimit, at.solimplimit, now, wanted)
     say = functools.partial(length_of, model, joint)
-    return Remedy((cures,), lambda other: excess_of(other, joint), enough, say)
+    return Proposals((fixes,), lambda other: excess_of(other, joint), enough, say)
 
 
 def unit_of(model: Model, joint: int) -> str:
@@ -330,8 +332,8 @@ def _backlash(model: Model, joint: int, equality: int, aim: float, now: float) -
         f"{say(low)} to {say(high)}, so it is a spring and no backlash: {percent(now)} of the "
         "range is used"
     )
-    remedy = Remedy(
-        ((Cure("removing the equality", Change({f"equality/#{equality}/active": False})),),),
+    proposals = Proposals(
+        ((Proposal("removing the equality", Change({f"equality/#{equality}/active": False})),),),
         lambda other: 1 - share_used(other, joint),
         SEEN,
         lambda left: f"{percent(1 - left)} of it in use",
@@ -339,7 +341,7 @@ def _backlash(model: Model, joint: int, equality: int, aim: float, now: float) -
         needed=True,
     )
     unit, value = unit_of(model, joint), now * (high - low) / 2
-    return Finding("backlash", "warning", problem, "", both, value, unit, remedy=remedy)
+    return Finding("backlash", "warning", problem, "", both, value, unit, proposals=proposals)
 
 
 def _in_series(model: Model, joint: int) -> bool:
