@@ -464,16 +464,13 @@ def _unblamed(findings: list[Finding]) -> Iterator[Finding]:
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
     """Yield the findings of the scene and of the run without duplicates.
 
-    The scene's finding is kept, except for limits and soft contacts: there the run's is kept.
+    The scene's finding is kept, except for limits, where the run's is kept.
     """
     limits = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
     # A control range in degrees overpowers every limit; only the range is reported.
     degrees = any(finding.kind == "units" for finding in read)
-    deep = any(finding.kind == "depth at rest" for finding in seen)
     known = set()
     for finding in read:
-        if finding.kind == "soft contact" and deep:
-            continue
         if finding.kind != "limit" or not (degrees or limits.intersection(finding.elements)):
             known.add((finding.kind, finding.elements[:1]))
             yield finding

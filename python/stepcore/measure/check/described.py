@@ -621,36 +621,9 @@ def _damped(scene: Described, joint: int, servos: list[Actuator]) -> Proposals:
     return Proposals(way, turns, FEW, lambda left: "it at rest", again=again)
 
 
-# Tendons.
-
-
-def _unused(scene: Described) -> Iterator[Finding]:
-    """Yield tendons without a force, a limit, an armature or a reference."""
-    of = scene.model.scene
-    used = {id(actuator.tendon) for actuator in of.actuators}
-    used |= {id(end) for tie in of.equalities for end in (tie.tendon1, tie.tendon2)}
-    used |= {id(sensor.object) for sensor in of.sensors}
-    idle = [
-        i
-        for i, tendon in enumerate(of.tendons)
-        if id(tendon) not in used
-        and tendon.range is None
-        and not (tendon.sprung or tendon.damped or tendon.frictionloss or tendon.armature)
-    ]
-    if idle:
-        tendons = named(scene.model, "tendon", idle)
-        verb, its = ("does", "it has") if len(idle) == 1 else ("do", "they have")
-        problem = f"{listed(tendons, 'tendon')} {verb} nothing"
-        fix = (
-            f"{its} no spring, damping, friction loss, armature or limit (a range needs limited or "
-            "autolimits), and no actuator, equality or sensor uses it"
-        )
-        yield Finding("unused tendon", "remark", problem, fix, tendons)
-
-
 # Equally severe findings are reported in this order; OF_LIMITS only if limits are enabled.
 OF_LIMITS = (_beyond, _asked_beyond, _overpowered)
 FINDINGS = (
     *(_fixed_base, _lengths, _tiny, _angles, _degrees, _densities, _beyond, _clamped),
-    *(_asked_beyond, _overpowered, _saturated, _balance, _turning, _unused),
+    *(_asked_beyond, _overpowered, _saturated, _balance, _turning),
 )
