@@ -5,7 +5,7 @@
 # step does not help. `stiction=True` stops it: below 1e-6 µm/s, at no smaller
 # step.** The creep comes from MuJoCo's soft contact, stepcore's default: it softens
 # friction rows as it softens normals, and they have no position to return to.
-# `check` finds the creep and names its cures.
+# `check` finds the creep and names its fixes.
 
 # %%
 import stepcore as sc

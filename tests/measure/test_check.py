@@ -387,14 +387,3 @@ def test_a_fixed_tendon_s_length_has_no_unit():
     )
     found = the(text, "outside a limit")
     assert found.unit == "" and "a length of 0, outside of its range of 0.1 to 0.3" in found.text
-
-
-def test_a_tendon_that_nothing_uses():
-    found = the(strung(""), "unused tendon")
-    assert found.severity == "remark" and found.text.startswith("Tendon `cord` does nothing:")
-    for uses in (
-        '<actuator><motor tendon="cord"/></actuator>',
-        '<sensor><tendonpos tendon="cord"/></sensor>',
-        '<equality><tendon tendon1="cord"/></equality>',
-    ):
-        assert "unused tendon" not in kinds(strung("", uses))

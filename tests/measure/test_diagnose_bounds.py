@@ -154,7 +154,7 @@ def test_an_undamped_servo_that_saturates_is_no_chatter():
     assert not d.fails and d.limit() > 0.01
     found = sc.check(str(HERE / "head_kv0.xml"), progress=False, **motion).findings
     (servo,) = [one for one in found if one.kind == "servo does not follow"]
-    assert "kv 0 damps nothing" in servo.problem and "kv" in servo.cure
+    assert "kv 0 damps nothing" in servo.problem and "kv" in servo.fix
 
 
 ARM = """<mujoco><option timestep=".002" integrator="implicitfast"/><worldbody><body>

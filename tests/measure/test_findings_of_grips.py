@@ -12,7 +12,8 @@ from test_findings import the, watched
 import stepcore as sc
 from stepcore.deadline import OutOfTime
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.finding import Cure, Finding, Remedy, verified
+from stepcore.experiment.proposal import Proposal
+from stepcore.measure.monitors.finding import Finding, Proposals, verified
 
 THREADS = Path(__file__).parents[1] / "threads"
 SLIDES = '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>'
@@ -201,20 +202,24 @@ def test_cures_without_a_doubt_come_first(unsolved, chaotic, most, words):
         nudged = not np.array_equal(other.scene.gravity, gravity)
         return Ran(2.0 * (first and chaotic and nudged), first and unsolved)
 
-    first = Cure("first", Change(dt=model.settings.dt / 2))
-    second = Cure("second", Change())
-    remedy = Remedy(((first,), (second,)), lambda ran: ran.left, 1.0, "{:g}".format, most=most)
-    (one,) = verified([Finding("depth", "warning", "", remedy=remedy, value=5.0)], model, again, 1)
+    first = Proposal("first", Change(dt=model.settings.dt / 2))
+    second = Proposal("second", Change())
+    proposals = Proposals(
+        ((first,), (second,)), lambda ran: ran.left, 1.0, "{:g}".format, most=most
+    )
+    (one,) = verified(
+        [Finding("depth", "warning", "", proposals=proposals, value=5.0)], model, again, 1
+    )
     assert words in one.text
 
 
 def test_a_cure_without_time_has_not_failed():
     model = sc.lesson.drop().compile()
-    remedy = Remedy(((Cure("first", Change()),),), lambda ran: 0.0, 1.0, str)
-    finding = Finding("depth", "warning", "", "less mass", remedy=remedy, value=5.0)
+    proposals = Proposals(((Proposal("first", Change()),),), lambda ran: 0.0, 1.0, str)
+    finding = Finding("depth", "warning", "", "less mass", proposals=proposals, value=5.0)
 
     def again(other, share):
         raise OutOfTime("over")
 
     (one,) = verified([finding], model, again, 1)
-    assert one.cure == "try first; not run: less mass"
+    assert one.fix == "try first; not run: less mass"

@@ -9,7 +9,7 @@ import stiff
 from test_findings import GRIPPER, SOLIMP, G, pair, the, watched
 
 import stepcore as sc
-from stepcore.measure.monitors.joints import excesses, gapes, overpowered, share_used
+from stepcore.measure.monitors.joints import excesses, gapes, overpowered
 from stepcore.measure.monitors.servos import at_rest
 from stepcore.measure.monitors.soft_rows import yielding
 
@@ -114,30 +114,6 @@ def test_a_limit_and_what_pushes_are_elements_of_their_finding():
     assert [(e.kind, e.index, e.name) for e in one.elements] == [
         ("limit", 0, "limit of joint `elbow`")
     ]
-
-
-# Backlash; MuJoCo's issue 995.
-
-PLAY = """<mujoco><worldbody><body pos="0 0 .5">
-<joint name="calf" axis="0 1 0" range="-154.5 -52.5" damping="1" armature=".01"/>
-<joint name="play" axis="0 1 0" range="-2.3 2.3"/>
-<geom type="capsule" fromto="0 0 0 0 0 -.213" size=".013" mass=".2"/></body></worldbody>
-<equality><joint joint1="play" solref=".1 1" solimp=".1 .99 .04 .5 3" active="{}"/></equality>
-<actuator><position joint="calf" kp="20" kv=".5"/></actuator>
-<keyframe><key qpos="-1.8 0" ctrl="-1.8"/></keyframe></mujoco>"""
-
-
-def test_an_equality_that_takes_away_the_backlash_is_told():
-    one = the(watched(sc.loads(PLAY.format("true")))[1], "backlash")
-    assert [of.kind for of in one.elements] == ["joint", "joint equality"]
-    used = float(re.search(r"([\d.]+) % of the range is used: removing", one.text)[1]) / 100
-    sim = sc.Sim(sc.loads(PLAY.format("true")))
-    sim.reset(0)
-    sim.step(500)
-    assert abs(float(sim.qpos[1])) / math.radians(2.3) == pytest.approx(used, rel=0.03)
-    # Free, it falls onto its limit, and nothing is reported.
-    watch, findings = watched(sc.loads(PLAY.format("false")))
-    assert share_used(watch, 1) > 1 and not [one for one in findings if one.kind == "backlash"]
 
 
 # Actuators.

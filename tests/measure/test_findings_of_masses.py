@@ -116,22 +116,6 @@ def test_the_smallest_eigenvalue_of_the_scaled_mass_matrix(pitch):
     assert share == pytest.approx(1 - math.sin(pitch), rel=1e-9) and sorted(dofs) == [0, 2]
 
 
-# Softness.
-
-
-@pytest.mark.parametrize(("time", "found"), [(0.3, ["soft contact"]), (0.05, [])])
-def test_a_soft_floor(time, found):
-    """The mean of the two geoms counts, of `time` and 0.02."""
-    text = f"""<mujoco><worldbody><geom name="floor" type="plane" size="3 3 .1" solref="{time} 1"/>
-    <body name="cube" pos="0 0 .04"><freejoint/><geom name="cube" type="box" size=".04 .04 .04"
-     mass="2"/></body></worldbody></mujoco>"""
-    some = findings(text)
-    assert [one.kind for one in some] == found
-    if found:
-        assert some[0].value == pytest.approx((time + 0.02) / 2)
-        assert some[0].element == "contact `floor`/`cube`"
-
-
 # Public robots.
 
 

@@ -117,7 +117,7 @@ def test_a_hinge_without_damping_swings_on():
     one = the(SWING.format("", MOTOR), "no damping", horizon=5.0)
     assert one.element == "joint `swing`" and one.severity == "remark"
     assert one.value == pytest.approx(math.pi, rel=0.01)
-    damping = one.cure.split(" leaves")[0]
+    damping = one.fix.split(" leaves")[0]
     assert kinds(SWING.format(damping, MOTOR), horizon=5.0) == []
 
 

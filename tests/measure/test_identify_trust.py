@@ -158,4 +158,4 @@ def test_degrees_are_told_by_the_targets_of_servos(wrong, unit):
     assert not log_findings(model, [read_log(model, log, "log")], [])
     log[wrong] = np.degrees(log[wrong])
     found = log_findings(model, [read_log(model, log, "log")], [])
-    assert f"it looks like {unit}" in [finding.cure for finding in found if finding.kind == "units"]
+    assert f"it looks like {unit}" in [finding.fix for finding in found if finding.kind == "units"]

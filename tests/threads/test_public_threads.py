@@ -32,7 +32,7 @@ FOUND = {
     "hingeball": ("may make it explode", 'integrator="midpoint" leaves 0.1 %', 'integrator="rk4"'),
     "ur3e": ("joint's range in degrees", "multiply degrees by π/180"),
     "weldballs": ("gapes by 2.52 mm", "leaves 263 µm"),
-    "backlash": ("it is a spring and no backlash", "removing the equality leaves"),
+    "backlash": (),
     "legweak": ("its kp 0.157 is too small for its load of 184 mN·m",),
     "legweak legweak.csv": ("servo `lf2_lf3` is 940 mrad RMS", "kp 5.2 and kv 0.106"),
     "fastsine sine10": ("follows 10 Hz with 75 % of the amplitude", "its force ends at 10 N·m"),

@@ -216,7 +216,7 @@ class Check(Result):
     @property
     def table(self) -> Table:
         """The findings; see `Finding`."""
-        columns = ["severity", "kind", "element", "value", "unit", "text"]
+        columns = ["severity", "kind", "element", "value", "unit", "fix", "text"]
         return Table((finding.record() for finding in self.findings), columns)
 
     def tables(self, full: bool) -> list[Table]:
@@ -224,7 +224,7 @@ class Check(Result):
         if not self.findings:
             return []
         table = self.table
-        return [Table(table, table.columns[:-1], heading="By element and value")]
+        return [Table(table, table.columns[:-2], heading="By element and value")]
 
     def details(self) -> dict[str, Any]:
         """Return the commands and the diagnosis as plain data."""
@@ -369,7 +369,9 @@ def _for_urdf(path: str, findings: Sequence[Finding]) -> Iterator[str]:
 
 def _first(findings: list[Finding], where: str) -> str:
     """Return the findings that do not depend on runs of their fixes, as text."""
-    findings = [one for one in ordered(findings) if one.remedy is None or not one.remedy.needed]
+    findings = [
+        one for one in ordered(findings) if one.proposals is None or not one.proposals.needed
+    ]
     said = (f"\n- {finding.severity}: {finding.problem}" for finding in findings)
     what = counted(len(findings), "finding") if findings else "no problem"
     return f"{what} in {where}{':' * bool(findings)}{''.join(said)}"
@@ -454,7 +456,7 @@ def _unblamed(findings: list[Finding]) -> Iterator[Finding]:
     for finding in findings:
         if finding.kind == "servo does not follow":
             problem = f"{finding.observation}, in a run whose time step fails"
-            yield dataclasses.replace(finding, problem=problem, cure="", commands=())
+            yield dataclasses.replace(finding, problem=problem, fix="", commands=())
         elif finding.kind != "saturation":
             yield finding
 
@@ -462,16 +464,13 @@ def _unblamed(findings: list[Finding]) -> Iterator[Finding]:
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
     """Yield the findings of the scene and of the run without duplicates.
 
-    The scene's finding is kept, except for limits and soft contacts: there the run's is kept.
+    The scene's finding is kept, except for limits, where the run's is kept.
     """
     limits = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
     # A control range in degrees overpowers every limit; only the range is reported.
     degrees = any(finding.kind == "units" for finding in read)
-    deep = any(finding.kind == "depth at rest" for finding in seen)
     known = set()
     for finding in read:
-        if finding.kind == "soft contact" and deep:
-            continue
         if finding.kind != "limit" or not (degrees or limits.intersection(finding.elements)):
             known.add((finding.kind, finding.elements[:1]))
             yield finding

@@ -21,6 +21,7 @@ from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import LONGEST, STEPS
+from stepcore.experiment.proposal import Proposal
 from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.finding import (
@@ -29,10 +30,9 @@ from stepcore.measure.monitors.finding import (
     HALF,
     PLOT,
     SEEN,
-    Cure,
     Finding,
     Next,
-    Remedy,
+    Proposals,
     listed,
     named,
     worst,
@@ -40,7 +40,7 @@ from stepcore.measure.monitors.finding import (
 from stepcore.measure.monitors.joints import (
     coordinate,
     length_of,
-    limit_remedy,
+    limit_proposals,
     unit_of,
     width_of,
 )
@@ -154,8 +154,8 @@ def _fixed_base(scene: Described) -> Iterator[Finding]:
             f"{listed(elements, 'body')} look like legs or wheels, and the base is fixed to the "
             "world, as in every URDF without a floating joint"
         )
-        cure = "--free adds a free joint and --ground a floor (load(..., free=True, ground=True))"
-        yield Finding("fixed base", "warning", problem, cure, elements, commands=LIST)
+        fix = "--free adds a free joint and --ground a floor (load(..., free=True, ground=True))"
+        yield Finding("fixed base", "warning", problem, fix, elements, commands=LIST)
 
 
 # Units.
@@ -175,11 +175,11 @@ def _lengths(scene: Described) -> Iterator[Finding]:
             f"Half of the geoms that move are larger than {metres(typical)}, under a gravity of "
             f"{gravity:.3g} m/s², so sizes and positions look like mm"
         )
-        cure = (
+        fix = (
             "divide lengths by 1000 (masses that come from density fall by 1e9), or check that the "
             "scene is meant to be so large"
         )
-        yield Finding("units", "error", problem, cure, (), typical, "m", LIST)
+        yield Finding("units", "error", problem, fix, (), typical, "m", LIST)
 
 
 def _tiny(scene: Described) -> Iterator[Finding]:
@@ -197,11 +197,11 @@ def _tiny(scene: Described) -> Iterator[Finding]:
             f"{listed(bodies, 'body')} has an inertia of {value:.2g} kg·m²; MuJoCo refuses less "
             "than 1e-15, and its solver loses rank near that"
         )
-        cure = (
+        fix = (
             "write lengths in mm and masses in g, with gravity and lengths × 1e3, masses × 1e3, "
             "and gains, stiffness, damping and torques of hinges × 1e9"
         )
-        yield Finding("units", "warning", problem, cure, bodies, value, "kg·m²", LIST)
+        yield Finding("units", "warning", problem, fix, bodies, value, "kg·m²", LIST)
 
 
 def _angles(scene: Described) -> Iterator[Finding]:
@@ -220,8 +220,8 @@ def _angles(scene: Described) -> Iterator[Finding]:
             f"the range of {listed(hinges, 'joint')} is {low:.4g} to {high:.4g} degrees, as if "
             "radians were meant"
         )
-        cure = 'write <compiler angle="radian"/>'
-        yield Finding("units", "warning", problem, cure, hinges, most, "deg", LIST)
+        fix = 'write <compiler angle="radian"/>'
+        yield Finding("units", "warning", problem, fix, hinges, most, "deg", LIST)
 
 
 def _degrees(scene: Described) -> Iterator[Finding]:
@@ -239,11 +239,11 @@ def _degrees(scene: Described) -> Iterator[Finding]:
             f"the ctrlrange of {listed(servos, 'servo')} is {low:.4g} to {high:.4g} rad, its "
             "joint's range in degrees"
         )
-        cure = (
+        fix = (
             "control ranges are in radians whatever the compiler's angle; multiply degrees by π/180"
         )
         value = float(max(abs(low), abs(high)))
-        yield Finding("units", "error", problem, cure, servos, value, "rad", LIST)
+        yield Finding("units", "error", problem, fix, servos, value, "rad", LIST)
 
 
 # Masses.
@@ -293,8 +293,8 @@ def _densities(scene: Described) -> Iterator[Finding]:
                 f"{listed(bodies, 'body')} has {float(model.body_mass[wrong[0]]):.3g} kg in its "
                 f"geoms, {value:.3g} kg/m³, which is {than}"
             )
-            cure = "check mass, density and size of its geoms"
-            yield Finding("density", "remark", problem, cure, bodies, value, "kg/m³", LIST)
+            fix = "check mass, density and size of its geoms"
+            yield Finding("density", "remark", problem, fix, bodies, value, "kg/m³", LIST)
 
 
 # Starts and keyframes.
@@ -339,13 +339,13 @@ def _outside(
     value, (low, high) = float(values[k]), ranges[k].tolist()
     say: Callable[[float], str] = functools.partial(length_of, model, k)
     unit, at = "m", "at"
-    cure = "correct its qpos" if keyed else "give a keyframe, or correct its ref"
-    cure += f" (the nearest is {low if value < low else high:.4g})"
+    fix = "correct its qpos" if keyed else "give a keyframe, or correct its ref"
+    fix += f" (the nearest is {low if value < low else high:.4g})"
     if kind == "joint":
         unit = unit_of(model, k)
     else:
         # The length of a fixed tendon, a sum of joints, has no unit.
-        at, cure = "at a length of", "correct the pose"
+        at, fix = "at a length of", "correct the pose"
         unit = "" if model.scene.tendons[k].path.fixed else "m"
         say = metres if unit else "{:.4g}".format
     beyond = "outside of" if share[k] > 2 * SEEN else f"{say(float(over[k]))} beyond"
@@ -355,8 +355,8 @@ def _outside(
     )
     severity = "error" if keyed else "warning"
     severity = severity if share[k] > 2 * SEEN else "remark"
-    cure = f"{cure}, or widen the range"
-    return Finding("outside a limit", severity, problem, cure, elements, value, unit)
+    fix = f"{fix}, or widen the range"
+    return Finding("outside a limit", severity, problem, fix, elements, value, unit)
 
 
 def _clamped(scene: Described) -> Iterator[Finding]:
@@ -371,8 +371,8 @@ def _clamped(scene: Described) -> Iterator[Finding]:
                 f"{name} has a control of {ctrl[k]:.4g} for {listed(elements, 'actuator')}, "
                 f"clamped to its ctrlrange of {low[k]:.4g} to {high[k]:.4g}"
             )
-            cure, value = "correct its ctrl, or widen the ctrlrange", float(ctrl[k])
-            yield Finding("clamped control", "warning", problem, cure, elements, value, "", PLOT)
+            fix, value = "correct its ctrl, or widen the ctrlrange", float(ctrl[k])
+            yield Finding("clamped control", "warning", problem, fix, elements, value, "", PLOT)
 
 
 def _asked_beyond(scene: Described) -> Iterator[Finding]:
@@ -397,8 +397,8 @@ def _asked_beyond(scene: Described) -> Iterator[Finding]:
             f"{model.element_name('joint', joint)} ({say(low)} to {say(high)}), so it presses on "
             "the limit"
         )
-        cure, unit = "correct its ctrl, unless it is meant to press", unit_of(model, joint)
-        what = "control beyond a limit", "remark", problem, cure, elements, asked[k], unit
+        fix, unit = "correct its ctrl, unless it is meant to press", unit_of(model, joint)
+        what = "control beyond a limit", "remark", problem, fix, elements, asked[k], unit
         yield Finding(*what)
 
 
@@ -432,7 +432,7 @@ def _overpowered(scene: Described) -> Iterator[Finding]:
         f"{length_of(model, of.joint, beyond[k])} beyond its range with "
         f"{strength(model, k, force[k])}"
     )
-    cure = f"a smaller {'forcerange' if of.holds else 'ctrlrange'} of {elements[0].name}"
+    fix = f"a smaller {'forcerange' if of.holds else 'ctrlrange'} of {elements[0].name}"
     limits, unit = named(model, "limit", [of.joint]), unit_of(model, of.joint)
 
     def again(other: Model) -> Recording:
@@ -444,8 +444,10 @@ def _overpowered(scene: Described) -> Iterator[Finding]:
         steps = max(1, min(round(HORIZON / other.settings.dt), STEPS))
         return followed(other, dataclasses.replace(scene.start, qpos=qpos), steps, ctrl=ctrl)
 
-    remedy = dataclasses.replace(limit_remedy(model, of.joint, beyond[k]), again=again)
-    yield Finding("limit", "warning", problem, cure, limits, beyond[k], unit, PLOT, remedy=remedy)
+    proposals = dataclasses.replace(limit_proposals(model, of.joint, beyond[k]), again=again)
+    yield Finding(
+        "limit", "warning", problem, fix, limits, beyond[k], unit, PLOT, proposals=proposals
+    )
 
 
 def _outward(model: Model, of: Actuator) -> tuple[float, float, float]:
@@ -483,9 +485,9 @@ def _saturated(scene: Described) -> Iterator[Finding]:
             f"{listed(servos, 'servo')} asks for {strength(model, full[0], force)} at the start "
             f"and has {strength(model, full[0], end)}, so it is saturated and kv has no effect"
         )
-        cure = "start with a control that matches the pose (the keyframe's ctrl), or widen its "
-        cure += "forcerange"
-        yield Finding("saturation", "warning", problem, cure, servos, force, commands=PLOT)
+        fix = "start with a control that matches the pose (the keyframe's ctrl), or widen its "
+        fix += "forcerange"
+        yield Finding("saturation", "warning", problem, fix, servos, force, commands=PLOT)
 
 
 def _balance(scene: Described) -> Iterator[Finding]:
@@ -529,9 +531,9 @@ def _balance(scene: Described) -> Iterator[Finding]:
                 f"most at {model.element_name('joint', joint)}, whose load at the start is "
                 f"{quantity(abs(float(need[dof])), units)}"
             )
-            cure, unit = f"{times(abs(float(need[dof])) / have)} the force, or another pose", "N·m"
+            fix, unit = f"{times(abs(float(need[dof])) / have)} the force, or another pose", "N·m"
             unit = unit if kind == "hinge" else "N"
-            yield Finding("balance", "warning", problem, cure, drives, have, unit, PLOT)
+            yield Finding("balance", "warning", problem, fix, drives, have, unit, PLOT)
 
 
 def _unlifted(scene: Described, body: int, each: Floats, need: float) -> Iterator[Finding]:
@@ -559,10 +561,12 @@ def _unlifted(scene: Described, body: int, each: Floats, need: float) -> Iterato
         heights = run.centre_of_mass(body) @ -np.sign(np.asarray(model.scene.gravity, float))
         return float(heights[0] - heights[-1])
 
-    way = ((Cure(words, Change(values)),),)
-    remedy = Remedy(way, sinks, 0.0, lambda left: "it rising under full controls", again=again)
-    cure = "less mass"
-    yield Finding("balance", "warning", problem, cure, drives, have, "N", PLOT, remedy=remedy)
+    way = ((Proposal(words, Change(values)),),)
+    proposals = Proposals(
+        way, sinks, 0.0, lambda left: "it rising under full controls", again=again
+    )
+    fix = "less mass"
+    yield Finding("balance", "warning", problem, fix, drives, have, "N", PLOT, proposals=proposals)
 
 
 def _turning(scene: Described) -> Iterator[Finding]:
@@ -577,20 +581,20 @@ def _turning(scene: Described) -> Iterator[Finding]:
         if of.holds and joint >= 0 and model.jnt_type[joint] == "ball":
             of_joint.setdefault(joint, []).append(of)
     for joint, servos in of_joint.items():
-        remedy = _damped(scene, joint, servos)
+        proposals = _damped(scene, joint, servos)
         finer = Change(dt=model.settings.dt / 4).of(model)
-        runs = (remedy.again(other) for other in (model, finer) if remedy.again)
-        if len(servos) > 1 and all((remedy.left(run) or 0.0) > HALF for run in runs):
+        runs = (proposals.again(other) for other in (model, finer) if proposals.again)
+        if len(servos) > 1 and all((proposals.left(run) or 0.0) > HALF for run in runs):
             drives = named(model, "actuator", (of.index for of in servos))
             problem = (
                 f"{listed(drives, 'servo')} turns {model.element_name('joint', joint)} on and on, "
                 "at a quarter of the dt too: torques that each follow one angle are no spring's, "
                 "and their damping is too small to bear it"
             )
-            yield Finding(ENDLESS, "error", problem, "", drives, commands=PLOT, remedy=remedy)
+            yield Finding(ENDLESS, "error", problem, "", drives, commands=PLOT, proposals=proposals)
 
 
-def _damped(scene: Described, joint: int, servos: list[Actuator]) -> Remedy:
+def _damped(scene: Described, joint: int, servos: list[Actuator]) -> Proposals:
     """Return critical damping of the servos of a ball joint, judged by whether it comes to rest."""
     model, sim, dof = scene.model, Sim(scene.model), int(scene.model.jnt_dofadr[joint])
     scene.start.put(sim)
@@ -613,40 +617,13 @@ def _damped(scene: Described, joint: int, servos: list[Actuator]) -> Remedy:
         end = float(speed[max(run.late, 0) :].max() / max(float(speed.max()), 1e-300))
         return end if run.failure is None else 1.0
 
-    way = ((Cure(f"kv {damping:g} of each", Change(values)),),)
-    return Remedy(way, turns, FEW, lambda left: "it at rest", again=again)
-
-
-# Tendons.
-
-
-def _unused(scene: Described) -> Iterator[Finding]:
-    """Yield tendons without a force, a limit, an armature or a reference."""
-    of = scene.model.scene
-    used = {id(actuator.tendon) for actuator in of.actuators}
-    used |= {id(end) for tie in of.equalities for end in (tie.tendon1, tie.tendon2)}
-    used |= {id(sensor.object) for sensor in of.sensors}
-    idle = [
-        i
-        for i, tendon in enumerate(of.tendons)
-        if id(tendon) not in used
-        and tendon.range is None
-        and not (tendon.sprung or tendon.damped or tendon.frictionloss or tendon.armature)
-    ]
-    if idle:
-        tendons = named(scene.model, "tendon", idle)
-        verb, its = ("does", "it has") if len(idle) == 1 else ("do", "they have")
-        problem = f"{listed(tendons, 'tendon')} {verb} nothing"
-        cure = (
-            f"{its} no spring, damping, friction loss, armature or limit (a range needs limited or "
-            "autolimits), and no actuator, equality or sensor uses it"
-        )
-        yield Finding("unused tendon", "remark", problem, cure, tendons)
+    way = ((Proposal(f"kv {damping:g} of each", Change(values)),),)
+    return Proposals(way, turns, FEW, lambda left: "it at rest", again=again)
 
 
 # Equally severe findings are reported in this order; OF_LIMITS only if limits are enabled.
 OF_LIMITS = (_beyond, _asked_beyond, _overpowered)
 FINDINGS = (
     *(_fixed_base, _lengths, _tiny, _angles, _degrees, _densities, _beyond, _clamped),
-    *(_asked_beyond, _overpowered, _saturated, _balance, _turning, _unused),
+    *(_asked_beyond, _overpowered, _saturated, _balance, _turning),
 )

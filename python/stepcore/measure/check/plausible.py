@@ -1,4 +1,4 @@
-"""Findings on implausible values: inertias, centres of mass, mass matrix, softness."""
+"""Findings on implausible values: inertias, centres of mass, mass matrix."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.measure.check.described import LIST, Described
 from stepcore.measure.monitors.finding import FEW, HALF, Finding, listed, named, others, worst
-from stepcore.report.units import metres, seconds, times
+from stepcore.report.units import metres
 from stepcore.scene.elements import Geom
 from stepcore.viewing import surfaces
 
@@ -25,8 +25,6 @@ TOO_FAR, TOO_NEAR = 3.0, FEW
 # Smallest eigenvalue of the mass matrix of joints scaled to a unit diagonal. The smallest in about
 # 90 files are 0.0029 and, for a worm that fails, 3.4e-4.
 SINGULAR = 1e-6
-# Time constant of a solref [s]. In about 90 files none is above MuJoCo's default of 0.02.
-SOFT, DEFAULT = 0.1, 0.02
 
 
 def plausibility(scene: Described) -> Iterator[Finding]:
@@ -36,7 +34,6 @@ def plausibility(scene: Described) -> Iterator[Finding]:
     yield from _inertias(scene, bodies)
     yield from _centres(scene, bodies)
     yield from _singular(scene, sim)
-    yield from _soft(scene.model)
 
 
 # Bodies.
@@ -114,10 +111,10 @@ def _inertias(scene: Described, bodies: dict[int, _Body]) -> Iterator[Finding]:
         f"centre, but the body reaches {only}{metres(of.reach)} (a ball of its mass and "
         f"size has {ball:.2g} kg·m²)"
     )
-    cure = "correct its <inertial>, or let mass and inertia come from the geoms "
-    cure += '(inertiafromgeom="true")'
+    fix = "correct its <inertial>, or let mass and inertia come from the geoms "
+    fix += '(inertiafromgeom="true")'
     severity = "error" if only else "warning"
-    yield Finding("inertia", severity, problem, cure, elements, of.gyration, "m", LIST)
+    yield Finding("inertia", severity, problem, fix, elements, of.gyration, "m", LIST)
 
 
 def _centres(scene: Described, bodies: dict[int, _Body]) -> Iterator[Finding]:
@@ -133,8 +130,8 @@ def _centres(scene: Described, bodies: dict[int, _Body]) -> Iterator[Finding]:
             f"the centre of mass of {listed(elements, 'body')} is {metres(share * size)} outside "
             f"of the convex hull of its geoms and joints, which is {metres(2 * size)} large"
         )
-        cure, value = "correct the pos of its <inertial>", share * size
-        yield Finding("centre of mass", "warning", problem, cure, elements, value, "m", LIST)
+        fix, value = "correct the pos of its <inertial>", share * size
+        yield Finding("centre of mass", "warning", problem, fix, elements, value, "m", LIST)
 
 
 def outside(points: Floats) -> tuple[float, float]:
@@ -179,8 +176,8 @@ def _singular(scene: Described, sim: Sim) -> Iterator[Finding]:
                 f"{where}, so the mass matrix is singular (smallest "
                 f"eigenvalue {share:.2g}, scaled to a unit diagonal)"
             )
-            cure = "give one of them an armature, remove it, or start from another pose"
-            yield Finding("mass matrix", "error", problem, cure, elements, share, "1", LIST)
+            fix = "give one of them an armature, remove it, or start from another pose"
+            yield Finding("mass matrix", "error", problem, fix, elements, share, "1", LIST)
             return
 
 
@@ -196,23 +193,3 @@ def alike(sim: Sim, qpos: Floats) -> tuple[float, list[int]]:
     shares = np.abs(vectors[:, 0])
     dofs = np.argsort(-shares, kind="stable")
     return float(values[0]), [int(k) for k in dofs if shares[k] > FEW * shares.max()]
-
-
-# Softness.
-
-
-def _soft(model: Model) -> Iterator[Finding]:
-    """Yield contacts with a long time constant."""
-    if model.settings.law != "solref" or model.is_heap:
-        return
-    pairs = range(model.npair if model.scene.features.contact else 0)
-    constants = {pair: float(model.contact_pair(pair).solref[0]) for pair in pairs}
-    soft = worst(constants, lambda pair: constants[pair] / SOFT)
-    if soft:
-        elements, value = named(model, "contact", soft), constants[soft[0]]
-        problem = (
-            f"{listed(elements, 'contact')} is soft: the time constant of its solref is "
-            f"{seconds(value)}, {times(value / DEFAULT)} MuJoCo's default"
-        )
-        cure = 'solref="0.02 1" on its geoms, unless it is meant to be soft'
-        yield Finding("soft contact", "remark", problem, cure, elements, value, "s", LIST)

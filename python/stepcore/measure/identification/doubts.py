@@ -60,18 +60,18 @@ def log_findings(
         joints = [k for k, kind in enumerate(model.jnt_type) if kind in ("hinge", "slide")]
         # The same problem of several joints is one finding.
         alike = dict[tuple[str, str, str], tuple[list[int], str]]()
-        for kind, own, problem, cure in [
+        for kind, own, problem, fix in [
             *_velocity_doubts(model, log, joints, searched),
             *_servo_doubts(model, log),
             *_control_doubts(model, log, searched),
         ]:
             pair = " and ".join(each.name for each in named(model, "joint", own)[1:])
-            alike.setdefault((kind, cure, pair), ([], problem))[0].extend(own)
-        for (kind, cure, pair), (own, problem) in alike.items():
+            alike.setdefault((kind, fix, pair), ([], problem))[0].extend(own)
+        for (kind, fix, pair), (own, problem) in alike.items():
             elements = named(model, "joint", own)
             said = f"{elements[0].name} and {pair}" if pair else listed(elements, "joint")
             text = f"{said}: in {log.name} {problem}"
-            found.append(Finding(kind, "error", text, cure, elements))
+            found.append(Finding(kind, "error", text, fix, elements))
     return found
 
 
@@ -113,12 +113,12 @@ def _velocity_doubts(
         if alike[k, k] <= math.sqrt(BETTER):
             continue
         ratio = float(alike[k, k] * lengths[k, k] / (speeds[:, k] @ speeds[:, k]))
-        for unit, cure in SCALES[model.jnt_type[joint]].items():
+        for unit, fix in SCALES[model.jnt_type[joint]].items():
             if _near(ratio, unit):
                 what = f"its position changes {times_said(ratio)} its velocity"
                 if ratio < 1:
                     what = f"its velocity is {times_said(1 / ratio)} the change of its position"
-                yield "units", [joint], what, cure
+                yield "units", [joint], what, fix
         off, slope = rates[:, k] - speeds[:, k], changes[:, k]
         late = float(off @ slope / (slope @ slope)) if slope.any() else 0.0
         # The delay must exceed a row, and five times its error from noise.
@@ -190,8 +190,8 @@ def _control_doubts(model: Model, log: MeasuredLog, searched: Sequence[str]) -> 
     alike = _correlations(needed, now := given(0.0))
     joints = [each.joint or 0 for each in drives]
     for kind, pair, what in _disordered(alike, "control", "the one that its motion needs"):
-        cure = "check the names and signs of the control columns"
-        yield kind, [joints[k] for k in pair], what, cure
+        fix = "check the names and signs of the control columns"
+        yield kind, [joints[k] for k in pair], what, fix
     ratios = now.std(axis=0) / np.maximum(needed.std(axis=0), 1e-300)
     for k, ratio in enumerate(ratios.tolist()):
         if alike[k, k] > SIGN and (_near(ratio, 1e3) or _near(ratio, 1e-3)):
@@ -257,20 +257,20 @@ def fit_findings(fit: Predictions, predicted: np.ndarray) -> list[Finding]:
         word = next((word for unit, word in RATIOS.items() if _near(ratio, unit)), None)
         if word is not None and left < BETTER**2 * before:
             problem = f"{label}: measured {times_said(ratio)} the prediction"
-            cure = f"it looks like another unit, {word}"
-            found.append(Finding("units", "error", problem, cure, (), ratio))
+            fix = f"it looks like another unit, {word}"
+            found.append(Finding("units", "error", problem, fix, (), ratio))
     return found
 
 
 def gap_findings(logs: Sequence[MeasuredLog]) -> list[Finding]:
     """Return findings on gaps in the controls that last ten times the usual row."""
-    cure, found = "the last ones before it were held; split the log there if they were not", []
+    fix, found = "the last ones before it were held; split the log there if they were not", []
     for log in logs:
         times = log.controls.times
         apart = np.diff(times)
         for k in np.flatnonzero(apart > 10 * np.median(apart)) if len(apart) else ():
             gap = f"{log.name} has no controls for {seconds(apart[k])} from {seconds(times[k])} on"
-            found.append(Finding("gap", "warning", gap, cure))
+            found.append(Finding("gap", "warning", gap, fix))
     return found
 
 
@@ -297,8 +297,8 @@ def horizon_findings(logs: Sequence[MeasuredLog], ends: Sequence[float]) -> list
                 f"{log.name} can be predicted for {seconds(end)} of {seconds(log.duration)}: from "
                 f"then on what is off at its beginning has grown {times_said(GROWTH)}"
             )
-            cure = f"cut it into pieces of {seconds(end)} or less: --pieces (pieces=)"
-            found.append(Finding("horizon", "warning", problem, cure, (), end, "s"))
+            fix = f"cut it into pieces of {seconds(end)} or less: --pieces (pieces=)"
+            found.append(Finding("horizon", "warning", problem, fix, (), end, "s"))
     return found
 
 

@@ -12,7 +12,7 @@ import math
 from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.experiment.schedule import Schedule
-from stepcore.measure.monitors.contacts import contact_findings, noise_findings
+from stepcore.measure.monitors.contacts import contact_findings
 from stepcore.measure.monitors.creep import creep_findings
 from stepcore.measure.monitors.finding import Finding, Next, ordered, verified
 from stepcore.measure.monitors.grips import grip_findings
@@ -28,7 +28,7 @@ __all__ = ["Finding", "Next", "Recording", "monitored", "ordered", "shown", "ver
 # The monitors of a run; equally severe findings are reported in this order.
 FINDINGS = (
     *(fall_findings, tunnelling_findings, grip_findings, creep_findings, contact_findings),
-    *(joint_findings, noise_findings, actuator_findings, resting_findings),
+    *(joint_findings, actuator_findings, resting_findings),
     motion_findings,
 )
 

@@ -1,9 +1,9 @@
-"""Findings on contacts in a run: initial overlap, depth, frictionless sliding, noise of forces."""
+"""Findings on contacts in a run: initial overlap, depth, frictionless sliding."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -12,22 +12,19 @@ from stepcore.engine.coordinates import rotated
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.change import Change
+from stepcore.experiment.proposal import Proposal
 from stepcore.measure.monitors.finding import (
     DEEP,
-    FEW,
     HALF,
     LEFT,
     PARTS,
     SEEN,
     TEST_CONTACTS,
-    Cure,
     Finding,
-    Remedy,
-    assigned,
+    Proposals,
     listed,
     named,
     others,
-    shorter,
     worst,
 )
 from stepcore.measure.monitors.recording import FEWEST, STEADY, Recording, free_bodies, friction_of
@@ -38,17 +35,6 @@ from stepcore.report.units import metres, newtons, percent, speed
 # of Go2 start 1.7 and 2.6 times as deep as they rest (scene.xml and scene_mjx.xml). Twice as much
 # misses h1's feet, which start in the floor.
 RESTS = 3.0
-
-
-# Largest time between readings that separates noise from motion [s]; particle_free.xml needs it.
-APART = 0.01
-# Surfaces in contact rest below this relative speed [m/s]; twice as much counts the foot of
-# dm_control's hopper as resting, which hops.
-STILL = 0.01
-# Sensors whose noise is measured.
-SENSORS = ("force", "torque", "touch")
-# Noise and mean of a force, by pair or sensor.
-Noises = dict[int, tuple[float, float]]
 
 
 class Contact(NamedTuple):
@@ -237,14 +223,14 @@ def _overlapping(
     # The foot of a robot is moved together with the whole robot.
     base = roots[moved] if roots[moved] in free else bodies[moved]
     mover = model.element_name("body", base)
-    cure = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
+    fix = f"move {mover} {metres(of.depth)} away, in the model or in the keyframe"
     lines = tuple[str, ...]()
     if kind == "overlap" or machine or (roots[0] == roots[1] and roots[0]):
         lines = _excludes(model, found)
         pose = "start from another pose, or " if of.movable and kind != "overlap" else ""
         more = f" and {len(lines) - 1} more (`stepcore check` lists them)" if lines[1:] else ""
-        cure = f"{pose}leave them out with {lines[0]}{more}, or make the geoms smaller"
-    what = problem, cure, contacts, of.depth, "m", TEST_CONTACTS
+        fix = f"{pose}leave them out with {lines[0]}{more}, or make the geoms smaller"
+    what = problem, fix, contacts, of.depth, "m", TEST_CONTACTS
     return Finding(kind, severity, *what, lines=lines[len(lines) == 1 :])
 
 
@@ -296,10 +282,10 @@ def _depths(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
     steep = model.settings.cone == "pyramidal" and friction_of(model, of.pair) > 1
     ways = (harder, other_cone(model))[:: -1 if steep or run.unsolved else 1]
     # A requested depth is met within 1 %.
-    remedy = Remedy(ways, lambda other: depth_of(other, pairs), (1 + SEEN) * most(of), metres)
+    proposals = Proposals(ways, lambda other: depth_of(other, pairs), (1 + SEEN) * most(of), metres)
     severity = "warning" if of.depth > DEEP * thick else "remark"
     what = "depth at rest", severity, problem, "", contacts, of.depth, "m", TEST_CONTACTS
-    yield Finding(*what, remedy=remedy)
+    yield Finding(*what, proposals=proposals)
 
 
 def depth_of(run: Recording, pairs: Collection[int]) -> float | None:
@@ -339,15 +325,15 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
         deep = _deepest(other)
         return max(deep[pair] for pair in pairs) if set(pairs) <= set(deep) else None
 
-    remedy = Remedy(ways, pressed, HALF * thick, metres, needed=True)
+    proposals = Proposals(ways, pressed, HALF * thick, metres, needed=True)
     what = "depth under load", "remark", problem, "", contacts, depth, "m", TEST_CONTACTS
-    yield Finding(*what, remedy=remedy)
+    yield Finding(*what, proposals=proposals)
 
 
-def other_cone(model: Model) -> tuple[Cure, ...]:
+def other_cone(model: Model) -> tuple[Proposal, ...]:
     """Return the fix that changes a model's cone to the other type."""
     cone = "elliptic" if model.settings.cone == "pyramidal" else "pyramidal"
-    return (Cure(f'cone="{cone}"', Change(cone=cone)),)
+    return (Proposal(f'cone="{cone}"', Change(cone=cone)),)
 
 
 def _deepest(run: Recording) -> dict[int, float]:
@@ -380,9 +366,9 @@ def _slides(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
     falls = "" if fast else ", so a slight push lets the body slide or topple"
     problem = f"{listed(contacts, 'contact')} {does} without friction, because {why}{falls}"
     given = 'condim="3"' if frictionless else 'friction="0.8"'
-    cure = f"{given} on one of the two geoms gives it friction"
+    fix = f"{given} on one of the two geoms gives it friction"
     value, unit = (of.speed, "m/s") if fast else (of.force, "N")
-    yield Finding("no friction", "remark", problem, cure, contacts, value, unit)
+    yield Finding("no friction", "remark", problem, fix, contacts, value, unit)
 
 
 def _carries(run: Recording, at: Contact) -> bool:
@@ -392,109 +378,3 @@ def _carries(run: Recording, at: Contact) -> bool:
     free = [root for root in roots if root in free_bodies(model)]
     weights = map(run.weight, free)
     return roots[0] != roots[1] and any(at.force > DEEP * weight > 0 for weight in weights)
-
-
-# Noise: changes from reading to reading.
-
-
-def noise_findings(run: Recording) -> Iterator[Finding]:
-    """Yield the noisiest contacts, and the noisiest sensors."""
-    if run.late < 0 or run.spacing > APART:
-        return
-    for kind, noises in (("contact", of_contacts), ("sensor", of_sensors)):
-        yield from _noisy(run, kind, noises)
-
-
-def _noisy(run: Recording, kind: str, noises: Callable[[Recording], Noises]) -> Iterator[Finding]:
-    model, every = run.model, noises(run)
-    # Force control of a few per cent is usual.
-    keys = worst(every, lambda k: every[k][0] / (FEW * every[k][1]) if every[k][1] else 0.0)
-    if not keys:
-        return
-    key, (rms, mean), elements = keys[0], every[keys[0]], named(model, kind, keys)
-    torque = kind == "sensor" and model.sensor_type[key] == "torque"
-    unit = "N·m" if torque else "N"
-    does = (
-        f"pushes with {newtons(mean)} and" if kind == "contact" else f"reads {mean:.3g} {unit} with"
-    )
-    problem = (
-        f"{listed(elements, kind)} {does} a noise of {rms:.3g} {unit} RMS ({percent(rms / mean)})"
-    )
-    pairs = keys if kind == "contact" else sorted(set(run.contacts.pair))
-
-    def left(other: Recording) -> float | None:
-        found = noises(other).get(key)
-        return None if found is None else found[0]
-
-    # Noise that no change lowers belongs to the motion.
-    say = f"{{:.3g}} {unit}".format
-    remedy = Remedy(tuple(_knobs(model, pairs)), left, FEW * mean, say, needed=True)
-    yield Finding("force noise", "remark", problem, "", elements, rms, unit, remedy=remedy)
-
-
-def of_contacts(run: Recording) -> Noises:
-    """Return noise and mean of the normal force of each pair at rest [N]."""
-    seen, first, noises = run.contacts, run.late, Noises()
-    late = np.flatnonzero(seen.reading >= first)
-    moves = np.linalg.norm(seen.past[late], axis=1) + seen.rolls[late]
-    for pair in np.unique(seen.pair[late]).tolist():
-        mine = seen.pair[late] == pair
-        places = late[mine]
-        force = np.bincount(seen.reading[places] - first, seen.force[places], len(run) - first)
-        if force.all() and moves[mine].mean() < STILL and _lasts(force):
-            noises[pair] = noise(force)
-    return noises
-
-
-def of_sensors(run: Recording) -> Noises:
-    """Return noise and mean size of each force sensor at the end of the run."""
-    kinds, ends = run.model.sensor_type, np.cumsum(run.model.sensor_dim)
-    sensors = [k for k, kind in enumerate(kinds) if kind in SENSORS]
-    if not sensors:
-        return {}
-    late = np.array([run.at(k).sensordata for k in range(run.late, len(run))])
-    series = {k: late[:, ends[k] - run.model.sensor_dim[k] : ends[k]] for k in sensors}
-    return {k: noise(values) for k, values in series.items() if _lasts(values)}
-
-
-def _knobs(model: Model, pairs: Collection[int]) -> Iterator[tuple[Cure, ...]]:
-    """Yield the changes that may lower the noise of some pairs."""
-    settings, contacts = model.settings, named(model, "contact", pairs)
-    solrefs = [model.contact_pair(pair).solref for pair in pairs]
-    if settings.law == "solref" and solrefs:
-        base = max(2 * settings.dt, *(ref[0] for ref in solrefs))
-        yield tuple(
-            Cure(
-                f'solref="{constant:g} 1" on the geoms that touch',
-                Change(assigned(model, contacts, {"solref": (constant, 1.0)})),
-            )
-            for constant in (float(f"{base * part:.3g}") for part in PARTS[1:])
-        )
-    if settings.cone == "pyramidal":
-        yield (Cure('cone="elliptic"', Change(cone="elliptic")),)
-    yield shorter(settings.dt / part for part in PARTS[1:])
-
-
-def noise(series: np.ndarray) -> tuple[float, float]:
-    """Return the noise of a series of numbers or vectors, and the size of its mean.
-
-    The noise is the RMS of f_k − (f_{k−1} + f_{k+1})/2, times √(2/3). For white noise this is its
-    RMS; if the readings resolve a motion, its second difference is small.
-
-    >>> rms, mean = noise(np.array([1.0, 1.2] * 8))
-    >>> print(f"{rms:.3f} {mean:.1f}")
-    0.163 1.1
-    """
-    series = series.reshape(len(series), -1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        second = series[1:-1] - (series[:-2] + series[2:]) / 2
-        rms = math.sqrt(2 / 3 * float(np.mean((second**2).sum(axis=1))))
-        return rms, float(np.linalg.norm(series.mean(axis=0)))
-
-
-def _lasts(series: np.ndarray) -> bool:
-    """Return whether both halves of a series have about the same mean, as at rest."""
-    half = len(series) // 2
-    means = [np.atleast_1d(part.mean(axis=0)) for part in (series[:half], series[half:])]
-    apart = float(np.linalg.norm(means[1] - means[0]))
-    return apart < STEADY * float(np.linalg.norm(means[0] + means[1])) / 2

@@ -21,15 +21,15 @@ from stepcore.engine.actuator import actuators
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
+from stepcore.experiment.proposal import Proposal
 from stepcore.measure.monitors.finding import (
     DEEP,
     FEW,
     HALF,
     LEFT,
     SEEN,
-    Cure,
     Finding,
-    Remedy,
+    Proposals,
     assigned,
     listed,
     named,
@@ -213,16 +213,16 @@ def _of_contacts(run: Recording, found: list[Creep]) -> Finding:
     model, of, most = run.model, found[0], SEEN * run.thick(found[0].of)
     elements = named(model, "contact", [creep.of for creep in found])
     least = round_number(model.settings.impratio * of.speed / (LEFT * most), up=True)
-    cures = tuple(
-        Cure(
+    fixes = tuple(
+        Proposal(
             f'cone="elliptic" with impratio="{impratio:g}"',
             Change(cone="elliptic", impratio=impratio),
         )
         for impratio in (least, 10 * least)
         if impratio <= IMPRATIO
     )
-    remedy = Remedy(
-        (cures, (Cure("stiction=True", Change(stiction=True)),)),
+    proposals = Proposals(
+        (fixes, (Proposal("stiction=True", Change(stiction=True)),)),
         functools.partial(_left, found, of_contacts),
         most,
         # Below a nanometre per second it is rounding.
@@ -235,7 +235,7 @@ def _of_contacts(run: Recording, found: list[Creep]) -> Finding:
         f"{listed(elements, 'contact')} creeps at {speed(of.speed)} although its friction "
         f"holds ({percent(of.share)} of what it could be)"
     )
-    return Finding("creep", "warning", problem, "", elements, of.speed, "m/s", remedy=remedy)
+    return Finding("creep", "warning", problem, "", elements, of.speed, "m/s", proposals=proposals)
 
 
 def _of_joints(model: Model, found: list[Creep], most: float) -> Finding:
@@ -247,19 +247,19 @@ def _of_joints(model: Model, found: list[Creep], most: float) -> Finding:
     def rate(value: float) -> str:
         return f"{radians(value)}/s" if angular else speed(value)
 
-    def harder(low: float, high: float) -> Cure:
+    def harder(low: float, high: float) -> Proposal:
         solimp = (low, high, 0.001, 0.5, 2.0)
         values = {"solreffriction": (constant, 1.0), "solimpfriction": solimp}
         words = f'solreffriction="{constant:g} 1" with solimpfriction="{low:g} {high:g}"'
-        return Cure(words, Change(assigned(model, elements, values)))
+        return Proposal(words, Change(assigned(model, elements, values)))
 
     # A motion that harder friction does not stop is no creep.
     way = tuple(harder(*ends) for ends in IMPEDANCES)
     left = functools.partial(_left, found, of_joints)
-    remedy = Remedy((way,), left, most, rate, needed=True)
+    proposals = Proposals((way,), left, most, rate, needed=True)
     problem = (
         f"{listed(elements, 'friction loss')} lets the joint creep at {rate(of.speed)} "
         f"under {percent(of.share)} of its {quantity(loss, TORQUES if angular else FORCES)}"
     )
     unit = "rad/s" if angular else "m/s"
-    return Finding("creep", "warning", problem, "", elements, of.speed, unit, remedy=remedy)
+    return Finding("creep", "warning", problem, "", elements, of.speed, unit, proposals=proposals)

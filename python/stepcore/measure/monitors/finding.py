@@ -1,6 +1,6 @@
 """`Finding`: a problem of a scene as data, the scale by which it is judged, and fixes that are run.
 
-A finding proposes fixes, and a measure of what remains of the problem (`Remedy`). `verified`
+A finding proposes fixes, and a measure of what remains of the problem (`Proposals`). `verified`
 applies each fix to a copy of the scene and repeats the motion, until one succeeds. The finding then
 reports the result of that run. No effect is claimed for a fix that was not run or did not help.
 """
@@ -8,6 +8,7 @@ reports the result of that run. No effect is claimed for a fix that was not run 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from stepcore._core import Settings, SimulationError
 from stepcore.engine.element import OVERRIDE, Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
+from stepcore.experiment.proposal import Proposal, evaluate
 from stepcore.report.units import counted, seconds
 
 # Fractions of a size (the thinner geom, the smaller body, a joint's range), of a load or of a time;
@@ -68,15 +70,8 @@ TEST_CONTACTS = (
 )
 
 
-class Cure(NamedTuple):
-    """A change that may fix a finding, and its description, such as 'solref="0.005 1"'."""
-
-    words: str
-    change: Change
-
-
 @dataclass(frozen=True)
-class Remedy:
+class Proposals:
     """The fixes that are proposed for a finding, and the measure of their effect.
 
     ways: alternative fixes, the preferred first. Each is a sequence of increasingly strong fixes,
@@ -93,7 +88,7 @@ class Remedy:
     compared: whether alternatives that failed are named next to those that succeed.
     """
 
-    ways: tuple[tuple[Cure, ...], ...]
+    ways: tuple[tuple[Proposal, ...], ...]
     left: Callable[[Any], float | None]
     enough: float
     say: Callable[[float], str]
@@ -112,27 +107,27 @@ class Finding:
     kind: the subject in a word or two, such as "overlap" or "creep".
     severity: "error" (certainly wrong), "warning" (will be noticed) or "remark" (may be intended).
     problem: the problem in words.
-    cure: the fix in words; "" without one.
+    fix: the fix in words; "" without one.
     elements: the elements with the problem, worst first; empty for the whole scene.
     value, unit: the number by which the finding is judged; None and "" without a number.
     commands: the commands to run next because of the finding.
     settings: the settings that the fix changes, with their new values.
-    remedy: fixes that have not been tried yet; `verified` tries them and adds the results.
+    proposals: fixes that have not been tried yet; `verified` tries them and adds the results.
     lines: MJCF elements to paste, if the fix consists of several.
-    ran: whether `cure` states for each change if it was run.
+    ran: whether `fix` states for each change if it was run.
     observation: the problem without its reason, for findings that give one.
     """
 
     kind: str
     severity: str
     problem: str
-    cure: str = ""
+    fix: str = ""
     elements: tuple[Element, ...] = ()
     value: float | None = None
     unit: str = ""
     commands: tuple[Next, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
-    remedy: Remedy | None = field(default=None, repr=False, compare=False)
+    proposals: Proposals | None = field(default=None, repr=False, compare=False)
     lines: tuple[str, ...] = ()
     ran: bool = False
     observation: str = ""
@@ -148,12 +143,12 @@ class Finding:
         # A problem without an element may begin with a file name, which keeps its case.
         begin = self.problem[:1].upper() if self.elements else self.problem[:1]
         problem = begin + self.problem[1:]
-        suggested = self.cure if self.ran else f"{self.cure} (not run)"
-        return f"{problem}: {suggested}." if self.cure else f"{problem}."
+        suggested = self.fix if self.ran else f"{self.fix} (not run)"
+        return f"{problem}: {suggested}." if self.fix else f"{problem}."
 
     def record(self) -> dict[str, Any]:
         """Return the finding as plain data."""
-        names = ("kind", "severity", "element", "text", "value", "unit")
+        names = ("kind", "severity", "element", "text", "fix", "value", "unit")
         return {name: getattr(self, name) for name in names}
 
 
@@ -205,22 +200,11 @@ def verified(
     Fixes whose runs would cost more than `EFFORT` are suggested without a result.
 
     model: the model of the run. again: runs the same motion with another model; by default only
-    fixes with `Remedy.again` are run. steps: the number of time steps of the run.
+    fixes with `Proposals.again` are run. steps: the number of time steps of the run.
     """
     trials = _Trials(model, again, steps)
-    return [cured for finding in findings if (cured := trials.cured(finding)) is not None]
-
-
-class _Held(NamedTuple):
-    """A fix that helps, the remaining problem, the fraction of the run that was made, and a doubt.
-
-    doubt: why the fix may fail elsewhere, in words; "" without a reason.
-    """
-
-    left: float
-    cure: Cure
-    share: float
-    doubt: str = ""
+    results = (trials.with_fix(finding) for finding in findings)
+    return [finding for finding in results if finding is not None]
 
 
 @dataclass
@@ -236,129 +220,108 @@ class _Trials:
     effort: float = EFFORT
     doubts: float = HALF * EFFORT
 
-    def cured(self, finding: Finding) -> Finding | None:
+    def with_fix(self, finding: Finding) -> Finding | None:
         """Return a finding with the best of its fixes, or None if it needs one and has none."""
-        remedy = finding.remedy
-        if remedy is None:
+        proposals = finding.proposals
+        if proposals is None:
             return finding
-        finding = dataclasses.replace(finding, remedy=None)
-        also = f"; not run: {finding.cure}" if finding.cure else ""
-        held, failed, untried = self._run(remedy, finding.value)
-        if held:
-            words = ", or ".join(self._words(remedy, one) for one in held)
-            if remedy.compared and failed:
-                words += f" (run without success: {'; '.join(failed)})"
-            change = held[0].cure.change
-            commands = (*_commands(change), *finding.commands)
+        value = finding.value if proposals.now is None else proposals.now
+        helps = math.inf if value is None else HALF * abs(value)
+        run = functools.partial(self._run, proposals)
+        best, failed, untried = evaluate(proposals.ways, run, proposals.most, helps)
+        finding = dataclasses.replace(finding, proposals=None)
+        also = f"; not run: {finding.fix}" if finding.fix else ""
+        failures = "; ".join(proposal.words for proposal in failed)
+        if best:
+            words = ", or ".join(self._words(proposals, proposal) for proposal in best)
+            if proposals.compared and failed:
+                words += f" (run without success: {failures})"
+            change = best[0].change
             return dataclasses.replace(
                 finding,
-                cure=words + also,
+                fix=words + also,
                 settings=dict(change.settings),
-                commands=commands,
+                commands=(*_commands(change), *finding.commands),
                 ran=True,
             )
-        if remedy.needed and (failed or finding.severity == "remark"):
+        if proposals.needed and (failed or finding.severity == "remark"):
             return None
         if untried:
-            return dataclasses.replace(finding, cure=f"try {untried}{also}", ran=True)
-        words = f"run without success, as stronger ones were: {'; '.join(failed)}" if failed else ""
-        if not words:
+            return dataclasses.replace(finding, fix=f"try {untried.words}{also}", ran=True)
+        if not failed:
             return finding
-        return dataclasses.replace(finding, cure=words + also, ran=True)
+        words = f"run without success, as stronger ones were: {failures}"
+        return dataclasses.replace(finding, fix=words + also, ran=True)
 
-    def _words(self, remedy: Remedy, held: _Held) -> str:
-        length = held.share * self.steps * self.model.settings.dt
-        within = f" in the first {seconds(float(f'{length:.2g}'))}" if held.share < 1 else ""
-        return f"{held.cure.words} leaves {remedy.say(held.left)}{within}{held.doubt}"
+    def _words(self, proposals: Proposals, fix: Proposal) -> str:
+        length = fix.share * self.steps * self.model.settings.dt
+        within = f" in the first {seconds(float(f'{length:.2g}'))}" if fix.share < 1 else ""
+        return f"{fix.words} leaves {proposals.say(fix.measured or 0.0)}{within}{fix.doubt}"
 
-    def _run(self, remedy: Remedy, value: float | None) -> tuple[list[_Held], list[str], str]:
-        """Return fixes that succeed, those without a doubt first, or else the one that helps most.
+    def _run(self, proposals: Proposals, fix: Proposal) -> Proposal:
+        """Run a fix, first for the fraction of the motion in which the problem appears.
 
-        Then the first fix of each failed alternative, and the first fix that was not run in time.
+        The measured value of the result is None if the run fails or raises an error.
         """
-        now = value if remedy.now is None else remedy.now
-        helps = math.inf if now is None else HALF * abs(now)
-        held, helped, failed, untried = list[_Held](), list[_Held](), list[str](), ""
-        for way in remedy.ways:
-            if sum(not one.doubt for one in held) >= remedy.most:
-                break
-            ran = False
-            for cure in way:
-                share, left, seen = self._tried(remedy, cure)
-                if not share:
-                    untried = untried or cure.words
-                    break
-                ran = True
-                if left is not None and left <= remedy.enough:
-                    held.append(_Held(left, cure, share, self._doubt(remedy, cure, seen)))
-                    ran = False
-                    break
-                if left is not None and left <= helps:
-                    helped.append(_Held(left, cure, share))
-            failed += [one.words for one in way[:1] if ran]
-        best = sorted(held, key=lambda one: bool(one.doubt))[: remedy.most]
-        return best or sorted(helped)[:1], failed, untried
-
-    def _tried(self, remedy: Remedy, cure: Cure) -> tuple[float, float | None, Any]:
-        """Run a fix; return the fraction of the motion that was run, what remains, and the run.
-
-        The remaining problem is None if the run fails or raises an error.
-        """
-        ran, left, seen = 0.0, None, None
-        for share in sorted({min(remedy.by, 1.0), 1.0}):
-            cost = self._cost(cure.change, share)
+        run = None
+        for share in sorted({min(proposals.by, 1.0), 1.0}):
+            cost = self._cost(fix.change, share)
             if cost > self.effort:
-                return ran, left, seen
+                break
             self.effort -= cost
-            tried = self._left(remedy, cure.change, share)
-            if tried is None:
-                return ran, left, seen
-            (left, seen), ran = tried, share
-            if left is None or left > remedy.enough:
-                return 1.0, left, seen
-        return ran, left, seen
+            result = self._measured(proposals, fix.change, share)
+            if result is None:
+                break
+            left, run = result
+            sufficient = left is not None and left <= proposals.enough
+            fix = dataclasses.replace(fix, measured=left, share=share, sufficient=sufficient)
+            if not sufficient:
+                return dataclasses.replace(fix, share=1.0)
+        if not fix.sufficient:
+            return fix
+        return dataclasses.replace(fix, doubt=self._doubt(proposals, fix, run))
 
     def _cost(self, change: Change, share: float) -> float:
         dt = self.model.settings.dt
         finer = max(1.0, dt / dict(change.settings).get("dt", dt))
         return finer * share * self.steps * (self.model.nv + 2)
 
-    def _left(
-        self, remedy: Remedy, change: Change, share: float, nudge: float = 0.0
+    def _measured(
+        self, proposals: Proposals, change: Change, share: float, nudge: float = 0.0
     ) -> tuple[float | None, Any] | None:
         """Run a change, and return the remaining problem and the run; None if time ran out.
 
         nudge: the relative change of gravity.
         """
-        found = None
+        result = None
         with (deadline.current() or deadline.Deadline()).stage("runs of all fixes"):
             try:
                 changed = change.of(self.model)
                 if nudge:
                     changed = _nudged(changed, nudge)
-                seen = remedy.again(changed) if remedy.again else self.again(changed, share)
-                found = (None if seen is None else remedy.left(seen)), seen
+                run = proposals.again(changed) if proposals.again else self.again(changed, share)
+                result = (None if run is None else proposals.left(run)), run
             except (ValueError, SimulationError):
-                found = None, None
-        return found
+                result = None, None
+        return result
 
-    def _doubt(self, remedy: Remedy, cure: Cure, seen: Any) -> str:
+    def _doubt(self, proposals: Proposals, fix: Proposal, run: Any) -> str:
         """Return why a fix that succeeds may fail elsewhere; "" without a reason."""
-        if remedy.again is not None or not self.model.npair:
+        if proposals.again is not None or not self.model.npair:
             return ""
         with (deadline.current() or deadline.Deadline()).stage("runs of all fixes"):
-            if seen.unsolved:
+            if run.unsolved:
                 return ", but its rows are not solved, so that it may fail with another solver"
-        cost = self._cost(cure.change, 1.0)
+        cost = self._cost(fix.change, 1.0)
         if cost > self.doubts or not any(self.model.scene.gravity):
             return ""
         self.doubts -= cost
-        tried = self._left(remedy, cure.change, 1.0, NUDGE)
-        left = 0.0 if tried is None else tried[0]
-        if left is not None and left <= remedy.enough:
+        result = self._measured(proposals, fix.change, 1.0, NUDGE)
+        left = 0.0 if result is None else result[0]
+        if left is not None and left <= proposals.enough:
             return ""
-        what = "the run fails" if left is None else f"it leaves {remedy.say(left)}"
-        return f", but {what} if gravity is changed by {NUDGE:g} of itself"
+        effect = "the run fails" if left is None else f"it leaves {proposals.say(left)}"
+        return f", but {effect} if gravity is changed by {NUDGE:g} of itself"
 
 
 def _nudged(model: Model, nudge: float) -> Model:
@@ -397,6 +360,6 @@ def finer(settings: Settings, most: float) -> float:
     return settings.dt / max(1, math.ceil(settings.dt / most * (1 - 1e-9)))
 
 
-def shorter(dts: Iterable[float]) -> tuple[Cure, ...]:
+def shorter(dts: Iterable[float]) -> tuple[Proposal, ...]:
     """Return fixes that shorten the time step to each of `dts` [s]."""
-    return tuple(Cure(f"a dt of {seconds(dt)}", Change(dt=dt)) for dt in dict.fromkeys(dts))
+    return tuple(Proposal(f"a dt of {seconds(dt)}", Change(dt=dt)) for dt in dict.fromkeys(dts))

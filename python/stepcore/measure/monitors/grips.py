@@ -14,13 +14,13 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import rotated
 from stepcore.experiment.change import Change
 from stepcore.experiment.moves import roots
+from stepcore.experiment.proposal import Proposal
 from stepcore.measure.monitors.creep import IMPRATIO, STICKS
 from stepcore.measure.monitors.finding import (
     HALF,
     PARTS,
-    Cure,
     Finding,
-    Remedy,
+    Proposals,
     assigned,
     named,
     others,
@@ -199,32 +199,39 @@ def grip_findings(run: Recording) -> Iterator[Finding]:
     def say(count: float) -> str:
         return f"{count:g} that slip" if count else "it in the grip"
 
-    remedy = Remedy(tuple(ways), left, 0.0, say, most=2, now=now, compared=True)
+    proposals = Proposals(tuple(ways), left, 0.0, say, most=2, now=now, compared=True)
     elements = (*bodies, *contacts)
     yield Finding(
-        "slip", "warning", problem, "a stronger grip", elements, first.held, "N", remedy=remedy
+        "slip",
+        "warning",
+        problem,
+        "a stronger grip",
+        elements,
+        first.held,
+        "N",
+        proposals=proposals,
     )
 
 
-def _harder(run: Recording) -> Iterator[tuple[Cure, ...]]:
+def _harder(run: Recording) -> Iterator[tuple[Proposal, ...]]:
     """Yield elliptic cones and a larger impratio, each alone and then both."""
     settings = run.model.settings
     if settings.law != "solref":
         return
     elliptic = Change(cone="elliptic")
     if settings.cone == "pyramidal":
-        yield (Cure('cone="elliptic"', elliptic),)
+        yield (Proposal('cone="elliptic"', elliptic),)
     larger = [value for part in (10, 100) if (value := part * settings.impratio) <= IMPRATIO]
-    alone = [Cure(f'impratio="{value:g}"', Change(impratio=value)) for value in larger]
+    alone = [Proposal(f'impratio="{value:g}"', Change(impratio=value)) for value in larger]
     yield tuple(alone)
     if settings.cone == "pyramidal":
         words = 'cone="elliptic" with '
-        yield tuple(Cure(words + one.words, elliptic.also(one.change)) for one in alone)
+        yield tuple(Proposal(words + one.words, elliptic.also(one.change)) for one in alone)
 
 
-def _rougher(run: Recording, found: list[Slip], friction: float) -> Iterator[tuple[Cure, ...]]:
+def _rougher(run: Recording, found: list[Slip], friction: float) -> Iterator[tuple[Proposal, ...]]:
     """Yield larger frictions of the bodies that slip, if they have any friction."""
-    model, cures = run.model, list[Cure]()
+    model, fixes = run.model, list[Proposal]()
     contacts = named(model, "contact", [pair for slip in found for pair in slip.pairs])
     more = max(1.0, found[0].weight / found[0].held) if found[0].held else 0.0
     for part in PARTS if more else ():
@@ -233,5 +240,5 @@ def _rougher(run: Recording, found: list[Slip], friction: float) -> Iterator[tup
             fields = {of.name: of.value for of in contact.fields(model)}
             row = (new, *fields["friction"][1:])
             values |= assigned(model, [contact], {"friction": row})
-        cures.append(Cure(f"a friction of {new:g} on both geoms", Change(values)))
-    yield tuple(cures)
+        fixes.append(Proposal(f"a friction of {new:g} on both geoms", Change(values)))
+    yield tuple(fixes)

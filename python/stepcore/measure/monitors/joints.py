@@ -1,8 +1,4 @@
-"""Findings on joints in a run: connections that gape, limits that a force overcomes, backlash.
-
-Backlash is a joint of small range in series with another: two joints of one body along one axis. An
-equality that holds such a joint within its range removes the backlash.
-"""
+"""Findings on joints in a run: connections that gape, chatter, limits that a force overcomes."""
 
 from __future__ import annotations
 
@@ -19,7 +15,7 @@ from stepcore.engine.coordinates import Coordinates, rotated, turned
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.change import Change
+from stepcore.experiment.proposal import Proposal
 from stepcore.experiment.schedule import SPEED, SPIN
 from stepcore.measure.monitors.finding import (
     DEEP,
@@ -29,10 +25,9 @@ from stepcore.measure.monitors.finding import (
     PLOT,
     SEEN,
     TEST_CONTACTS,
-    Cure,
     Finding,
     Next,
-    Remedy,
+    Proposals,
     listed,
     named,
     worst,
@@ -48,12 +43,11 @@ RESISTS = ("damper", "friction loss", "joint equality")
 
 
 def joint_findings(run: Recording) -> Iterator[Finding]:
-    """Yield the findings on connections, limits and backlash."""
+    """Yield the findings on connections, chatter and limits."""
     if run.model.settings.law == "solref":
         yield from _gaps(run)
     yield from chatter_findings(run)
     yield from _overpowered(run)
-    yield from _played(run)
 
 
 def chatter_findings(run: Recording) -> Iterator[Finding]:
@@ -68,9 +62,9 @@ def chatter_findings(run: Recording) -> Iterator[Finding]:
         unit = f"{unit_of(model, joints[0])}/s"
         who = f"{listed(elements, 'joint')} chatters"
         problem = f"{who}: it moves to and fro from step to step, at {speed:.3g} {unit}"
-        cure = "take a shorter dt, or lower gains; stepcore diagnose names what limits dt"
+        fix = "take a shorter dt, or lower gains; stepcore diagnose names what limits dt"
         limits = (Next("diagnose", "which element limits dt"),)
-        yield Finding("chatter", "warning", problem, cure, elements, speed, unit, limits)
+        yield Finding("chatter", "warning", problem, fix, elements, speed, unit, limits)
 
 
 def _to_and_fro(run: Recording) -> dict[int, float]:
@@ -157,14 +151,16 @@ def _gaps(run: Recording) -> Iterator[Finding]:
         f'solref="{solref[0]:g} {solref[1]:g}"'
     )
     wanted = LEFT * min(SEEN * size(of), now(of))
-    cures = stiffened(model, connections, solref, solimp, now(of), wanted)
+    fixes = stiffened(model, connections, solref, solimp, now(of), wanted)
 
     def widest(other: Recording) -> float | None:
         return max((now(at) for at in gapes(other) if at.equality in tied), default=None)
 
-    remedy = Remedy((cures,), widest, SEEN * size(of), metres)
+    proposals = Proposals((fixes,), widest, SEEN * size(of), metres)
     commands = (Next("converge", "whether the connections are solved"), TEST_CONTACTS[1])
-    yield Finding("gap", "warning", problem, "", connections, now(of), "m", commands, remedy=remedy)
+    yield Finding(
+        "gap", "warning", problem, "", connections, now(of), "m", commands, proposals=proposals
+    )
 
 
 # Limits.
@@ -248,29 +244,29 @@ def _overpowered(run: Recording) -> Iterator[Finding]:
     of, joints = pushed[0], [at.joint for at in pushed]
     (kind, index), force = of.forces[0]
     pusher = "gravity" if kind == "gravity" else model.element_name(kind, index)
-    cure, unit = "less of that force", unit_of(model, of.joint)
+    fix, unit = "less of that force", unit_of(model, of.joint)
     if kind == "actuator":
         ranges = "forcerange or ctrlrange" if actuators(model)[index].holds else "ctrlrange"
-        cure = f"a smaller {ranges} of {pusher}"
+        fix = f"a smaller {ranges} of {pusher}"
     problem = (
         f"{pusher} pushes {listed(named(model, 'joint', joints), 'joint')} "
         f"{length_of(model, of.joint, of.kept)} beyond its range with "
         f"{quantity(force, TORQUES if unit == 'rad' else FORCES)}"
         f"{', and stays there' if of.rest is not None else ''}"
     )
-    limits, remedy = named(model, "limit", joints), limit_remedy(model, of.joint, of.kept)
-    yield Finding("limit", "warning", problem, cure, limits, of.kept, unit, PLOT, {}, remedy)
+    limits, proposals = named(model, "limit", joints), limit_proposals(model, of.joint, of.kept)
+    yield Finding("limit", "warning", problem, fix, limits, of.kept, unit, PLOT, {}, proposals)
 
 
-def limit_remedy(model: Model, joint: int, now: float) -> Remedy:
+def limit_proposals(model: Model, joint: int, now: float) -> Proposals:
     """Return the solreflimits that should make a limit's excess small."""
-    cures, enough = tuple[Cure, ...](), FEW * width_of(model, joint)
+    fixes, enough = tuple[Proposal, ...](), FEW * width_of(model, joint)
     if model.settings.law == "solref":
         at, limit = Layout(model.scene).joints[joint], named(model, "limit", [joint])
         wanted = LEFT * enough
-        cures = stiffened(model, limit, at.solreflimit, at.solimplimit, now, wanted)
+        fixes = stiffened(model, limit, at.solreflimit, at.solimplimit, now, wanted)
     say = functools.partial(length_of, model, joint)
-    return Remedy((cures,), lambda other: excess_of(other, joint), enough, say)
+    return Proposals((fixes,), lambda other: excess_of(other, joint), enough, say)
 
 
 def unit_of(model: Model, joint: int) -> str:
@@ -290,67 +286,3 @@ def width_of(model: Model, joint: int) -> float:
 def length_of(model: Model, joint: int, value: float) -> str:
     """Return a joint's coordinate in words."""
     return radians(value) if unit_of(model, joint) == "rad" else metres(value)
-
-
-# Backlash.
-
-
-def share_used(run: Recording, joint: int) -> float:
-    """Return the share of half its range that a joint uses at the end of the run."""
-    low, high = (float(bound) for bound in run.model.jnt_range[joint])
-    places = run["qpos"][max(0, run.late) :, run.model.jnt_qposadr[joint]]
-    return float(np.abs(places - (low + high) / 2).mean()) / ((high - low) / 2)
-
-
-def _played(run: Recording) -> Iterator[Finding]:
-    """Yield joints in series with another that an equality holds within their range."""
-    model, features = run.model, run.model.scene.features
-    if not (features.limit and features.constraint and features.equality):
-        return
-    place = {id(joint): k for k, joint in enumerate(Layout(model.scene).joints)}
-    for k, equality in enumerate(model.scene.equalities):
-        if equality.type != "joint" or not equality.active or equality.joint2 is not None:
-            continue
-        joint = place[id(equality.joint1)]
-        if not _in_series(model, joint):
-            continue
-        aim = float(model.qpos0[model.jnt_qposadr[joint]] + equality.polycoef[0])
-        low, high = (float(bound) for bound in model.jnt_range[joint])
-        # A joint with free play falls to an end of its range.
-        if low < aim < high and (now := share_used(run, joint)) <= 1 - DEEP:
-            yield _backlash(model, joint, k, aim, now)
-
-
-def _backlash(model: Model, joint: int, equality: int, aim: float, now: float) -> Finding:
-    low, high = (float(bound) for bound in model.jnt_range[joint])
-    say = functools.partial(length_of, model, joint)
-    both = (*named(model, "joint", [joint]), *named(model, "joint equality", [equality]))
-    problem = (
-        f"{both[1].name} pulls {both[0].name} to {say(aim)}, within its range of "
-        f"{say(low)} to {say(high)}, so it is a spring and no backlash: {percent(now)} of the "
-        "range is used"
-    )
-    remedy = Remedy(
-        ((Cure("removing the equality", Change({f"equality/#{equality}/active": False})),),),
-        lambda other: 1 - share_used(other, joint),
-        SEEN,
-        lambda left: f"{percent(1 - left)} of it in use",
-        now=1 - now,
-        needed=True,
-    )
-    unit, value = unit_of(model, joint), now * (high - low) / 2
-    return Finding("backlash", "warning", problem, "", both, value, unit, remedy=remedy)
-
-
-def _in_series(model: Model, joint: int) -> bool:
-    """Return whether a joint with a range has another joint of its body along the same axis."""
-    kind, body, axis = model.jnt_type[joint], model.jnt_body[joint], model.jnt_axis[joint]
-    if kind not in ("hinge", "slide") or not np.isfinite(model.jnt_range[joint]).all():
-        return False
-    return any(
-        k != joint
-        and model.jnt_body[k] == body
-        and other == kind
-        and abs(float(model.jnt_axis[k] @ axis)) > 1 - 1e-6
-        for k, other in enumerate(model.jnt_type)
-    )

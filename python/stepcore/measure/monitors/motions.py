@@ -10,15 +10,15 @@ import numpy as np
 from stepcore.engine.actuator import Actuator, actuators
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
+from stepcore.experiment.proposal import Proposal
 from stepcore.measure.monitors.finding import (
     DEEP,
     FEW,
     HALF,
     LEFT,
     PLOT,
-    Cure,
     Finding,
-    Remedy,
+    Proposals,
     listed,
     named,
     worst,
@@ -76,19 +76,19 @@ def _untouched(run: Recording) -> Iterator[Finding]:
     if not falling:
         return
     body, fall = falling[0], _fallen(run, falling[0])
-    (why, cure), elements = _apart(run, body), named(model, "body", falling)
+    (why, fix), elements = _apart(run, body), named(model, "body", falling)
     problem = f"{listed(elements, 'body')} falls by {metres(fall)} and can touch nothing: {why}"
 
     def left(other: Recording) -> float:
         return max(_fallen(other, body), 0.0)
 
-    ways = () if cure is None else ((cure,),)
-    remedy = Remedy(ways, left, HALF * fall, lambda fall: f"a fall of {metres(fall)}")
+    ways = () if fix is None else ((fix,),)
+    proposals = Proposals(ways, left, HALF * fall, lambda fall: f"a fall of {metres(fall)}")
     what = "nothing to touch", "warning", problem, "", elements, fall, "m", PLOT
-    yield Finding(*what, remedy=remedy)
+    yield Finding(*what, proposals=proposals)
 
 
-def _apart(run: Recording, root: int) -> tuple[str, Cure | None]:
+def _apart(run: Recording, root: int) -> tuple[str, Proposal | None]:
     """Return why no geom of a tree collides with other trees, and a change that enables it.
 
     The reason is empty if the scene has no other geom.
@@ -115,7 +115,7 @@ def _apart(run: Recording, root: int) -> tuple[str, Cure | None]:
     fields = ("contype", "conaffinity")
     values = {f"geom/#{k}/{field}": bits for k, _ in own for field in fields}
     words = f'contype="{bits}" and conaffinity="{bits}" on its geoms'
-    return why, Cure(words, Change(values))
+    return why, Proposal(words, Change(values))
 
 
 def _meets(geom: Geom, other: Geom) -> bool:
@@ -161,13 +161,13 @@ def _crushed(run: Recording) -> Iterator[Finding]:
             f"{newtons(forces[hard[0]])}, {times(CRUSHED * over(hard[0]))} its weight"
         )
         presser = _presser(run, pair, root)
-        cure = "move what overlaps apart"
+        fix = "move what overlaps apart"
         if presser is not None:
             force = strength(model, presser, abs(float(run["actuator_force"][-1, presser])))
             actuator = model.element_name("actuator", presser)
-            cure = f"a smaller forcerange or control of {actuator}, which pushes with {force}"
+            fix = f"a smaller forcerange or control of {actuator}, which pushes with {force}"
         value = forces[hard[0]]
-        yield Finding("contact force", "warning", problem, cure, contacts, value, "N", PLOT)
+        yield Finding("contact force", "warning", problem, fix, contacts, value, "N", PLOT)
 
 
 def _presser(run: Recording, pair: int, root: int) -> int | None:
@@ -227,10 +227,10 @@ def _undamped(run: Recording) -> Iterator[Finding]:
     def left(other: Recording) -> float:
         return max(_speed(other, k, other.late, len(other)) / speeds[k] for k in swings)
 
-    way = (Cure(words + more, Change(values)),)
-    remedy = Remedy((way,), left, DEEP, lambda share: f"{percent(share)} of the speed")
+    way = (Proposal(words + more, Change(values)),)
+    proposals = Proposals((way,), left, DEEP, lambda share: f"{percent(share)} of the speed")
     what = "no damping", "remark", problem, "", elements, wide[joint], "rad", PLOT
-    yield Finding(*what, remedy=remedy)
+    yield Finding(*what, proposals=proposals)
 
 
 def _speed(run: Recording, joint: int, first: int, last: int) -> float:
@@ -261,9 +261,9 @@ def _coupled(run: Recording) -> Iterator[Finding]:
                 f"command: the acceleration of {elements[1].name} drives it with up to "
                 f"{quantity(force, units)}, more than anything else that changes"
             )
-            cure = f"accelerate {elements[1].name} less, or hold {elements[0].name} more stiffly"
+            fix = f"accelerate {elements[1].name} less, or hold {elements[0].name} more stiffly"
             unit = "N·m" if units is TORQUES else "N"
-            yield Finding("coupling", "remark", problem, cure, elements, force, unit, PLOT)
+            yield Finding("coupling", "remark", problem, fix, elements, force, unit, PLOT)
             return
 
 

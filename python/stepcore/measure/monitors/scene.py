@@ -11,6 +11,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
+from stepcore.experiment.proposal import Proposal
 from stepcore.experiment.sizes import scene_size
 from stepcore.measure.monitors.finding import (
     DEEP,
@@ -18,9 +19,8 @@ from stepcore.measure.monitors.finding import (
     PARTS,
     PLOT,
     SEEN,
-    Cure,
     Finding,
-    Remedy,
+    Proposals,
     named,
     others,
     shorter,
@@ -70,9 +70,9 @@ def resting_findings(run: Recording) -> Iterator[Finding]:
         saves = f"a step with {times(ratio)} fewer operations"
         return f"{saves}, and every other body within {metres(max(far, 1e-6))} of its motion"
 
-    way = (Cure("fixing each to the world, without its freejoint,", Change()),)
-    remedy = Remedy((way,), moved, SEEN * size, say, needed=True, again=again)
-    yield Finding("resting bodies", "remark", problem, "", bodies, ratio, "1", remedy=remedy)
+    way = (Proposal("fixing each to the world, without its freejoint,", Change()),)
+    proposals = Proposals((way,), moved, SEEN * size, say, needed=True, again=again)
+    yield Finding("resting bodies", "remark", problem, "", bodies, ratio, "1", proposals=proposals)
 
 
 def _rests(run: Recording, body: int) -> bool:
@@ -141,7 +141,7 @@ def energy_findings(run: Recording) -> Iterator[Finding]:
         "may make it explode in a longer run"
     )
     names = ("midpoint", "rk4")
-    exact = ((Cure(f'integrator="{of}"', Change(integrator=of)),) for of in names)
+    exact = ((Proposal(f'integrator="{of}"', Change(integrator=of)),) for of in names)
     ways = (*exact, shorter(dt / (2 * part) for part in PARTS))
-    remedy = Remedy(ways, gained, SEEN, lambda left: percent(max(left, 0.0)), 2, needed=True)
-    yield Finding("energy", "warning", problem, "", (), gain, "1", PLOT, remedy=remedy)
+    proposals = Proposals(ways, gained, SEEN, lambda left: percent(max(left, 0.0)), 2, needed=True)
+    yield Finding("energy", "warning", problem, "", (), gain, "1", PLOT, proposals=proposals)

@@ -16,6 +16,7 @@ from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.experiment.moves import SINKS, TILT, moves_about, roots
+from stepcore.experiment.proposal import Proposal
 from stepcore.measure.monitors.finding import (
     DEEP,
     FEW,
@@ -25,9 +26,8 @@ from stepcore.measure.monitors.finding import (
     PARTS,
     PLOT,
     SEEN,
-    Cure,
     Finding,
-    Remedy,
+    Proposals,
     listed,
     named,
     worst,
@@ -70,8 +70,8 @@ def actuator_findings(run: Recording) -> Iterator[Finding]:
             f"{listed(elements, 'servo')} is at the end of its forcerange ({force}) for "
             f"{percent(share)} of the run, where kv has no effect"
         )
-        cure = "slow the motion or lower kp; a wider forcerange must be one that the hardware has"
-        yield Finding("saturation", "warning", problem, cure, elements, share, "1", PLOT)
+        fix = "slow the motion or lower kp; a wider forcerange must be one that the hardware has"
+        yield Finding("saturation", "warning", problem, fix, elements, share, "1", PLOT)
 
 
 def _servos(model: Model) -> list[Actuator]:
@@ -251,14 +251,14 @@ def _behind(run: Recording, found: list[Following]) -> Finding:
         errors = {at.actuator.index: at.error / at.width for at in every}
         return first.width * max((errors.get(k, 0.0) for k in indices), default=0.0)
 
-    remedy = Remedy(tuple(ways), left, HALF * first.width, say)
-    cure = "a slower or smaller motion" if first.late else ""
+    proposals = Proposals(tuple(ways), left, HALF * first.width, say)
+    fix = "a slower or smaller motion" if first.late else ""
     unit, value = unit_of(model, joint), first.error / abs(of.gear)
-    what = "servo does not follow", "warning", problem, cure, elements, value, unit, PLOT
-    return Finding(*what, remedy=remedy, observation=observation)
+    what = "servo does not follow", "warning", problem, fix, elements, value, unit, PLOT
+    return Finding(*what, proposals=proposals, observation=observation)
 
 
-def _gained(model: Model, found: Sequence[Following], part: int, bound: bool) -> Cure:
+def _gained(model: Model, found: Sequence[Following], part: int, bound: bool) -> Proposal:
     """Return gains that should follow, with critical damping, or more if the joints have more.
 
     bound: whether to include the forceranges that this needs.
@@ -277,7 +277,7 @@ def _gained(model: Model, found: Sequence[Following], part: int, bound: bool) ->
             values[f"actuator/#{of.index}/forcerange"] = (-force, force)
             words[-1] += f" with a forcerange of ±{force:g}"
     more = f" ({len(words) - 1} more in proportion)" if len(words) > 1 else ""
-    return Cure(words[0] + more, Change(values))
+    return Proposal(words[0] + more, Change(values))
 
 
 class Servo(NamedTuple):
@@ -353,8 +353,8 @@ def _sags(model: Model, servos: list[Servo]) -> Finding:
     words = _gains(elements, gains)
     by_index = dict(zip(indices, ratios, strict=True))
     way = (
-        Cure(words, Change(stronger(model, by_index, damped=False))),
-        Cure(f"{words}, with kv in proportion", Change(stronger(model, by_index, damped=True))),
+        Proposal(words, Change(stronger(model, by_index, damped=False))),
+        Proposal(f"{words}, with kv in proportion", Change(stronger(model, by_index, damped=True))),
     )
 
     def left(other: Recording) -> float | None:
@@ -367,15 +367,15 @@ def _sags(model: Model, servos: list[Servo]) -> Finding:
     def say(error: float) -> str:
         return length_of(model, joint, abs(error / of.gear))
 
-    remedy = Remedy((way,), left, notable, say)
+    proposals = Proposals((way,), left, notable, say)
     problem = (
         f"{listed(elements, 'servo')} sags by {say(first.error)} under its load of "
         f"{strength(model, of.index, abs(first.force))}, which is load / kp with kp {of.kp:.4g}"
     )
     severity = "warning" if abs(first.error) > FEW / SEEN * notable else "remark"
-    cure, value = "let the control carry the load", abs(first.error / of.gear)
-    what = "servo sags", severity, problem, cure, elements, value, unit_of(model, joint), PLOT
-    return Finding(*what, remedy=remedy)
+    fix, value = "let the control carry the load", abs(first.error / of.gear)
+    what = "servo sags", severity, problem, fix, elements, value, unit_of(model, joint), PLOT
+    return Finding(*what, proposals=proposals)
 
 
 def _gains(elements: tuple[Element, ...], gains: list[float]) -> str:
@@ -439,29 +439,29 @@ def fall_findings(run: Recording) -> Iterator[Finding]:
     problem = (
         f"{of[0].name} falls over within {seconds(after)}, because its servos do not balance it"
     )
-    cure = "give the controls or the controller that balance it (--ctrl, --control)"
+    fix = "give the controls or the controller that balance it (--ctrl, --control)"
     falling = [k for k in _servos(model) if run.roots[model.jnt_body[k.joint or 0]] == body]
-    remedy = Remedy(
+    proposals = Proposals(
         tuple(_firmer(model, falling)),
         lambda other: float(_down(other, body).any()),
         0.0,
         lambda falls: "it fallen" if falls else "it standing",
         now=1.0,
     )
-    yield Finding("fall", "warning", problem, cure, of, after, "s", remedy=remedy)
+    yield Finding("fall", "warning", problem, fix, of, after, "s", proposals=proposals)
 
 
-def _firmer(model: Model, servos: Sequence[Actuator]) -> Iterator[tuple[Cure, ...]]:
+def _firmer(model: Model, servos: Sequence[Actuator]) -> Iterator[tuple[Proposal, ...]]:
     """Yield twice and four times the kp of servos, with kv constant or in proportion."""
     elements = named(model, "actuator", [of.index for of in servos])
     for damped in (False, True) if servos else ():
-        cures = list[Cure]()
+        fixes = list[Proposal]()
         for part in PARTS[1:]:
             gains = [rounded(part * of.kp) for of in servos]
             ratios = {of.index: float(part) for of in servos}
             words = _gains(elements, gains) + ", with kv in proportion" * damped
-            cures.append(Cure(words, Change(stronger(model, ratios, damped=damped))))
-        yield tuple(cures)
+            fixes.append(Proposal(words, Change(stronger(model, ratios, damped=damped))))
+        yield tuple(fixes)
 
 
 def _down(run: Recording, body: int) -> np.ndarray:

@@ -18,7 +18,8 @@ from collections.abc import Sequence
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.finding import PARTS, Cure, assigned, finer, named
+from stepcore.experiment.proposal import Proposal
+from stepcore.measure.monitors.finding import PARTS, assigned, finer, named
 from stepcore.report.units import seconds
 from stepcore.scene.frames import Vec
 
@@ -98,7 +99,7 @@ def stiffened(
     solimp: Vec,
     now: float,
     wanted: float,
-) -> tuple[Cure, ...]:
+) -> tuple[Proposal, ...]:
     """Return the solref, with solimp and dt if needed, that should result in a wanted violation.
 
     The closed form uses the load of the worst row alone, so stiffer values follow; weldballs.xml
@@ -111,7 +112,7 @@ def stiffened(
     dt = settings.dt if settings.refsafe else 0.0
     names = {of.name for element in elements for of in element.fields(model)}
     suffix = "limit" if "solreflimit" in names else ""
-    cures: dict[str, Cure] = {}
+    fixes: dict[str, Proposal] = {}
     for part in PARTS:
         new, hard = _stiffer(solref, solimp, now, wanted / part, dt, solimp), False
         if 0 < new[0] < 2 * dt:
@@ -127,15 +128,15 @@ def stiffened(
             # A longer step would soften the row: refsafe raises its time constant to 2 dt.
             short = finer(settings, new[0] / 2)
             change, words = change.also(Change(dt=short)), f"{words} at a dt of {seconds(short)}"
-        cures.setdefault(words, Cure(words, change))
-    return tuple(cures.values())
+        fixes.setdefault(words, Proposal(words, change))
+    return tuple(fixes.values())
 
 
-def hardest(model: Model, pairs: Sequence[int], dt: float) -> Cure:
+def hardest(model: Model, pairs: Sequence[int], dt: float) -> Proposal:
     """Return the hardest solref that refsafe allows for some pairs at a time step [s]."""
     contacts, constant = named(model, "contact", pairs), float(f"{2 * dt:.3g}")
     words = f'solref="{constant:g} 1" with solimp="{WRITTEN}" on these geoms and what they touch'
     change = Change(assigned(model, contacts, {"solref": (constant, 1.0), "solimp": HARD}))
     if dt == model.settings.dt:
-        return Cure(words, change)
-    return Cure(f"{words} at a dt of {seconds(dt)}", change.also(Change(dt=dt)))
+        return Proposal(words, change)
+    return Proposal(f"{words} at a dt of {seconds(dt)}", change.also(Change(dt=dt)))

@@ -16,12 +16,12 @@ import numpy as np
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
+from stepcore.experiment.proposal import Proposal
 from stepcore.measure.monitors.finding import (
     HALF,
     PARTS,
-    Cure,
     Finding,
-    Remedy,
+    Proposals,
     assigned,
     finer,
     named,
@@ -144,8 +144,8 @@ def tunnelling_findings(run: Recording) -> Iterator[Finding]:
     span = float(run.times[-1] - run.times[0])
     # Twice the time until the first passage.
     seen = min(1.0, 2 * (first.time - float(run.times[0])) / span)
-    remedy = Remedy(
-        tuple(_cures(model, passed)),
+    proposals = Proposals(
+        tuple(_fixes(model, passed)),
         lambda other: float(len(passages(other))),
         0.0,
         lambda count: f"{count:g} that pass" if count else "none that passes",
@@ -154,7 +154,7 @@ def tunnelling_findings(run: Recording) -> Iterator[Finding]:
         by=seen,
     )
     elements, value = (*movers, *contacts), first.speed
-    yield Finding("tunnelling", "error", problem, "", elements, value, "m/s", remedy=remedy)
+    yield Finding("tunnelling", "error", problem, "", elements, value, "m/s", proposals=proposals)
 
 
 def _steep(model: Model, pair: int) -> bool:
@@ -162,16 +162,16 @@ def _steep(model: Model, pair: int) -> bool:
     return model.settings.cone == "pyramidal" and friction_of(model, pair) > 1
 
 
-def _cures(model: Model, passed: Sequence[Passage]) -> Iterator[tuple[Cure, ...]]:
+def _fixes(model: Model, passed: Sequence[Passage]) -> Iterator[tuple[Proposal, ...]]:
     """Yield changes that may stop the passages; those without shorter steps come first."""
     dt, fast = model.settings.dt, max(passed, key=lambda entry: entry.speed / entry.room)
     if any(_steep(model, entry.pair) for entry in passed):
-        yield (Cure('cone="elliptic"', Change(cone="elliptic")),)
+        yield (Proposal('cone="elliptic"', Change(cone="elliptic")),)
         contacts = named(model, "contact", [entry.pair for entry in passed])
         fields = {of.name: of.value for of in contacts[0].fields(model)}
         flat = (1.0, *fields["friction"][1:])
         words = "a friction of 1 on both geoms"
-        yield (Cure(words, Change(assigned(model, contacts, {"friction": flat}))),)
+        yield (Proposal(words, Change(assigned(model, contacts, {"friction": flat}))),)
     # A step should move the geom by half of `room` at most.
     most = min(dt / 2, HALF * fast.room / fast.speed)
     steps = list(dict.fromkeys(finer(model.settings, most / part) for part in PARTS))
