@@ -165,6 +165,57 @@ def test_errors_in_the_unit_of_the_quantity():
     assert trial.words(trial.error).endswith("rad")
 
 
+BOTH = ["site/tip", "actuator/servo/force"]
+
+
+def test_errors_of_several_quantities_are_those_of_each():
+    trial = study_of(BOTH).run(Change(dt="8ms"), error=["1mm", 0.02])
+    singles = [study_of(name).run(Change(dt="8ms")) for name in BOTH]
+    for name, single in zip(BOTH, singles, strict=True):
+        assert trial.named[name] == pytest.approx(single.error, rel=0.01)
+    assert trial.error == pytest.approx(max(trial.named["site/tip"] / 1e-3, 0), rel=1e-9)
+    assert trial.record()["site/tip"] == trial.named["site/tip"]
+
+
+def test_a_recommendation_satisfies_the_error_of_each_quantity():
+    errors = {"site/tip": 1e-3, "actuator/servo/force": 0.01}
+    result = sc.trade(
+        sc.loads(ARM), quantity=[*errors], error=[*errors.values()], by="flops", **FIELDS
+    )
+    assert all(result.recommended.named[name] <= most for name, most in errors.items())
+    assert result.units["actuator/servo/force"] == "N·m"
+    refused = [row for row in result.whole if row.error > 1 and not row.failure]
+    assert all(any(row.named[n] > most for n, most in errors.items()) for row in refused)
+    check = study_of(None, seed=99, starts=4)
+    finest = Change(integrator="rk4", solver="newton", sweeps=200, dt=result.shipped.dt / 64)
+    for name, most in errors.items():
+        study = study_of(name, seed=99, starts=4)
+        runs = study.tracks([result.recommended.change, finest], check.starts)
+        assert study.measure.error(*runs).max() <= 1.1 * most
+
+
+@pytest.mark.parametrize(
+    ("quantity", "error", "words"),
+    [
+        (BOTH, None, "need one each"),
+        (BOTH, "1mm", "one for each of 2 quantities"),
+        (BOTH, ["1mm", 1, 1], "has 3 values"),
+        (BOTH, ["1mm", "1mm"], "N·m"),
+        (["site/tip", "site/tip"], ["1mm", "1mm"], "once"),
+        (["site/tip", "joint/elbo"], ["1mm", 1], "elbow"),
+        ([], 1, "quantity"),
+    ],
+)
+def test_wrong_lists_are_refused(quantity, error, words):
+    with pytest.raises(ValueError, match=words):
+        sc.trade(sc.loads(ARM), quantity=quantity, error=error, **FIELDS)
+
+
+def test_several_quantities_without_errors_are_refused():
+    with pytest.raises(ValueError, match="an error of each"):
+        sc.converge(sc.loads(ARM), quantity=BOTH, horizon=0.1, starts=1)
+
+
 def test_ablate_and_converge_measure_the_quantity():
     scene = sc.loads(ARM)
     result = sc.ablate(scene, quantity="joint/elbow", horizon=0.2, starts=2, further=0)
@@ -216,6 +267,7 @@ def test_a_constant_quantity_is_refused():
 def test_results_and_quantities_can_be_pickled():
     quantity = pickle.loads(pickle.dumps(Quantity("max(joint/elbow)")))
     assert quantity == Quantity("max(joint/elbow)") and quantity.is_scalar
-    result = sc.trade(sc.loads(ARM), quantity=quantity, dts=[0.004, 0.008], by="flops", **FIELDS)
+    axes = {"dts": [0.004, 0.008], "statistic": "worst", "by": "flops"}
+    result = sc.trade(sc.loads(ARM), quantity=quantity, **axes, **FIELDS)
     again = pickle.loads(pickle.dumps(result))
     assert str(again) == str(result)

@@ -33,6 +33,7 @@ from stepcore.deadline import SECONDS
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment import schedule
+from stepcore.experiment.quantity import Quantity
 from stepcore.loading import load
 from stepcore.report.result import Result
 
@@ -125,8 +126,13 @@ def call(args: argparse.Namespace, name: str) -> Result:
         given |= motion_of(args, model)
     if name in SECONDS:
         given["seconds"] = args.seconds
-    if given.get("quantity") is not None:
-        given["quantity"] = _quantity(given["quantity"])
+    for option in ("quantity", "error"):
+        values = given.get(option)
+        if isinstance(values, list) and len(values) == 1:
+            given[option] = values[0]
+    if (texts := given.get("quantity")) is not None:
+        several = isinstance(texts, list)
+        given["quantity"] = [_quantity(text) for text in texts] if several else _quantity(texts)
     given |= measurement.more(args, model)
     # MuJoCo reads the file itself, if no option of loading changes it.
     source = getattr(args, "engine", "") == "mujoco"
@@ -216,13 +222,22 @@ def _log(text: str) -> Any:
 
 
 def _quantity(text: str) -> Any:
-    """Return a quantity: its name, or a function in a file or module."""
-    file, _, name = text.rpartition(":")
-    return function_of("quantity", text) if file and name.isidentifier() else text
+    """Return a quantity: its name; or a function in a file or module, or an entry of its dict."""
+    module, _, name = text.rpartition(":")
+    if not (module and name.isidentifier()):
+        return text
+    file, _, function = module.rpartition(":")
+    if file and function.isidentifier():
+        return Quantity(f"{function}:{name}", function_of("quantity", module), name)
+    return function_of("quantity", text)
 
 
 ENGINE = ("stepcore", "mujoco")
 NAMES = {"action": "append", "metavar": "NAME"}
+QUANTITY = (
+    "the quantity whose error is measured, such as site/tip, joint/knee or max(contact/foot); or "
+    "FILE.py:FUNCTION, a function of the runs (default: the motion of all bodies)"
+)
 
 MEASUREMENTS = {
     "check": Measurement(
@@ -246,10 +261,12 @@ MEASUREMENTS = {
         "gymnasium:half_cheetah --error 1mm --plot trade.png",
         {
             **{
-                "quantity": "NAME",
-                "error": "AMOUNT",
+                "quantity": {**NAMES, "help": QUANTITY},
+                "error": {"action": "append", "metavar": "AMOUNT"},
+                "statistic": ("worst", "mean"),
                 "budget": "COST",
                 "further": "N",
+                "most": "N",
                 "by": ("time", "flops"),
             },
             "grid": {
@@ -261,19 +278,6 @@ MEASUREMENTS = {
         excluding=("error", "budget"),
         full="print every setting",
         more=lambda args, model: {"search": "grid" if args.grid else None},
-    ),
-    "outcomes": Measurement(
-        "outcomes",
-        "gymnasium:ant --quantity 'final(body/torso/x)' --horizon 3",
-        {
-            "quantity": {
-                "metavar": "NAME",
-                "required": True,
-                "help": "a scalar such as max(contact/foot), or FILE.py:FUNCTION, a function of "
-                "the runs",
-            },
-            **{"error": "AMOUNT", "most": "N", "effort": "OPERATIONS", "engine": ENGINE},
-        },
     ),
     "predict": Measurement(
         "predictability", "gymnasium:ant --horizon 5 --plot growth.png", {"engine": ENGINE}
@@ -302,7 +306,7 @@ MEASUREMENTS = {
     "converge": Measurement(
         "convergence",
         "lesson:stack --plot convergence.png",
-        {"quantity": "NAME", "engine": ENGINE},
+        {"quantity": {"metavar": "NAME", "help": QUANTITY}, "engine": ENGINE},
     ),
     "identify": Measurement(
         "identification",
@@ -367,7 +371,7 @@ MEASUREMENTS = {
         "ablation",
         "gymnasium:half_cheetah --added 5mm --save small.xml",
         {
-            "quantity": "NAME",
+            "quantity": {"metavar": "NAME", "help": QUANTITY},
             "added": "AMOUNT",
             "further": "N",
             "engine": ENGINE,
