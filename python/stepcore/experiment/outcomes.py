@@ -288,14 +288,16 @@ class Numbers:
 
     def of(self, changes: Sequence[Change], count: int, bar: str | None = None) -> list[np.ndarray]:
         """Return the numbers of changes from the first `count` starts, (count,) each."""
-        study = self.study
-        if count > (have := len(study.schedule.starts)):
+        study, quantity = self.study, self.study.measure.quantity
+        if not quantity.plays and count > (have := len(study.schedule.starts)):
             study.fresh(count - have)
         jobs = list[tuple[Change, range]]()
         for change in dict.fromkeys(changes):
             ran = len(self._numbers.get(change, ()))
             jobs += [(change, range(k, min(k + BLOCK, count))) for k in range(ran, count, BLOCK)]
         follow = partial(_numbers, study.engine, study.schedule, study.measure)
+        if quantity.plays:
+            follow = partial(_played, study.engine, quantity)
 
         def took(indices: range, blocks: list[_Block]) -> None:
             for (change, starts), (numbers, failure, binary) in zip(
@@ -355,6 +357,12 @@ class Numbers:
 
 # The numbers of a block of runs, the first failure, and the quantities that are True or False.
 _Block = tuple[np.ndarray, str, tuple[bool, ...]]
+
+
+def _played(engine: Engine, quantity: Any, job: tuple[Change, range]) -> _Block:
+    """Play the episodes of a task from some starts; return a block of numbers."""
+    change, starts = job
+    return *quantity.play(engine.settings(change), starts), (False,)
 
 
 def _numbers(

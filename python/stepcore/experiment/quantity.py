@@ -73,6 +73,9 @@ class Quantity:
     reduction: str = field(init=False, compare=False, repr=False)
     series: str = field(init=False, compare=False, repr=False)
 
+    # Whether it is the return of episodes of a task, which it plays: `stepcore.gymnasium.Return`.
+    plays = False
+
     def __post_init__(self) -> None:
         if self.function is not None or self.parts:
             object.__setattr__(self, "reduction", "")
@@ -99,6 +102,8 @@ class Quantity:
             return cls(getattr(quantity, "__name__", type(quantity).__name__), quantity)
         if isinstance(quantity, (list, tuple)) and quantity:
             parts = tuple(cls.of(part) for part in quantity)
+            if len(parts) > 1 and any(part.plays for part in parts):
+                raise ValueError("quantity: the return of a task must be the only quantity")
             names = [part.name for part in parts]
             if len(set(names)) < len(names):
                 twice = next(name for name in names if names.count(name) > 1)
@@ -214,7 +219,7 @@ class Measure:
         """
         if quantity.parts:
             return Measures.of(quantity, matter, elements)
-        if quantity.is_motion:
+        if quantity.is_motion or quantity.plays:
             return cls(quantity, matter)
         if quantity.function is not None:
             arrays = tuple((name, elements().shape(name)) for name in parameters(quantity))

@@ -151,6 +151,9 @@ class Study:
         """Return the range of one quantity over the motion."""
         if measure.quantity.is_motion:
             return self.size
+        if measure.quantity.plays:
+            numbers, _ = measure.quantity.play(self.engine.settings(SHIPPED), range(STARTS))
+            return abs(float(np.nanmean(numbers))) or 1.0
         width = measure.range(self._ranged)
         return width if math.isfinite(width) else self.size
 

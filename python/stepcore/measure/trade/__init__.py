@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Unpack
+from dataclasses import replace
+from typing import Any, Unpack, cast
 
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.deadline import PROVEN, SEARCHED
-from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
+from stepcore.experiment.arguments import SHARED, MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
@@ -145,6 +146,8 @@ def trade(
             raise ValueError(f'{name}: must not be given for a mean; statistic="worst" takes it')
     if mujoco and engine == "mujoco":
         raise ValueError("mujoco = True: must be False where the engine is MuJoCo already")
+    if quantity.plays:
+        motion, fields = _episodes(quantity, motion, engine, fields)
     setup = set_up(trade, model, motion, fields, missing="no motion to trade", engine=engine)
     if of_means:
         return trade_means(setup, quantity, error, most, effort, by, bool(further))
@@ -209,6 +212,20 @@ def _of_means(statistic: str | None, quantity: Quantity) -> bool:
             "mean(…), final(…), integral(…) or range(…) of it, or a function of runs"
         )
     return statistic != "worst" and quantity.is_scalar
+
+
+def _episodes(
+    quantity: Any, motion: Motion | str | None, engine: str, fields: MeasurementFields
+) -> tuple[Motion, MeasurementFields]:
+    """Return the motion of the episodes of a task, and the arguments that are not its fields."""
+    rest = {name: value for name, value in fields.items() if name in SHARED}
+    others = fields.keys() - rest.keys() - {"starts"}
+    if motion is not None or others:
+        name = min(others, default="motion")
+        raise ValueError(f"{name}: must be given to the Return of the task, not to trade")
+    if engine != "stepcore":
+        raise ValueError(f"engine = {engine!r}: must be 'stepcore' for the return of a task")
+    return replace(quantity.motion, starts=fields.get("starts")), cast("MeasurementFields", rest)
 
 
 def _proven_and_timed(result: Trade, search: Search, further: int) -> None:

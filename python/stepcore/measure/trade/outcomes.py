@@ -389,12 +389,13 @@ def trade_means(
     if validate:
         with deadline.stage("the test on held-out starts", PROVEN):
             search.validate()
-    with deadline.stage("when trajectories become unpredictable"):
-        search.predict()
+    if not quantity.plays:
+        with deadline.stage("when trajectories become unpredictable"):
+            search.predict()
     return search.result(
         name=setup.name,
         motion=motion,
-        ran=horizon.after(study.motion_ran),
+        ran=quantity.words if quantity.plays else horizon.after(study.motion_ran),
         notes=[*study.schedule.notes, *(setup.model.scene.notes if setup.engine.known else ())],
     )
 
