@@ -18,6 +18,7 @@ from stepcore.cli.arguments import (
     add_file,
     add_motion,
     add_options,
+    control_function,
     documented,
     frequency,
     function_of,
@@ -33,6 +34,7 @@ from stepcore.deadline import SECONDS
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment import schedule
+from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
 from stepcore.experiment.quantity import Quantity
 from stepcore.loading import load
 from stepcore.report.result import Result
@@ -80,7 +82,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
     """Add the options of a command, with the words and defaults of its function."""
     measurement, function = MEASUREMENTS[name], _function(name)
     takes = inspect.signature(function).parameters
-    add_file(command)
+    add_file(command, optional="task" in measurement.options)
     add_options(command, measurement.options, function, measurement.excluding)
     if "key" in takes:
         module = sys.modules[function.__module__]
@@ -113,16 +115,21 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 def call(args: argparse.Namespace, name: str) -> Result:
     """Run the measurement of a command."""
     measurement, function = MEASUREMENTS[name], _function(name)
+    if args.file is None and args.task is None:
+        raise Usage(f"{name} needs FILE, or --task NAME")
     model: Any = None
+    quantity = _return(args) if getattr(args, "task", None) else None
     try:
-        model = model_of(args, warn=measurement.warn)
+        model = quantity.model if quantity else model_of(args, warn=measurement.warn)
     except ValueError:
         # MuJoCo may run a file that stepcore cannot load.
         if getattr(args, "engine", "stepcore") == "stepcore" or not is_whole(args):
             raise
     takes = inspect.signature(function).parameters
     given = {option: getattr(args, option) for option in measurement.options if option in takes}
-    if "key" in takes:
+    if quantity is not None:
+        given |= {"quantity": quantity, "starts": args.starts, "threads": args.threads}
+    elif "key" in takes:
         given |= motion_of(args, model)
     if name in SECONDS:
         given["seconds"] = args.seconds
@@ -130,7 +137,8 @@ def call(args: argparse.Namespace, name: str) -> Result:
         values = given.get(option)
         if isinstance(values, list) and len(values) == 1:
             given[option] = values[0]
-    if (texts := given.get("quantity")) is not None:
+    texts = given.get("quantity") if quantity is None else None
+    if texts is not None:
         several = isinstance(texts, list)
         given["quantity"] = [_quantity(text) for text in texts] if several else _quantity(texts)
     given |= measurement.more(args, model)
@@ -221,6 +229,27 @@ def _log(text: str) -> Any:
     return {name: file for name, _, file in parts} if apart else text
 
 
+def _return(args: argparse.Namespace) -> Any:
+    """Return the return of --task under the policy of --control."""
+    from stepcore.gymnasium import Return
+
+    if args.quantity not in (None, ["return"]):
+        raise Usage(f"--quantity {args.quantity[0]}: must be return with --task")
+    others = "file", "key", "ctrl", "control_dt", "kind", "follow"
+    if name := next((name for name in others if getattr(args, name) is not None), None):
+        shown = "FILE" if name == "file" else f"--{name.replace('_', '-')}"
+        raise Usage(f"{shown} {getattr(args, name)}: must not be given with --task")
+    if args.control is None:
+        raise Usage(
+            f"--task {args.task}: needs --control policy.onnx, or --control FILE.py:FUNCTION, a "
+            "function of the observations of many worlds that returns their actions"
+        )
+    is_file = args.control.endswith(ENDINGS_OF_POLICIES)
+    policy = control_function(args.control) if is_file else function_of("control", args.control)
+    seed = 0 if args.seed is None else args.seed
+    return Return(args.task, policy, horizon=args.horizon, seed=seed)
+
+
 def _quantity(text: str) -> Any:
     """Return a quantity: its name; or a function in a file or module, or an entry of its dict."""
     module, _, name = text.rpartition(":")
@@ -264,6 +293,12 @@ MEASUREMENTS = {
                 "quantity": {**NAMES, "help": QUANTITY},
                 "error": {"action": "append", "metavar": "AMOUNT"},
                 "statistic": ("worst", "mean"),
+                "task": {
+                    "metavar": "NAME",
+                    "help": "instead of FILE: a task of gymnasium, such as stepcore/Ant-v0, whose "
+                    "return under the policy of --control is measured (a file, or a function of "
+                    "the observations), from the task's resets",
+                },
                 "budget": "COST",
                 "further": "N",
                 "most": "N",

@@ -297,7 +297,7 @@ class Numbers:
             jobs += [(change, range(k, min(k + BLOCK, count))) for k in range(ran, count, BLOCK)]
         follow = partial(_numbers, study.engine, study.schedule, study.measure)
         if quantity.plays:
-            follow = partial(_played, study.engine, quantity)
+            follow = partial(_played, study.engine, study.schedule, quantity)
 
         def took(indices: range, blocks: list[_Block]) -> None:
             for (change, starts), (numbers, failure, binary) in zip(
@@ -359,10 +359,10 @@ class Numbers:
 _Block = tuple[np.ndarray, str, tuple[bool, ...]]
 
 
-def _played(engine: Engine, quantity: Any, job: tuple[Change, range]) -> _Block:
+def _played(engine: Engine, schedule: Schedule, quantity: Any, job: tuple[Change, range]) -> _Block:
     """Play the episodes of a task from some starts; return a block of numbers."""
     change, starts = job
-    return *quantity.play(engine.settings(change), starts), (False,)
+    return *quantity.play(engine.settings(change), starts, engine.farthest(schedule)), (False,)
 
 
 def _numbers(

@@ -75,6 +75,12 @@ class Quantity:
 
     # Whether it is the return of episodes of a task, which it plays: `stepcore.gymnasium.Return`.
     plays = False
+    # The episodes in words.
+    words = ""
+
+    def play(self, settings: Any, starts: Sequence[int], farthest: float) -> tuple[np.ndarray, str]:
+        """Return the number of an episode from each start, and the first failure."""
+        raise NotImplementedError
 
     def __post_init__(self) -> None:
         if self.function is not None or self.parts:

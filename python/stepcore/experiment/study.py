@@ -152,7 +152,8 @@ class Study:
         if measure.quantity.is_motion:
             return self.size
         if measure.quantity.plays:
-            numbers, _ = measure.quantity.play(self.engine.settings(SHIPPED), range(STARTS))
+            settings, farthest = self.engine.settings(SHIPPED), self.engine.farthest(self.schedule)
+            numbers, _ = measure.quantity.play(settings, range(STARTS), farthest)
             return abs(float(np.nanmean(numbers))) or 1.0
         width = measure.range(self._ranged)
         return width if math.isfinite(width) else self.size

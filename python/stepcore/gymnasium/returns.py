@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.engine.batch import Batch, unwatched
 from stepcore.engine.control import ControlError
 from stepcore.engine.model import Model
 from stepcore.executors import checkpoint
@@ -28,6 +29,7 @@ from stepcore.report.units import seconds
 
 # The default horizon [s], if episodes are not shorter: gymnasium's last up to 50 s.
 HORIZON = 5.0
+FLIES = "a body flies away"
 
 
 class Return(Quantity):
@@ -65,7 +67,10 @@ class Return(Quantity):
         horizon: float | str | None = None,
         seed: int = 0,
     ) -> None:
-        super().__init__("return", policy if callable(policy) else _network(policy))
+        function: Any = policy
+        if isinstance(policy, (Policy, str, os.PathLike)):
+            function = _Network(policy)
+        super().__init__("return", function)
         limit, self_ = math.inf, self.__dict__
         if isinstance(task, str):
             entry, task = _named(task)
@@ -90,7 +95,7 @@ class Return(Quantity):
         return Motion(horizon=self.actions * self.period, control_dt=self.period, seed=self.seed)
 
     @property
-    def words(self) -> str:
+    def words(self) -> str:  # type: ignore[override]
         """The episodes in words."""
         policy = getattr(self.function, "__qualname__", type(self.function).__name__)
         return (
@@ -98,24 +103,36 @@ class Return(Quantity):
             f"under the policy {checks.cut(policy)}, from its resets"
         )
 
-    def play(self, settings: Settings, starts: Sequence[int]) -> tuple[np.ndarray, str]:
+    def play(
+        self, settings: Settings, starts: Sequence[int], farthest: float
+    ) -> tuple[np.ndarray, str]:
         """Return the return of an episode from each start, NaN if it failed, and a failure.
+
+        farthest: the distance of a body from its start beyond which a run has failed [m].
 
         Raises ValueError for a policy that returns anything but finite actions.
         """
         task, count = copy.copy(self.task), len(starts)
         vars(task).update(frame_skip=round(self.period / settings.dt), model=lambda: self.model)
         core = EnvCore("Return", task, settings, None, None, 0, 0, n=count, how={"threads": 1})
+        assert isinstance(core.world, Batch)
+        world = unwatched(core.world)
         rngs = [seeding.np_random(self.seed + start)[0] for start in starts]
         now, returns, failure = core.begin(np.arange(count), rngs), np.zeros(count), ""
-        running = np.ones(count, dtype=bool)
+        running, first = np.ones(count, dtype=bool), np.array(world.xpos)
         for _ in range(self.actions):
             checkpoint()
-            now, errors = core.act(self._actions(task.observe(now), core.model.nu, starts))
-            reward, terminated, _ = task.outcome(now)
-            for world in (world for world in errors if running[world]):
-                returns[world], failure = np.nan, failure or f"start {starts[world]}: fails"
-            running[list(errors)] = False
+            with np.errstate(over="ignore", invalid="ignore"):
+                observations = task.observe(now)
+            now, errors = core.act(self._actions(observations, core.model.nu, starts, running))
+            failed = ~(np.abs(world.xpos - first).max(axis=(1, 2)) < farthest)
+            failed[list(errors)] = True
+            for k in np.flatnonzero(failed & running).tolist():
+                returns[k] = np.nan
+                failure = failure or f"start {starts[k]}: {errors.get(k, FLIES)}"
+            running &= ~failed
+            with np.errstate(over="ignore", invalid="ignore"):
+                reward, terminated, _ = task.outcome(now)
             returns += np.where(running, reward, 0.0)
             running &= ~np.asarray(terminated, dtype=bool)
             if not running.any():
@@ -123,8 +140,10 @@ class Return(Quantity):
             core.keep(now)
         return returns, failure
 
-    def _actions(self, observations: np.ndarray, size: int, starts: Sequence[int]) -> np.ndarray:
-        """Return the actions of a policy, (n, nu)."""
+    def _actions(
+        self, observations: np.ndarray, size: int, starts: Sequence[int], running: np.ndarray
+    ) -> np.ndarray:
+        """Return the actions of a policy, (n, nu); zeros where an episode is over."""
         assert self.function is not None
         try:
             actions = np.asarray(self.function(observations), dtype=float)
@@ -134,25 +153,21 @@ class Return(Quantity):
         if actions.shape != (len(observations), size):
             limit = f"({len(observations)}, {size})"
             raise ControlError(f"policy: returned shape {actions.shape}: must be {limit}")
+        actions = np.where(running[:, None], actions, 0.0)
         if not np.isfinite(actions).all():
             start = starts[int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])]
             raise ControlError(f"policy: an action is not finite in the run from start {start}")
         return actions
 
 
-def _network(path: str | os.PathLike[str]) -> Callable[[Any], Any]:
-    """Return the network in a file as a function of observations."""
-    return _Network(policy(path))
-
-
 class _Network:
     """A network as a function of observations, (n, k)."""
 
     def __init__(self, control: Any) -> None:
-        assert isinstance(control, Policy)
-        self.control, self.__qualname__ = control, control.__qualname__
+        self.control: Any = control if isinstance(control, Policy) else policy(control)
+        self.__qualname__ = self.control.__qualname__
 
-    def __call__(self, observations: np.ndarray) -> np.ndarray:
+    def __call__(self, observations: np.ndarray) -> Any:
         return self.control.network()(np.asarray(observations, dtype=np.float32))
 
 
