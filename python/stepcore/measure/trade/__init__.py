@@ -211,6 +211,8 @@ def _of_means(statistic: str | None, quantity: Quantity) -> bool:
             f'statistic = "mean": {quantity.name} is not one number of a run: use max(…), min(…), '
             "mean(…), final(…), integral(…) or range(…) of it, or a function of runs"
         )
+    if statistic == "worst" and quantity.plays:
+        raise ValueError('statistic = "worst": must be "mean" for the return of a task')
     return statistic != "worst" and quantity.is_scalar
 
 
