@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -26,6 +27,12 @@ ARM = """<mujoco model="arm"><option timestep=".004" integrator="implicitfast"/>
 <actuator><position name="servo" joint="elbow" kp="20" kv="1"/></actuator>
 <sensor><framepos name="place" objtype="site" objname="tip"/><jointvel joint="elbow" name="rate"/>
 </sensor></mujoco>"""
+INTEGRATORS = {
+    "euler": "mjINT_EULER",
+    "implicit": "mjINT_IMPLICIT",
+    "implicitfast": "mjINT_IMPLICITFAST",
+    "rk4": "mjINT_RK4",
+}
 FIELDS = {"horizon": 0.2, "starts": 2, "kind": "sines"}
 
 
@@ -99,6 +106,51 @@ def test_both_engines_measure_the_same_error(name, tmp_path):
     assert errors[0] == pytest.approx(errors[1], rel=0.02, abs=unsure + 1e-9)
 
 
+SLASHES = """<mujoco><option timestep=".004"/><worldbody>
+<geom name="arena/floor" type="plane" size="1 1 .1"/>
+<body name="walker/leg" pos="0 0 .04"><freejoint name="walker/root"/>
+<geom name="walker/leg/foot" size=".05" mass="1"/><site name="walker/leg/x" pos="0 0 .05"/></body>
+<body name="arm/x" pos="1 0 .5"><joint name="arm/x/velocity" axis="0 1 0"/>
+<geom name="arm/link" type="capsule" size=".03" fromto="0 0 0 .3 0 0" mass="1"/></body>
+</worldbody><actuator><motor name="arm/force" joint="arm/x/velocity" gear="2"
+ctrlrange="-1 1"/></actuator></mujoco>
+"""
+PUBLIC = {
+    "gymnasium:half_cheetah": (
+        "body/bfoot",
+        "joint/fthigh/velocity",
+        "range(joint/bshin)",
+        "com/x",
+    ),
+    "dm_control:walker": ("body/left_foot/z", "joint/right_knee", "actuator/left_hip/force"),
+    "slashes": (
+        *("site/walker/leg/x", "site/walker/leg/x/z", "body/arm/x", "body/arm/x/x"),
+        *("joint/arm/x/velocity", "joint/arm/x/velocity/velocity", "actuator/arm/force/force"),
+        *("contact/walker/leg/foot/arena/floor", "contact/walker/leg/arena/floor"),
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("source", "name"), [(source, name) for source, names in PUBLIC.items() for name in names]
+)
+def test_engines_agree_on_public_models_and_names_with_slashes(source, name, tmp_path):
+    """Both engines run a motion with converged steps, and have the same series or number."""
+    if source == "slashes":
+        source = tmp_path / "slashes.xml"
+        source.write_text(SLASHES)
+    apart, tracks = [], []
+    for engine in ("stepcore", "mujoco"):
+        study = Study(
+            str(source), engine=engine, quantity=name, horizon=0.1, starts=1, kind="sines"
+        )
+        coarse, fine = study.tracks([Change(dt=study.engine.dt / n) for n in (8, 16)], [0])
+        apart.append(float(study.measure.error(coarse, fine)[0]))
+        tracks.append(fine)
+    far = float(study.measure.error(*tracks)[0])
+    assert far <= 4 * max(apart) + 1e-3 * study.scale
+
+
 def test_a_pose_counts_rotations_as_arcs():
     study = study_of("body/lower")
     (tracks,) = study.tracks([Change()], [0])
@@ -153,6 +205,29 @@ def test_the_recommendation_holds_from_new_starts():
     finest = Change(integrator="rk4", solver="newton", sweeps=200, dt=result.shipped.dt / 64)
     runs = check.tracks([change, finest], check.starts)
     assert check.measure.error(*runs).max() <= 1.1e-4
+
+
+def test_a_recommendation_in_mujoco_holds_in_a_plain_loop(tmp_path):
+    """The error of a recommendation for the tip, from loops over `mujoco.mj_step` alone."""
+    file, tips = tmp_path / "arm.xml", []
+    file.write_text(ARM.replace('pos="-.5 0 .06"', 'pos="-.5 0 9"'))
+    fall = {"quantity": "site/tip/z", "horizon": 0.4, "starts": 1, "kind": "fall", "by": "flops"}
+    result = sc.trade(str(file), error="0.3mm", engine="mujoco", further=0, **fall)
+    chosen = result.recommended.settings
+    for integrator, dt in ((str(chosen.integrator), chosen.dt), ("rk4", 0.00025)):
+        model = mujoco.MjModel.from_xml_path(str(file))
+        model.opt.timestep = dt
+        model.opt.integrator = getattr(mujoco.mjtIntegrator, INTEGRATORS[integrator])
+        data, heights = mujoco.MjData(model), []
+        every = round(0.016 / dt)
+        for step in range(round(0.4 / dt)):
+            mujoco.mj_step(model, data)
+            if (step + 1) % every == 0:
+                mujoco.mj_forward(model, data)
+                heights.append(data.site("tip").xpos[2])
+        tips.append(np.array(heights))
+    error = float(np.sqrt(np.mean((tips[0] - tips[1]) ** 2)))
+    assert error <= 3e-4 and error == pytest.approx(result.recommended.error, rel=0.1, abs=2e-5)
 
 
 def test_errors_in_the_unit_of_the_quantity():
@@ -222,6 +297,12 @@ def test_ablate_and_converge_measure_the_quantity():
     assert result.units["added"] == "rad" and result.tolerance > 0
     ball = [row for row in result.rows if row.removal.kind == "gravity"]
     assert all(row.trial.error > 0 for row in ball)
+    left_out = sc.ablate(
+        scene, quantity="joint/elbow", added="0.5deg", horizon=0.2, starts=2, further=4
+    )
+    # The ball touches neither arm nor elbow.
+    assert left_out.removed and left_out.best.error <= np.radians(0.5)
+    assert left_out.smallest is not None and left_out.proof is not None
     data = sc.converge(scene, quantity="joint/elbow", horizon=0.2, starts=1).to_dict()
     assert data["units"]["error"] == "rad"
 
@@ -271,3 +352,37 @@ def test_results_and_quantities_can_be_pickled():
     result = sc.trade(sc.loads(ARM), quantity=quantity, **axes, **FIELDS)
     again = pickle.loads(pickle.dumps(result))
     assert str(again) == str(result)
+
+
+def test_predict_measures_a_series():
+    """Over 0.3 s every series of the arm can be predicted, as its motion can."""
+    fields = {"horizon": 0.3, "starts": 1, "kind": "sines"}
+    motion = sc.predict(sc.loads(ARM), **fields)
+    for name in ("site/tip", "joint/elbow"):
+        result = sc.predict(sc.loads(ARM), quantity=name, **fields)
+        assert result.quantity == name and result.growth.factor.shape == motion.growth.factor.shape
+        assert np.isinf(result.time) and name in str(result)
+    with pytest.raises(ValueError, match="one series"):
+        sc.predict(sc.loads(ARM), quantity="max(joint/elbow)", **fields)
+
+
+def test_growth_of_a_series_is_that_of_two_runs():
+    """In a double pendulum a change of 1e-10 of the scene's size grows alike in every series."""
+    fields = {"horizon": 3.0, "starts": 1, "kind": "fall"}
+    swinging = sc.loads(ARM.replace('damping=".2"', "").replace('damping=".1"', ""))
+    factors = [
+        sc.predict(swinging, quantity=name, **fields).growth.factor[0].max()
+        for name in ("joint/elbow", "site/tip")
+    ]
+    assert 0.03 < factors[0] / factors[1] < 30
+
+
+def test_a_stability_map_of_a_quantity():
+    grid = {"path": "joint/elbow/damping", "values": [0.1, 1.0], "dts": [0.002, 0.008]}
+    result = sc.stability_map(sc.loads(ARM), quantity="site/tip", deviation="1mm", **grid)
+    assert result.units["error"] == "m" and "site/tip" in str(result)
+    motion = sc.stability_map(sc.loads(ARM), deviation="1mm", **grid)
+    errors = [[cell.error for cell in each.rows] for each in (result, motion)]
+    assert all(e > 0 for row in errors for e in row) and errors[0] != errors[1]
+    peak = sc.stability_map(sc.loads(ARM), quantity="max(joint/elbow)", deviation="0.1deg", **grid)
+    assert peak.units["error"] == "rad" and peak.deviation == pytest.approx(np.radians(0.1))

@@ -315,7 +315,9 @@ MEASUREMENTS = {
         more=lambda args, model: {"search": "grid" if args.grid else None},
     ),
     "predict": Measurement(
-        "predictability", "gymnasium:ant --horizon 5 --plot growth.png", {"engine": ENGINE}
+        "predictability",
+        "gymnasium:ant --horizon 5 --plot growth.png",
+        {"quantity": {"metavar": "NAME", "help": QUANTITY}, "engine": ENGINE},
     ),
     "diagnose": Measurement(
         "diagnosis",
@@ -333,6 +335,7 @@ MEASUREMENTS = {
             "dts": "LIST",
             "integrators": {"flags": ("--integrator",), **NAMES},
             "deviation": "E",
+            "quantity": {"metavar": "NAME", "help": QUANTITY},
             "engine": ENGINE,
         },
         horizon="1, or 25 times the largest time step if that is longer",

@@ -311,6 +311,8 @@ class Measure:
         """
         if self.quantity.is_motion:
             return apart(a, b, self.matter)
+        if self.quantity.plays:
+            raise ValueError("quantity: the return of a task is measured by `trade` alone")
         if self.quantity.function is not None:
             far = np.abs(self.numbers(a) - self.numbers(b))[:, None, None]
             return np.where(np.isnan(far), np.inf, far)
