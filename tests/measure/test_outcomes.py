@@ -199,6 +199,16 @@ def test_processes_give_the_numbers_of_threads():
     assert [row.record() for row in results[0].rows] == [row.record() for row in results[1].rows]
 
 
+def test_axes_are_tried_and_the_cheapest_that_holds_is_chosen():
+    """A fall errs by g·t·dt/2 under semi-implicit steps of dt."""
+    dts = [0.002, 0.005, 0.01, 0.02]
+    grid = {"dts": dts, "integrators": ["semi-implicit"], "error": 0.012}
+    result = sc.trade(sc.loads(BALL), quantity=height, horizon=0.1, starts=64, most=64, **grid)
+    biases = {row.dt: row.difference.value for row in result.rows}
+    assert biases == pytest.approx({dt: -9.81 * 0.1 * dt / 2 for dt in biases}, rel=0.05, abs=1e-4)
+    assert set(dts) <= set(biases) and result.chosen.dt == 0.02
+
+
 def test_shares_of_successes():
     result = sc.trade(sc.loads(BALL), quantity=low, horizon=0.4, starts=64, error=0.5, seconds=20)
     assert result.measure.binary and 0 <= result.shipped.mean <= 1
@@ -242,7 +252,7 @@ def not_finite(qpos):
         (height, {"error": "-1"}, "error"),
         (height, {"error": 0}, "error"),
         (height, {"statistic": "median"}, "statistic"),
-        (height, {"dts": [0.001]}, 'statistic="worst"'),
+        (height, {"accuracies": ["1mm"]}, 'statistic="worst"'),
         (height, {"budget": "100x"}, 'statistic="worst"'),
         (both, {}, "both:height"),
         (Quantity("both:heigt", both, "heigt"), {}, 'nearest: "height"'),

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Unpack, cast
 
 from stepcore import checks
@@ -141,7 +142,7 @@ def trade(
     if error is None and quantity.parts:
         raise ValueError(f"error = None: several quantities ({quantity.name}) need one each")
     if of_means:
-        refused = {"budget": budget is not None, "search": full, "mujoco": mujoco}
+        refused = {"budget": budget is not None, "mujoco": mujoco, "accuracies": bool(accuracies)}
         if name := next((name for name, given in refused.items() if given), None):
             raise ValueError(f'{name}: must not be given for a mean; statistic="worst" takes it')
     if mujoco and engine == "mujoco":
@@ -150,7 +151,9 @@ def trade(
         motion, fields = _episodes(quantity, motion, engine, fields)
     setup = set_up(trade, model, motion, fields, missing="no motion to trade", engine=engine)
     if of_means:
-        return trade_means(setup, quantity, error, most, effort, by, bool(further))
+        changes = partial(grid, **axes) if full else None
+        rest = (most, effort, by, bool(further), dts, changes)
+        return trade_means(setup, quantity, error, *rest)
     shipped, workers = setup.engine.settings(SHIPPED), setup.workers
     limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
     starts = setup.motion.starts or STARTS

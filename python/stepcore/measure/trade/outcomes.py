@@ -351,11 +351,13 @@ def trade_means(
     effort: float,
     by: str,
     validate: bool,
+    dts: Sequence[float | str] | None,
+    grid: Callable[[Study, Sequence[float]], Sequence[Change]] | None,
 ) -> Outcomes:
     """Measure how settings change the mean of a number of each run, and recommend settings.
 
     The arguments are those of `stepcore.trade`; validate: whether to test the choice on held-out
-    starts.
+    starts. grid: returns the settings to try, by time step; None for a search.
 
     Raises ValueError for fewer than 64 starts.
     """
@@ -367,7 +369,7 @@ def trade_means(
         )
     motion, horizon = settled_motion(setup.engine, setup.motion, STARTS, effort)
     held_period = motion.period(setup.engine.dt)
-    _, period = time_steps(setup.engine.dt, None, held_period, horizon.length)
+    steps, period = time_steps(setup.engine.dt, dts, held_period, horizon.length)
     study = Study(
         motion=dataclasses.replace(motion, starts=starts),
         quantity=quantity,
@@ -385,7 +387,10 @@ def trade_means(
     with deadline.stage("more starts", SETTLED):
         search.resolve()
     with deadline.stage("some of the settings", SEARCHED):
-        search.choose()
+        if grid is None:
+            search.choose()
+        else:
+            search.choose_from(grid(study, steps))
     if validate:
         with deadline.stage("the test on held-out starts", PROVEN):
             search.validate()
@@ -507,6 +512,16 @@ class _Search:
             ladder = [n for n in self.steps if n * rates[family] <= most]
             if ladder and study.affords(self._at(family, shipped), self.count):
                 self._least(family, ladder, shipped)
+
+    def choose_from(self, changes: Sequence[Change]) -> None:
+        """Try all of some changes, and keep the cheapest setting that holds."""
+        rows = [self.shipped, *(self._outcome(c) for c in changes if self._affords(c))]
+        held = [row for row in rows if row.within(self.error)]
+        if self.agreed and self.half <= self.error and held:
+            self.chosen = min(held, key=lambda row: row.cost)
+
+    def _affords(self, change: Change) -> bool:
+        return self.study.affords(change, self.count)
 
     def _least(self, family: Change, ladder: Sequence[int], shipped: int) -> None:
         """Try the steps of a family, and keep the cheapest setting that holds."""
