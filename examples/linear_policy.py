@@ -13,7 +13,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-import stepcore.gymnasium  # registers the tasks
+import stepcore.gymnasium  # noqa: F401  registers the tasks
 
 DIRECTIONS, STEP, NOISE = 32, 0.05, 0.05
 
@@ -40,7 +40,9 @@ def learn(task, iterations, actions):
         tried = np.concatenate([gains + NOISE * moves, gains - NOISE * moves])
         returns = returns_of(envs, tried, actions, iteration)
         gained = returns[:DIRECTIONS] - returns[DIRECTIONS:]
-        gains += STEP * np.einsum("d,dku->ku", gained, moves) / (DIRECTIONS * (returns.std() + 1e-9))
+        gains += (
+            STEP * np.einsum("d,dku->ku", gained, moves) / (DIRECTIONS * (returns.std() + 1e-9))
+        )
     return gains, returns
 
 

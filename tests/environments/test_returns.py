@@ -121,7 +121,7 @@ def uneven(rows):
 @pytest.mark.parametrize(
     ("policy", "words"),
     [
-        (lambda rows: np.zeros(3), r"must be \(32, 1\)"),
+        (lambda rows: np.zeros(3), r"must be \(64, 1\)"),
         (lambda rows: 1 / 0, "ZeroDivisionError"),
         (uneven, "start 2"),
     ],

@@ -58,6 +58,12 @@ class Quantity:
     entry: of a function that returns a dict of several numbers of each run, the key of one.
     parts: several quantities, which are judged together; `Quantity.of` makes it of a list.
 
+    On the command line it is --quantity:
+
+        stepcore trade robot.xml --quantity "max(contact/foot)" --error 2N
+        stepcore trade robot.xml --quantity site/tip --error 1mm --quantity com/z --error 5mm
+        stepcore trade robot.xml --quantity walk.py:distance
+
     Raises ValueError for a name of another form. Elements are looked up when a study begins.
 
     >>> Quantity("max(contact/foot)").reduction, Quantity("site/tip").series
