@@ -44,8 +44,6 @@ from stepcore.measure.diagnosis import diagnose as diagnose
 from stepcore.measure.identification import Identification as Identification
 from stepcore.measure.identification import identify as identify
 from stepcore.measure.monitors import Finding as Finding
-from stepcore.measure.outcomes import Outcomes as Outcomes
-from stepcore.measure.outcomes import outcomes as outcomes
 from stepcore.measure.plan import plan as plan
 from stepcore.measure.predictability import Predictability as Predictability
 from stepcore.measure.predictability import predict as predict
@@ -54,6 +52,7 @@ from stepcore.measure.run import run as run
 from stepcore.measure.stability import StabilityMap as StabilityMap
 from stepcore.measure.stability import stability_map as stability_map
 from stepcore.measure.sweep import sweep as sweep
+from stepcore.measure.trade import Outcomes as Outcomes
 from stepcore.measure.trade import Trade as Trade
 from stepcore.measure.trade import trade as trade
 from stepcore.measure.tune import Tuning as Tuning

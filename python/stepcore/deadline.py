@@ -36,7 +36,6 @@ SECONDS = {
     "check": 15.0,
     "diagnose": 15.0,
     "trade": 60.0,
-    "outcomes": 60.0,
     "predict": 60.0,
     "ablate": 60.0,
     "compare": 60.0,

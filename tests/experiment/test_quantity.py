@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -26,6 +27,12 @@ ARM = """<mujoco model="arm"><option timestep=".004" integrator="implicitfast"/>
 <actuator><position name="servo" joint="elbow" kp="20" kv="1"/></actuator>
 <sensor><framepos name="place" objtype="site" objname="tip"/><jointvel joint="elbow" name="rate"/>
 </sensor></mujoco>"""
+INTEGRATORS = {
+    "euler": "mjINT_EULER",
+    "implicit": "mjINT_IMPLICIT",
+    "implicitfast": "mjINT_IMPLICITFAST",
+    "rk4": "mjINT_RK4",
+}
 FIELDS = {"horizon": 0.2, "starts": 2, "kind": "sines"}
 
 
@@ -99,6 +106,51 @@ def test_both_engines_measure_the_same_error(name, tmp_path):
     assert errors[0] == pytest.approx(errors[1], rel=0.02, abs=unsure + 1e-9)
 
 
+SLASHES = """<mujoco><option timestep=".004"/><worldbody>
+<geom name="arena/floor" type="plane" size="1 1 .1"/>
+<body name="walker/leg" pos="0 0 .04"><freejoint name="walker/root"/>
+<geom name="walker/leg/foot" size=".05" mass="1"/><site name="walker/leg/x" pos="0 0 .05"/></body>
+<body name="arm/x" pos="1 0 .5"><joint name="arm/x/velocity" axis="0 1 0"/>
+<geom name="arm/link" type="capsule" size=".03" fromto="0 0 0 .3 0 0" mass="1"/></body>
+</worldbody><actuator><motor name="arm/force" joint="arm/x/velocity" gear="2"
+ctrlrange="-1 1"/></actuator></mujoco>
+"""
+PUBLIC = {
+    "gymnasium:half_cheetah": (
+        "body/bfoot",
+        "joint/fthigh/velocity",
+        "range(joint/bshin)",
+        "com/x",
+    ),
+    "dm_control:walker": ("body/left_foot/z", "joint/right_knee", "actuator/left_hip/force"),
+    "slashes": (
+        *("site/walker/leg/x", "site/walker/leg/x/z", "body/arm/x", "body/arm/x/x"),
+        *("joint/arm/x/velocity", "joint/arm/x/velocity/velocity", "actuator/arm/force/force"),
+        *("contact/walker/leg/foot/arena/floor", "contact/walker/leg/arena/floor"),
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("source", "name"), [(source, name) for source, names in PUBLIC.items() for name in names]
+)
+def test_engines_agree_on_public_models_and_names_with_slashes(source, name, tmp_path):
+    """Both engines run a motion with converged steps, and have the same series or number."""
+    if source == "slashes":
+        source = tmp_path / "slashes.xml"
+        source.write_text(SLASHES)
+    apart, tracks = [], []
+    for engine in ("stepcore", "mujoco"):
+        study = Study(
+            str(source), engine=engine, quantity=name, horizon=0.1, starts=1, kind="sines"
+        )
+        coarse, fine = study.tracks([Change(dt=study.engine.dt / n) for n in (8, 16)], [0])
+        apart.append(float(study.measure.error(coarse, fine)[0]))
+        tracks.append(fine)
+    far = float(study.measure.error(*tracks)[0])
+    assert far <= 4 * max(apart) + 1e-3 * study.scale
+
+
 def test_a_pose_counts_rotations_as_arcs():
     study = study_of("body/lower")
     (tracks,) = study.tracks([Change()], [0])
@@ -155,6 +207,29 @@ def test_the_recommendation_holds_from_new_starts():
     assert check.measure.error(*runs).max() <= 1.1e-4
 
 
+def test_a_recommendation_in_mujoco_holds_in_a_plain_loop(tmp_path):
+    """The error of a recommendation for the tip, from loops over `mujoco.mj_step` alone."""
+    file, tips = tmp_path / "arm.xml", []
+    file.write_text(ARM.replace('pos="-.5 0 .06"', 'pos="-.5 0 9"'))
+    fall = {"quantity": "site/tip/z", "horizon": 0.4, "starts": 1, "kind": "fall", "by": "flops"}
+    result = sc.trade(str(file), error="0.3mm", engine="mujoco", further=0, **fall)
+    chosen = result.recommended.settings
+    for integrator, dt in ((str(chosen.integrator), chosen.dt), ("rk4", 0.00025)):
+        model = mujoco.MjModel.from_xml_path(str(file))
+        model.opt.timestep = dt
+        model.opt.integrator = getattr(mujoco.mjtIntegrator, INTEGRATORS[integrator])
+        data, heights = mujoco.MjData(model), []
+        every = round(0.016 / dt)
+        for step in range(round(0.4 / dt)):
+            mujoco.mj_step(model, data)
+            if (step + 1) % every == 0:
+                mujoco.mj_forward(model, data)
+                heights.append(data.site("tip").xpos[2])
+        tips.append(np.array(heights))
+    error = float(np.sqrt(np.mean((tips[0] - tips[1]) ** 2)))
+    assert error <= 3e-4 and error == pytest.approx(result.recommended.error, rel=0.1, abs=2e-5)
+
+
 def test_errors_in_the_unit_of_the_quantity():
     study = study_of("joint/elbow")
     assert study.error_of("run", "0.5deg") == pytest.approx(np.radians(0.5))
@@ -165,12 +240,69 @@ def test_errors_in_the_unit_of_the_quantity():
     assert trial.words(trial.error).endswith("rad")
 
 
+BOTH = ["site/tip", "actuator/servo/force"]
+
+
+def test_errors_of_several_quantities_are_those_of_each():
+    trial = study_of(BOTH).run(Change(dt="8ms"), error=["1mm", 0.02])
+    singles = [study_of(name).run(Change(dt="8ms")) for name in BOTH]
+    for name, single in zip(BOTH, singles, strict=True):
+        assert trial.named[name] == pytest.approx(single.error, rel=0.01)
+    assert trial.error == pytest.approx(max(trial.named["site/tip"] / 1e-3, 0), rel=1e-9)
+    assert trial.record()["site/tip"] == trial.named["site/tip"]
+
+
+def test_a_recommendation_satisfies_the_error_of_each_quantity():
+    errors = {"site/tip": 1e-3, "actuator/servo/force": 0.01}
+    result = sc.trade(
+        sc.loads(ARM), quantity=[*errors], error=[*errors.values()], by="flops", **FIELDS
+    )
+    assert all(result.recommended.named[name] <= most for name, most in errors.items())
+    assert result.units["actuator/servo/force"] == "N·m"
+    refused = [row for row in result.whole if row.error > 1 and not row.failure]
+    assert all(any(row.named[n] > most for n, most in errors.items()) for row in refused)
+    check = study_of(None, seed=99, starts=4)
+    finest = Change(integrator="rk4", solver="newton", sweeps=200, dt=result.shipped.dt / 64)
+    for name, most in errors.items():
+        study = study_of(name, seed=99, starts=4)
+        runs = study.tracks([result.recommended.change, finest], check.starts)
+        assert study.measure.error(*runs).max() <= 1.1 * most
+
+
+@pytest.mark.parametrize(
+    ("quantity", "error", "words"),
+    [
+        (BOTH, None, "need one each"),
+        (BOTH, "1mm", "one for each of 2 quantities"),
+        (BOTH, ["1mm", 1, 1], "has 3 values"),
+        (BOTH, ["1mm", "1mm"], "N·m"),
+        (["site/tip", "site/tip"], ["1mm", "1mm"], "once"),
+        (["site/tip", "joint/elbo"], ["1mm", 1], "elbow"),
+        ([], 1, "quantity"),
+    ],
+)
+def test_wrong_lists_are_refused(quantity, error, words):
+    with pytest.raises(ValueError, match=words):
+        sc.trade(sc.loads(ARM), quantity=quantity, error=error, **FIELDS)
+
+
+def test_several_quantities_without_errors_are_refused():
+    with pytest.raises(ValueError, match="an error of each"):
+        sc.converge(sc.loads(ARM), quantity=BOTH, horizon=0.1, starts=1)
+
+
 def test_ablate_and_converge_measure_the_quantity():
     scene = sc.loads(ARM)
     result = sc.ablate(scene, quantity="joint/elbow", horizon=0.2, starts=2, further=0)
     assert result.units["added"] == "rad" and result.tolerance > 0
     ball = [row for row in result.rows if row.removal.kind == "gravity"]
     assert all(row.trial.error > 0 for row in ball)
+    left_out = sc.ablate(
+        scene, quantity="joint/elbow", added="0.5deg", horizon=0.2, starts=2, further=4
+    )
+    # The ball touches neither arm nor elbow.
+    assert left_out.removed and left_out.best.error <= np.radians(0.5)
+    assert left_out.smallest is not None and left_out.proof is not None
     data = sc.converge(scene, quantity="joint/elbow", horizon=0.2, starts=1).to_dict()
     assert data["units"]["error"] == "rad"
 
@@ -216,6 +348,41 @@ def test_a_constant_quantity_is_refused():
 def test_results_and_quantities_can_be_pickled():
     quantity = pickle.loads(pickle.dumps(Quantity("max(joint/elbow)")))
     assert quantity == Quantity("max(joint/elbow)") and quantity.is_scalar
-    result = sc.trade(sc.loads(ARM), quantity=quantity, dts=[0.004, 0.008], by="flops", **FIELDS)
+    axes = {"dts": [0.004, 0.008], "statistic": "worst", "by": "flops"}
+    result = sc.trade(sc.loads(ARM), quantity=quantity, **axes, **FIELDS)
     again = pickle.loads(pickle.dumps(result))
     assert str(again) == str(result)
+
+
+def test_predict_measures_a_series():
+    """Over 0.3 s every series of the arm can be predicted, as its motion can."""
+    fields = {"horizon": 0.3, "starts": 1, "kind": "sines"}
+    motion = sc.predict(sc.loads(ARM), **fields)
+    for name in ("site/tip", "joint/elbow"):
+        result = sc.predict(sc.loads(ARM), quantity=name, **fields)
+        assert result.quantity == name and result.growth.factor.shape == motion.growth.factor.shape
+        assert np.isinf(result.time) and name in str(result)
+    with pytest.raises(ValueError, match="one series"):
+        sc.predict(sc.loads(ARM), quantity="max(joint/elbow)", **fields)
+
+
+def test_growth_of_a_series_is_that_of_two_runs():
+    """In a double pendulum a change of 1e-10 of the scene's size grows alike in every series."""
+    fields = {"horizon": 3.0, "starts": 1, "kind": "fall"}
+    swinging = sc.loads(ARM.replace('damping=".2"', "").replace('damping=".1"', ""))
+    factors = [
+        sc.predict(swinging, quantity=name, **fields).growth.factor[0].max()
+        for name in ("joint/elbow", "site/tip")
+    ]
+    assert 0.03 < factors[0] / factors[1] < 30
+
+
+def test_a_stability_map_of_a_quantity():
+    grid = {"path": "joint/elbow/damping", "values": [0.1, 1.0], "dts": [0.002, 0.008]}
+    result = sc.stability_map(sc.loads(ARM), quantity="site/tip", deviation="1mm", **grid)
+    assert result.units["error"] == "m" and "site/tip" in str(result)
+    motion = sc.stability_map(sc.loads(ARM), deviation="1mm", **grid)
+    errors = [[cell.error for cell in each.rows] for each in (result, motion)]
+    assert all(e > 0 for row in errors for e in row) and errors[0] != errors[1]
+    peak = sc.stability_map(sc.loads(ARM), quantity="max(joint/elbow)", deviation="0.1deg", **grid)
+    assert peak.units["error"] == "rad" and peak.deviation == pytest.approx(np.radians(0.1))

@@ -1,14 +1,16 @@
-"""`outcomes`: intervals of means, the numbers of runs, recommendations, and bad input."""
+"""`trade` of means: intervals of means, the numbers of runs, recommendations, and bad input."""
 
 from __future__ import annotations
 
 import json
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.experiment import Change, Study
+from stepcore.experiment import Change, Quantity, Study
 from stepcore.experiment.outcomes import (
     PILOT,
     Numbers,
@@ -144,7 +146,7 @@ def test_more_starts_continue_the_list():
 
 @pytest.fixture(scope="module")
 def result():
-    return sc.outcomes(sc.loads(BALL), quantity=height, horizon=0.1, starts=64)
+    return sc.trade(sc.loads(BALL), quantity=height, horizon=0.1, starts=64)
 
 
 def test_the_bias_of_a_fall_is_that_of_the_method(result):
@@ -167,10 +169,48 @@ def test_the_result_is_data(result):
     result.plot()
 
 
+def both(xpos):
+    return {"height": height(xpos), "low": low(xpos)}
+
+
+def test_entries_of_a_dict_are_judged_together():
+    entries = [Quantity(f"both:{entry}", both, entry) for entry in ("height", "low")]
+    errors = {"error": [0.002, 0.5], "most": 64}
+    result = sc.trade(sc.loads(BALL), quantity=entries, horizon=0.1, starts=64, **errors)
+    reference = result.reference.numbers
+    for row in result.rows:
+        height_part, low_part = row.difference.parts
+        apart = difference(reference[:, 0], row.numbers[:, 0]).value
+        assert height_part.value == pytest.approx(apart / 0.002, rel=1e-9, abs=1e-12)
+        assert row.within(1.0) == (height_part.bound <= 1 and low_part.bound <= 1)
+    assert result.measure.binaries == (False, True) and result.chosen.within(1.0)
+    assert "both:low" in result.to_dict()["rows"][0]
+    result.plot()
+
+
+def test_processes_give_the_numbers_of_threads():
+    fall = {"quantity": low, "horizon": 0.3, "starts": 64, "most": 64}
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
+        results = [
+            sc.trade(sc.loads(BALL), **fall, **workers)
+            for workers in ({"executor": executor}, {"threads": 1})
+        ]
+    assert all(result.measure.binary for result in results)
+    assert [row.record() for row in results[0].rows] == [row.record() for row in results[1].rows]
+
+
+def test_axes_are_tried_and_the_cheapest_that_holds_is_chosen():
+    """A fall errs by g·t·dt/2 under semi-implicit steps of dt."""
+    dts = [0.002, 0.005, 0.01, 0.02]
+    grid = {"dts": dts, "integrators": ["semi-implicit"], "error": 0.012}
+    result = sc.trade(sc.loads(BALL), quantity=height, horizon=0.1, starts=64, most=64, **grid)
+    biases = {row.dt: row.difference.value for row in result.rows}
+    assert biases == pytest.approx({dt: -9.81 * 0.1 * dt / 2 for dt in biases}, rel=0.05, abs=1e-4)
+    assert set(dts) <= set(biases) and result.chosen.dt == 0.02
+
+
 def test_shares_of_successes():
-    result = sc.outcomes(
-        sc.loads(BALL), quantity=low, horizon=0.4, starts=64, error=0.5, seconds=20
-    )
+    result = sc.trade(sc.loads(BALL), quantity=low, horizon=0.4, starts=64, error=0.5, seconds=20)
     assert result.measure.binary and 0 <= result.shipped.mean <= 1
     assert result.shipped.difference.high - result.shipped.difference.low > 0
 
@@ -180,7 +220,7 @@ def test_runs_that_fail_are_counted_and_never_recommended():
     <joint type="slide" stiffness="1e5"/><geom size=".1" mass="1"/></body></worldbody></mujoco>"""
     with pytest.warns(sc.StiffnessWarning):
         scene = sc.loads(text)
-    result = sc.outcomes(scene, quantity="max(energy)", horizon=0.4, starts=64, seconds=30)
+    result = sc.trade(scene, quantity="max(energy)", horizon=0.4, starts=64, seconds=30)
     assert result.shipped.failed == 64 and not result.shipped.within(1e9)
     assert result.chosen is None or not result.chosen.failed
     assert result.shipped.failing[0] > 0.9
@@ -200,7 +240,7 @@ def not_finite(qpos):
 @pytest.mark.parametrize(
     ("quantity", "more", "words"),
     [
-        ("body/ball/z", {}, "not one number"),
+        ("body/ball/z", {"statistic": "mean"}, "not one number"),
         ("max(geom/*/z)", {}, "not one number"),
         (lambda qposs: 0, {}, "qposs"),
         (lambda *arrays: 0, {}, "parameters"),
@@ -210,10 +250,17 @@ def not_finite(qpos):
         (height, {"starts": 8}, "at least 64"),
         (height, {"most": 8}, "most"),
         (height, {"error": "-1"}, "error"),
+        (height, {"error": 0}, "error"),
+        (height, {"statistic": "median"}, "statistic"),
+        (height, {"accuracies": ["1mm"]}, 'statistic="worst"'),
+        (height, {"budget": "100x"}, 'statistic="worst"'),
+        (both, {}, "both:height"),
+        (Quantity("both:heigt", both, "heigt"), {}, 'nearest: "height"'),
+        (Quantity("height:a", height, "a"), {}, "no dict"),
         (3, {}, "quantity"),
     ],
 )
 def test_bad_input_is_refused(quantity, more, words):
     scene = sc.loads(BALL.replace("</body>", '<geom name="a" size=".01"/></body>'))
     with pytest.raises(ValueError, match=words):
-        sc.outcomes(scene, quantity=quantity, **{"horizon": 0.1, "starts": 64, **more})
+        sc.trade(scene, quantity=quantity, **{"horizon": 0.1, "starts": 64, **more})

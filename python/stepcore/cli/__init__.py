@@ -37,7 +37,6 @@ COMMANDS = {
     "view": "watch a model move, in a browser; or write a page that replays a run",
     "replay": "run a failed simulation again and show which elements injected its energy",
     "trade": "measure what speed costs in accuracy, and recommend settings",
-    "outcomes": "measure what settings change in the mean of a number of each run",
     "predict": "measure how long a model's motion can be predicted",
     "diagnose": "find the element that limits the time step",
     "identify": "find masses, friction or gains in logs of a robot's motion",

@@ -158,9 +158,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
 DRIVES = ("control", "ctrl", "kind", "follow")
 
 
-def add_file(command: argparse.ArgumentParser) -> None:
+def add_file(command: argparse.ArgumentParser, *, optional: bool = False) -> None:
     """Add the argument FILE, the model of a command, and the options of loading."""
-    command.add_argument("file", metavar="FILE", help="path, package:name or lesson:name")
+    count = "?" if optional else None
+    help_words = "path, package:name or lesson:name"
+    command.add_argument("file", nargs=count, metavar="FILE", help=help_words)
     command.add_argument(
         "--without",
         action="append",

@@ -18,6 +18,7 @@ from stepcore.cli.arguments import (
     add_file,
     add_motion,
     add_options,
+    control_function,
     documented,
     frequency,
     function_of,
@@ -33,6 +34,8 @@ from stepcore.deadline import SECONDS
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment import schedule
+from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
+from stepcore.experiment.quantity import Quantity
 from stepcore.loading import load
 from stepcore.report.result import Result
 
@@ -79,7 +82,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
     """Add the options of a command, with the words and defaults of its function."""
     measurement, function = MEASUREMENTS[name], _function(name)
     takes = inspect.signature(function).parameters
-    add_file(command)
+    add_file(command, optional="task" in measurement.options)
     add_options(command, measurement.options, function, measurement.excluding)
     if "key" in takes:
         module = sys.modules[function.__module__]
@@ -112,21 +115,32 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 def call(args: argparse.Namespace, name: str) -> Result:
     """Run the measurement of a command."""
     measurement, function = MEASUREMENTS[name], _function(name)
+    if args.file is None and args.task is None:
+        raise Usage(f"{name} needs FILE, or --task NAME")
     model: Any = None
+    quantity = _return(args) if getattr(args, "task", None) else None
     try:
-        model = model_of(args, warn=measurement.warn)
+        model = quantity.model if quantity else model_of(args, warn=measurement.warn)
     except ValueError:
         # MuJoCo may run a file that stepcore cannot load.
         if getattr(args, "engine", "stepcore") == "stepcore" or not is_whole(args):
             raise
     takes = inspect.signature(function).parameters
     given = {option: getattr(args, option) for option in measurement.options if option in takes}
-    if "key" in takes:
+    if quantity is not None:
+        given |= {"quantity": quantity, "starts": args.starts, "threads": args.threads}
+    elif "key" in takes:
         given |= motion_of(args, model)
     if name in SECONDS:
         given["seconds"] = args.seconds
-    if given.get("quantity") is not None:
-        given["quantity"] = _quantity(given["quantity"])
+    for option in ("quantity", "error"):
+        values = given.get(option)
+        if isinstance(values, list) and len(values) == 1:
+            given[option] = values[0]
+    texts = given.get("quantity") if quantity is None else None
+    if texts is not None:
+        several = isinstance(texts, list)
+        given["quantity"] = [_quantity(text) for text in texts] if several else _quantity(texts)
     given |= measurement.more(args, model)
     # MuJoCo reads the file itself, if no option of loading changes it.
     source = getattr(args, "engine", "") == "mujoco"
@@ -215,14 +229,44 @@ def _log(text: str) -> Any:
     return {name: file for name, _, file in parts} if apart else text
 
 
+def _return(args: argparse.Namespace) -> Any:
+    """Return the return of --task under the policy of --control."""
+    from stepcore.gymnasium import Return
+
+    if args.quantity not in (None, ["return"]):
+        raise Usage(f"--quantity {args.quantity[0]}: must be return with --task")
+    others = "file", "key", "ctrl", "control_dt", "kind", "follow"
+    if name := next((name for name in others if getattr(args, name) is not None), None):
+        shown = "FILE" if name == "file" else f"--{name.replace('_', '-')}"
+        raise Usage(f"{shown} {getattr(args, name)}: must not be given with --task")
+    if args.control is None:
+        raise Usage(
+            f"--task {args.task}: needs --control policy.onnx, or --control FILE.py:FUNCTION, a "
+            "function of the observations of many worlds that returns their actions"
+        )
+    is_file = args.control.endswith(ENDINGS_OF_POLICIES)
+    policy = control_function(args.control) if is_file else function_of("control", args.control)
+    seed = 0 if args.seed is None else args.seed
+    return Return(args.task, policy, horizon=args.horizon, seed=seed)
+
+
 def _quantity(text: str) -> Any:
-    """Return a quantity: its name, or a function in a file or module."""
-    file, _, name = text.rpartition(":")
-    return function_of("quantity", text) if file and name.isidentifier() else text
+    """Return a quantity: its name; or a function in a file or module, or an entry of its dict."""
+    module, _, name = text.rpartition(":")
+    if not (module and name.isidentifier()):
+        return text
+    file, _, function = module.rpartition(":")
+    if file and function.isidentifier():
+        return Quantity(f"{function}:{name}", function_of("quantity", module), name)
+    return function_of("quantity", text)
 
 
 ENGINE = ("stepcore", "mujoco")
 NAMES = {"action": "append", "metavar": "NAME"}
+QUANTITY = (
+    "the quantity whose error is measured, such as site/tip, joint/knee or max(contact/foot); or "
+    "FILE.py:FUNCTION, a function of the runs (default: the motion of all bodies)"
+)
 
 MEASUREMENTS = {
     "check": Measurement(
@@ -246,10 +290,18 @@ MEASUREMENTS = {
         "gymnasium:half_cheetah --error 1mm --plot trade.png",
         {
             **{
-                "quantity": "NAME",
-                "error": "AMOUNT",
+                "quantity": {**NAMES, "help": QUANTITY},
+                "error": {"action": "append", "metavar": "AMOUNT"},
+                "statistic": ("worst", "mean"),
+                "task": {
+                    "metavar": "NAME",
+                    "help": "instead of FILE: a task of gymnasium, such as stepcore/Ant-v0, whose "
+                    "return under the policy of --control is measured (a file, or a function of "
+                    "the observations), from the task's resets",
+                },
                 "budget": "COST",
                 "further": "N",
+                "most": "N",
                 "by": ("time", "flops"),
             },
             "grid": {
@@ -262,21 +314,10 @@ MEASUREMENTS = {
         full="print every setting",
         more=lambda args, model: {"search": "grid" if args.grid else None},
     ),
-    "outcomes": Measurement(
-        "outcomes",
-        "gymnasium:ant --quantity 'final(body/torso/x)' --horizon 3",
-        {
-            "quantity": {
-                "metavar": "NAME",
-                "required": True,
-                "help": "a scalar such as max(contact/foot), or FILE.py:FUNCTION, a function of "
-                "the runs",
-            },
-            **{"error": "AMOUNT", "most": "N", "effort": "OPERATIONS", "engine": ENGINE},
-        },
-    ),
     "predict": Measurement(
-        "predictability", "gymnasium:ant --horizon 5 --plot growth.png", {"engine": ENGINE}
+        "predictability",
+        "gymnasium:ant --horizon 5 --plot growth.png",
+        {"quantity": {"metavar": "NAME", "help": QUANTITY}, "engine": ENGINE},
     ),
     "diagnose": Measurement(
         "diagnosis",
@@ -294,6 +335,7 @@ MEASUREMENTS = {
             "dts": "LIST",
             "integrators": {"flags": ("--integrator",), **NAMES},
             "deviation": "E",
+            "quantity": {"metavar": "NAME", "help": QUANTITY},
             "engine": ENGINE,
         },
         horizon="1, or 25 times the largest time step if that is longer",
@@ -302,7 +344,7 @@ MEASUREMENTS = {
     "converge": Measurement(
         "convergence",
         "lesson:stack --plot convergence.png",
-        {"quantity": "NAME", "engine": ENGINE},
+        {"quantity": {"metavar": "NAME", "help": QUANTITY}, "engine": ENGINE},
     ),
     "identify": Measurement(
         "identification",
@@ -367,7 +409,7 @@ MEASUREMENTS = {
         "ablation",
         "gymnasium:half_cheetah --added 5mm --save small.xml",
         {
-            "quantity": "NAME",
+            "quantity": {"metavar": "NAME", "help": QUANTITY},
             "added": "AMOUNT",
             "further": "N",
             "engine": ENGINE,

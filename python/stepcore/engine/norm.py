@@ -104,9 +104,10 @@ class Tracks:
 
     def first(self, samples: int) -> Tracks:
         """Return the tracks until a sample, with the failures before it."""
-        com = self.com[:, :samples]
+        com, quat = self.com[:, :samples], self.quat[:, :samples]
+        readings = None if self.readings is None else self.readings[:, :samples]
         failures = {k: why for k, why in self.failures.items() if not np.isfinite(com[k]).all()}
-        return Tracks(com, self.quat[:, :samples], failures)
+        return Tracks(com, quat, failures, readings=readings)
 
     @classmethod
     def joined(cls, parts: Sequence[Tracks]) -> Tracks:

@@ -56,7 +56,7 @@ class Source(NamedTuple):
     geoms: tuple[frozenset[int], frozenset[int] | None] = (frozenset(), None)
 
 
-class Found(NamedTuple):
+class Series(NamedTuple):
     """A series of an element: a reading; or a point of a moving body, or one of its coordinates.
 
     body: None for a reading, −1 for the centre of mass of all bodies. offset: of the point from the
@@ -91,7 +91,7 @@ class Elements:
     tendons: Sequence[str]
     shape: Callable[[str], tuple[int, ...]]
 
-    def find(self, path: str) -> list[Found]:
+    def find(self, path: str) -> list[Series]:
         """Return the series of a path or pattern.
 
         Raises ValueError for a path of another form, and for elements that the scene lacks or that
@@ -99,11 +99,11 @@ class Elements:
         """
         kind, slash, rest = path.partition("/")
         if path == "energy":
-            return [Found(path, "J", Source(path, (0, 1)))]
+            return [Series(path, "J", Source(path, (0, 1)))]
         if kind == "com":
             if rest and rest not in PARTS:
                 raise ValueError(f"quantity: {path}: must be com, com/x, com/y or com/z")
-            return [Found(path, body=-1, axis=PARTS.index(rest) if rest else None)]
+            return [Series(path, body=-1, axis=PARTS.index(rest) if rest else None)]
         if kind not in KINDS or not rest:
             near = checks.nearest(path if slash else kind, [*KINDS, *WHOLE, "motion"])
             shown = checks.quoted(checks.cut(path))
@@ -136,7 +136,7 @@ class Elements:
         exact = [k for k, name in enumerate(names) if name == pattern]
         return exact or [k for k, name in enumerate(names) if name and fnmatchcase(name, pattern)]
 
-    def _points(self, path: str, kind: str, indices: list[int], part: str) -> Iterator[Found]:
+    def _points(self, path: str, kind: str, indices: list[int], part: str) -> Iterator[Series]:
         """Yield the points that move; of a pattern, others are left out."""
         moving = [k for k in indices if self.points[kind][k][0] in self.moving]
         if not moving:
@@ -145,9 +145,9 @@ class Elements:
             body, offset = self.points[kind][k]
             name = "/".join(filter(None, (kind, self.names[kind][k], part)))
             axis = PARTS.index(part) if part else None
-            yield Found(name, body=body, offset=offset, axis=axis)
+            yield Series(name, body=body, offset=offset, axis=axis)
 
-    def _joint(self, path: str, indices: list[int], part: str) -> Iterator[Found]:
+    def _joint(self, path: str, indices: list[int], part: str) -> Iterator[Series]:
         scalar = [k for k in indices if self.joints[k][0] in ("hinge", "slide")]
         if not scalar:
             kind = self.joints[indices[0]][0]
@@ -158,27 +158,27 @@ class Elements:
             kind, qpos, dof = self.joints[k]
             units, array = (VELOCITIES, "qvel") if part else (POSITIONS, "qpos")
             name = "/".join(filter(None, ("joint", self.names["joint"][k], part)))
-            yield Found(name, units[kind][0], Source(array, (dof if part else qpos,)))
+            yield Series(name, units[kind][0], Source(array, (dof if part else qpos,)))
 
-    def _actuator(self, path: str, indices: list[int], part: str) -> Iterator[Found]:
+    def _actuator(self, path: str, indices: list[int], part: str) -> Iterator[Series]:
         for k in indices:
             name = f"actuator/{self.names['actuator'][k]}/{part}"
-            yield Found(name, self.forces[k], Source("actuator_force", (k,)))
+            yield Series(name, self.forces[k], Source("actuator_force", (k,)))
 
-    def _tendon(self, path: str, indices: list[int], part: str) -> Iterator[Found]:
+    def _tendon(self, path: str, indices: list[int], part: str) -> Iterator[Series]:
         for k in indices:
             name = f"tendon/{self.names['tendon'][k]}"
-            yield Found(name, self.tendons[k], Source("ten_length", (k,)))
+            yield Series(name, self.tendons[k], Source("ten_length", (k,)))
 
-    def _sensor(self, path: str, indices: list[int], part: str) -> Iterator[Found]:
+    def _sensor(self, path: str, indices: list[int], part: str) -> Iterator[Series]:
         for k in indices:
             kind, first, count = self.sensors[k]
             for place in range(count):
                 name = f"sensor/{self.names['sensor'][k]}" + f".{place}" * (count > 1)
                 source = Source("sensordata", (first + place,))
-                yield Found(name, SENSOR_UNITS.get(kind, ""), source)
+                yield Series(name, SENSOR_UNITS.get(kind, ""), source)
 
-    def _contact(self, path: str, rest: str) -> Found:
+    def _contact(self, path: str, rest: str) -> Series:
         """Return the normal force between two elements; their names may have slashes."""
         parts = rest.split("/")
         for cut in range(len(parts), 0, -1):
@@ -186,7 +186,7 @@ class Elements:
             geoms, others = self._geoms(first), self._geoms(second) if second else None
             if geoms and (others or not second):
                 both = frozenset(geoms), None if others is None else frozenset(others)
-                return Found(path, "N", Source("contacts", geoms=both))
+                return Series(path, "N", Source("contacts", geoms=both))
         lost = next(name for name in (parts[0], rest) if not self._geoms(name))
         names = [name for kind in ("geom", "body") for name in self.names[kind] if name]
         near = checks.nearest(lost, names)
@@ -194,8 +194,8 @@ class Elements:
 
     def _geoms(self, name: str) -> list[int]:
         """Return the geoms of a name or pattern: geoms, or else all geoms of bodies."""
-        if found := self._named("geom", name):
-            return found
+        if geoms := self._named("geom", name):
+            return geoms
         bodies = self._named("body", name)
         return [k for k, (body, _) in enumerate(self.points["geom"]) if body in bodies]
 

@@ -20,7 +20,7 @@ import numpy as np
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import share_of
 from stepcore.experiment.engines import Engine
-from stepcore.experiment.quantity import Measure
+from stepcore.experiment.quantity import Measure, Measures
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import Study
 
@@ -28,6 +28,8 @@ from stepcore.experiment.study import Study
 PILOT = 32
 # The starts of one call of the engine, which runs them in vector registers.
 BLOCK = 32
+# The same of episodes of a task: in Python an action takes about as long for 128 worlds as for 32.
+EPISODES = 128
 # The quantile of a normal distribution for an interval of 95 %.
 NORMAL = 1.959964
 
@@ -38,7 +40,8 @@ class Difference:
 
     value: the difference. low, high: its interval. paired: whether differences by start were used.
     starts: the number of starts. sd: of the numbers from which the interval follows, so that the
-    half width is about 2 sd / √starts.
+    half width is about 2 sd / √starts. parts: of several quantities, the difference of each, all
+    relative to the allowed errors; the rest is that of the part with the largest bound.
     """
 
     value: float
@@ -47,11 +50,12 @@ class Difference:
     paired: bool
     starts: int
     sd: float
+    parts: tuple[Difference, ...] = ()
 
     @property
     def half(self) -> float:
-        """Half the width of the interval."""
-        return (self.high - self.low) / 2
+        """Half the width of the interval; of several quantities the largest."""
+        return max((part.half for part in self.parts), default=(self.high - self.low) / 2)
 
     @property
     def bound(self) -> float:
@@ -60,20 +64,33 @@ class Difference:
 
     @property
     def significant(self) -> bool:
-        """Whether the interval does not contain 0."""
-        return self.low > 0 or self.high < 0
+        """Whether the interval of any quantity does not contain 0."""
+        return any(part.significant for part in self.parts) or self.low > 0 or self.high < 0
 
     def widened(self, uncertainty: float) -> Difference:
         """Return the difference with an interval wider by an uncertainty on both sides."""
-        return dataclasses.replace(self, low=self.low - uncertainty, high=self.high + uncertainty)
+        low, high = self.low - uncertainty, self.high + uncertainty
+        parts = tuple(part.widened(uncertainty) for part in self.parts)
+        return dataclasses.replace(self, low=low, high=high, parts=parts)
+
+    def relative_to(self, error: float) -> Difference:
+        """Return the difference as a multiple of an error."""
+        value, low, high, sd = (x / error for x in (self.value, self.low, self.high, self.sd))
+        return Difference(value, low, high, self.paired, self.starts, sd)
+
+    def record(self) -> dict[str, Any]:
+        """Return the difference as plain data."""
+        fields = {name: value for name, value in vars(self).items() if name != "parts"}
+        return fields | ({"parts": [part.record() for part in self.parts]} if self.parts else {})
 
     def within(self, error: float) -> bool:
         """Return whether the entire interval is within ± error."""
         return self.bound <= error
 
     def outside(self, error: float) -> bool:
-        """Return whether the entire interval is outside ± error."""
-        return self.low > error or self.high < -error
+        """Return whether the entire interval of any quantity is outside ± error."""
+        outside = any(part.outside(error) for part in self.parts)
+        return outside or self.low > error or self.high < -error
 
 
 def difference(first: np.ndarray, second: np.ndarray, binary: bool = False) -> Difference:
@@ -137,11 +154,13 @@ def exact_interval(hits: int, count: int, confidence: float = 0.975) -> tuple[fl
 class Outcome:
     """The numbers of one change from common starts, compared with the reference's.
 
-    change, settings: as in `Trial`. numbers: one of each run, NaN where it failed, (starts,).
+    change, settings: as in `Trial`. numbers: one of each run, NaN where it failed, (starts,); of
+    several quantities (starts, quantities).
     difference: of the mean from the reference's. work, cost: as in `Trial`.
     spread: the ratio of standard deviations to the reference's, with its 95 % interval.
     distance: the largest distance between the two cumulative distributions, with the value that
-    it exceeds in one of twenty repeats of equal distributions. failure: of the first failed run.
+    it exceeds in one of twenty repeats of equal distributions. Both are of the first quantity, if
+    there are several. failure: of the first failed run.
     """
 
     change: Change
@@ -156,13 +175,18 @@ class Outcome:
 
     @property
     def mean(self) -> float:
-        """The mean over the starts that did not fail; NaN if all did."""
-        return _mean(self.numbers)
+        """The mean of the first quantity over the starts that did not fail; NaN if all did."""
+        return _mean(_first(self.numbers))
+
+    @property
+    def sd(self) -> float:
+        """The standard deviation of the first quantity."""
+        return _sd(_first(self.numbers))
 
     @property
     def failed(self) -> int:
         """The number of runs that failed."""
-        return int((~np.isfinite(self.numbers)).sum())
+        return int((~np.isfinite(_first(self.numbers))).sum())
 
     @property
     def failing(self) -> tuple[float, float]:
@@ -184,7 +208,7 @@ class Outcome:
         return {
             "change": self.change.words,
             "mean": self.mean,
-            "sd": _sd(self.numbers),
+            "sd": self.sd,
             "difference": d.value,
             "low": d.low,
             "high": d.high,
@@ -201,6 +225,11 @@ class Outcome:
             "cost": self.cost,
             "failure": self.failure or None,
         }
+
+
+def _first(numbers: np.ndarray) -> np.ndarray:
+    """Return the numbers of the first quantity, (starts,)."""
+    return numbers if numbers.ndim == 1 else numbers[:, 0]
 
 
 def _mean(numbers: np.ndarray) -> float:
@@ -256,25 +285,28 @@ class Numbers:
 
     def __init__(self, study: Study) -> None:
         self.study = study
-        self._known: dict[Change, np.ndarray] = {}
+        self._numbers: dict[Change, np.ndarray] = {}
         self.failures: dict[Change, str] = {}
 
     def of(self, changes: Sequence[Change], count: int, bar: str | None = None) -> list[np.ndarray]:
         """Return the numbers of changes from the first `count` starts, (count,) each."""
-        study = self.study
-        if count > (have := len(study.schedule.starts)):
+        study, quantity = self.study, self.study.measure.quantity
+        if not quantity.plays and count > (have := len(study.schedule.starts)):
             study.fresh(count - have)
-        jobs = list[tuple[Change, range]]()
+        jobs, block = list[tuple[Change, range]](), EPISODES if quantity.plays else BLOCK
         for change in dict.fromkeys(changes):
-            known = len(self._known.get(change, ()))
-            jobs += [(change, range(k, min(k + BLOCK, count))) for k in range(known, count, BLOCK)]
+            ran = len(self._numbers.get(change, ()))
+            jobs += [(change, range(k, min(k + block, count))) for k in range(ran, count, block)]
         follow = partial(_numbers, study.engine, study.schedule, study.measure)
+        if quantity.plays:
+            follow = partial(_played, study.engine, study.schedule, quantity)
 
-        def took(indices: range, made: list[tuple[np.ndarray, str]]) -> None:
-            for (change, starts), (numbers, failure) in zip(
-                jobs[indices.start : indices.stop], made, strict=True
+        def took(indices: range, blocks: list[_Block]) -> None:
+            for (change, starts), (numbers, failure, binary) in zip(
+                jobs[indices.start : indices.stop], blocks, strict=True
             ):
                 done[change, starts.start] = numbers
+                study.measure.mark(binary)
                 if failure:
                     self.failures.setdefault(change, failure)
                 study.runs += len(starts)
@@ -286,10 +318,27 @@ class Numbers:
         finally:
             # Keep what is complete from the first start on: a deadline may end the rest.
             for change, starts in jobs:
-                before = self._known.setdefault(change, np.empty(0))
-                if starts.start == len(before) and (change, starts.start) in done:
-                    self._known[change] = np.concatenate([before, done[change, starts.start]])
-        return [self._known[change][:count] for change in changes]
+                before = self._numbers.get(change)
+                if (
+                    starts.start == (0 if before is None else len(before))
+                    and (numbers := done.get((change, starts.start))) is not None
+                ):
+                    joined = numbers if before is None else np.concatenate([before, numbers])
+                    self._numbers[change] = joined
+        return [self._numbers[change][:count] for change in changes]
+
+    def compare(self, first: np.ndarray, second: np.ndarray) -> Difference:
+        """Return the difference of two sets of numbers; see `difference`.
+
+        Of several quantities it is relative to the allowed errors.
+        """
+        measure = self.study.measure
+        if not isinstance(measure, Measures):
+            return difference(first, second, measure.binary)
+        columns = zip(first.T, second.T, measure.parts, measure.allowed_errors, strict=True)
+        parts = [difference(a, b, part.binary).relative_to(e) for a, b, part, e in columns]
+        worst = max(parts, key=lambda part: part.bound)
+        return dataclasses.replace(worst, sd=max(part.sd for part in parts), parts=tuple(parts))
 
     def outcome(self, change: Change, reference: np.ndarray, uncertainty: float = 0.0) -> Outcome:
         """Compare a change with the reference's numbers; uncertainty: of its mean."""
@@ -299,19 +348,29 @@ class Numbers:
             change=change,
             settings=study.engine.settings(change),
             numbers=numbers,
-            difference=difference(reference, numbers, study.measure.binary).widened(uncertainty),
+            difference=self.compare(reference, numbers).widened(uncertainty),
             work=study.work(change),
             cost=study.cost(change),
-            spread=ratio_of_spreads(reference, numbers),
-            distance=distance_of(reference, numbers),
+            spread=ratio_of_spreads(_first(reference), _first(numbers)),
+            distance=distance_of(_first(reference), _first(numbers)),
             failure=self.failures.get(change, ""),
         )
 
 
+# The numbers of a block of runs, the first failure, and the quantities that are True or False.
+_Block = tuple[np.ndarray, str, tuple[bool, ...]]
+
+
+def _played(engine: Engine, schedule: Schedule, quantity: Any, job: tuple[Change, range]) -> _Block:
+    """Play the episodes of a task from some starts; return a block of numbers."""
+    change, starts = job
+    return *quantity.play(engine.settings(change), starts, engine.farthest(schedule)), (False,)
+
+
 def _numbers(
     engine: Engine, schedule: Schedule, measure: Measure, job: tuple[Change, range]
-) -> tuple[np.ndarray, str]:
-    """Run a change from some starts; return a number of each run, and the first failure."""
+) -> _Block:
+    """Run a change from some starts; return a block of numbers."""
     change, starts = job
     tracks = engine.follow(change, schedule, starts)
-    return measure.numbers(tracks, starts), tracks.failure_from(starts)
+    return measure.numbers(tracks, starts), tracks.failure_from(starts), measure.binaries

@@ -24,6 +24,7 @@ import numpy as np
 from stepcore.engine.norm import Matter, Tracks, apart
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
+from stepcore.experiment.quantity import Measure
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.units import counted, seconds
 
@@ -110,13 +111,17 @@ def growths(
     starts: Sequence[int],
     size: float,
     directions: int = 1,
+    measure: Measure | None = None,
 ) -> list[Growth]:
-    """Measure the growth from each start over its schedule; all runs are made together."""
-    schedule = max(schedules, key=lambda one: one.periods)
+    """Measure the growth from each start over its schedule; all runs are made together.
+
+    measure: the series whose distance grows, by default the motion.
+    """
+    schedule = max(schedules, key=lambda longest: longest.periods)
     # Samples are at most 20 ms apart, and include the schedule's.
     most = max(1, int(APART / schedule.period + 1e-9))
     every = max(n for n in range(1, schedule.every + 1) if schedule.every % n == 0 and n <= most)
-    own = dataclasses.replace(schedule, every=every)
+    sampled = dataclasses.replace(schedule, every=every)
     moved, rng, count = engine.coordinates, np.random.default_rng(0), len(starts)
     aside = ASIDE * moved.drawn(rng, size, 1.0)
     nudges = [np.zeros(moved.nv)]
@@ -129,12 +134,33 @@ def growths(
         for nudge in nudges
         for start in (schedule.starts[k] for k in starts)
     ]
-    both = dataclasses.replace(own.picked([*starts] * len(nudges)), starts=tuple(begin))
+    both = dataclasses.replace(sampled.picked([*starts] * len(nudges)), starts=tuple(begin))
     runs = engine.follow(change, both, both.indices, first=0)
-    lengths = [dataclasses.replace(own, periods=one.periods).times for one in schedules]
+    lengths = [dataclasses.replace(sampled, periods=s.periods).times for s in schedules]
     alike = [runs.some(range(k, len(runs), count)) for k in range(count)]
-    made = zip(alike, lengths, strict=True)
-    return [_grown(each.first(1 + len(times)), times, engine.matter) for each, times in made]
+    parts = [each.first(1 + len(times)) for each, times in zip(alike, lengths, strict=True)]
+    if measure is None:
+        return [_grown(part, n, engine.matter) for part, n in zip(parts, lengths, strict=True)]
+    return [
+        _grown_series(part, n, measure, engine.nearby)
+        for part, n in zip(parts, lengths, strict=True)
+    ]
+
+
+def _grown_series(runs: Tracks, times: np.ndarray, measure: Measure, nearby: float) -> Growth:
+    """Return the growth of a series in perturbed runs; the first run is the unperturbed one.
+
+    The distance counts relative to the range of the series, as the perturbation does relative to
+    the scene's size.
+
+    nearby: the size of the perturbation, relative to the scene's size.
+    """
+    base, factor = runs.some([0]), np.ones((1, len(times)))
+    smallest = nearby * measure.range(base)
+    for k in range(1, len(runs)):
+        away = measure.apart(base, runs.some([k])).max(axis=2)[:, 1:]
+        factor = np.maximum(factor, away / smallest)
+    return Growth(times, factor, np.array([_end(times, factor[0])]), base.failure)
 
 
 def _grown(runs: Tracks, times: np.ndarray, matter: Matter) -> Growth:

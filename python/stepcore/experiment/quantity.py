@@ -3,7 +3,8 @@
 A series is a reading of one element over time, such as the position of a site. Its error from one
 start is the RMS over the samples that can be predicted, as for the motion. A scalar is one number
 of a run, such as the largest force; its error is the difference of that number. Forces and sensors
-are read after the step that ends at a sample, as `Sim.contacts` and `Sim.sensordata` are.
+are read after the step that ends at a sample, as `Sim.contacts` and `Sim.sensordata` are. Several
+quantities are judged together by `Measures`.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -54,20 +55,41 @@ class Quantity:
         parameters name the arrays that it reads, of all runs at once: "qpos", "xpos", "ctrl" and
         others that `Sim.run` records, each of shape (n, samples, …) with a sample at the end of
         each control period; and "time", (samples,).
+    entry: of a function that returns a dict of several numbers of each run, the key of one.
+    parts: several quantities, which are judged together; `Quantity.of` makes it of a list.
+
+    On the command line it is --quantity:
+
+        stepcore trade robot.xml --quantity "max(contact/foot)" --error 2N
+        stepcore trade robot.xml --quantity site/tip --error 1mm --quantity com/z --error 5mm
+        stepcore trade robot.xml --quantity walk.py:distance
 
     Raises ValueError for a name of another form. Elements are looked up when a study begins.
 
     >>> Quantity("max(contact/foot)").reduction, Quantity("site/tip").series
     ('max', 'site/tip')
+    >>> Quantity.of(["site/tip", "actuator/elbow/force"]).name
+    'site/tip, actuator/elbow/force'
     """
 
     name: str = MOTION
     function: Callable[..., Any] | None = None
+    entry: str | None = None
+    parts: tuple[Quantity, ...] = ()
     reduction: str = field(init=False, compare=False, repr=False)
     series: str = field(init=False, compare=False, repr=False)
 
+    # Whether it is the return of episodes of a task, which it plays: `stepcore.gymnasium.Return`.
+    plays = False
+    # The episodes in words.
+    words = ""
+
+    def play(self, settings: Any, starts: Sequence[int], farthest: float) -> tuple[np.ndarray, str]:
+        """Return the number of an episode from each start, and the first failure."""
+        raise NotImplementedError
+
     def __post_init__(self) -> None:
-        if self.function is not None:
+        if self.function is not None or self.parts:
             object.__setattr__(self, "reduction", "")
             object.__setattr__(self, "series", "")
             return
@@ -84,16 +106,24 @@ class Quantity:
         object.__setattr__(self, "series", series.strip())
 
     @classmethod
-    def of(cls, quantity: Quantity | str | Callable[..., Any] | None) -> Quantity:
-        """Return a quantity, or the one of a name or a function; None is the motion."""
+    def of(cls, quantity: Wanted) -> Quantity:
+        """Return a quantity, or the one of a name, a function or a list; None is the motion."""
         if isinstance(quantity, Quantity):
             return quantity
         if callable(quantity):
             return cls(getattr(quantity, "__name__", type(quantity).__name__), quantity)
+        if isinstance(quantity, (list, tuple)) and quantity:
+            parts = tuple(cls.of(part) for part in quantity)
+            if len(parts) > 1 and any(part.plays for part in parts):
+                raise ValueError("quantity: the return of a task must be the only quantity")
+            names = [part.name for part in parts]
+            if len(set(names)) < len(names):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise ValueError(f"quantity: {twice}: must be named once")
+            return parts[0] if len(parts) == 1 else cls(", ".join(names), parts=parts)
         if quantity is not None and not isinstance(quantity, str):
-            raise checks.refuse(
-                "study", "quantity", quantity, "a name, a function of runs, or a Quantity"
-            )
+            limit = "a name, a function of runs, a Quantity, or a list of these"
+            raise checks.refuse("study", "quantity", quantity, limit)
         return cls(quantity or MOTION)
 
     @property
@@ -102,8 +132,19 @@ class Quantity:
 
     @property
     def is_scalar(self) -> bool:
-        """Whether it is one number of a run."""
+        """Whether it is one number of a run; of several quantities, whether each is."""
+        if self.parts:
+            return all(part.is_scalar for part in self.parts)
         return bool(self.reduction) or self.function is not None
+
+    @property
+    def has_scalars(self) -> bool:
+        """Whether it is one number of a run, or has a part that is."""
+        return self.is_scalar or any(part.is_scalar for part in self.parts)
+
+
+# The forms of a quantity as an argument.
+Wanted = Quantity | str | Callable[..., Any] | Sequence[Any] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,8 +206,8 @@ class Measure:
     """A quantity of one scene: its distance between two motions, its unit and its range.
 
     quantity: the quantity. matter: the moving bodies. columns: its series; none for the motion.
-    sources: the readings that the engine makes for it. times: of the samples
-    [s], (n,). arrays: name and shape of the arrays that a function reads.
+    sources: the readings that the engine makes for it; first: the index of the first one.
+    times: of the samples [s], (n,). arrays: name and shape of the arrays that a function reads.
     """
 
     quantity: Quantity
@@ -175,44 +216,58 @@ class Measure:
     sources: tuple[Source, ...] = ()
     times: np.ndarray = field(default_factory=lambda: np.ones(1))
     arrays: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    first: int = 0
+    parts: tuple[Measure, ...] = ()
     _seen: dict[str, bool] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, quantity: Quantity, matter: Matter, elements: Callable[[], Elements]) -> Measure:
-        """Look up the elements of a quantity.
+    def of(
+        cls, quantity: Quantity, matter: Matter, elements: Callable[[], Elements], first: int = 0
+    ) -> Measure:
+        """Look up the elements of a quantity; first: the index of its first reading.
 
         Raises ValueError for elements that the scene lacks, with the nearest names, and for
         elements with different units.
         """
-        if quantity.is_motion:
+        if quantity.parts:
+            return Measures.of(quantity, matter, elements)
+        if quantity.is_motion or quantity.plays:
             return cls(quantity, matter)
-        columns, sources = list[Column](), list[Source]()
-        known = elements()
         if quantity.function is not None:
-            arrays = tuple((name, known.shape(name)) for name in parameters(quantity))
-            wanted = tuple(Source(name) for name, _ in arrays)
-            return cls(quantity, matter, (), wanted, arrays=arrays)
-        for one in known.find(quantity.series):
-            if one.body is None:
-                columns.append(Column(one.name, one.unit, len(sources)))
-                sources.append(one.source)
-            elif one.body < 0:
+            arrays = tuple((name, elements().shape(name)) for name in parameters(quantity))
+            recorded = tuple(Source(name) for name, _ in arrays)
+            return cls(quantity, matter, (), recorded, arrays=arrays, first=first)
+        columns, sources = list[Column](), list[Source]()
+        for element in elements().find(quantity.series):
+            if element.body is None:
+                columns.append(Column(element.name, element.unit, first + len(sources)))
+                sources.append(element.source)
+            elif element.body < 0:
                 shares = matter.mass / matter.mass.sum()
-                columns.append(Point(one.name, "m", shares=shares, axis=one.axis))
+                columns.append(Point(element.name, "m", shares=shares, axis=element.axis))
             else:
-                place = matter.moving.index(one.body)
-                offset, radius = one.offset - matter.ipos[place], float(matter.gyration[place])
-                columns.append(Point(one.name, "m", place, offset, radius, one.axis))
+                place = matter.moving.index(element.body)
+                offset = element.offset - matter.ipos[place]
+                radius = float(matter.gyration[place])
+                columns.append(Point(element.name, "m", place, offset, radius, element.axis))
         kinds = dict.fromkeys(column.unit for column in columns)
         if len(kinds) > 1:
             both = " and ".join(unit or "no unit" for unit in kinds)
             raise ValueError(f"quantity: {quantity.series} has elements with {both}: name one kind")
-        made = cls(quantity, matter, tuple(columns), tuple(sources))
         if quantity.reduction and quantity.reduction != "final":
             for column in columns:
                 if isinstance(column, Point) and column.axis is None:
                     column.values(_NOTHING)
-        return made
+        return cls(quantity, matter, tuple(columns), tuple(sources), first=first)
+
+    def sampled(self, times: np.ndarray) -> Measure:
+        """Return the measure of motions with samples at these times [s], (n,)."""
+        return replace(self, times=times)
+
+    @property
+    def width(self) -> int:
+        """The number of readings at a sample."""
+        return sum(math.prod(shape) for _, shape in self.arrays) or len(self.sources)
 
     @property
     def unit(self) -> str:
@@ -246,6 +301,11 @@ class Measure:
         return f"{kind} of {self.quantity.name}"
 
     @property
+    def allowed_errors(self) -> tuple[float, ...]:
+        """Of several quantities, the allowed error of each."""
+        return ()
+
+    @property
     def in_unit(self) -> str:
         """The unit behind a name on an axis or in a heading: " [m]"; "" without a unit."""
         return f" [{self.unit}]" if self.unit else ""
@@ -257,6 +317,8 @@ class Measure:
         """
         if self.quantity.is_motion:
             return apart(a, b, self.matter)
+        if self.quantity.plays:
+            raise ValueError("quantity: the return of a task is measured by `trade` alone")
         if self.quantity.function is not None:
             far = np.abs(self.numbers(a) - self.numbers(b))[:, None, None]
             return np.where(np.isnan(far), np.inf, far)
@@ -282,6 +344,15 @@ class Measure:
     def binary(self) -> bool:
         """Whether the numbers are True or False; known after the first runs."""
         return bool(self._seen.get("binary"))
+
+    @property
+    def binaries(self) -> tuple[bool, ...]:
+        """`binary`, of each quantity."""
+        return (self.binary,)
+
+    def mark(self, binaries: Sequence[bool]) -> None:
+        """Take over `binaries` of runs that another process made."""
+        self._seen["binary"] = self.binary or binaries[0]
 
     def numbers(self, tracks: Tracks, starts: Sequence[int] | None = None) -> np.ndarray:
         """Return the number of each run, (starts,); NaN of a run that failed.
@@ -316,24 +387,45 @@ class Measure:
         """Call the user's function with the runs that did not fail."""
         function, name = self.quantity.function, self.quantity.name
         assert function is not None and tracks.readings is not None
-        count, given, first = int(ran.sum()), dict[str, np.ndarray](), 0
+        count, arrays, first = int(ran.sum()), dict[str, np.ndarray](), self.first
         for array, shape in self.arrays:
             size = math.prod(shape)
             part = tracks.readings[ran, :, first : first + size]
-            given[array], first = part.reshape(count, -1, *shape), first + size
+            arrays[array], first = part.reshape(count, -1, *shape), first + size
         if "time" in inspect.signature(function).parameters:
-            given["time"] = self.times
+            arrays["time"] = self.times
         try:
-            made = np.asarray(function(**given))
+            returned = function(**arrays)
+            numbers = np.asarray(self._entry(returned))
+        except ControlError:
+            raise
         except Exception as error:
             text = f"{type(error).__name__}: {checks.one_line(error)}"
             raise ControlError(f"quantity: {name} raised {text}") from error
-        if made.shape != (count,) or made.dtype.kind not in "bif":
+        if numbers.shape != (count,) or numbers.dtype.kind not in "bif":
             limit = f"one number, or True or False, of each of {count} runs, shape ({count},)"
-            kind = f"{made.dtype} of shape {made.shape}"
+            kind = f"{numbers.dtype} of shape {numbers.shape}"
             raise ControlError(f"quantity: {name} returned {kind}: must return {limit}")
-        self._seen["binary"] = made.dtype.kind == "b"
-        return made.astype(float)
+        self._seen["binary"] = numbers.dtype.kind == "b"
+        return numbers.astype(float)
+
+    def _entry(self, returned: Any) -> Any:
+        """Return the numbers in what a function returned: itself, or the entry of a dict."""
+        name, entry = self.quantity.name, self.quantity.entry
+        if not isinstance(returned, Mapping):
+            if entry is None:
+                return returned
+            raise ControlError(f"quantity: {name} returned no dict, so it has no entry {entry}")
+        if entry in returned:
+            return returned[entry]
+        if entry is None:
+            names = ", ".join(map(str, returned))
+            raise ControlError(
+                f"quantity: {name} returned a dict: name an entry of {names}, as in "
+                f"{name}:{next(iter(returned), 'ENTRY')}"
+            )
+        near = checks.nearest(entry, [str(key) for key in returned])
+        raise ControlError(f"quantity: {name} has no entry {checks.quoted(entry)}{near}")
 
     def error(self, a: Tracks, b: Tracks, scored: np.ndarray | None = None) -> np.ndarray:
         """Return the RMS distance over samples and elements, (starts,).
@@ -370,6 +462,92 @@ class Measure:
                 "name another quantity, or give a motion that changes it"
             )
         return width
+
+
+@dataclass(frozen=True, eq=False)
+class Measures(Measure):
+    """Several quantities: an error is the largest of theirs, each relative to its allowed error.
+
+    allowed: the allowed error of each quantity, in its unit; empty until they are requested.
+    """
+
+    allowed: tuple[float, ...] = ()
+
+    @classmethod
+    def of(
+        cls, quantity: Quantity, matter: Matter, elements: Callable[[], Elements], first: int = 0
+    ) -> Measures:
+        parts = list[Measure]()
+        for part in quantity.parts:
+            parts.append(Measure.of(part, matter, elements, first))
+            first += parts[-1].width
+        sources = tuple(source for part in parts for source in part.sources)
+        return cls(quantity, matter, (), sources, parts=tuple(parts))
+
+    def sampled(self, times: np.ndarray) -> Measure:
+        return replace(self, times=times, parts=tuple(p.sampled(times) for p in self.parts))
+
+    @property
+    def unit(self) -> str:
+        return ""
+
+    @property
+    def requested(self) -> str:
+        """The allowed errors in words."""
+        return ", ".join(
+            f"{part.words(error)} of {part.quantity.name}"
+            for part, error in zip(self.parts, self.allowed_errors, strict=True)
+        )
+
+    def words(self, value: float) -> str:
+        return self.requested if value == 1 else f"{value:.3g}× the allowed error"
+
+    def parse(self, owner: str, name: str, value: object, whole: float) -> float:
+        return units.amount(owner, name, value, "", 1.0, "the allowed error")
+
+    @property
+    def error_words(self) -> str:
+        return "largest relative error"
+
+    @property
+    def allowed_errors(self) -> tuple[float, ...]:
+        if not self.allowed:
+            raise ValueError(
+                f"quantity: {self.quantity.name}: several quantities need an error of each "
+                "(error=[…]), which `trade` and `Study.run` take"
+            )
+        return self.allowed
+
+    def _relative(self, errors: Iterable[np.ndarray]) -> np.ndarray:
+        return np.max(
+            [e / most for e, most in zip(errors, self.allowed_errors, strict=True)], axis=0
+        )
+
+    def errors(self, a: Tracks, b: Tracks, scored: np.ndarray | None = None) -> np.ndarray:
+        """Return the error of each quantity in its unit, (quantities, starts)."""
+        return np.stack([part.error(a, b, scored) for part in self.parts])
+
+    def error(self, a: Tracks, b: Tracks, scored: np.ndarray | None = None) -> np.ndarray:
+        return self._relative(self.errors(a, b, scored))
+
+    def largest(self, a: Tracks, b: Tracks, scored: np.ndarray | None = None) -> np.ndarray:
+        return self._relative([part.largest(a, b, scored) for part in self.parts])
+
+    @property
+    def binaries(self) -> tuple[bool, ...]:
+        return tuple(part.binary for part in self.parts)
+
+    def mark(self, binaries: Sequence[bool]) -> None:
+        for part, binary in zip(self.parts, binaries, strict=True):
+            part.mark([binary])
+
+    def numbers(self, tracks: Tracks, starts: Sequence[int] | None = None) -> np.ndarray:
+        """Return the numbers of each run, (starts, quantities)."""
+        return np.stack([part.numbers(tracks, starts) for part in self.parts], axis=1)
+
+    def check_scalar(self) -> None:
+        for part in self.parts:
+            part.check_scalar()
 
 
 def parameters(quantity: Quantity) -> list[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any, Unpack, overload
 
@@ -28,7 +28,7 @@ from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import engine_of
 from stepcore.experiment.pairs import Motions
 from stepcore.experiment.price import OPERATION, OVERHEAD, computing_time
-from stepcore.experiment.quantity import Measure, Quantity
+from stepcore.experiment.quantity import Measure, Measures, Quantity, Wanted
 from stepcore.experiment.schedule import STARTS, Schedule, check_divide, time_steps
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import PATIENCE, SHARE, Converging, Truth
@@ -43,6 +43,8 @@ EFFORT = 1e11
 # operations in lanes: 0.5 ns and 0.33 ns on dm_control's walker.
 LANES = 1.5
 SHIPPED = Change()
+# An allowed error as an argument: of several quantities one for each.
+Allowed = float | str | Sequence[float | str] | None
 
 
 class Study:
@@ -52,7 +54,8 @@ class Study:
     motion: a `Motion`, its kind ("hold"), or its fields as arguments (``horizon=0.5``); by default
         one that the machine could make, of about one second.
     quantity: the quantity whose error is measured, a `Quantity` or its name, such as "site/tip" or
-        "max(contact/foot)", or a function of the runs; by default the motion of all bodies.
+        "max(contact/foot)", or a function of the runs; by default the motion of all bodies. A list
+        of several is judged together, by the largest error relative to its allowed error.
     engine: runs the changes: "stepcore", or "mujoco", which also runs files that stepcore cannot
         load; or an `Engine`, which has a scene already, so that `model` is not needed.
     period: the control period: seconds, or a text such as "8ms". Every time step divides it. By
@@ -82,7 +85,7 @@ class Study:
         model: Any = None,
         motion: Motion | str | None = None,
         *,
-        quantity: Quantity | str | Callable[..., Any] | None = None,
+        quantity: Wanted = None,
         engine: Engine | str = "stepcore",
         period: float | str | None = None,
         effort: float = EFFORT,
@@ -102,10 +105,10 @@ class Study:
             period = time_steps(shipped, None, self.motion.period(shipped), horizon)[1]
         period, count = units.time("period", period), self.motion.starts or STARTS
         self.schedule: Schedule = self.engine.scheduled(self.motion, period, starts=count)
-        if measure.quantity.is_scalar:
+        if measure.quantity.has_scalars:
             # Peaks are found between the usual samples too.
             self.schedule = dataclasses.replace(self.schedule, every=1)
-        self.measure = dataclasses.replace(measure, times=self.schedule.times)
+        self.measure = measure.sampled(self.schedule.times)
         self.starts: tuple[int, ...] = tuple(self.schedule.indices)
         self.workers, self.effort, self.by = workers or Workers(), effort, by
         self.spent, self.runs, self.allowed = 0.0, 0, effort
@@ -138,17 +141,35 @@ class Study:
     def scale(self) -> float:
         """The range of the quantity over the motion; the scene's size for the motion itself.
 
-        Raises ValueError for a quantity that does not change.
+        Of several quantities it is the largest range relative to the allowed error. Raises
+        ValueError for a quantity that does not change.
         """
-        if self.measure.quantity.is_motion:
+        measure = self.measure
+        if isinstance(measure, Measures):
+            parts = zip(measure.parts, measure.allowed_errors, strict=True)
+            return max(self._range(part) / error for part, error in parts)
+        return self._range(measure)
+
+    def _range(self, measure: Measure) -> float:
+        """Return the range of one quantity over the motion."""
+        if measure.quantity.is_motion:
             return self.size
+        if measure.quantity.plays:
+            settings, farthest = self.engine.settings(SHIPPED), self.engine.farthest(self.schedule)
+            numbers, _ = measure.quantity.play(settings, range(STARTS), farthest)
+            return abs(float(np.nanmean(numbers))) or 1.0
+        width = measure.range(self._ranged)
+        return width if math.isfinite(width) else self.size
+
+    @cached_property
+    def _ranged(self) -> Tracks:
+        """The run of the first start that ranges are measured in."""
         way = self.engine.ways(self.schedule, self.size)[0]
         for change in (SHIPPED, *(way.at(k) for k in range(1, PATIENCE + 1))):
             (tracks,) = self.tracks([change], self.starts[:1])
             if not tracks.failures:
                 break
-        width = self.measure.range(tracks)
-        return width if math.isfinite(width) else self.size
+        return tracks
 
     def as_length(self, error: float) -> float:
         """Return an error of the quantity as a length: as large a share of the scene's size [m]."""
@@ -157,10 +178,28 @@ class Study:
     def error_of(self, owner: str, value: object, name: str = "error") -> float:
         """Return an error in the quantity's unit: a number, "1mm", or "1%" of its range.
 
+        Of several quantities the value is a list, with the allowed error of each; these become
+        part of `measure`, and the result is 1.
+
         owner, name: the function and its argument, for the ValueError.
         """
-        share = isinstance(value, str) and "%" in value
-        return self.measure.parse(owner, name, value, self.scale if share else 1.0)
+        values = list(value) if isinstance(value, (list, tuple)) else [value]
+        parts = self.measure.parts or (self.measure,)
+        if isinstance(self.measure, Measures) and value == 1 and self.measure.allowed:
+            return 1.0
+        if len(values) != len(parts):
+            names, count = self.measure.quantity.name, counted(len(values), "value")
+            limit = f"one for each of {counted(len(parts), 'quantity')} ({names})"
+            raise ValueError(f"{name}: has {count}: must be {limit}")
+        errors = tuple(
+            part.parse(owner, name, error, self._range(part) if "%" in str(error) else 1.0)
+            for part, error in zip(parts, values, strict=True)
+        )
+        if not isinstance(self.measure, Measures):
+            return errors[0]
+        self.measure = dataclasses.replace(self.measure, allowed=errors)
+        self.__dict__.pop("scale", None)
+        return 1.0
 
     def value(self, path: str) -> Any:
         """Return the scene's value at a path: a number, or an array; see `Change`."""
@@ -355,7 +394,7 @@ class Study:
         self,
         changes: Change,
         starts: Sequence[int] | None = None,
-        error: float | str | None = None,
+        error: Allowed = None,
         bar: str | None = None,
         stability: bool = False,
     ) -> Trial: ...
@@ -364,7 +403,7 @@ class Study:
         self,
         changes: Sequence[Change],
         starts: Sequence[int] | None = None,
-        error: float | str | None = None,
+        error: Allowed = None,
         bar: str | None = None,
         stability: bool = False,
     ) -> list[Trial]: ...
@@ -372,7 +411,7 @@ class Study:
         self,
         changes: Change | Sequence[Change],
         starts: Sequence[int] | None = None,
-        error: float | str | None = None,
+        error: Allowed = None,
         bar: str | None = None,
         stability: bool = False,
     ) -> Trial | list[Trial]:
@@ -385,8 +424,8 @@ class Study:
         changes: one `Change`, for one `Trial`; or several, for a list.
         starts: by index; by default the search's.
         error: the error in question: metres, "1mm", or "0.1%" of the scene's size; of another
-            quantity "2N", or "1%" of its range. A tenth of it is the target uncertainty of the
-            converged motion.
+            quantity "2N", or "1%" of its range; a list with one for each of several quantities.
+            A tenth of it is the target uncertainty of the converged motion.
         stability: whether to judge stability, too, by longer runs from the first start, one of
             them perturbed: `Trial.energy`, `growth`, `chatter`, and `failure` if a run gains
             energy, its perturbation grows, or it chatters.
@@ -454,6 +493,7 @@ class Study:
             starts=truth.starts,
             # A run like the truth's would look exact, so no error is below the uncertainty.
             errors=np.maximum(measure.error(*motions), truth.unsure),
+            parts=measure.errors(*motions) if isinstance(measure, Measures) else None,
             unsure=truth.unsure,
             largest=np.maximum(measure.largest(*motions), truth.unsure),
             work=self.work(change),

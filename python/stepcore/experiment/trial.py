@@ -41,6 +41,8 @@ class Trial:
     measure: the quantity whose error it is.
     stability: the outcome of a longer run and of a perturbed one, from the first start; None unless
         `Study.run` was called with ``stability=True``. An unstable run counts as failed.
+    parts: of several quantities, the error of each in its unit, (quantities, starts); `errors` is
+        then the largest of them relative to the allowed errors.
     """
 
     change: Change
@@ -56,6 +58,7 @@ class Trial:
     modelled: np.ndarray | None = None
     measure: Measure | None = field(default=None, repr=False)
     stability: Outcome | None = None
+    parts: np.ndarray | None = None
 
     @property
     def energy(self) -> float:
@@ -132,9 +135,9 @@ class Trial:
         """Return the trial with some of its starts, without poses."""
         places = [self.starts.index(start) for start in starts]
         errors, unsure, largest = self.errors[places], self.unsure[places], self.largest[places]
-        return replace(
-            self, starts=tuple(starts), errors=errors, unsure=unsure, largest=largest, tracks=None
-        )
+        parts = None if self.parts is None else self.parts[:, places]
+        some = replace(self, starts=tuple(starts), errors=errors, unsure=unsure, largest=largest)
+        return replace(some, parts=parts, tracks=None)
 
     @classmethod
     def joined(cls, parts: Sequence[Trial]) -> Trial:
@@ -144,10 +147,21 @@ class Trial:
             np.concatenate([getattr(part, name) for part in parts])
             for name in ("errors", "unsure", "largest")
         )
+        of_each = [part.parts for part in parts if part.parts is not None]
         starts = tuple(start for part in parts for start in part.starts)
         failure = next((part.failure for part in parts if part.failure), "")
         whole = replace(first, starts=starts, failure=failure, tracks=None)
-        return replace(whole, errors=errors, unsure=unsure, largest=largest)
+        each = np.concatenate(of_each, axis=1) if of_each else None
+        return replace(whole, errors=errors, unsure=unsure, largest=largest, parts=each)
+
+    @property
+    def named(self) -> dict[str, float]:
+        """The error of each of several quantities in the worst start, by name, in its unit."""
+        if self.parts is None or self.measure is None:
+            return {}
+        worst = self.parts.max(axis=1, initial=0.0)
+        names = (part.quantity.name for part in self.measure.parts)
+        return {name: float(error) for name, error in zip(names, worst, strict=True)}
 
     def record(self) -> dict[str, Any]:
         """Return the trial as plain data."""
@@ -157,6 +171,7 @@ class Trial:
             "median": None if self.failure else self.median,
             "largest": None if self.failure else float(np.max(self.largest)),
             "unsure": float(np.max(self.unsure, initial=0.0)),
+            **({} if self.failure else self.named),
             "modelled": None if self.modelled is None else float(np.max(self.modelled)),
             "starts": len(self.starts),
             "work": self.work,

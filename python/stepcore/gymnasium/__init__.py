@@ -19,10 +19,11 @@ _gymnasium = _need("gymnasium", "stepcore.gymnasium", "gymnasium")
 
 from stepcore.gymnasium.env import Env, VectorEnv  # noqa: E402
 from stepcore.gymnasium.moment import Draws, Moment, TaskState  # noqa: E402
+from stepcore.gymnasium.returns import Return  # noqa: E402
 from stepcore.gymnasium.task import Task  # noqa: E402
 from stepcore.gymnasium.tasks import TASKS as _TASKS  # noqa: E402
 
-__all__ = ["Draws", "Env", "Moment", "Task", "TaskState", "VectorEnv", "register_envs"]
+__all__ = ["Draws", "Env", "Moment", "Return", "Task", "TaskState", "VectorEnv", "register_envs"]
 
 
 def register_envs() -> None:

@@ -16,6 +16,7 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.predictable import GROWTH, Asking, Growth, growths, settling
+from stepcore.experiment.quantity import MOTION, Measure, Quantity, Wanted
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import FINER
@@ -40,6 +41,7 @@ class Predictability(Result):
     motion: the motion that was run, over `horizon` [s] in steps of `dt` [s] under `integrator`.
     growth: the growth of the perturbations; see `stepcore.experiment.predictable.Growth`.
     nearby: the size of the perturbations, relative to the scene's size.
+    quantity: the series that is predicted, by default the motion.
     """
 
     kind = "predictability"
@@ -52,6 +54,7 @@ class Predictability(Result):
     integrator: str
     growth: Growth
     nearby: float
+    quantity: str = MOTION
 
     @property
     def time(self) -> float:
@@ -66,7 +69,8 @@ class Predictability(Result):
     @property
     def title(self) -> str:
         """The title of the report."""
-        return f"{self.name}: how long it can be predicted"
+        subject = "it" if self.quantity == MOTION else self.quantity
+        return f"{self.name}: how long {subject} can be predicted"
 
     @property
     def table(self) -> Table:
@@ -84,24 +88,26 @@ class Predictability(Result):
     @property
     def setup(self) -> str:
         """The method of the measurement, in one line."""
+        relative = "" if self.quantity == MOTION else f", relative to the range of {self.quantity}"
         return (
             f"Run under {self.integrator}, dt {seconds(self.dt)}. Each start runs again from "
             f"{DIRECTIONS} perturbed states, {compact(self.nearby)} of the scene's size away; it "
-            f"can be predicted until a perturbation has grown more than {times(GROWTH)}."
+            f"can be predicted until a perturbation has grown more than {times(GROWTH)}{relative}."
         )
 
     @property
     def sentences(self) -> list[str]:
         """The predictable time in words."""
         over, ends = seconds(self.horizon), np.isfinite(self.growth.ends)
+        subject = "The motion" if self.quantity == MOTION else self.quantity
         if math.isinf(self.time):
             most = times(float(self.growth.factor.max()))
             how = f"over all of {over}: perturbations grow at most {most}"
-            return [f"The motion can be predicted {how}."]
+            return [f"{subject} can be predicted {how}."]
         lost = f"from {int(ends.sum())} of {counted(len(ends), 'start')}"
         double = f"at the fastest doubling every {seconds(self.time / math.log2(GROWTH))}"
         said = [
-            f"The motion can be predicted for {seconds(self.time)}: {lost} nearby motions diverge "
+            f"{subject} can be predicted for {seconds(self.time)}: {lost} nearby motions diverge "
             f"within {over}, {double}."
         ]
         if self.horizon < 2 * self.time:
@@ -121,6 +127,7 @@ class Predictability(Result):
             "growth": self.growth.factor,
             "limit": GROWTH,
             "nearby": self.nearby,
+            "quantity": self.quantity,
         }
 
     def __repr__(self) -> str:
@@ -132,6 +139,7 @@ def predict(
     model: Source,
     motion: Motion | str | None = None,
     *,
+    quantity: Wanted = None,
     engine: str = "stepcore",
     **fields: Unpack[MeasurementFields],
 ) -> Predictability:
@@ -148,24 +156,32 @@ def predict(
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, or its fields as arguments. By default 10 s, and 8 starts.
+    quantity: the series that is predicted, such as "site/tip" or "contact/foot"; by default the
+        motion of all bodies. The distance of its runs then counts relative to its range, and the
+        perturbation relative to the scene's size.
     engine: "stepcore", or "mujoco", which also runs files that stepcore cannot load.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
-    Raises ValueError for an argument outside its limits, or if the scene cannot be run.
+    Raises ValueError for an argument outside its limits, for a quantity that is not one series, or
+    if the scene cannot be run.
 
     >>> from stepcore import lesson
     >>> spring = predict(lesson.spring(), horizon=2.0, starts=1)
     >>> spring.time, round(float(spring.growth.factor.max()), 2)
     (inf, 1.0)
     """
+    quantity = Quantity.of(quantity)
+    if quantity.has_scalars or quantity.parts:
+        raise ValueError(f"quantity: {quantity.name}: must be one series, such as site/tip")
     setup = set_up(predict, model, motion, fields, missing="no motion to predict", engine=engine)
     motion = dataclasses.replace(setup.motion, horizon=setup.motion.horizon or HORIZON)
-    study = Study(motion=motion, engine=setup.engine, workers=setup.workers)
+    study = Study(motion=motion, engine=setup.engine, quantity=quantity, workers=setup.workers)
+    measure = None if quantity.is_motion else study.measure
     whole, rest = study.schedule, study.starts[1:]
     # The perturbed runs of two starts fill a register; one thread per start has less wall time.
     pair = 1 if len(rest) <= setup.workers.threads else 2
     others = [rest[k : k + pair] for k in range(0, len(rest), pair)]
-    job = partial(grown, study.engine, whole, study.size)
+    job = partial(grown, study.engine, whole, study.size, measure=measure)
     known: list[list[tuple[Growth, Change]] | None] = [None] * len(others)
     deadline, count = setup.workers.deadline, counted(len(study.starts), "start")
     # A tenth of the first start is the first partial answer; the whole first start is the second.
@@ -176,7 +192,7 @@ def predict(
         return left if ran is whole else f"what follows {seconds(ran.horizon)}; {left}"
 
     with setup.workers.bar("runs", len(study.starts)) as bar:
-        first = grown(study.engine, ran, study.size, study.starts[:1])
+        first = grown(study.engine, ran, study.size, study.starts[:1], measure)
         deadline.so_far(f"from 1 start, {_said(first[0][0], ran.horizon)}; the rest is run now")
         with deadline.stage(left_out):
             (first,) = setup.workers.each(job, [study.starts[:1]], bar)
@@ -195,6 +211,7 @@ def predict(
         integrator=finest.integrator,
         growth=Growth.joined([growth for growth, _ in every]),
         nearby=study.engine.nearby,
+        quantity=quantity.name,
         ran=study.motion_ran,
     )
 
@@ -211,7 +228,11 @@ def _said(growth: Growth, horizon: float) -> str:
 
 
 def grown(
-    engine: Engine, schedule: Schedule, size: float, starts: Sequence[int]
+    engine: Engine,
+    schedule: Schedule,
+    size: float,
+    starts: Sequence[int],
+    measure: Measure | None = None,
 ) -> list[tuple[Growth, Change]]:
     """Measure the growth from some starts; starts that need the same change run together."""
     asking = {start: growing(engine, schedule) for start in starts}
@@ -220,7 +241,7 @@ def grown(
         change = next(iter(asked.values()))[0]
         own = [start for start, (other, _) in asked.items() if other == change]
         over = [asked[start][1] for start in own]
-        found = growths(engine, change, over, own, size, DIRECTIONS)
+        found = growths(engine, change, over, own, size, DIRECTIONS, measure)
         for start, growth in zip(own, found, strict=True):
             try:
                 asked[start] = asking[start].send(growth)

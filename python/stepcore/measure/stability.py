@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from stepcore import checks
 from stepcore.deadline import SEARCHED, OutOfTime
 from stepcore.engine.linear_maps import implicit_kinds, step_matrix
 from stepcore.engine.model import Model
-from stepcore.engine.norm import apart, largest, rms
+from stepcore.engine.norm import apart, largest
 from stepcore.engine.parameters import own_value
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
@@ -24,6 +24,7 @@ from stepcore.experiment.engines import FAR, Engine
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
 from stepcore.experiment.predictable import until_in_words
+from stepcore.experiment.quantity import Measure, Quantity, Wanted
 from stepcore.experiment.schedule import divides, home, often
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import Truth
@@ -31,7 +32,7 @@ from stepcore.report import units
 from stepcore.report.report import not_shown
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted, metres, seconds
+from stepcore.report.units import counted, seconds
 
 __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
 
@@ -63,7 +64,8 @@ class MapCell:
     """One run of a stability map.
 
     state: "accurate", "inaccurate" or "exploded"; "finite" if the accuracy is unknown.
-    error: RMS position error [m], at least the uncertainty of the converged motion; NaN if unknown.
+    error: RMS position error [m], or the error of the quantity in its unit, at least the
+        uncertainty of the converged motion; NaN if unknown.
     reason: why the run failed.
     """
 
@@ -97,7 +99,8 @@ class StabilityMap(Result):
 
     path: the parameter that is varied.
     values, dts [s]: the grid.
-    deviation: the error above which a run is inaccurate [m].
+    deviation: the error above which a run is inaccurate [m], or in the unit of the quantity.
+    measure: the quantity whose error is judged, by default the motion.
     panels: one panel for each integrator.
 
     >>> from stepcore import stability_map
@@ -107,8 +110,6 @@ class StabilityMap(Result):
     """
 
     kind = "stability"
-    units: ClassVar = {"dt": "s", "theory": "s", "error": "m"}
-
     settings: Any
     motion: Motion
     path: str
@@ -117,6 +118,7 @@ class StabilityMap(Result):
     horizon: float
     deviation: float
     panels: list[MapPanel]
+    measure: Measure
 
     def __post_init__(self) -> None:
         unjudged = sum(cell.state == FINITE for cell in self.rows)
@@ -128,9 +130,16 @@ class StabilityMap(Result):
             )
 
     @property
+    def units(self) -> dict[str, str]:  # type: ignore[override]
+        """The units of the columns of `table`."""
+        return {"dt": "s", "theory": "s", "error": self.measure.unit}
+
+    @property
     def title(self) -> str:
         """The measured quantity in a few words."""
-        return f"{self.name}: stability and accuracy over dt × {self.path}"
+        is_motion = self.measure.quantity.is_motion
+        accuracy = "accuracy" if is_motion else f"accuracy of {self.measure.quantity.name}"
+        return f"{self.name}: stability and {accuracy} over dt × {self.path}"
 
     @property
     def setup(self) -> str:
@@ -138,7 +147,8 @@ class StabilityMap(Result):
         accurate, inaccurate, exploded = (f"{s} ({SYMBOLS[s]})" for s in list(SYMBOLS)[:3])
         theory = any(panel.boundary for panel in self.panels)
         return (
-            f"{accurate}: the RMS position error is at most {metres(self.deviation)}; "
+            f"{accurate}: the {self.measure.error_words} is at most "
+            f"{self.measure.words(self.deviation)}; "
             f"{inaccurate}: it is larger; {exploded}: the run failed, or a body went further than "
             f"{FAR:g} times the scene's size."
         ) + f" {SPRINGS}: {LEFT_OUT}." * theory
@@ -226,6 +236,7 @@ class StabilityMap(Result):
             "values": list(self.values),
             "dts": list(self.dts),
             "deviation": self.deviation,
+            "quantity": self.measure.quantity.name,
             "panels": [{"setting": p.label, "boundary": p.boundary} for p in self.panels],
         }
 
@@ -250,6 +261,7 @@ def stability_map(
     dts: Sequence[float | str] | None = None,
     integrators: str | Sequence[str] | None = None,
     deviation: float | str = "10%",
+    quantity: Wanted = None,
     engine: str = "stepcore",
     **fields: Unpack[MeasurementFields],
 ) -> StabilityMap:
@@ -266,7 +278,10 @@ def stability_map(
     dts: the time steps [s]; by default 12 from a tenth to ten times the scene's dt.
     integrators: one or several, one panel each; by default the scene's integrator.
     deviation: the error above which a run is inaccurate: metres, "1mm", or "10%" of the scene's
-        size. It is the RMS position error of `stepcore.engine.norm`, as in every measurement.
+        size. It is the RMS position error of `stepcore.engine.norm`, as in every measurement; of a
+        quantity, its error in its unit, or "10%" of its range over the shipped motion.
+    quantity: the quantity whose error is judged, such as "site/tip" or "max(contact/foot)"; see
+        `stepcore.experiment.Quantity`. By default the motion of all bodies.
     engine: "stepcore", or "mujoco", which also runs files that stepcore cannot load.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
@@ -297,7 +312,9 @@ def stability_map(
     >>> round(result.panels[0].boundary[0], 6)  # 2 / ω
     0.2
     """
-    units.length("stability_map", "deviation", deviation, 1.0)
+    quantity = Quantity.of(quantity)
+    if quantity.is_motion:
+        units.length("stability_map", "deviation", deviation, 1.0)
     setup = set_up(stability_map, model, motion, fields, missing="no motion to map", engine=engine)
     names = _integrators(setup.engine, integrators)
     path, values, key = _parameter(setup, path, values)
@@ -309,7 +326,8 @@ def stability_map(
     if setup.engine.known:
         ctrl = home(setup.engine.model, key)[1]
         held = {"ctrl": ctrl[None]} if len(ctrl) else {}
-    runs = _Runs(setup, Motion(horizon=horizon, key=key, starts=1, **held), deviation)
+    motion = Motion(horizon=horizon, key=key, starts=1, **held)
+    runs = _Runs(setup, motion, quantity, deviation)
     cells = {name: [*runs.cells(path, values, steps, name)] for name in names}
     runs.make([cell for panel in cells.values() for cell in panel])
     with setup.workers.deadline.closing():
@@ -325,6 +343,7 @@ def stability_map(
         dts=steps,
         horizon=horizon,
         deviation=runs.deviation,
+        measure=runs.shipped.measure,
         panels=panels,
         ran=_ran(setup.engine, key, horizon),
         notes=until_in_words(runs.predictable(), horizon, "at", "value"),
@@ -345,13 +364,18 @@ class _Runs:
     """The runs of a map: a Study for each period of comparison.
 
     deviation: the error above which a cell is inaccurate [m].
+    shipped: the study of the shipped step.
     truths: the converged motions, by study and value; None if none converges.
     """
 
-    def __init__(self, setup: Setup, motion: Motion, deviation: float | str) -> None:
+    def __init__(
+        self, setup: Setup, motion: Motion, quantity: Quantity, deviation: float | str
+    ) -> None:
         self.engine, self.workers, self.motion = setup.engine, setup.workers, motion
-        self.deviation = units.length("stability_map", "deviation", deviation, self.engine.size)
+        self.quantity = quantity
         self.studies: dict[float, Study] = {}
+        self.shipped = self.study(self.engine.dt)
+        self.deviation = self.shipped.error_of("stability_map", deviation, "deviation")
         self.truths: dict[tuple[Study, float], Truth | None] = {}
 
     def cells(
@@ -376,9 +400,8 @@ class _Runs:
         if not divides(dt, period):
             period = dt * max(1, round(shipped / dt))
         if period not in self.studies:
-            self.studies[period] = Study(
-                motion=self.motion, engine=self.engine, period=period, workers=self.workers
-            )
+            how: Any = {"engine": self.engine, "period": period, "workers": self.workers}
+            self.studies[period] = Study(motion=self.motion, quantity=self.quantity, **how)
         return self.studies[period]
 
     def make(self, cells: Sequence[_Cell]) -> None:
@@ -430,7 +453,8 @@ class _Runs:
         if truth is None:
             return dataclasses.replace(result, state=FINITE)
         distance = apart(tracks, truth.tracks, study.engine.matter)
-        error, most = float(rms(distance, truth.scored)[0]), float(largest(distance)[0])
+        error = float(study.measure.error(tracks, truth.tracks, truth.scored)[0])
+        most = float(largest(distance)[0])
         if most > FAR * self.engine.size:
             return dataclasses.replace(result, state=EXPLODED, error=error)
         decided = abs(error - self.deviation) >= truth.error

@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Unpack
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, Unpack, cast
 
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.deadline import PROVEN, SEARCHED
-from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
+from stepcore.experiment.arguments import SHARED, MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.quantity import Quantity
+from stepcore.experiment.outcomes import PILOT
+from stepcore.experiment.quantity import Quantity, Wanted
 from stepcore.experiment.schedule import STARTS, time_steps
-from stepcore.experiment.study import EFFORT, SHIPPED, Study
+from stepcore.experiment.study import EFFORT, SHIPPED, Allowed, Study
 from stepcore.measure.monitors import monitored
 from stepcore.measure.monitors.joints import chatter_findings
 from stepcore.measure.monitors.recording import recorded
+from stepcore.measure.trade.outcomes import MOST, Outcomes, trade_means
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.search import SEARCHING, UNSURE, Search, proven, settled
 from stepcore.report import units
 from stepcore.report.units import counted, rounded
 
-__all__ = ["Trade", "trade"]
+__all__ = ["Outcomes", "Trade", "trade"]
 
 # The largest error that may replace a target which cannot be verified, as a share of the
 # displacement, or of the error of the shipped settings.
@@ -39,10 +43,12 @@ def trade(
     model: Source,
     motion: Motion | str | None = None,
     *,
-    quantity: Quantity | str | Callable[..., Any] | None = None,
-    error: float | str | None = None,
+    quantity: Wanted = None,
+    error: Allowed = None,
+    statistic: str | None = None,
     budget: float | str | None = None,
     further: int = 32,
+    most: int = MOST,
     search: str | None = None,
     by: str = "time",
     dts: Sequence[float | str] | None = None,
@@ -55,7 +61,7 @@ def trade(
     engine: str = "stepcore",
     mujoco: bool = False,
     **fields: Unpack[MeasurementFields],
-) -> Trade:
+) -> Trade | Any:
     """Measure accuracy against cost over many settings of a scene, and recommend settings.
 
     Every setting runs the same motion and is compared with the scene's converged motion, whose
@@ -71,17 +77,24 @@ def trade(
         they are the shipped step times or divided by a whole number.
     quantity: the quantity whose error is measured: "site/tip", "joint/knee", "max(contact/foot)"
         and others, or a function of the runs; see `stepcore.experiment.Quantity`. By default the
-        motion of all bodies. Each start is judged; `stepcore.outcomes` judges the mean of many.
+        motion of all bodies. A list of several is judged together.
     error: the largest allowed error in every start (of the motion: RMS position error over bodies
         and time): metres, "1mm", or "0.1%" of the scene's size; of another quantity "2N", "0.5deg",
-        or "1%" of its range over the motion. The cheapest settings that meet this tolerance are
-        recommended.
+        or "1%" of its range over the motion; of several quantities one for each. The cheapest
+        settings that meet this tolerance are recommended. Of a mean it is the largest difference
+        from the converged mean, and by default the smallest that the starts resolve.
+    statistic: "worst" to judge every start, or "mean" to judge the mean over many starts, which
+        converges where single motions are unpredictable. The default is "mean" for numbers of a run
+        ("max(…)", functions), with 256 starts and at least 64, and "worst" for all else. With
+        "mean" the result is a `stepcore.Outcomes`, and its choice is tested on as many held-out
+        starts, unless `further` is 0.
     budget: the largest allowed cost: "20us/step" (computing time per shipped time step simulated),
         "5ms/s" (per simulated second), "100x" (times real time), or µs per simulated second;
         "2kflop/step" and similar units if `by` is "flops". The most accurate settings within the
         budget are recommended.
     further: the number of held-out starts in the second set, on which a choice must hold before it
         is recommended, and in the third set, on which it is then validated once; 0 for neither.
+    most: the most starts of a mean: their number doubles until the error can be resolved.
     search: "frugal", or "grid" for every combination of the axes. The default is "frugal", unless
         an axis is given.
     dts [s], integrators, solvers, sweeps, precisions: the axes, with the values to try. The shipped
@@ -106,6 +119,14 @@ def trade(
     39.7 mm
     >>> result.best(error=1e-5).integrator
     'rk4'
+
+    The mean of a number of each run:
+
+    >>> def height(qpos):
+    ...     return qpos[:, -1, 0]
+    >>> result = trade(lesson.drop(), quantity=height, horizon=0.3, starts=64, most=64)
+    >>> abs(result.shipped.difference.value) < 0.01
+    True
     """
     axes: dict[str, Any] = {"integrators": integrators, "solvers": solvers, "sweeps": sweeps}
     axes["precisions"] = precisions
@@ -113,12 +134,26 @@ def trade(
     checks.one_of("time", "flops")("trade", "by", by)
     further = checks.count("further", further, least=0)
     effort = checks.real(low=0)("trade", "effort", effort)
+    most = checks.count("most", most, least=2 * PILOT)
     quantity = Quantity.of(quantity)
+    of_means = _of_means(statistic, quantity)
     if error is not None and quantity.is_motion:
         units.length("trade", "error", error, 1.0)
+    if error is None and quantity.parts:
+        raise ValueError(f"error = None: several quantities ({quantity.name}) need one each")
+    if of_means:
+        refused = {"budget": budget is not None, "mujoco": mujoco, "accuracies": bool(accuracies)}
+        if name := next((name for name, given in refused.items() if given), None):
+            raise ValueError(f'{name}: must not be given for a mean; statistic="worst" takes it')
     if mujoco and engine == "mujoco":
         raise ValueError("mujoco = True: must be False where the engine is MuJoCo already")
+    if quantity.plays:
+        motion, fields = _episodes(quantity, motion, engine, fields)
     setup = set_up(trade, model, motion, fields, missing="no motion to trade", engine=engine)
+    if of_means:
+        changes = partial(grid, **axes) if full else None
+        rest = (most, effort, by, bool(further), dts, changes)
+        return trade_means(setup, quantity, error, *rest)
     shipped, workers = setup.engine.settings(SHIPPED), setup.workers
     limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
     starts = setup.motion.starts or STARTS
@@ -163,12 +198,39 @@ def trade(
     _proven_and_timed(result, search_, 0 if full or target is None else further)
     if mujoco:
         with workers.deadline.stage("the same trade in MuJoCo"):
-            own: Any = {"threads": fields.get("threads"), "executor": fields.get("executor")}
-            asked: Any = {"error": target, "budget": budget, "by": by, "effort": effort}
-            asked["quantity"] = quantity
-            again = trade(model, ran, engine="mujoco", further=0, **asked, **own, progress=False)
-            result.compare(again)
+            again: Any = {name: fields.get(name) for name in ("threads", "executor")}
+            limits = study.measure.allowed_errors if study.measure.parts else target
+            again |= {"error": limits, "budget": budget, "by": by, "effort": effort}
+            again |= {"quantity": quantity, "statistic": statistic, "progress": False}
+            result.compare(trade(model, ran, engine="mujoco", further=0, **again))
     return result
+
+
+def _of_means(statistic: str | None, quantity: Quantity) -> bool:
+    """Return whether the mean over starts is judged; ValueError if the quantity has none."""
+    checks.one_of("mean", "worst", None)("trade", "statistic", statistic)
+    if statistic == "mean" and not quantity.is_scalar:
+        raise ValueError(
+            f'statistic = "mean": {quantity.name} is not one number of a run: use max(…), min(…), '
+            "mean(…), final(…), integral(…) or range(…) of it, or a function of runs"
+        )
+    if statistic == "worst" and quantity.plays:
+        raise ValueError('statistic = "worst": must be "mean" for the return of a task')
+    return statistic != "worst" and quantity.is_scalar
+
+
+def _episodes(
+    quantity: Any, motion: Motion | str | None, engine: str, fields: MeasurementFields
+) -> tuple[Motion, MeasurementFields]:
+    """Return the motion of the episodes of a task, and the arguments that are not its fields."""
+    rest = {name: value for name, value in fields.items() if name in SHARED}
+    others = fields.keys() - rest.keys() - {"starts"}
+    if motion is not None or others:
+        name = min(others, default="motion")
+        raise ValueError(f"{name}: must be given to the Return of the task, not to trade")
+    if engine != "stepcore":
+        raise ValueError(f"engine = {engine!r}: must be 'stepcore' for the return of a task")
+    return replace(quantity.motion, starts=fields.get("starts")), cast("MeasurementFields", rest)
 
 
 def _proven_and_timed(result: Trade, search: Search, further: int) -> None:
@@ -223,8 +285,8 @@ def _searched(result: Trade, search: Search, further: int) -> None:
 def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None], engine: str) -> bool:
     """Return whether to search the full grid; raise ValueError for an invalid axis."""
     checks.one_of("frugal", "grid", None)("trade", "search", search)
-    given = {name: values for name, values in axes.items() if values is not None}
-    for name, values in given.items():
+    values_by_axis = {name: values for name, values in axes.items() if values is not None}
+    for name, values in values_by_axis.items():
         checks.several(name, values)
         for value in values:
             # Check every value now, including values that would never be tried.
@@ -234,9 +296,10 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None], engine: 
                 units.length("trade", name, value, 1.0)
             elif engine == "stepcore":
                 Settings(**{name if name == "sweeps" else name.removesuffix("s"): value})
-    if given and search == "frugal":
-        raise ValueError(f"search = 'frugal': must be 'grid' or None where {min(given)} is given")
-    return bool(given) or search == "grid"
+    if values_by_axis and search == "frugal":
+        name = min(values_by_axis)
+        raise ValueError(f"search = 'frugal': must be 'grid' or None where {name} is given")
+    return bool(values_by_axis) or search == "grid"
 
 
 def grid(
@@ -252,11 +315,11 @@ def grid(
     Unless precisions are given, single precision is tried with only one number of sweeps.
     """
     shipped, families = study.engine.settings(SHIPPED), study.engine.families(study.schedule)
-    own = {"integrator": shipped.integrator, "solver": shipped.solver, "sweeps": shipped.sweeps}
-    used = [own, *(own | {k: v for k, v in f.settings if k in own} for f in families)]
+    usual = {name: getattr(shipped, name) for name in ("integrator", "solver", "sweeps")}
+    used = [usual, *(usual | {k: v for k, v in f.settings if k in usual} for f in families)]
     methods = list[dict[str, Any]]()
-    for solver in solvers or dict.fromkeys(one["solver"] for one in used):
-        counts = list(dict.fromkeys(one["sweeps"] for one in used if one["solver"] == solver))
+    for solver in solvers or dict.fromkeys(method["solver"] for method in used):
+        counts = list(dict.fromkeys(m["sweeps"] for m in used if m["solver"] == solver))
         counts = list(sweeps or counts) if solver == "pgs" else counts[:1]
         methods += [{"solver": solver, "sweeps": n} for n in counts or [shipped.sweeps]]
     if precisions is None:
@@ -265,7 +328,7 @@ def grid(
         methods += list(single.values()) if study.engine.name == "stepcore" else []
     else:
         methods = [m | {"precision": p} for p in precisions for m in methods]
-    names = integrators or dict.fromkeys(one["integrator"] for one in used)
+    names = integrators or dict.fromkeys(method["integrator"] for method in used)
     return [
         Change.between(shipped.replace(accuracy=None, dt=dt, integrator=name, **method), shipped)
         for dt, name, method in itertools.product(dts, names, methods)

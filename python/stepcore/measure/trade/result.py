@@ -163,7 +163,8 @@ class Trade(Result):
     @property
     def units(self) -> dict[str, str]:  # type: ignore[override]
         """The units of the columns of `table`."""
-        return UNITS | dict.fromkeys(("error", "median", "largest", "unsure"), self.measure.unit)
+        columns = dict.fromkeys(("error", "median", "largest", "unsure"), self.measure.unit)
+        return UNITS | columns | {part.quantity.name: part.unit for part in self.measure.parts}
 
     def words(self, error: float) -> str:
         """Format an error in the unit of the quantity."""
@@ -195,8 +196,8 @@ class Trade(Result):
     @property
     def settings(self) -> Settings:
         """The settings as shipped."""
-        own: Settings = self.shipped.settings
-        return own
+        settings: Settings = self.shipped.settings
+        return settings
 
     @property
     def recommended(self) -> Trial | None:
@@ -290,8 +291,8 @@ class Trade(Result):
         Raises ValueError, naming the smallest error reached, if no row is accurate enough.
         """
         row = self.recommended if error in (None, self.target) else None
-        own: Settings = (row or self.cheapest(error)).settings
-        return own
+        settings: Settings = (row or self.cheapest(error)).settings
+        return settings
 
     def cheapest(self, error: float | str | None = None) -> Trial:
         """Return the row with the lowest price whose error is at most `error`; see `best`."""
@@ -312,8 +313,8 @@ class Trade(Result):
 
         error: as in `best`; by default the error of the chosen settings, or of the shipped ones.
         """
-        own = self.chosen or self.shipped
-        half = (own.error if error is None else self._error_of(error)) / 2
+        row = self.chosen or self.shipped
+        half = (row.error if error is None else self._error_of(error)) / 2
         good = [row for row in self.whole if row.error <= half < math.inf]
         return min(good, key=COST) if good and half > 0 else None
 
@@ -376,7 +377,7 @@ class Trade(Result):
         if self.target is None and self.budget is None:
             said += self._improvements()
         if self.measure.quantity.is_scalar and math.isfinite(self.predictable):
-            said.append("The mean over many starts may be known: `stepcore outcomes` measures it.")
+            said.append("The mean over many starts may be known: --statistic mean measures it.")
         said += self._beside()
         return [*said, *(finding.text for finding in self.findings)]
 
@@ -484,8 +485,8 @@ class Trade(Result):
         """Describe what is needed to verify the requested error."""
         truth = self.reference
         if not (math.isfinite(truth.needs) or truth.error < self.unsure):
-            given = self.motion is not None and self.motion.is_users
-            other = "a shorter piece of this motion" if given else "your own motion"
+            is_users = self.motion is not None and self.motion.is_users
+            other = "a shorter piece of this motion" if is_users else "your own motion"
             return f"Shorter steps do not make it surer: try {other}."
         # The search may have reduced the uncertainty since, and spent the effort.
         needs = truth.needs if math.isfinite(truth.needs) else 0.0
@@ -576,9 +577,9 @@ class Trade(Result):
         row = other.chosen
         if row is not None and row.change != SHIPPED:
             within = f"an error of at most {self.words(other.asked)}"
-            own = None if self.chosen is None else self.chosen.change
+            settings = None if self.chosen is None else self.chosen.change
             said = f"Its cheapest settings for {within} are {other.label(row)}"
-            yield f"{said}, with {self.words(row.error)}{self._times(row.change, own)}."
+            yield f"{said}, with {self.words(row.error)}{self._times(row.change, settings)}."
         elif self.target is not None and row is None:
             yield f"None of its settings has an error of at most {self.words(other.asked)}."
 
@@ -594,12 +595,12 @@ class Trade(Result):
     def _times(self, theirs: Change, ours: Change | None = None) -> str:
         """Return the measured ratio of MuJoCo's to stepcore's time, in words; "" if unknown."""
         other = self.beside
-        own = self.times.get(ours or SHIPPED)
+        time = self.times.get(ours or SHIPPED)
         spent = None if other is None else other.times.get(theirs)
-        if not own or not spent:
+        if not time or not spent:
             return ""
         named = "stepcore" if ours in (None, SHIPPED) else "stepcore's recommended ones"
-        return f", and it takes {spent / own:.2f} times as long as {named}"
+        return f", and it takes {spent / time:.2f} times as long as {named}"
 
     def label(self, row: Trial) -> str:
         """Describe settings, with every field that differs from the shipped settings."""
@@ -648,7 +649,7 @@ class Trade(Result):
 
     def _record(self, row: Trial) -> dict[str, Any]:
         record: dict[str, Any] = {name: getattr(row.settings, name) for name in FIELDS}
-        front = {id(one) for one in self.front}
+        front = {id(other) for other in self.front}
         return record | {
             **row.record(),
             "at_least": self.partial(row),
@@ -664,6 +665,8 @@ class Trade(Result):
         """Return the table of the main settings, or of all if `full`."""
         shown = self.rows if full else self._main_rows()
         front, records = self.front, []
+        parts = self.measure.parts
+        columns_of = {part.quantity.name: f"{part.quantity.name}{part.in_unit}" for part in parts}
         for row in shown:
             mark = "*" * any(row is one for one in front)
             mark += "s" * (row.change == SHIPPED)
@@ -679,9 +682,12 @@ class Trade(Result):
             record["cost"] = f"{row.cost / self.shipped.cost:.2f}×"
             record["measured"] = "" if here is None else f"{here:.0f}"
             record |= dict(zip(("error", "median", "max"), errors, strict=True))
+            if not row.failure:
+                record |= {columns_of[name]: compact(e) for name, e in row.named.items()}
             records.append(record | {"starts": f"{len(row.starts)}"})
         counts = {len(row.starts) for row in shown}
-        columns = [n for n in records[0] if any(r[n] for r in records) or n in ("", "dt")]
+        every = dict.fromkeys(name for record in records for name in record)
+        columns = [n for n in every if any(r.get(n) for r in records) or n in ("", "dt")]
         columns = [n for n in columns if n != "starts" or len(counts) > 1]
         ran = counted(max(counts), "start") if len(counts) == 1 else "the starts that it ran from"
         legend = (
@@ -691,6 +697,8 @@ class Trade(Result):
             "start; max: the largest"
             f"{self._of_any} at any time."
         )
+        if columns_of:
+            legend += f" {', '.join(columns_of.values())}: the errors in the worst start."
         if any(self.partial(row) for row in shown):
             most = counted(len(self.reference.starts), "start")
             legend += f" ≥: it did not run from all {most} of the search."
@@ -703,7 +711,7 @@ class Trade(Result):
             )
         if len(shown) < len(self.rows):
             legend += f" {not_shown(counted(len(self.rows) - len(shown), 'setting'))}"
-        right = ("dt", "cost", "measured", "error", "median", "max", "starts")
+        right = ("dt", "cost", "measured", "error", "median", "max", *columns_of.values(), "starts")
         numbers = dict.fromkeys(right, "")
         return [Table(records, columns, numbers, legend=legend)]
 

@@ -161,17 +161,18 @@ class Search:
     def cheapest(self, error: float) -> Trial | None:
         """Return the cheapest settings within an error on the starts of the search, or None."""
         best = next((trial for trial in self.whole if trial.within(error)), None)
-        own, limit = self.study.steps(), self.study.cost(self.truth.change)
+        shipped_steps, limit = self.study.steps(), self.study.cost(self.truth.change)
         if best is not None:
             self.hard = best.worst
         for family in sorted(self.families, key=self.rate):
-            if not self.study.affords(self.at(family, own), 1):
+            if not self.study.affords(self.at(family, shipped_steps), 1):
                 self.ended = True
                 break
             allowed = (limit if best is None else BETTER * best.cost) / self.rate(family)
-            found = self._least(family, [n for n in self.steps if n <= allowed], error, own)
-            if found is not None and (best is None or found.cost < best.cost):
-                best = found
+            ladder = [n for n in self.steps if n <= allowed]
+            trial = self._least(family, ladder, error, shipped_steps)
+            if trial is not None and (best is None or trial.cost < best.cost):
+                best = trial
                 self.study.workers.deadline.so_far(self.so_far(best))
         if best is None:
             # No candidate needs validation, so the search may spend that effort.
@@ -238,16 +239,16 @@ class Search:
 
     def rate(self, family: Change) -> float:
         """Return the price of a family per step in a control period."""
-        own = self.study.steps()
-        return self.study.cost(self.at(family, own)) / own
+        steps = self.study.steps()
+        return self.study.cost(self.at(family, steps)) / steps
 
     def _least(
         self, family: Change, ladder: Sequence[int], error: float, first: int
     ) -> Trial | None:
         """Return the trial of a family with the fewest steps that hold, or None."""
-        found = dict[int, Trial]()
+        trials = dict[int, Trial]()
 
-        def wrong(steps: int) -> float:
+        def bound(steps: int) -> float:
             change = self.at(family, steps)
             if not self.study.affords(change, len(self.truth.starts)):
                 self.ended = True
@@ -255,17 +256,17 @@ class Search:
             if len(self.truth.starts) > 1:
                 # The hardest start refuses most candidates that fail.
                 (alone,) = self.study.tracks([change], [self.hard])
-                one = self.study.score(change, alone, self.truth.part([self.hard]))
-                if one.refuted(error):
-                    self.trials.setdefault(change, one)
-                    return one.bound
-            found[steps] = self.trial(change, error)
-            if not found[steps].failure and not found[steps].within(error):
-                self.hard = found[steps].worst
-            return found[steps].bound
+                hardest = self.study.score(change, alone, self.truth.part([self.hard]))
+                if hardest.refuted(error):
+                    self.trials.setdefault(change, hardest)
+                    return hardest.bound
+            trials[steps] = trial = self.trial(change, error)
+            if not trial.failure and not trial.within(error):
+                self.hard = trial.worst
+            return trial.bound
 
-        steps = least(ladder, wrong, error, first) if ladder else None
-        return None if steps is None else found.get(steps)
+        steps = least(ladder, bound, error, first) if ladder else None
+        return None if steps is None else trials.get(steps)
 
     def _adaptive(self, error: float, best: Trial | None) -> Trial | None:
         """Return the best trial, or one with adaptive steps if that is cheaper."""
@@ -280,9 +281,9 @@ class Search:
             if not study.affords(change, len(truth.starts)) or study.cost(change) >= most:
                 break
             (alone,) = study.tracks([change], [self.hard])
-            one = study.score(change, alone, truth.part([self.hard]))
-            self.trials.setdefault(change, one)
-            if one.within(error):
+            hardest = study.score(change, alone, truth.part([self.hard]))
+            self.trials.setdefault(change, hardest)
+            if hardest.within(error):
                 trial = self.trial(change)
                 if trial.within(error):
                     return trial
@@ -317,12 +318,12 @@ def usable_steps(study: Study, held: bool) -> list[int]:
 
     held: whether the user gave the control period.
     """
-    own = study.steps()
-    top = FINEST * own
+    shipped = study.steps()
+    top = FINEST * shipped
     if held:
         return list(range(1, top + 1))
-    coarser = [n for n in range(1, own) if own % n == 0]
-    return [*coarser, *range(own, top + 1, own)]
+    coarser = [n for n in range(1, shipped) if shipped % n == 0]
+    return [*coarser, *range(shipped, top + 1, shipped)]
 
 
 def settled(search: Search, error: float, further: int) -> Trial | None:

@@ -10,7 +10,7 @@ from stepcore.report.plot.style import COLOURS, GREY, frame, legend, line, log_t
 from stepcore.report.units import counted, seconds
 
 if TYPE_CHECKING:
-    from stepcore.measure.outcomes import Outcomes
+    from stepcore.measure.trade.outcomes import Outcomes
 
 
 def outcomes(result: Outcomes) -> Any:

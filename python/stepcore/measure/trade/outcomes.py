@@ -1,4 +1,4 @@
-"""`outcomes`: what settings change in the mean of a number of each run, over many starts.
+"""Means: what settings change in the mean of a number of each run, over many starts.
 
 The motion may be unpredictable: the reference is the limit of the mean, not of a trajectory. Two
 methods refine it until another halving of the step changes the mean by less than a tenth of the
@@ -13,29 +13,26 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 
-from stepcore import checks
 from stepcore.deadline import PROVEN, SEARCHED
-from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
+from stepcore.experiment.arguments import Setup
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import least
 from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.outcomes import PILOT, Difference, Numbers, Outcome, difference
+from stepcore.experiment.outcomes import PILOT, Difference, Numbers, Outcome
 from stepcore.experiment.predictable import settled
-from stepcore.experiment.quantity import Measure, Quantity
+from stepcore.experiment.quantity import Measure, Measures, Quantity
 from stepcore.experiment.schedule import STARTS, time_steps
-from stepcore.experiment.study import EFFORT, SHIPPED, Study
+from stepcore.experiment.study import SHIPPED, Allowed, Study
 from stepcore.measure.trade.search import MARGIN, usable_steps
 from stepcore.report.result import Result
 from stepcore.report.settings import label, solver_words
 from stepcore.report.table import Table
 from stepcore.report.units import counted, percent, round_number, seconds
-
-__all__ = ["Outcomes", "outcomes"]
 
 # The default number of starts, and the most.
 RUNS, MOST = 256, 4096
@@ -55,7 +52,7 @@ TESTS, REFUSALS = 3, 2
 
 @dataclass(eq=False, repr=False)
 class Outcomes(Result):
-    """Settings by their effect on the mean of a number of each run; `outcomes` returns it.
+    """Settings by their effect on the mean of a number of each run; `trade` returns it.
 
     measure: the quantity, with its unit. motion: the motion of all runs. settings: as shipped.
     reference: the outcome of the settings of the converged mean. other: the difference of a second
@@ -95,7 +92,7 @@ class Outcomes(Result):
     @property
     def agreed(self) -> bool:
         """Whether the two methods have the same mean, up to the error or their uncertainty."""
-        return self.other.low <= self.error and self.other.high >= -self.error
+        return not self.other.outside(self.error)
 
     @property
     def resolved(self) -> bool:
@@ -140,33 +137,32 @@ class Outcomes(Result):
     @property
     def sentences(self) -> list[str]:
         """The recommendation, its validation, and the effect of the shipped settings."""
-        said = [*self._answer(), self._as_shipped()]
+        sentences = [*self._answer(), self._as_shipped()]
         if math.isfinite(self.predictable):
-            said.append(
+            sentences.append(
                 f"Single trajectories are unpredictable after {seconds(self.predictable)}; the "
                 "mean is not."
             )
-        return said
+        return sentences
 
     def _answer(self) -> Iterator[str]:
-        name, error = self.measure.quantity.name, self.words(self.error)
+        means = self._means
         if not self.agreed:
             yield (
-                f"The mean of {name} has no reference: two methods differ by "
+                f"There is no reference of the {means}: two methods differ by "
                 f"{self._plus_minus(self.other)} at their shortest steps. Nothing is recommended."
             )
             return
         if not self.resolved:
-            half = self.words(self.half)
             yield (
-                f"A difference of {error} in the mean of {name} cannot be resolved with "
-                f"{counted(self.starts, 'start')} (± {half}); it needs about "
+                f"A difference of {self.words(self.error)} in the {means} cannot be resolved with "
+                f"{counted(self.starts, 'start')} (± {self.words(self.half)}); it needs about "
                 f"{round_number(max(self.needed, 1.0), up=True):.0f}: --most, --effort and "
                 "--seconds allow more."
             )
             return
         row = self.chosen
-        within = f"a difference of at most {error} in the mean of {name}"
+        within = f"a difference of at most {self.words(self.error)} in the {means}"
         if not self.requested:
             within += f" (the smallest that {counted(self.starts, 'start')} resolve)"
         if row is None:
@@ -174,11 +170,12 @@ class Outcomes(Result):
         else:
             cost = f"{row.cost / self.shipped.cost:.2f}× the cost of the shipped settings"
             yield (
-                f"Recommended for {within}: {row.change.label(self.settings)}. Its mean differs by "
+                f"Recommended for {within}: {row.change.label(self.settings)}. The difference is "
                 f"{self._plus_minus(row.difference)} (95 %), for {cost} by counted work."
             )
             yield self._validated()
-            yield self._distribution(row)
+            if not self.measure.parts:
+                yield self._distribution(row)
         over = [other for other in self.rows if row is None or other.cost < row.cost]
         over = [other for other in over if other.difference.outside(self.error) or other.failed]
         if over:
@@ -187,6 +184,11 @@ class Outcomes(Result):
             yield f"Cheaper settings that exceed it: {named}" + (
                 f"; and {counted(more, 'other')}." if more > 0 else "."
             )
+
+    @property
+    def _means(self) -> str:
+        several = self.measure.parts
+        return "means" if several else f"mean of {self.measure.quantity.name}"
 
     def _refused(self, row: Outcome) -> str:
         """Name settings that exceed the error, and by how much."""
@@ -227,67 +229,95 @@ class Outcomes(Result):
         )
 
     def _as_shipped(self) -> str:
-        row, what = self.shipped, f"As shipped ({label(self.settings)})"
+        row, named = self.shipped, f"As shipped ({label(self.settings)})"
         if row.failed == len(row.numbers):
-            return f"{what} the simulation fails: {row.failure}."
-        deviation = self.words(float(np.nanstd(row.numbers, ddof=1)))
+            return f"{named} the simulation fails: {row.failure}."
         starts, apart = counted(len(row.numbers), "start"), self._plus_minus(row.difference)
-        said = (
-            f"{what} the mean is {self.words(row.mean)} over {starts} (standard deviation "
-            f"{deviation}), which differs by {apart} from the converged mean"
-        )
-        return f"{said}; {self._failures(row)}." if row.failed else f"{said}."
+        sentence = f"{named} the means differ by {apart} from the converged ones"
+        if not self.measure.parts:
+            sentence = (
+                f"{named} the mean is {self.words(row.mean)} over {starts} (standard deviation "
+                f"{self.words(row.sd)}), which differs by {apart} from the converged mean"
+            )
+        return f"{sentence}; {self._failures(row)}." if row.failed else f"{sentence}."
 
     def _plus_minus(self, d: Difference) -> str:
+        """Format a difference of means with its interval, in the unit of each quantity."""
         if not math.isfinite(d.half):
             return "an unknown amount"
-        return f"{self.words(d.value)} ± {self.words(d.half)}"
+        return ", ".join(
+            f"{part.words(each.value)} ± {part.words(each.half)}"
+            + (f" of {name}" if d.parts else "")
+            for name, (part, each) in self._differences(d).items()
+        )
+
+    def _differences(self, d: Difference) -> dict[str, tuple[Measure, Difference]]:
+        """Return the difference of each quantity in its unit, by name."""
+        if not isinstance(self.measure, Measures):
+            return {self.measure.quantity.name: (self.measure, d)}
+        parts = zip(self.measure.parts, d.parts, self.measure.allowed_errors, strict=True)
+        return {part.quantity.name: (part, x.relative_to(1 / error)) for part, x, error in parts}
 
     @property
     def units(self) -> dict[str, str]:  # type: ignore[override]
         """The units of the columns of `table`."""
-        own = dict.fromkeys(("mean", "sd", "difference", "low", "high"), self.measure.unit)
-        return own | {"dt": "s", "cost": "us per simulated second"}
+        columns = dict.fromkeys(("mean", "sd", "difference", "low", "high"), self.measure.unit)
+        columns |= {part.quantity.name: part.unit for part in self.measure.parts}
+        return columns | {"dt": "s", "cost": "us per simulated second"}
 
     @property
     def table(self) -> Table:
         """All settings, the cheapest first."""
-        return Table(
-            {"settings": self._name(row), "dt": row.dt} | row.record() for row in self.rows
-        )
+        return Table(self._record(row) for row in self.rows)
+
+    def _record(self, row: Outcome) -> dict[str, Any]:
+        record = {"settings": self._name(row), "dt": row.dt} | row.record()
+        if self.measure.parts and row.difference.parts:
+            record |= {name: d.value for name, (_, d) in self._differences(row.difference).items()}
+        return record
 
     def _name(self, row: Outcome) -> str:
         return row.change.label(self.settings)
 
     def tables(self, full: bool) -> list[Table]:
         """Return the table of all settings."""
-        records = []
-        for row in self.rows:
-            d, s = row.difference, row.settings
-            mark = "s" * (row.change == SHIPPED) + "r" * (row is self.chosen)
-            known = row.failed < len(row.numbers)
-            records.append(
-                {
-                    "": mark,
-                    "dt": f"{1e3 * row.dt:.4g}",
-                    "integrator": s.integrator,
-                    "solver": solver_words(s),
-                    "cost": f"{row.cost / self.shipped.cost:.2f}×",
-                    "difference": f"{d.value:+.3g}" if known else "failed",
-                    "±": f"{d.half:.2g}" if math.isfinite(d.half) else "",
-                    "sd ratio": f"{row.spread[0]:.2f}" if known else "",
-                    "failed": f"{row.failed}" if row.failed else "",
-                }
-            )
-        columns = [n for n in records[0] if n in ("", "dt") or any(r[n] for r in records)]
+        records = [self._shown(row) for row in self.rows]
+        columns = [n for n in records[0] if n in ("", "dt") or any(r.get(n) for r in records)]
+        apart = "difference: of the mean from the converged mean"
+        if self.measure.parts:
+            apart = f"{', '.join(self._of_each)}: differences of the means from the converged means"
         legend = (
             "s: shipped; r: recommended. dt [ms]; cost: by counted work, of the shipped settings'; "
-            f"difference: of the mean from the converged mean{self.measure.in_unit}, ± half of its "
-            f"95 % interval, over {counted(self.starts - PILOT, 'start')}; sd ratio: of standard "
-            "deviations; failed: runs."
+            f"{apart}{self.measure.in_unit}, ± half of its "
+            f"95 % interval, over {counted(self.starts - PILOT, 'start')}; "
+            f"{'' if self.measure.parts else 'sd ratio: of standard deviations; '}failed: runs."
         )
-        right = ("dt", "cost", "difference", "±", "sd ratio", "failed")
-        return [Table(records, columns, dict.fromkeys(right, ""), legend=legend)]
+        numbers = [name for name in columns if name not in ("", "integrator", "solver")]
+        return [Table(records, columns, dict.fromkeys(numbers, ""), legend=legend)]
+
+    @property
+    def _of_each(self) -> list[str]:
+        """The column of each of several quantities."""
+        return [f"{part.quantity.name}{part.in_unit}" for part in self.measure.parts]
+
+    def _shown(self, row: Outcome) -> dict[str, str]:
+        """Return a row of the printed table."""
+        d, s, ran = row.difference, row.settings, row.failed < len(row.numbers)
+        record = {
+            "": "s" * (row.change == SHIPPED) + "r" * (row is self.chosen),
+            "dt": f"{1e3 * row.dt:.4g}",
+            "integrator": s.integrator,
+            "solver": solver_words(s),
+            "cost": f"{row.cost / self.shipped.cost:.2f}×",
+        }
+        names = self._of_each or ["difference"]
+        for name, (_, each) in zip(names, self._differences(d).values(), strict=True):
+            finite = math.isfinite(each.half)
+            half = f" ± {each.half:.2g}" if finite else ""
+            record[name] = f"{each.value:+.3g}{half}" if ran else "failed"
+        if not self.measure.parts:
+            record["sd ratio"] = f"{row.spread[0]:.2f}" if ran else ""
+        return record | {"failed": f"{row.failed}" if row.failed else ""}
 
     def details(self) -> dict[str, Any]:
         """Return the request, the reference and the recommendation as data."""
@@ -301,10 +331,10 @@ class Outcomes(Result):
             "resolved": self.resolved,
             "needed": self.needed,
             "reference": self.reference.record(),
-            "other_method": vars(self.other),
-            "refined": vars(self.refined),
+            "other_method": self.other.record(),
+            "refined": self.refined.record(),
             "recommended": None if self.chosen is None else self.chosen.settings,
-            "proof": None if self.proof is None else vars(self.proof),
+            "proof": None if self.proof is None else self.proof.record(),
             "predictable": self.predictable,
             "runs": self.runs,
         }
@@ -313,80 +343,64 @@ class Outcomes(Result):
         return f"<Outcomes of {self.name}: {len(self.rows)} settings, {self.starts} starts>"
 
 
-@measurement()
-def outcomes(
-    model: Source,
-    motion: Motion | str | None = None,
-    *,
-    quantity: Quantity | str | Callable[..., Any],
-    error: float | str | None = None,
-    most: int = MOST,
-    effort: float = EFFORT,
-    engine: str = "stepcore",
-    **fields: Unpack[MeasurementFields],
+def trade_means(
+    setup: Setup,
+    quantity: Quantity,
+    error: Allowed,
+    most: int,
+    effort: float,
+    by: str,
+    validate: bool,
+    dts: Sequence[float | str] | None,
+    grid: Callable[[Study, Sequence[float]], Sequence[Change]] | None,
 ) -> Outcomes:
     """Measure how settings change the mean of a number of each run, and recommend settings.
 
-    For motions that cannot be predicted, such as a walker under a policy: single trajectories
-    diverge, but the mean over many starts converges. The cheapest settings are recommended whose
-    mean differs from the converged mean by at most `error`, with the entire 95 % interval.
+    The arguments are those of `stepcore.trade`; validate: whether to test the choice on held-out
+    starts. grid: returns the settings to try, by time step; None for a search.
 
-    model: a Model, a Scene, or the path of an MJCF file (or "package:name").
-    motion: the `Motion` of all runs, or its fields as arguments. By default 256 starts; at least
-        64.
-    quantity: a scalar such as "max(contact/foot)" or "final(body/torso/x)", or a function of the
-        runs, see `stepcore.experiment.Quantity`; True and False are judged by their share.
-    error: the largest allowed difference of the mean, in the unit of the quantity or "1%" of its
-        size; by default the smallest that the starts resolve.
-    most: the most starts: their number doubles until the error can be resolved.
-    effort: the most floating-point operations of the runs.
-    engine: "stepcore", or "mujoco", which also runs files that stepcore cannot load.
-    threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
-
-    Raises ValueError for an argument outside its limits, for a quantity that is not one number of a
-    run, and for a function that returns anything else.
-
-    >>> from stepcore import lesson
-    >>> def height(qpos):
-    ...     return qpos[:, -1, 0]
-    >>> result = outcomes(lesson.drop(), quantity=height, horizon=0.3, starts=64, most=64)
-    >>> abs(result.shipped.difference.value) < 0.01
-    True
+    Raises ValueError for fewer than 64 starts.
     """
-    quantity, most = Quantity.of(quantity), checks.count("most", most, least=2 * PILOT)
-    effort = checks.real(low=0)("outcomes", "effort", effort)
-    setup = set_up(outcomes, model, motion, fields, missing="no motion to run", engine=engine)
     starts = setup.motion.starts or min(RUNS, most)
     if starts < 2 * PILOT:
-        why = f"{PILOT} of them decide how means are compared"
-        raise ValueError(f"starts = {starts}: must be at least {2 * PILOT}, because {why}")
-    ran, far = settled_motion(setup.engine, setup.motion, STARTS, effort)
-    held = ran.period(setup.engine.dt)
-    _, period = time_steps(setup.engine.dt, None, held, far.length)
-    made: dict[str, Any] = {
-        "engine": setup.engine,
-        "period": period,
-        "effort": effort,
-        "workers": setup.workers,
-    }
-    study = Study(motion=dataclasses.replace(ran, starts=starts), quantity=quantity, **made)
+        raise ValueError(
+            f"starts = {starts}: must be at least {2 * PILOT} for a mean, because {PILOT} of them "
+            'decide how means are compared; statistic="worst" judges each start'
+        )
+    motion, horizon = settled_motion(setup.engine, setup.motion, STARTS, effort)
+    held_period = motion.period(setup.engine.dt)
+    steps, period = time_steps(setup.engine.dt, dts, held_period, horizon.length)
+    study = Study(
+        motion=dataclasses.replace(motion, starts=starts),
+        quantity=quantity,
+        engine=setup.engine,
+        period=period,
+        effort=effort,
+        by=by,
+        workers=setup.workers,
+    )
     study.measure.check_scalar()
-    target = None if error is None else study.error_of("outcomes", error)
-    search = _Search(study, starts, max(most, starts), held is not None, target)
+    target = None if error is None else study.error_of("trade", error)
+    search = _Search(study, starts, max(most, starts), held_period is not None, target)
     deadline = setup.workers.deadline
     search.refer()
     with deadline.stage("more starts", SETTLED):
         search.resolve()
     with deadline.stage("some of the settings", SEARCHED):
-        search.choose()
-    with deadline.stage("the test on held-out starts", PROVEN):
-        search.prove()
-    with deadline.stage("when trajectories become unpredictable"):
-        search.predict()
+        if grid is None:
+            search.choose()
+        else:
+            search.choose_from(grid(study, steps))
+    if validate:
+        with deadline.stage("the test on held-out starts", PROVEN):
+            search.validate()
+    if not quantity.plays:
+        with deadline.stage("when trajectories become unpredictable"):
+            search.predict()
     return search.result(
         name=setup.name,
-        motion=ran,
-        ran=far.after(study.motion_ran),
+        motion=motion,
+        ran=quantity.words if quantity.plays else horizon.after(study.motion_ran),
         notes=[*study.schedule.notes, *(setup.model.scene.notes if setup.engine.known else ())],
     )
 
@@ -395,10 +409,10 @@ class _Search:
     """The search for the cheapest settings whose mean is within the error."""
 
     def __init__(
-        self, study: Study, count: int, most: int, held: bool, target: float | None
+        self, study: Study, count: int, most: int, held_period: bool, target: float | None
     ) -> None:
         self.study, self.count, self.most, self.target = study, count, most, target
-        self.numbers, self.steps = Numbers(study), usable_steps(study, held)
+        self.numbers, self.steps = Numbers(study), usable_steps(study, held_period)
         self.tried = dict[Change, Outcome]()
         self.chosen: Outcome | None = None
         self.proof: Difference | None = None
@@ -421,10 +435,10 @@ class _Search:
     def refer(self) -> None:
         """Find the converged mean by two methods."""
         ways = [way for way in self.study.engine.ways(self.study.schedule, 1.0) if way.fixed][:2]
-        found = [self._settled(way.at) for way in ways]
+        limits = [self._settled(way.at) for way in ways]
         # The method that its last halving changed least.
-        found.sort(key=lambda one: one[1].bound)
-        (self.finest, self.refined), (self.second, _) = found[0], found[-1]
+        limits.sort(key=lambda limit: limit[1].bound)
+        (self.finest, self.refined), (self.second, _) = limits[0], limits[-1]
         self._compare()
 
     def _settled(self, at: Callable[[int], Change]) -> tuple[Change, Difference]:
@@ -435,7 +449,7 @@ class _Search:
         for rung in range(1, RUNGS):
             change = at(rung)
             (now,) = self.numbers.of([change], self.count, "the converged mean")
-            last = difference(before, now, self.study.measure.binary)
+            last = self.numbers.compare(before, now)
             before = now
             settled = abs(last.value) <= max(enough, last.half) and np.isfinite(now).all()
             if (settled and rung > 1) or not self.study.affords(at(rung + 1), self.count):
@@ -450,7 +464,7 @@ class _Search:
     def _compare(self) -> None:
         """Compare the two methods and the shipped settings with the reference."""
         self.reference, second = self.numbers.of([self.finest, self.second], self.count)
-        self.other = difference(self.reference, second, self.study.measure.binary)
+        self.other = self.numbers.compare(self.reference, second)
         self.shipped = self._outcome(SHIPPED)
 
     @property
@@ -482,7 +496,7 @@ class _Search:
 
     @property
     def agreed(self) -> bool:
-        return self.other.low <= self.error and self.other.high >= -self.error
+        return not self.other.outside(self.error)
 
     def choose(self) -> None:
         """Find the fewest steps of each family that hold; the cheapest family first."""
@@ -490,19 +504,29 @@ class _Search:
         if not self.agreed or self.half > self.error:
             return
         self.chosen = self.shipped if self.shipped.within(self.error) else None
-        own = study.steps()
+        shipped = study.steps()
         families = study.engine.families(study.schedule)
-        rates = {family: study.cost(self._at(family, own)) / own for family in families}
-        for family in sorted(families, key=lambda one: rates[one]):
+        rates = {family: study.cost(self._at(family, shipped)) / shipped for family in families}
+        for family in sorted(families, key=rates.__getitem__):
             most = limit if self.chosen is None else MARGIN * self.chosen.cost
             ladder = [n for n in self.steps if n * rates[family] <= most]
-            if ladder and study.affords(self._at(family, own), self.count):
-                self._least(family, ladder, own)
+            if ladder and study.affords(self._at(family, shipped), self.count):
+                self._least(family, ladder, shipped)
 
-    def _least(self, family: Change, ladder: Sequence[int], own: int) -> None:
+    def choose_from(self, changes: Sequence[Change]) -> None:
+        """Try all of some changes, and keep the cheapest setting that holds."""
+        rows = [self.shipped, *(self._outcome(c) for c in changes if self._affords(c))]
+        held = [row for row in rows if row.within(self.error)]
+        if self.agreed and self.half <= self.error and held:
+            self.chosen = min(held, key=lambda row: row.cost)
+
+    def _affords(self, change: Change) -> bool:
+        return self.study.affords(change, self.count)
+
+    def _least(self, family: Change, ladder: Sequence[int], shipped: int) -> None:
         """Try the steps of a family, and keep the cheapest setting that holds."""
 
-        def wrong(steps: int) -> float:
+        def excess(steps: int) -> float:
             change = self._at(family, steps)
             if not self.study.affords(change, self.count):
                 return math.inf
@@ -512,7 +536,7 @@ class _Search:
                 self.chosen = row
             return math.inf if row.failed else row.difference.bound
 
-        least(ladder, wrong, self.error, own, ratio=RATIO)
+        least(ladder, excess, self.error, shipped, ratio=RATIO)
 
     def _at(self, family: Change, steps: int) -> Change:
         """Return a family at a number of steps in a control period."""
@@ -520,7 +544,7 @@ class _Search:
         same = math.isclose(dt, self.study.engine.dt, rel_tol=1e-9)
         return family if same else family.also(Change(dt=dt))
 
-    def prove(self) -> None:
+    def validate(self) -> None:
         """Test the choice on as many held-out starts; if it fails, test the next."""
         for _ in range(TESTS if self.chosen is not None else 0):
             row, first = self.chosen, self.count
@@ -528,8 +552,7 @@ class _Search:
             if not self.study.affords(self.finest, self.count):
                 return
             reference, numbers = self.numbers.of([self.finest, row.change], 2 * first, "held-out")
-            binary = self.study.measure.binary
-            apart = difference(reference[first:], numbers[first:], binary)
+            apart = self.numbers.compare(reference[first:], numbers[first:])
             self.proof = apart.widened(self.uncertainty)
             held = self.proof.within(self.error)
             rest = [
@@ -545,10 +568,10 @@ class _Search:
         """Measure when the trajectory from the first start becomes unpredictable."""
         study = self.study
         way = study.engine.ways(study.schedule, 1.0)[0]
-        grown, _ = settled(
+        growth, _ = settled(
             study.engine, (way.at(k) for k in (1, 2)), study.schedule, [0], study.size
         )
-        self.predictable = grown.overall
+        self.predictable = growth.overall
 
     def result(self, **about: Any) -> Outcomes:
         """Return the result."""
