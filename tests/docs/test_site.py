@@ -13,6 +13,7 @@ import photograph
 
 import stepcore as sc
 from stepcore import gymnasium, jax, torch
+from stepcore.gymnasium import adapters
 from stepcore.viewing.frames import distance
 
 ROOT = Path(__file__).parents[2]
@@ -27,7 +28,7 @@ MADE = {"index.md", "adding.md", "benchmarks.md", "changelog.md", "contributing.
 
 def test_every_public_name_is_in_the_reference_once():
     public = set(sc.__all__) - {"__version__", "lesson"}
-    for module in (gymnasium, jax, torch):
+    for module in (gymnasium, adapters, jax, torch):
         public |= {f"{module.__name__.removeprefix('stepcore.')}.{name}" for name in module.__all__}
     assert sorted(name for name in DOCUMENTED if not PARTS.match(name)) == sorted(
         public | {"lesson", "lesson.loop"}
