@@ -89,7 +89,12 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     return links.to_repository(markdown, path, config.extra["repository"])
 
 
+# The theme's search cannot leave out an element with others of its kind inside.
+CODE = re.compile(r'<(pre|span class="notice"|div class="jp-(?:In|Out)putPrompt[^"]*")')
+
+
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Leaves the code of notebooks and its output out of the search, whose excerpts are text."""
-    del page, config, files
-    return re.sub(r'(<div class="[^"]*\bjp-CodeCell\b[^"]*")', r"\1 data-search-exclude", html)
+    del config, files
+    notebook = page.file.src_uri.endswith(".py")
+    return CODE.sub(r"<\1 data-search-exclude", html) if notebook else html
