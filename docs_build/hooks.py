@@ -90,7 +90,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 # The theme's search cannot leave out an element with others of its kind inside.
-CODE = re.compile(r'<(pre|span class="notice"|div class="jp-(?:In|Out)putPrompt[^"]*")')
+HIDDEN = "jp-InputPrompt|jp-OutputPrompt|clipboard-copy-txt"
+CODE = re.compile(rf'<(pre|span class="notice"|div class="(?:{HIDDEN})[^"]*")')
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
