@@ -13,8 +13,6 @@ from stepcore import checks
 from stepcore.scene.elements.geom import Geom
 
 Floats = NDArray[np.float64]
-# A base below the lowest point, so that feet that sink in meet no lower side [m].
-BASE = 1.0
 
 
 @dataclass(frozen=True)
@@ -59,9 +57,9 @@ class Terrain:
         """
         low, high = float(self.elevation.min()), float(self.elevation.max())
         x, y = (np.array(self.elevation.shape) - 1) * self.cell / 2
-        # The rows of a height field run from the largest y; a flat one needs a positive height.
-        size = (x, y, max(high - low, self.cell), BASE)
-        scene.add_hfield(name, self.elevation.T[::-1], size=size)
+        rise = max(high - low, self.cell)
+        # The rows of a height field run from the largest y; its base is as deep as it is wide.
+        scene.add_hfield(name, self.elevation.T[::-1], size=(x, y, rise, y))
         fields = {"name": name, "pos": (0, 0, low)} | fields
         return scene.add_geom("world", "hfield", hfield=name, **fields)
 
