@@ -23,6 +23,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 RESULTS = Path(__file__).parent / "results" / "train_ppo.json"
 PICTURE = Path(__file__).parents[1] / "docs" / "ppo.png"
 CORES = 2
@@ -32,62 +34,31 @@ TRIED = 50
 
 
 def worlds(name: str, **options: Any) -> Any:
-    """A vector environment as stable-baselines3 takes one; it keeps what time playing takes."""
+    """A vector environment for stable-baselines3; it keeps the time that playing takes."""
     import gymnasium
     from gymnasium.vector import AutoresetMode
-    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor
 
-    class Worlds(VecEnv):
-        def __init__(self) -> None:
-            same = AutoresetMode.SAME_STEP
-            if "vectorization_mode" in options:
-                options["vector_kwargs"] = {"autoreset_mode": same}
-            else:
-                options["autoreset_mode"] = same.value
-            self.envs = gymnasium.make_vec(name, num_envs=WORLDS, **options)
-            single = self.envs
-            super().__init__(WORLDS, single.single_observation_space, single.single_action_space)
-            self.playing, self.sums, self.long = 0.0, [0.0] * WORLDS, [0] * WORLDS
+    from stepcore.gymnasium.adapters import stable_baselines3
+
+    class Timed(VecEnvWrapper):
+        playing = 0.0
 
         def reset(self) -> Any:
-            return self.envs.reset(seed=0)[0].astype("float32")
-
-        def step_async(self, actions: Any) -> None:
-            self.actions = actions
+            return self.venv.reset()
 
         def step_wait(self) -> Any:
             begin = time.perf_counter()
-            observed, rewards, terminated, truncated, infos = self.envs.step(self.actions)
+            step = self.venv.step_wait()
             self.playing += time.perf_counter() - begin
-            told: list[dict[str, Any]] = [{} for _ in range(WORLDS)]
-            for k in range(WORLDS):
-                self.sums[k] += float(rewards[k])
-                self.long[k] += 1
-                if terminated[k] or truncated[k]:
-                    told[k] = {
-                        "episode": {"r": self.sums[k], "l": self.long[k], "t": 0.0},
-                        "terminal_observation": infos["final_obs"][k].astype("float32"),
-                        "TimeLimit.truncated": bool(truncated[k] and not terminated[k]),
-                    }
-                    self.sums[k], self.long[k] = 0.0, 0
-            return observed.astype("float32"), rewards, terminated | truncated, told
+            return step
 
-        def close(self) -> None:
-            self.envs.close()
-
-        def get_attr(self, name: str, indices: Any = None) -> list[Any]:
-            return [None] * WORLDS
-
-        def set_attr(self, name: str, value: Any, indices: Any = None) -> None:
-            raise AttributeError(f"{name}: these worlds have no attributes of their own")
-
-        def env_method(self, name: str, *args: Any, **kwargs: Any) -> list[Any]:
-            raise AttributeError(f"{name}: these worlds have no methods of their own")
-
-        def env_is_wrapped(self, wrapper: Any, indices: Any = None) -> list[bool]:
-            return [False] * WORLDS
-
-    return Worlds()
+    if "vectorization_mode" in options:
+        options["vector_kwargs"] = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    else:
+        options["autoreset_mode"] = AutoresetMode.SAME_STEP.value
+    envs = gymnasium.make_vec(name, num_envs=WORLDS, **options)
+    return VecMonitor(Timed(stable_baselines3(envs)))
 
 
 class Learner:
@@ -122,7 +93,7 @@ class Learner:
         self.spent += time.perf_counter() - begin
         ended = [episode["r"] for episode in self.ppo.ep_info_buffer or ()]
         returned = sum(ended) / len(ended) if ended else None
-        self.curve.append((self.ppo.num_timesteps, self.spent, self.played.playing, returned))
+        self.curve.append((self.ppo.num_timesteps, self.spent, self.played.venv.playing, returned))
 
 
 def quicker() -> str:
@@ -131,11 +102,11 @@ def quicker() -> str:
     for kind in ("sync", "async"):
         played = worlds("HalfCheetah-v5", vectorization_mode=kind)
         played.reset()
-        actions = played.envs.action_space.sample()
+        actions = np.stack([played.action_space.sample() for _ in range(WORLDS)])
         for _ in range(TRIED):
             played.step_async(actions)
             played.step_wait()
-        spent[kind] = played.playing
+        spent[kind] = played.venv.playing
         played.close()
     return min(spent, key=lambda kind: spent[kind])
 

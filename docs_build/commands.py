@@ -76,13 +76,12 @@ def with_outputs(page: str, root: Path) -> str:
     return SHOWN.sub(run, page)
 
 
-def pictures(root: Path) -> dict[str, bytes]:
-    """The pictures, drawn now, by their names."""
+def picture(command: str, root: Path) -> bytes:
+    """The picture that a command draws, as a PNG."""
     with tempfile.TemporaryDirectory() as folder:
-        paths = {name: Path(folder, name) for name in DRAWN}
-        for name, command in DRAWN.items():
-            printed(f"{command} --plot {paths[name]}", root)
-        return {name: path.read_bytes() for name, path in paths.items()}
+        path = Path(folder, "picture.png")
+        printed(f"{command} --plot {path}", root)
+        return path.read_bytes()
 
 
 def main() -> None:

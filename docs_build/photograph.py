@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -17,7 +17,6 @@ from commands import printed
 
 import stepcore as sc
 from stepcore.engine.trajectory import Trajectory
-from stepcore.viewing.frames import distance
 
 ROOT = Path(__file__).parents[1]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -56,33 +55,16 @@ def error(page: Path) -> None:
     shipped.save_html(page, over=[converged], labels=["as shipped", "converged"])
 
 
-def captioned(page: str) -> str:
-    """The README with the numbers of this photograph in the text of its figure."""
-    starts, converged, shipped = worst()
-    apart = distance(shipped._replayed(), converged._replayed())[-1]
-    page = re.sub(r"second: \d+ mm apart", f"second: {1e3 * apart:.0f} mm apart", page)
-    return re.sub(
-        r"in the worst of \w+ starts\.", f"in the worst of {starts} starts.", page, count=1
-    )
-
-
 # What is on each photograph, at which share of the time, and what is hidden.
-TAKEN = {
+TAKEN: dict[str, tuple[Callable[[Path], None], float, list[str]]] = {
     "view.png": (one_run, 0.268, []),
     "error.png": (error, 1.0, ["contacts", "forces"]),
 }
 
 
-def photographs() -> dict[str, bytes]:
-    """The photographs by their names; none where there is no Chromium."""
-    chromium = browser()
-    return {name: photograph(chromium, *of) for name, of in TAKEN.items()} if chromium else {}
-
-
-def photograph(
-    chromium: str, write: Callable[[Path], None], share: float, hidden: list[str]
-) -> bytes:
-    """The page that is written, as a PNG."""
+def photograph(name: str, chromium: str) -> bytes:
+    """The page of a photograph, as a PNG."""
+    write, share, hidden = TAKEN[name]
     with tempfile.TemporaryDirectory() as folder:
         page, picture = Path(folder, "run.html"), Path(folder, "run.png")
         write(page)
@@ -99,5 +81,6 @@ def photograph(
 
 
 if __name__ == "__main__":
-    for name, taken in photographs().items():
-        (ROOT / "docs" / name).write_bytes(taken)
+    chromium = browser() or sys.exit("there is no Chromium")
+    for name in TAKEN:
+        (ROOT / "docs" / name).write_bytes(photograph(name, chromium))

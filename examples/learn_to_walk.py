@@ -153,16 +153,23 @@ def main():
     parser.add_argument("--worlds", type=int, default=512)
     parser.add_argument("--curve", help="a .json file for the curve")
     parser.add_argument("--plot", help="a picture of the curve; needs matplotlib")
+    parser.add_argument("--checkpoint", help="a .npz file: written at each line, read if it exists")
+    parser.add_argument("--onnx", help="a .onnx file for the policy; needs onnx")
     given = parser.parse_args()
     task = Walk(given.model, given.kp, given.kd, given.reach)
     how = {"settings": SETTINGS, "dtype": np.float32, "autoreset_mode": "SameStep"}
     envs = VectorEnv(task, given.worlds, **how, max_episode_steps=round(20.0 / 0.02))
     lines, ppo = [], None
-    for ppo, line in learn(envs, given.minutes):  # noqa: B007
+    before = given.checkpoint if given.checkpoint and Path(given.checkpoint).exists() else None
+    for ppo, line in learn(envs, given.minutes, checkpoint=before):
         lines.append(line)
         print(" ".join(f"{name} {value:.3g}" for name, value in line.items()), flush=True)
         if given.curve:
             Path(given.curve).write_text(json.dumps(lines, indent=1))
+        if given.checkpoint:
+            ppo.save(given.checkpoint)
+    if given.onnx:
+        ppo.export(given.onnx)
     if given.plot:
         draw(lines, given.plot)
     commands, speeds, fell = walked(envs, ppo)

@@ -7,6 +7,7 @@ which keeps the KL divergence of an update near 0.01.
 
 import itertools
 import time
+from collections import defaultdict
 
 import numpy as np
 
@@ -101,9 +102,61 @@ class PPO:
                 missed = self.critic(seen[rows])[:, 0] - returned[rows]
                 self.critic.descend(self.critic.slopes((missed / len(rows))[:, None]), self.rate)
 
+    def arrays(self):
+        """Everything that learning changes, by name."""
+        named = {"rate": np.array(self.rate)}
+        for name, network in (("actor", self.actor), ("critic", self.critic)):
+            named |= {f"{name} {k}": w for k, w in enumerate(network.weights)}
+            named |= {f"{name} moments {k}": np.stack(m) for k, m in enumerate(network.moments)}
+            named[f"{name} count"] = np.array(network.count)
+        return named
 
-def play(envs, ppo, seen, missed):
+    def save(self, path):
+        """Write a checkpoint, .npz."""
+        np.savez(path, **self.arrays())
+
+    def load(self, path):
+        """Continue from a checkpoint of a policy of this size."""
+        with np.load(path) as kept:
+            self.rate = float(kept["rate"])
+            for name, network in (("actor", self.actor), ("critic", self.critic)):
+                for k, w in enumerate(network.weights):
+                    w[...] = kept[f"{name} {k}"]
+                    for moment, saved in zip(
+                        network.moments[k], kept[f"{name} moments {k}"], strict=True
+                    ):
+                        moment[...] = saved
+                network.count = int(kept[f"{name} count"])
+
+    def export(self, path):
+        """Write the mean action as an ONNX file, with the package onnx."""
+        from onnx import TensorProto, checker, helper, numpy_helper, save
+
+        actor, nodes, constants, last = self.actor, [], [], "observation"
+        for k in range(actor.depth):
+            for name, w in (("W", actor.weights[k]), ("b", actor.weights[actor.depth + k])):
+                constants.append(numpy_helper.from_array(w, f"{name}{k}"))
+            linear = "action" if k + 1 == actor.depth else f"linear{k}"
+            nodes.append(helper.make_node("Gemm", [last, f"W{k}", f"b{k}"], [linear]))
+            last = f"tanh{k}"
+            if linear != "action":
+                nodes.append(helper.make_node("Tanh", [linear], [last]))
+        widths = {"observation": len(actor.weights[0]), "action": len(self.spread)}
+        ends = [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", width])
+            for name, width in widths.items()
+        ]
+        graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], constants)
+        # Opset 13 and its format 8 are read by every onnxruntime since 2021.
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+        checker.check_model(model)
+        save(model, path)
+
+
+def play(envs, ppo, seen, terms):
     """Take STEPS actions in every world.
+
+    terms: lists by name, to which the means of numbers in the information are added.
 
     Returns what was seen and done, what is seen then, the time that playing took, and for an action
     the mean reward and the share of worlds that fell.
@@ -124,8 +177,9 @@ def play(envs, ppo, seen, missed):
         row = (seen, action, mean, old, value, reward, done)
         for name, item in zip(names, row, strict=True):
             kept[name].append(item)
-        if not done.all():
-            missed.append(float(infos["missed"][~done].mean()))
+        for name, values in infos.items():
+            if np.shape(values) == done.shape and values.dtype.kind == "f" and not done.all():
+                terms[name].append(float(values[~done].mean()))
         seen = after
     return {name: np.stack(items) for name, items in kept.items()}, seen, spent, earned, fell
 
@@ -141,22 +195,26 @@ def gains(data, following):
     return gain.ravel()
 
 
-def learn(envs, minutes, seed=0):
+def learn(envs, minutes, seed=0, checkpoint=None):
     """Learn for so many minutes of wall time; yield the policy and a line of the curve at times.
 
-    envs: of worlds that begin anew in the same step, whose info has "missed".
+    envs: of worlds that begin anew in the same step. The line has the mean of each number in their
+        info, by its name.
+    checkpoint: a file of `PPO.save` to continue from.
     """
     rng, began = np.random.default_rng(seed), time.perf_counter()
     seen = envs.reset(seed=seed)[0]
     ppo = PPO(seen.shape[1], envs.single_action_space.shape[0], rng)
-    missed, playing, count = [], 0.0, 0
+    if checkpoint:
+        ppo.load(checkpoint)
+    terms, playing, count = defaultdict(list), 0.0, 0
     while (spent := time.perf_counter() - began) < 60 * minutes:
-        data, seen, took, earned, fell = play(envs, ppo, seen, missed)
+        data, seen, took, earned, fell = play(envs, ppo, seen, terms)
         gain = gains(data, ppo.critic(seen)[:, 0])
         flat = {name: items.reshape(len(gain), *items.shape[2:]) for name, items in data.items()}
         parts = (flat[name] for name in ("seen", "action", "mean", "old"))
         ppo.update(*parts, gain, gain + flat["value"])
-        playing, count, missed = playing + took, count + 1, missed[-10 * STEPS :]
+        playing, count = playing + took, count + 1
         if count % 10 == 0 or time.perf_counter() - began >= 60 * minutes:
             yield (
                 ppo,
@@ -166,6 +224,6 @@ def learn(envs, minutes, seed=0):
                     "playing": playing / spent,
                     "reward": earned / envs.dt,
                     "falls": fell / envs.dt,
-                    "missed": float(np.mean(missed)),
+                    **{name: float(np.mean(kept[-10 * STEPS :])) for name, kept in terms.items()},
                 },
             )

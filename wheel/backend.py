@@ -59,6 +59,7 @@ def build_wheel(
     config_settings: Mapping[str, Any] | None = None,
     metadata_directory: str | None = None,
 ) -> str:
+    _install_missing_rust()
     arguments = maturin.get_maturin_pep517_args(config_settings)
     own = _own_target()
     target = _named(arguments) or os.environ.get("CARGO_BUILD_TARGET") or own
@@ -81,6 +82,15 @@ def build_wheel(
         name = next(iter(made.values())).name
         _join(made, Path(wheel_directory, name))
         return name
+
+
+def _install_missing_rust() -> None:
+    """Install Rust if there is no cargo, as maturin does, but before the target is looked up:
+    a build that does not know its target would leave out AVX2."""
+    if "puccinialin" in get_requires_for_build_wheel():
+        from puccinialin import setup_rust
+
+        os.environ.update(setup_rust())
 
 
 def _levels(for_this_machine: bool) -> list[str]:
@@ -129,8 +139,7 @@ def _named(arguments: list[str]) -> str | None:
 
 
 def _own_target() -> str:
-    """This machine's, as rustc names it. Without a rustc maturin brings one, and the wheel has one
-    module."""
+    """This machine's, as rustc names it."""
     try:
         version = subprocess.run(["rustc", "-vV"], capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):

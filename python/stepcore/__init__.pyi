@@ -78,6 +78,8 @@ from stepcore.scene.elements import Sensor as Sensor
 from stepcore.scene.elements import Site as Site
 from stepcore.scene.elements import Tendon as Tendon
 from stepcore.scene.scene import Scene as Scene
+from stepcore.scene.terrain import Terrain as Terrain
+from stepcore.scene.terrain import terrain as terrain
 from stepcore.viewing.live import View as View
 from stepcore.viewing.live import view as view
 from stepcore.viewing.picture import picture as picture

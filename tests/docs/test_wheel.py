@@ -1,5 +1,7 @@
-"""What the build backend does to a wheel: `wheel/packed.py`."""
+"""What the build backend requires, and what it does to a wheel: `wheel/packed.py`."""
 
+import os
+import subprocess
 import sys
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
@@ -55,3 +57,27 @@ def test_any_compressor_of_deflate_streams_serves(packed, tmp_path, monkeypatch)
     with ZipFile(path) as archive:
         assert archive.read("a") == b"a" * 1000
     assert calls == [12]
+
+
+def test_the_build_installs_a_missing_rust(tmp_path):
+    """Without cargo the requirements name what installs it, and the build then finds its rustc."""
+    pytest.importorskip("maturin")
+    (tmp_path / "rust").mkdir()
+    rustc = tmp_path / "rust" / "rustc"
+    rustc.write_text("#!/bin/sh\necho host: x86_64-unknown-linux-gnu\n", encoding="utf-8")
+    rustc.chmod(0o755)
+    stand_in = f"def setup_rust(): return {{'PATH': {str(rustc.parent)!r}}}"
+    (tmp_path / "puccinialin.py").write_text(stand_in, encoding="utf-8")
+    code = (
+        "import backend; required = backend.get_requires_for_build_wheel();"
+        "backend._install_missing_rust(); print(*required, backend._own_target())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=WHEEL.parent,
+        env={"PATH": "/nowhere", "PYTHONPATH": os.pathsep.join((str(WHEEL), str(tmp_path)))},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout.split() == ["puccinialin", "x86_64-unknown-linux-gnu"], done.stderr

@@ -87,6 +87,31 @@ def test_it_learns(example):
     assert abs(float(ppo.actor(envs.reset()[0]).mean()) - 1.0) < 0.4
 
 
+def test_a_task_without_info_learns_and_a_checkpoint_continues(example, tmp_path):
+    ppo, task = example("ppo"), Push()
+    task.info = lambda now: {}
+    envs = VectorEnv(task, 8, dtype=np.float32, autoreset_mode="SameStep", max_episode_steps=50)
+    learner, line = next(ppo.learn(envs, 10.0))
+    assert "missed" not in line
+    learner.save(tmp_path / "policy.npz")
+    other = ppo.PPO(2, 1, np.random.default_rng(1))
+    other.load(tmp_path / "policy.npz")
+    for name, array in learner.arrays().items():
+        np.testing.assert_array_equal(other.arrays()[name], array)
+
+
+def test_an_exported_policy_is_the_mean_action(example, tmp_path):
+    pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    ppo = example("ppo").PPO(4, 1, np.random.default_rng(0))
+    ppo.export(tmp_path / "policy.onnx")
+    sim = sc.Sim(sc.load("gymnasium:inverted_pendulum"))
+    sim.qpos[:], sim.qvel[:] = (0.1, 0.2), (0.3, -0.4)
+    seen = np.concatenate([sim.qpos, sim.qvel]).astype(np.float32)
+    control = sc.policy(tmp_path / "policy.onnx")
+    assert control(0.0, sim) == pytest.approx(ppo.actor(seen[None])[0], rel=1e-5)
+
+
 def test_the_example_runs(example, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(
         sys, "argv", ["", "--minutes", "0.01", "--worlds", "8", "--curve", str(tmp_path / "c.json")]
