@@ -27,6 +27,7 @@ from stepcore.cli.arguments import (
     motion_of,
     time,
 )
+from stepcore.cli.gate import add_gate, finish
 from stepcore.cli.output import add_output
 from stepcore.cli.terminal import UNDECIDED, Usage
 from stepcore.deadline import SECONDS
@@ -48,7 +49,7 @@ class Measurement:
     excluding: mutually exclusive options. full: the description of --all in the help. warn: whether
     to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
     horizon: the default horizon in words, if it is no constant. more: further arguments of the
-    function. done: an action after a call. status: the exit status of a result.
+    function. done: an action after a call. status: the exit status of a result without a test.
     """
 
     module: str
@@ -60,7 +61,7 @@ class Measurement:
     horizon: str = ""
     more: More = lambda args, model: {}
     done: Callable[[Any, argparse.Namespace], object] = lambda result, args: None
-    status: Callable[[Any, argparse.Namespace], int] = lambda result, args: 0
+    status: Callable[[Any], int] = lambda result: 0
 
 
 def _function(name: str) -> Callable[..., Any]:
@@ -106,7 +107,10 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
             "done, as it does after Ctrl-C (default: %(default)g)",
         )
     add_output(command, full=measurement.full)
-    command.set_defaults(status=measurement.status)
+    add_gate(command, name)
+    command.set_defaults(
+        status=lambda result, args: finish(result, args) or measurement.status(result)
+    )
 
 
 def call(args: argparse.Namespace, name: str) -> Result:
@@ -125,6 +129,8 @@ def call(args: argparse.Namespace, name: str) -> Result:
         given |= motion_of(args, model)
     if name in SECONDS:
         given["seconds"] = args.seconds
+    if getattr(args, "max_error", None) is not None and given["budget"] is None:
+        given["error"] = given["error"] or args.max_error
     if given.get("quantity") is not None:
         given["quantity"] = _quantity(given["quantity"])
     given |= measurement.more(args, model)
@@ -228,18 +234,9 @@ MEASUREMENTS = {
     "check": Measurement(
         "check",
         "gymnasium:half_cheetah",
-        {
-            "depth": "LENGTH",
-            "fail_on": {
-                "choices": ("error", "warning", "never"),
-                "default": "error",
-                "help": "exit with status 1 if a finding is of this level or worse, and with 3 if "
-                "none is but the time was over before the run was examined (default: %(default)s)",
-            },
-        },
+        {"depth": "LENGTH"},
         warn=False,
         done=_name_the_file,
-        status=lambda result, args: result.status(args.fail_on),
     ),
     "trade": Measurement(
         "trade",
@@ -361,7 +358,7 @@ MEASUREMENTS = {
         },
         full="print every difference",
         more=_other_model,
-        status=lambda result, args: UNDECIDED if result.unmapped else 0,
+        status=lambda result: UNDECIDED if result.unmapped else 0,
     ),
     "ablate": Measurement(
         "ablation",

@@ -14,7 +14,8 @@ from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import beginning, compact, counted, metres
+from stepcore.report.units import beginning, compact, counted, length, metres
+from stepcore.report.verdict import Verdict
 
 LEGEND = (
     "alone: RMS distance by which this difference alone moves A's motion in the worst start [m]; "
@@ -131,6 +132,21 @@ class Comparison(Result):
     def rows(self) -> list[DifferenceEffect]:
         """The effects of all differences."""
         return [row for part in self.parts for row in part.rows]
+
+    def verdict(self, limit: float | str) -> Verdict:
+        """Return whether the motions of the two models, as shipped, have at most a distance.
+
+        limit: metres, or a text such as "1mm". The test fails if one of the runs fails, and is
+        undecided if nothing could be run.
+        """
+        limit = length("verdict", "limit", limit, math.nan)
+        test = f"distance of the motions at most {metres(limit)}"
+        if any(self.failures):
+            return Verdict(test, False, "; ".join(filter(None, self.failures)))
+        if math.isnan(self.distance):
+            reason = "; ".join(self.unmapped) or self.unfinished or "nothing was run"
+            return Verdict(test, None, reason)
+        return Verdict(test, self.distance <= limit, f"{metres(self.distance)} as shipped")
 
     @property
     def needed(self) -> list[Difference]:
