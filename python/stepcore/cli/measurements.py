@@ -25,6 +25,7 @@ from stepcore.cli.arguments import (
     key_of,
     model_of,
     motion_of,
+    setting,
     time,
 )
 from stepcore.cli.gate import add_gate, finish
@@ -160,8 +161,13 @@ def _save_smallest(result: Any, args: argparse.Namespace) -> None:
 
 
 def _other_model(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
-    """Return the second model, loaded like the first."""
-    return {"other": load(args.other, without=args.without, fuse=args.fuse).compile()}
+    """Return the second model, loaded like the first, with its settings and engine."""
+    other: Any = None
+    if args.other is not None:
+        other = load(args.other, without=args.without, fuse=args.fuse).compile()
+    elif args.other_engine == "mujoco" and is_whole(args):
+        other = args.file
+    return {"other": other, "settings": dict(map(setting, args.set))}
 
 
 def _sim_at_key(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
@@ -351,10 +357,19 @@ MEASUREMENTS = {
         {
             "other": {
                 "flags": ("other",),
+                "nargs": "?",
                 "metavar": "OTHER",
-                "help": "the second model: path, package:name or lesson:name",
+                "help": "the second model: path, package:name or lesson:name; by default the first "
+                "one, in another engine or with other settings",
             },
             "within": "LENGTH",
+            "other_engine": ENGINE,
+            "set": {
+                "action": "append",
+                "default": [],
+                "metavar": "NAME=VALUE",
+                "help": "a setting of the second model, such as dt=5ms",
+            },
         },
         full="print every difference",
         more=_other_model,
