@@ -203,7 +203,8 @@ def test_engines_that_differ_are_judged_by_their_converged_motions(tmp_path):
 
 
 TEXT_OF_SPRING = """<mujoco><worldbody><body>
-<joint name="s" type="slide" axis="1 0 0" stiffness="50" springref=".1"/><geom size=".1" mass="1"/></body></worldbody></mujoco>"""
+<joint name="s" type="slide" axis="1 0 0" stiffness="50" springref=".1"/>
+<geom size=".1" mass="1"/></body></worldbody></mujoco>"""
 
 
 def test_settings_of_the_other_model():

@@ -40,8 +40,8 @@ from stepcore.scene.layout import DOFS, QPOS
 
 __all__ = ["Attribution", "Comparison", "Difference", "DifferenceEffect", "compare"]
 
-# The distance of two runs that differ by rounding alone, as a share of the scene's size. The motions
-# of gymnasium's half_cheetah in stepcore and in MuJoCo are less than 1e-12 m apart over 1 s.
+# The distance of two runs that differ by rounding alone, as a share of the scene's size. gymnasium's
+# half_cheetah in stepcore and in MuJoCo is less than 1e-12 m apart over 1 s.
 SAME = 1e-9
 
 
