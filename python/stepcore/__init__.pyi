@@ -1,6 +1,7 @@
 """The public names: type checkers read this list, and `__init__.py` takes it for its own."""
 
 from stepcore import lesson as lesson
+from stepcore import testing as testing
 from stepcore._core import EnergyWarning as EnergyWarning
 from stepcore._core import Settings as Settings
 from stepcore._core import SimulationError as SimulationError

@@ -148,11 +148,8 @@ def find_scene(
         read_mujoco(scene, source, without, fuse)
         return scene
     text = os.fsdecode(source)
-    package, _, name = text.partition(":")
-    # "C:" is a drive.
-    if ":" not in text or len(package) == 1 or os.path.exists(text):
-        read_file(scene, text, without, fuse, free)
-    elif package == "lesson":
+    if text.startswith("lesson:") and not os.path.exists(text):
+        name = text.removeprefix("lesson:")
         if name not in LESSON:
             raise ValueError(brief(f"lesson:{name}: the lesson's scenes are {', '.join(LESSON)}"))
         from stepcore.lesson import scenes
@@ -162,9 +159,20 @@ def find_scene(
         scene = getattr(scenes, name)()
         scene.name = name
     else:
-        read_file(scene, find_asset(package, name), without, fuse, free)
-        scene.name = scene.name or name
+        file = model_file(text)
+        read_file(scene, file, without, fuse, free)
+        if file != text:
+            scene.name = scene.name or text.partition(":")[2]
     return scene
+
+
+def model_file(text: str) -> str:
+    """Return the path of the file that a path or "package:name" names."""
+    package, _, name = text.partition(":")
+    # "C:" is a drive.
+    if ":" not in text or len(package) == 1 or package == "lesson" or os.path.exists(text):
+        return text
+    return str(find_asset(package, name))
 
 
 def add_ground(scene: Scene) -> None:

@@ -196,4 +196,5 @@ def test_the_exit_status_is_that_of_the_worst_finding(capsys, scene):
 def test_a_finding_fails_at_its_level_and_a_missing_run_is_undecided(severity, not_done, statuses):
     shown = {"name": "arm", "settings": None, "motion": None, "diagnosis": None}
     result = Check(**shown, findings=[Finding("overlap", severity, "")], not_done=not_done)
-    assert tuple(map(result.status, ("error", "warning", "never"))) == statuses
+    levels = ("error", "warning", "never")
+    assert tuple(result.verdict(level).status for level in levels) == statuses

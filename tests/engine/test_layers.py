@@ -27,7 +27,7 @@ LAYERS = (
     ("experiment",),
     ("measure",),
     ("lesson",),
-    ("gymnasium", "torch", "jax"),
+    ("gymnasium", "testing", "torch", "jax"),
     ("cli", "__main__"),
 )
 # Layers in whose files TYPE_CHECKING may name types of layers above: what they are handed.

@@ -10,6 +10,7 @@ import stepcore as sc
 from stepcore.cli import main
 from stepcore.engine.norm import Matter, apart, rms
 from stepcore.experiment import Change, Study
+from stepcore.measure.comparison.events import first_difference
 
 SHORT = {"horizon": 0.4, "starts": 2, "progress": False, "threads": 1}
 ARM = """<mujoco model="arm"><option timestep="{dt}"/><worldbody>{bodies}</worldbody>
@@ -184,3 +185,61 @@ def test_the_command(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["needed"] == ["joint/l/damping"]
     assert main(["compare", a, c, *short]) == 3
     assert main(["compare", a, str(tmp_path / "d.xml")]) == 2
+
+
+def test_engines_make_the_same_motion():
+    result = sc.compare(sc.load("gymnasium:half_cheetah"), other_engine="mujoco", **SHORT)
+    assert result.same and result.engine.startswith("MuJoCo") and not result.rows
+
+
+def test_engines_that_differ_are_judged_by_their_converged_motions(tmp_path):
+    """MuJoCo's file has half of the stiffness: shorter steps do not make the engines agree."""
+    soft = tmp_path / "soft.xml"
+    soft.write_text(TEXT_OF_SPRING.replace("50", "25"))
+    result = sc.compare(sc.loads(TEXT_OF_SPRING), soft, other_engine="mujoco", **SHORT)
+    assert result.needed[0].path == "joint/s/stiffness"
+    assert result.unexplained < 1e-3 * result.distance
+    assert result.converged > 10 * result.uncertainty
+
+
+TEXT_OF_SPRING = """<mujoco><worldbody><body>
+<joint name="s" type="slide" axis="1 0 0" stiffness="50" springref=".1"/>
+<geom size=".1" mass="1"/></body></worldbody></mujoco>"""
+
+
+def test_settings_of_the_other_model():
+    scene = sc.load("gymnasium:hopper")
+    result = sc.compare(scene, settings={"dt": 0.004}, **SHORT)
+    assert [one.path for one in result.needed] == ["dt"] and 0 < result.separated < 0.4
+    with pytest.raises(ValueError, match="other: must be a second model"):
+        sc.compare(scene, **SHORT)
+
+
+DROP = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/><body pos="0 0 {z}">
+<freejoint/><geom name="ball" size=".1"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("engine", ["stepcore", "mujoco"])
+def test_first_event_is_named_with_its_times(tmp_path, engine):
+    """A falls 4 cm, B 5 cm: the contact begins after √(2h/g)."""
+    files = [tmp_path / name for name in ("a.xml", "b.xml")]
+    for file, z in zip(files, (0.14, 0.15), strict=True):
+        file.write_text(DROP.format(z=z))
+    schedules, engines = [], []
+    for file, name in zip(files, ("stepcore", engine), strict=True):
+        study = Study(file, "hold", engine=name, horizon=0.3)
+        schedules.append(study.schedule)
+        engines.append(study.engine)
+    event = first_difference(tuple(engines), tuple(schedules), 0)
+    assert event.name == "contact `ball`/`floor`"
+    assert event.a == pytest.approx(math.sqrt(2 * 0.04 / 9.81), abs=0.003)
+    assert event.b == pytest.approx(math.sqrt(2 * 0.05 / 9.81), abs=0.003)
+    assert "begins in A, " in str(event)
+
+
+def test_compare_of_one_file_on_the_command_line(capsys):
+    args = ["compare", "lesson:spring", "--set", "dt=5ms", "--horizon", "0.2", "--starts", "1"]
+    assert main([*args, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["needed"] == ["dt"]
+    assert main(["compare", "lesson:spring", "--set", "dtt=5ms"]) == 2
+    assert 'nearest: "dt"' in capsys.readouterr().err

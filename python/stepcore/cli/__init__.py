@@ -63,8 +63,9 @@ FILE is the path of an MJCF or URDF file; or "package:name", a model among the f
 package (gymnasium:half_cheetah; the package is not imported); or "lesson:name", one of four small
 scenes that come with stepcore (spring, drop, stack, grasp).
 
-exit status: 0 success, 1 run-time failure (of check: a finding of the level of --fail-on),
-2 usage or input error, 3 no answer in the time available, 130 interrupted
+exit status: 0 success, 1 run-time failure, or a test that failed (check --fail-on, diagnose,
+trade --max-error, compare --max-difference), 2 usage or input error, 3 undecided in the time or
+effort available, 130 interrupted
 """
 # Modules of the commands; all other commands are in `measurements`.
 MODULES = {

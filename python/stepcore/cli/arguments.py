@@ -6,17 +6,19 @@ import argparse
 import importlib
 import importlib.util
 import inspect
+import json
 import math
 import os
 import re
 import sys
 import traceback
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from stepcore._core import SimulationError
+from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
@@ -369,3 +371,18 @@ def _place(error: Exception) -> str:
     """Describe an error of the user's code in one line: type, text and line number."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {one_line(error)} ({Path(last.filename).name}:{last.lineno})"
+
+
+def setting(text: str) -> tuple[str, Any]:
+    """Parse "name=value" as a field of Settings and its value: a number, true, false or a text."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise Usage(f"--set {text}: must be NAME=VALUE")
+    fields = Settings().as_dict()
+    if name not in fields:
+        raise Usage(f"--set {text}: settings have no '{name}'{nearest(name, fields)}")
+    if name in ("dt", "sleep_time"):
+        return name, time_of(value) or value
+    with suppress(ValueError):
+        return name, json.loads(value.lower())
+    return name, value

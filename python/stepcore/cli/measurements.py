@@ -26,8 +26,10 @@ from stepcore.cli.arguments import (
     key_of,
     model_of,
     motion_of,
+    setting,
     time,
 )
+from stepcore.cli.gate import add_gate, finish
 from stepcore.cli.output import add_output
 from stepcore.cli.terminal import UNDECIDED, Usage
 from stepcore.deadline import SECONDS
@@ -51,7 +53,7 @@ class Measurement:
     excluding: mutually exclusive options. full: the description of --all in the help. warn: whether
     to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
     horizon: the default horizon in words, if it is no constant. more: further arguments of the
-    function. done: an action after a call. status: the exit status of a result.
+    function. done: an action after a call. status: the exit status of a result without a test.
     """
 
     module: str
@@ -63,7 +65,7 @@ class Measurement:
     horizon: str = ""
     more: More = lambda args, model: {}
     done: Callable[[Any, argparse.Namespace], object] = lambda result, args: None
-    status: Callable[[Any, argparse.Namespace], int] = lambda result, args: 0
+    status: Callable[[Any], int] = lambda result: 0
 
 
 def _function(name: str) -> Callable[..., Any]:
@@ -109,7 +111,10 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
             "done, as it does after Ctrl-C (default: %(default)g)",
         )
     add_output(command, full=measurement.full)
-    command.set_defaults(status=measurement.status)
+    add_gate(command, name)
+    command.set_defaults(
+        status=lambda result, args: finish(result, args) or measurement.status(result)
+    )
 
 
 def call(args: argparse.Namespace, name: str) -> Result:
@@ -133,6 +138,8 @@ def call(args: argparse.Namespace, name: str) -> Result:
         given |= motion_of(args, model)
     if name in SECONDS:
         given["seconds"] = args.seconds
+    if getattr(args, "max_error", None) is not None and given["budget"] is None:
+        given["error"] = given["error"] or args.max_error
     for option in ("quantity", "error"):
         values = given.get(option)
         if isinstance(values, list) and len(values) == 1:
@@ -168,8 +175,13 @@ def _save_smallest(result: Any, args: argparse.Namespace) -> None:
 
 
 def _other_model(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
-    """Return the second model, loaded like the first."""
-    return {"other": load(args.other, without=args.without, fuse=args.fuse).compile()}
+    """Return the second model, loaded like the first, with its settings and engine."""
+    other: Any = None
+    if args.other is not None:
+        other = load(args.other, without=args.without, fuse=args.fuse).compile()
+    elif args.other_engine == "mujoco" and is_whole(args):
+        other = args.file
+    return {"other": other, "settings": dict(map(setting, args.set))}
 
 
 def _sim_at_key(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
@@ -272,18 +284,9 @@ MEASUREMENTS = {
     "check": Measurement(
         "check",
         "gymnasium:half_cheetah",
-        {
-            "depth": "LENGTH",
-            "fail_on": {
-                "choices": ("error", "warning", "never"),
-                "default": "error",
-                "help": "exit with status 1 if a finding is of this level or worse, and with 3 if "
-                "none is but the time was over before the run was examined (default: %(default)s)",
-            },
-        },
+        {"depth": "LENGTH"},
         warn=False,
         done=_name_the_file,
-        status=lambda result, args: result.status(args.fail_on),
     ),
     "trade": Measurement(
         "trade",
@@ -396,14 +399,23 @@ MEASUREMENTS = {
         {
             "other": {
                 "flags": ("other",),
+                "nargs": "?",
                 "metavar": "OTHER",
-                "help": "the second model: path, package:name or lesson:name",
+                "help": "the second model: path, package:name or lesson:name; by default the first "
+                "one, in another engine or with other settings",
             },
             "within": "LENGTH",
+            "other_engine": ENGINE,
+            "set": {
+                "action": "append",
+                "default": [],
+                "metavar": "NAME=VALUE",
+                "help": "a setting of the second model, such as dt=5ms",
+            },
         },
         full="print every difference",
         more=_other_model,
-        status=lambda result, args: UNDECIDED if result.unmapped else 0,
+        status=lambda result: UNDECIDED if result.unmapped else 0,
     ),
     "ablate": Measurement(
         "ablation",

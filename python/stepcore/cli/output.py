@@ -16,8 +16,8 @@ from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 
 # Arguments that name output files, and their options.
-OPTIONS = {name: f"--{name}" for name in ("plot", "html", "json", "save", "replay")}
-OPTIONS["page"] = "--html"
+OPTIONS = {name: f"--{name}" for name in ("plot", "html", "json", "save", "replay", "junit")}
+OPTIONS |= {"page": "--html", "sarif": "--sarif", "save_baseline": "--save-baseline"}
 
 # Output files, and the functions that write them.
 Writes = list[tuple[str, Callable[[], object]]]
@@ -53,7 +53,10 @@ def check_output(args: argparse.Namespace) -> None:
     outputs = [(option, out) for option, out in named if isinstance(out, str) and out != "-"]
     files.outputs.clear()
     control = getattr(args, "control", None) or ""
-    inputs = [*(getattr(args, name, None) for name in ("file", "ctrl")), control.rpartition(":")[0]]
+    inputs = [
+        *(getattr(args, name, None) for name in ("file", "ctrl", "baseline")),
+        control.rpartition(":")[0],
+    ]
     inputs += getattr(args, "logs", ())
     for option, out in outputs:
         path = Path(out).resolve()

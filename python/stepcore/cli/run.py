@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from stepcore._core import Settings, SimulationError
-from stepcore.checks import nearest, one_line
+from stepcore._core import SimulationError
+from stepcore.checks import one_line
 from stepcore.cli.arguments import (
     OPTIONS,
     add_file,
@@ -21,6 +19,7 @@ from stepcore.cli.arguments import (
     key_of,
     model_of,
     motion_of,
+    setting,
     time,
 )
 from stepcore.cli.output import Writes, add_force, add_output, attempted, deliver
@@ -37,7 +36,6 @@ from stepcore.measure import run as runs
 from stepcore.needs import need
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
-from stepcore.report.units import time_of
 
 # Extensions of --save, with the package that each needs; and the arrays saved without --record.
 SAVED = {".npz": "", ".csv": "", ".mcap": "mcap", ".html": "trimesh"}
@@ -167,7 +165,7 @@ def call(args: argparse.Namespace, name: str) -> Result | int:
 
 def _run(args: argparse.Namespace) -> int:
     given = {"dt": args.dt, "accuracy": args.accuracy}
-    changes = dict(map(_setting, args.set))
+    changes = dict(map(setting, args.set))
     changes |= {name: value for name, value in given.items() if value is not None}
     model = model_of(args).with_settings(**changes)
     record = _recorded(args)
@@ -242,21 +240,6 @@ def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | No
         saves.append((args.plot, lambda: run.plot(args.plot)))
     said += [f"Not saved: {reason(other)}." for other in attempted(saves)]
     put(" ".join(said), stream=sys.stderr)
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    """Parse "name=value" as a field of Settings and its value: a number, true, false or a text."""
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise Usage(f"--set {text}: must be NAME=VALUE")
-    fields = Settings().as_dict()
-    if name not in fields:
-        raise Usage(f"--set {text}: settings have no '{name}'{nearest(name, fields)}")
-    if name in ("dt", "sleep_time"):
-        return name, time_of(value) or value
-    with suppress(ValueError):
-        return name, json.loads(value.lower())
-    return name, value
 
 
 def _view(args: argparse.Namespace) -> int:

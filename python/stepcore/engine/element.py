@@ -75,6 +75,11 @@ class Element:
         words = f"{noun} of {owner}" if owner else noun
         return cls(kind, index, part, f"{words} {label}".rstrip(), noun, owner, label)
 
+    @property
+    def owner_kind(self) -> str:
+        """The kind of the part of the scene that parametrises this element, such as "joint"."""
+        return FIELDS.get(self.kind, (self.kind, ()))[0]
+
     def fields(self, model: Model) -> tuple[SceneField, ...]:
         """Return the scene fields that parametrise this element.
 

@@ -123,6 +123,8 @@ class Engine(ABC):
     sources: tuple[Source, ...] = ()
     # The number of readings at a sample.
     width = 0
+    # A schedule of another scene's motion, which replaces that of any motion.
+    schedule: Schedule | None = None
     version = ""
     name: str
     title: str

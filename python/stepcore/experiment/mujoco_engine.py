@@ -248,7 +248,7 @@ class MuJoCo(Engine):
         return _scheduled(motion, self.scene, self.coordinates, period, starts, horizon)
 
     @contextmanager
-    def _world(self, change: Change) -> Iterator[_World]:
+    def world(self, change: Change) -> Iterator[_World]:
         """Yield a world under a change, which only this thread uses meanwhile."""
         physics = change.physics
         with self._lock:
@@ -263,7 +263,7 @@ class MuJoCo(Engine):
             del self._free[:-KEPT]
 
     def compile(self, change: Change, schedule: Schedule) -> None:
-        with self._world(schedule.change.also(change)):
+        with self.world(schedule.change.also(change)):
             pass
 
     def follow(
@@ -274,7 +274,7 @@ class MuJoCo(Engine):
         readings = np.full((*shape[:2], self.width), np.nan)
         failures = dict[int, str]()
         try:
-            with self._world(schedule.change.also(change)) as world:
+            with self.world(schedule.change.also(change)) as world:
                 for k, start in enumerate(starts):
                     states, _, read, failure = self._run(world, schedule, start)
                     places, turns = world.frames(states)
@@ -418,10 +418,10 @@ class MuJoCo(Engine):
     def _counted(self, change: Change, schedule: Schedule) -> float:
         """Estimate the operations of a step from the counts that MuJoCo reports: `operations`."""
         if not self._looks:
-            with self._world(schedule.change) as world:
+            with self.world(schedule.change) as world:
                 states, played, *_ = self._run(world, schedule, 0)
             self._looks = [(states[k], played[k]) for k in spread(states)]
-        with self._world(schedule.change.also(change)) as world:
+        with self.world(schedule.change.also(change)) as world:
             world.begin(schedule.starts[0])
             total = 0.0
             for state, ctrl in self._looks:
@@ -471,7 +471,7 @@ class MuJoCo(Engine):
         return self._runs(Change(), schedule) and self._rows
 
     def seconds(self, change: Change, schedule: Schedule) -> float:
-        with self._world(schedule.change.also(change)) as world:
+        with self.world(schedule.change.also(change)) as world:
             begun = time.thread_time()
             failure = self._run(world, schedule, 0)[-1]
             return math.nan if failure else time.thread_time() - begun

@@ -104,7 +104,8 @@ class Study:
             horizon = self.motion.horizon or 1.0
             period = time_steps(shipped, None, self.motion.period(shipped), horizon)[1]
         period, count = units.time("period", period), self.motion.starts or STARTS
-        self.schedule: Schedule = self.engine.scheduled(self.motion, period, starts=count)
+        scheduled = self.engine.schedule or self.engine.scheduled(self.motion, period, count)
+        self.schedule: Schedule = scheduled
         if measure.quantity.has_scalars:
             # Peaks are found between the usual samples too.
             self.schedule = dataclasses.replace(self.schedule, every=1)

@@ -13,7 +13,8 @@ from stepcore._core import Settings
 from stepcore.engine.norm import Tracks
 from stepcore.experiment.change import Change
 from stepcore.experiment.quantity import Measure
-from stepcore.report.units import metres
+from stepcore.report.units import counted, metres
+from stepcore.report.verdict import Verdict
 
 if TYPE_CHECKING:
     from stepcore.experiment.judge import Outcome
@@ -123,6 +124,23 @@ class Trial:
     def refuted(self, error: float) -> bool:
         """Return whether a start exceeds an error beyond its uncertainty, or a run failed."""
         return bool(self.failure) or bool((self.errors - self.unsure > error).any())
+
+    def verdict(self, limit: float, remedy: str = "") -> Verdict:
+        """Return whether every start has at most an error, by its uncertainty.
+
+        limit: the error. remedy: how to decide it if it is undecided, in words.
+        """
+        test = f"error at most {self.words(limit)}"
+        if self.failure:
+            return Verdict(test, False, self.failure)
+        unsure = float(np.max(self.unsure, initial=0.0))
+        error = f"{self.words(self.error)} (± {self.words(unsure)})"
+        reason = f"{error} in the worst of {counted(len(self.starts), 'start')}"
+        if self.within(limit):
+            return Verdict(test, True, reason)
+        if self.refuted(limit):
+            return Verdict(test, False, reason)
+        return Verdict(test, None, f"{reason}{remedy and f', {remedy}'}")
 
     def misses(self, error: float) -> list[int]:
         """Return the starts that exceed an error, worst first; all if a run failed."""

@@ -7,12 +7,13 @@ import itertools
 import math
 import os
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
+from stepcore import checks
 from stepcore._core import Settings
 from stepcore.checks import one_line
 from stepcore.deadline import OutOfTime
@@ -37,6 +38,7 @@ from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
 from stepcore.report.units import beginning, counted, seconds
+from stepcore.report.verdict import Verdict
 
 __all__ = ["Check", "check"]
 
@@ -121,17 +123,26 @@ class Check(Result):
             yield from finding.commands
         yield from ALWAYS
 
-    def status(self, level: str) -> int:
-        """Return the exit status of `stepcore check`: 0 passed, 1 failed, 3 undecided.
+    def verdict(self, level: str = "error", accepted: Collection[tuple[str, str]] = ()) -> Verdict:
+        """Return whether the scene passes: no finding of a level, or a more severe one.
 
-        level: the least severe finding that fails, "error" or "warning"; "never" passes always.
+        level: "error", "warning" or "remark"; "never" passes always. accepted: the kind and the
+        element of findings that do not count. It is undecided if no finding fails, but the time
+        ended before the run was examined.
         """
-        if level == "never":
-            return 0
-        failing = SEVERITIES[: SEVERITIES.index(level) + 1]
-        if any(finding.severity in failing for finding in self.findings):
-            return 1
-        return 3 if AS_SHIPPED in self.not_done else 0
+        checks.one_of(*SEVERITIES, "never")("verdict", "level", level)
+        test = f"no finding of level {level}"
+        failing = () if level == "never" else SEVERITIES[: SEVERITIES.index(level) + 1]
+        fails = [
+            finding
+            for finding in self.findings
+            if finding.severity in failing and (finding.kind, finding.element) not in accepted
+        ]
+        if fails:
+            return Verdict(test, False, "; ".join(finding.text for finding in fails))
+        if failing and AS_SHIPPED in self.not_done:
+            return Verdict(test, None, f"the run was not examined in time; {self.unfinished}")
+        return Verdict(test, True, "none")
 
     @property
     def failed(self) -> bool:

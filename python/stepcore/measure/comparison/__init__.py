@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
 import numpy as np
@@ -21,6 +22,7 @@ from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import HORIZON, Schedule, time_steps
 from stepcore.experiment.study import SHIPPED, Study
 from stepcore.experiment.truth import KNOWN, SHARE, Truth
+from stepcore.loading import find_model
 from stepcore.measure.comparison.differences import (
     ROUNDING,
     Difference,
@@ -30,6 +32,7 @@ from stepcore.measure.comparison.differences import (
     differences,
     together,
 )
+from stepcore.measure.comparison.events import first_difference
 from stepcore.measure.comparison.result import Attribution, Comparison, DifferenceEffect
 from stepcore.report import units
 from stepcore.report.units import metres
@@ -37,14 +40,20 @@ from stepcore.scene.layout import DOFS, QPOS
 
 __all__ = ["Attribution", "Comparison", "Difference", "DifferenceEffect", "compare"]
 
+# The distance of two runs that differ by rounding alone, as a share of the scene's size. gymnasium's
+# half_cheetah in stepcore and in MuJoCo is less than 1e-12 m apart over 1 s.
+SAME = 1e-9
+
 
 @measurement()
 def compare(
     model: Source,
-    other: Source,
+    other: Source | None = None,
     motion: Motion | str | None = None,
     *,
     within: float | str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    other_engine: str = "stepcore",
     **fields: Unpack[MeasurementFields],
 ) -> Comparison:
     """Explain why two models behave differently: the differences that change a motion.
@@ -55,11 +64,13 @@ def compare(
     by converged motions, and numerical settings by the motions as shipped.
 
     model: A: a Model, a Scene, or the path of an MJCF or URDF file (or "package:name").
-    other: B, likewise.
+    other: B, likewise; by default A itself, in another engine or with other settings.
     motion: a `Motion`, or its fields as arguments; by default one that A could make, of about 1 s.
     within: the distance up to which motions count as equal: metres, "1mm", or "0.1%" of the scene's
         size. By default a tenth of the distance of A and B, and at least the uncertainty of their
         converged motions.
+    settings: B's settings that replace those of its file, by name: ``{"dt": 0.005}``.
+    other_engine: the engine that runs B: "stepcore" or "mujoco". A runs in stepcore.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     The result lists differences without running them if joints or actuators have no counterpart.
@@ -77,9 +88,14 @@ def compare(
     if within is not None:
         # Check the length before minutes of work; the scene's size is known later.
         units.length("compare", "within", within, 1.0)
+    if other is None and other_engine == "stepcore" and not settings:
+        raise ValueError("other: must be a second model, unless settings or other_engine differ")
     missing = "no motion to compare"
     first = set_up(compare, model, motion, fields, missing=missing)
-    second = set_up(compare, other, motion, fields, missing=missing)
+    other = first.model if other is None else other
+    if settings:
+        other = find_model(other).with_settings(**settings)
+    second = set_up(compare, other, motion, fields, missing=missing, engine=other_engine)
     assert isinstance(first.engine, Stepcore)
     found = differences(first.model, second.model, first.engine)
     return _Comparing(first, second, found, within).result()
@@ -109,6 +125,7 @@ class _Comparing:
             others=[one for one in found.others if one not in found.unmapped],
             unmapped=found.unmapped,
             rounding=found.rounding,
+            engine=second.engine.version,
         )
 
     def result(self) -> Comparison:
@@ -116,10 +133,13 @@ class _Comparing:
         result = self.comparison
         if self.found.unmapped:
             return result
-        if not (self.found.changes or result.others):
+        if not (self.found.changes or result.others or result.engine):
             result.distance = result.unexplained = 0.0
             return result
         self._begin()
+        result.same = result.distance <= SAME * self.study.size
+        if result.same and not self.found.changes:
+            return result
         with self.time.stage("integration errors, and effects on the converged motion", KNOWN):
             self._converge()
         models = [one for one in self.found.changes if one.change.models]
@@ -176,7 +196,8 @@ class _Comparing:
         first.engine.matter = mine
         self.study = Study(motion=motion, engine=first.engine, workers=first.workers, period=period)
         schedule = _for_counterpart(self.study.schedule, first.model, second.model, names)
-        engine = _Counterpart(second.model, schedule, theirs)
+        engine = copy.copy(second.engine)
+        engine.schedule, engine.matter = schedule, theirs
         self.other = Study(motion=motion, engine=engine, workers=first.workers, period=period)
         self.starts = self.study.starts
         result.ran, result.notes = self.study.motion_ran, [*self.study.schedule.notes]
@@ -190,7 +211,30 @@ class _Comparing:
         result.failures = a.failure_from(self.starts), b.failure_from(self.starts)
         result.starts = len(self.starts)
         result.distance, result.unexplained = self.far(a, b), self.far(with_all, b)
+        self._separate(a, b)
         self.time.so_far(f"as shipped A and B are {metres(result.distance)} apart")
+
+    def _separate(self, a: Tracks, b: Tracks) -> None:
+        """Find when the motions separate in the worst start, and the first event that differs."""
+        result, limit = self.comparison, self._equal(self.comparison.distance)
+        if not 0 < limit < math.inf:
+            return
+        far = apart(a, b, self.study.engine.matter)
+        worst = int(np.argmax(rms(far, self.scored)))
+        over = np.flatnonzero(np.sqrt(np.mean(far[worst] ** 2, axis=1)) > limit)
+        if not len(over):
+            return
+        result.separated, result.separation = float(self.study.schedule.times[over[0]]), limit
+        schedules, engines = (
+            (self.study.schedule, self.other.schedule),
+            (
+                self.study.engine,
+                self.other.engine,
+            ),
+        )
+        with self.time.closing():
+            event = first_difference(engines, schedules, self.starts[worst])
+        result.event = event if event and event.time <= result.separated else None
 
     def far(self, a: Tracks, b: Tracks) -> float:
         """Return the distance of two motions in the worst start [m]; inf if one fails."""
@@ -206,6 +250,8 @@ class _Comparing:
         moved = self.far(a, changed) or result.distance
         # Half of the distance that counts as equal: see `_cheaper`.
         goal = self._equal(moved) / 2 / SHARE if 0 < moved < math.inf else None
+        # Two engines that agree on the model separate by less than their errors.
+        goal = None if result.engine and self.within is None else goal
         try:
             truths: list[Truth] = [study.truth(goal) for study in studies]
         except ValueError as error:
@@ -305,20 +351,6 @@ class _Runs:
 
         dropped = greedy(ranked[::-1], lambda some: left(some) <= within)
         return [one for one in ranked if one not in dropped], left(dropped)
-
-
-class _Counterpart(Stepcore):
-    """The engine of B, which makes A's motion; matter: the bodies of B, in A's order."""
-
-    def __init__(self, model: Model, schedule: Schedule, matter: Matter) -> None:
-        super().__init__(model)
-        self.schedule, self.matter = schedule, matter
-
-    def scheduled(
-        self, motion: Motion, period: float, starts: int | None = None, horizon: float = HORIZON
-    ) -> Schedule:
-        """Return A's schedule."""
-        return self.schedule
 
 
 def _common_bodies(a: Matter, b: Matter, names: tuple[Names, Names]) -> tuple[Matter, Matter]:

@@ -10,11 +10,13 @@ from typing import Any, ClassVar
 from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
 from stepcore.measure.comparison.differences import Difference, together
+from stepcore.measure.comparison.events import Event
 from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import beginning, compact, counted, metres
+from stepcore.report.units import beginning, compact, counted, length, metres, seconds
+from stepcore.report.verdict import Verdict
 
 LEGEND = (
     "alone: RMS distance by which this difference alone moves A's motion in the worst start [m]; "
@@ -90,6 +92,12 @@ class Comparison(Result):
     errors: the integration errors of A and of B as shipped [m]; NaN if unknown.
     unexplained: the distance between A with all differences and B, as shipped [m].
     failures: why A and B fail as shipped; "" if they do not. starts: the number of starts.
+    engine: the engine of B with its version; "" for stepcore.
+    same: whether the motions as shipped differ by rounding alone.
+    separated: when the motions as shipped are more than `separation` [m] apart in the worst start
+        [s]; inf if never.
+    event: the first contact, joint limit or saturation that begins at different times there, up to
+        then; None without one, and under a control function.
 
     >>> from stepcore import compare, lesson
     >>> result = compare(lesson.drop(), lesson.drop())
@@ -116,11 +124,17 @@ class Comparison(Result):
     unexplained: float = math.nan
     failures: tuple[str, str] = ("", "")
     starts: int = 0
+    engine: str = ""
+    same: bool = False
+    separated: float = math.inf
+    separation: float = math.nan
+    event: Event | None = None
 
     @property
     def title(self) -> str:
         """The models that are compared."""
-        return f"{self.name} (A) and {self.other} (B): differences that change the motion"
+        where = f", in {self.engine}" if self.engine else ""
+        return f"{self.name} (A) and {self.other} (B{where}): differences that change the motion"
 
     @property
     def parts(self) -> list[Attribution]:
@@ -131,6 +145,21 @@ class Comparison(Result):
     def rows(self) -> list[DifferenceEffect]:
         """The effects of all differences."""
         return [row for part in self.parts for row in part.rows]
+
+    def verdict(self, limit: float | str) -> Verdict:
+        """Return whether the motions of the two models, as shipped, have at most a distance.
+
+        limit: metres, or a text such as "1mm". The test fails if one of the runs fails, and is
+        undecided if nothing could be run.
+        """
+        limit = length("verdict", "limit", limit, math.nan)
+        test = f"distance of the motions at most {metres(limit)}"
+        if any(self.failures):
+            return Verdict(test, False, "; ".join(filter(None, self.failures)))
+        if math.isnan(self.distance):
+            reason = "; ".join(self.unmapped) or self.unfinished or "nothing was run"
+            return Verdict(test, None, reason)
+        return Verdict(test, self.distance <= limit, f"{metres(self.distance)} as shipped")
 
     @property
     def needed(self) -> list[Difference]:
@@ -173,6 +202,9 @@ class Comparison(Result):
             "uncertainty": self.uncertainty,
             "errors": list(self.errors),
             "unexplained": self.unexplained,
+            "engine": self.engine or "stepcore",
+            "separated": self.separated,
+            "event": str(self.event) if self.event else None,
             "needed": [one.path for one in self.needed],
             "mjcf": self.mjcf,
             "unmapped": self.unmapped,
@@ -224,6 +256,8 @@ class Comparison(Result):
         """Return the first sentence."""
         if self.unmapped:
             return f"B cannot make A's motion, so nothing was run: {_few(self.unmapped)}."
+        if self.engine and not self.differences:
+            return f"A in stepcore and B in {self.engine}: {self._compared_engines()}"
         if not self.differences:
             beyond = " beyond rounding" if self.rounding else ""
             tried = " that could be tried" if self.others else ""
@@ -245,20 +279,40 @@ class Comparison(Result):
         matter = "matters" if len(self.needed) == 1 else "matter"
         return f"{len(self.needed)} of {count} {matter}: {_few(_grouped(self.needed))}{rest}."
 
+    def _compared_engines(self) -> str:
+        """Return whether shorter steps make two engines agree on one model."""
+        if any(self.failures):
+            return "a run fails as shipped."
+        if self.same:
+            return f"as shipped they make the same motion, to {metres(self.distance)}."
+        if math.isnan(self.converged):
+            return "no converged motion decides whether they integrate the same model."
+        if self.converged <= self.uncertainty:
+            return "with shorter steps they agree, so the difference is integration error."
+        return "shorter steps do not make them agree."
+
     def _distances(self) -> list[str]:
         """Describe the distances of A and B, and the effects of all that does not matter."""
         said = list[str]()
-        if not math.isnan(self.converged) and self.models is not None:
+        if not math.isnan(self.converged) and (self.models is not None or self.engine):
             far = f"{_far(self.converged)} apart (± {metres(self.uncertainty)})"
             said.append(f"The converged motions of A and B are {far}{_rest(self.models)}.")
-        if math.isfinite(self.distance) and (self.differences or self.others):
+        if math.isfinite(self.distance) and (self.differences or self.others or self.engine):
             worst = f"in the worst of {counted(self.starts, 'start')}"
             text = f"As shipped they are {_far(self.distance)} apart {worst}"
             if not any(map(math.isnan, self.errors)):
                 text += f"; their integration errors are {' and '.join(map(_far, self.errors))}"
             last = self.parts[-1] if self.parts and not self.parts[-1].converged else None
+            if self.same and self.engine:
+                return said
             said.append(f"{text}{_rest(last)}.")
-            if self.unexplained > max([0.0, *(part.within for part in self.parts)]):
+            if math.isfinite(self.separated):
+                where = f"At {seconds(self.separated)} they are more than {metres(self.separation)}"
+                first = f"; before, {self.event}" if self.event else ""
+                said.append(f"{where} apart in the worst start{first}.")
+            if self.differences and self.unexplained > max(
+                [0.0, *(part.within for part in self.parts)]
+            ):
                 far = _far(self.unexplained)
                 said.append(f"Unexplained: with all differences A is {far} from B as shipped.")
         return said

@@ -30,6 +30,7 @@ from stepcore.measure.diagnosis.naming import Figures
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, hertz, round_number, seconds, times
+from stepcore.report.verdict import Verdict
 
 DT, HELD = "largest stable dt [s]", "held pose [s]"
 # The number of elements that are printed.
@@ -111,6 +112,14 @@ class Diagnosis(Result):
         if self.observed is not None and not self.observed.holds:
             return True
         return self.own.dt < self.wanted
+
+    def verdict(self) -> Verdict:
+        """Return whether the wanted step is stable; undecided if the time was over before."""
+        test = f"a stable step of {seconds(self.wanted)} under {self.own.integrator}"
+        if self.fails:
+            return Verdict(test, False, self._answer().rstrip("."))
+        known = self.own.known or self.wanted <= self.own.holds
+        return Verdict(test, True if known else None, self._answer().rstrip("."))
 
     @property
     def names_cause(self) -> bool:
