@@ -39,7 +39,7 @@ Numbers = float | Vector
 
 def given(row: Row) -> str:
     """The type of what is given for a field; for a reference a name, or the element."""
-    return row.type.given or " | ".join(("str", *row.type.refers, "None"))
+    return row.type.annotation or " | ".join(("str", *row.type.refers, "None"))
 
 
 def text() -> str:

@@ -139,8 +139,8 @@ class Deadline:
         if self.outer is not None:
             self.outer.announce()
         elif self._news and listener is not None:
-            (first, again), now = pace, clock()
-            if now >= max(self.begun + first, self._told + again):
+            (first, interval), now = pace, clock()
+            if now >= max(self.begun + first, self._told + interval):
                 self._said, self._news, self._told = self._news, "", now
                 listener(f"so far: {self._said}")
 
@@ -166,9 +166,9 @@ class Deadline:
         try:
             yield
         except OutOfTime:
-            said = words if isinstance(words, str) else words()
-            if said not in self.left_out:
-                self.left_out.append(said)
+            text = words if isinstance(words, str) else words()
+            if text not in self.left_out:
+                self.left_out.append(text)
         finally:
             self._end = before
 
@@ -188,8 +188,8 @@ class Deadline:
     def longer(self) -> int:
         """A longer time to propose [s]."""
         # Work that cannot end between two checks may have exceeded its time.
-        given = self.seconds if self.spent < 2 * self.seconds < math.inf else self.spent
-        return 2 * math.ceil(max(1.0, given))
+        base = self.seconds if self.spent < 2 * self.seconds < math.inf else self.spent
+        return 2 * math.ceil(max(1.0, base))
 
     @property
     def sentence(self) -> str:
@@ -211,8 +211,8 @@ class Deadline:
     def nothing(self, error: OutOfTime) -> OutOfTime:
         """Return the error of a measurement without any answer."""
         done = ", ".join(getattr(error, "__notes__", ()))
-        what = f" ({done})" if done else ""
-        nothing = OutOfTime(f"{self._ended}, too early for any answer{what}; {self._goes_on}")
+        detail = f" ({done})" if done else ""
+        nothing = OutOfTime(f"{self._ended}, too early for any answer{detail}; {self._goes_on}")
         nothing.interrupted = self.interrupted
         return nothing
 

@@ -138,7 +138,7 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     if asked is not None and asked not in COMMANDS:
         from stepcore.checks import nearest
 
-        top.error(f"no command '{asked}'{nearest(asked, COMMANDS, listed=len(COMMANDS))}")
+        top.error(f"no command '{asked}'{nearest(asked, COMMANDS, limit=len(COMMANDS))}")
     args, unknown = top.parse_known_args(argv)
     if unknown:
         args.parser.refuse(unknown)

@@ -59,8 +59,8 @@ def call(args: argparse.Namespace, name: str) -> int:
     """Run a command; return the exit status."""
     if name == "info":
         facts = _facts()
-        said = "\n".join(f"{name:<16}{fact}" for name, fact in facts.items())
-        put(json.dumps(facts, indent=2) if args.json else said)
+        summary = "\n".join(f"{name:<16}{fact}" for name, fact in facts.items())
+        put(json.dumps(facts, indent=2) if args.json else summary)
         return 0
     from stepcore import lesson
 

@@ -61,7 +61,7 @@ def check_output(args: argparse.Namespace) -> None:
             raise Usage(f"{option} {out}: is a folder, not a file")
         if not path.parent.is_dir():
             raise Usage(f"{option} {out}: no such folder")
-        if any(given and _same(out, given) for given in inputs):
+        if any(source and _same(out, source) for source in inputs):
             raise Usage(f"{option} {out}: is read by this command, so it is not written over")
         with contextlib.suppress(OSError):
             status = os.stat(out)
@@ -71,16 +71,16 @@ def check_output(args: argparse.Namespace) -> None:
         if any(_same(out, other) for name, other in outputs if name != option):
             raise Usage(f"{option} {out}: another output of the command is the same file")
         if not is_replaceable(out) and not args.force:
-            what = "exists and is no earlier output of stepcore"
-            raise Usage(f"{option} {out}: {what}; --force replaces it")
+            reason = "exists and is no earlier output of stepcore"
+            raise Usage(f"{option} {out}: {reason}; --force replaces it")
     _check_matplotlib(getattr(args, "plot", None), getattr(args, "html", None))
 
 
-def _same(one: str, other: str) -> bool:
+def _same(path: str, other: str) -> bool:
     try:
-        return os.path.samefile(one, other)
+        return os.path.samefile(path, other)
     except OSError:
-        return os.path.realpath(one) == os.path.realpath(other)
+        return os.path.realpath(path) == os.path.realpath(other)
 
 
 def deliver(result: Result, args: argparse.Namespace) -> None:
@@ -118,6 +118,6 @@ def _check_matplotlib(plot: str | None, html: str | None) -> None:
     except ImportError:
         option = "--html" if plot is None else "--plot"
         raise Usage(f"{option} needs matplotlib: {installing('plot')}") from None
-    known = Figure().canvas.get_supported_filetypes()
-    if plot is not None and Path(plot).suffix.lstrip(".").lower() not in known:
-        raise Usage(f"--plot {plot}: the extension must be one of {', '.join(sorted(known))}")
+    formats = Figure().canvas.get_supported_filetypes()
+    if plot is not None and Path(plot).suffix.lstrip(".").lower() not in formats:
+        raise Usage(f"--plot {plot}: the extension must be one of {', '.join(sorted(formats))}")

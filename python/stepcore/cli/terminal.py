@@ -94,7 +94,7 @@ def refusal(error: BaseException, file: str) -> str:
 
     if not isinstance(error, MJCFError):
         return reason(error)
-    lines, kinds = str(error).split("\n"), dict.fromkeys(one.kind for one in error.errors)
+    lines, kinds = str(error).split("\n"), dict.fromkeys(cause.kind for cause in error.errors)
     if all(kinds) and len(lines) > 1:
         # The last line has the same advice for Python.
         lines.pop()

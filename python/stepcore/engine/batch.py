@@ -319,8 +319,8 @@ class Batch(World):
 
         The times differ from `time` after a `reset` with `worlds`.
         """
-        own = self._reset_to + self._steps_since_reset() * self.settings.dt
-        return np.where(np.isnan(own), self.time, own)
+        times = self._reset_to + self._steps_since_reset() * self.settings.dt
+        return np.where(np.isnan(times), self.time, times)
 
     def _steps_since_reset(self) -> Floats:
         """Return the steps of each world since its individual reset; NaN without one."""
@@ -431,9 +431,9 @@ class Batch(World):
         except TypeError:
             worlds = [state]  # type: ignore[list-item]
         parts = [snapshot(state, world) for world in worlds]
-        own = self._core.restore([own for own, _ in parts], [last for _, last in parts])
+        resets = self._core.restore([state for state, _ in parts], [last for _, last in parts])
         self._reset_at[:] = np.nan
-        for world, (start, steps) in own.items():
+        for world, (start, steps) in resets.items():
             self._reset_at[world] = self.time - steps * self.settings.dt
             self._reset_to[world] = start
 

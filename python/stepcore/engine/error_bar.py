@@ -219,8 +219,8 @@ def driven(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
         return
     finer.meet()
     # Both calls read the finer run: the first run's readouts may differ at the same state.
-    first, again = (np.array(controls(fresh(control), finer.sim)) for _ in range(2))
-    if not np.array_equal(first, again):
+    first, second = (np.array(controls(fresh(control), finer.sim)) for _ in range(2))
+    if not np.array_equal(first, second):
         raise ControlError.not_repeatable(control, "a finer run asked for the error bar")
     controller = fresh(control)
 

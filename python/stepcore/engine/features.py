@@ -310,7 +310,7 @@ class RemovableFeatures:
         ]
 
 
-def _positions(compiled: Iterable[Any], listed: Iterable[Any]) -> list[int]:
+def _positions(compiled: Iterable[Any], elements: Iterable[Any]) -> list[int]:
     """Map compiled elements, in model order, to their indices in the scene's list."""
-    index = {id(element): i for i, element in enumerate(listed)}
+    index = {id(element): i for i, element in enumerate(elements)}
     return [index[id(element)] for element in compiled]

@@ -53,9 +53,9 @@ class Followed:
     times: times of the samples [s], (n + 1,); the first is 0, the start.
     data: recorded arrays by name, (starts, n + 1, …); NaN after a run has ended.
     failures: the errors of runs that ended early, by the index of the start.
-    made: the number of steps of each start, (starts,).
-    inner: evaluations of the forces of adaptive steps, with the setting `accuracy`; else as `made`;
-        (starts,).
+    steps_made: the number of steps of each start, (starts,).
+    inner: evaluations of the forces of adaptive steps, with the setting `accuracy`; else as
+        `steps_made`; (starts,).
     counted: the operations, or a function that counts them.
     seconds: processor time of the call [s].
     """
@@ -63,7 +63,7 @@ class Followed:
     times: Floats
     data: dict[str, Floats]
     failures: dict[int, SimulationError]
-    made: np.ndarray
+    steps_made: np.ndarray
     inner: np.ndarray
     counted: Floats | Callable[[], Floats]
     seconds: float
@@ -146,7 +146,7 @@ def follow(
         for start in range(len(starts)):
             run.alone(start)
     times = np.arange(0, run.steps + 1, run.every, dtype=np.float64) * model.settings.dt
-    steps_done = run.made, run.inner, run.operations
+    steps_done = run.steps_made, run.inner, run.operations
     return Followed(times, run.data, run.failures, *steps_done, clock() - begun)
 
 
@@ -188,8 +188,8 @@ class _Run:
             raise ValueError("control: must be None where ctrl is given")
         self.names = recordable(record, OF_WORLDS)
         self.ctrl = None if ctrl is None else self.table(ctrl)
-        self.made = np.full(len(starts), self.steps)
-        self.inner = self.made.copy()
+        self.steps_made = np.full(len(starts), self.steps)
+        self.inner = self.steps_made.copy()
         self.data: dict[str, Floats] = {}
         self.failures: dict[int, SimulationError] = {}
         # Positions of the bodies at the start of each run.
@@ -229,7 +229,7 @@ class _Run:
 
     def end(self, start: int, error: SimulationError) -> None:
         if start not in self.failures:
-            self.failures[start], self.made[start] = error, error.step
+            self.failures[start], self.steps_made[start] = error, error.step
             self.inner[start] = error.step
             for values in self.data.values():
                 values[start, error.step // self.every + 1 :] = np.nan
@@ -339,7 +339,7 @@ class _Run:
     def operations(self) -> Floats:
         """Estimate the operations of each start from a few of its steps."""
         operations = np.full(len(self.starts), np.nan)
-        for start, completed in enumerate(self.made.tolist() if self.control is None else ()):
+        for start, completed in enumerate(self.steps_made.tolist() if self.control is None else ()):
             checkpoint()
             sim, counts, before = unwatched(Sim(self.model)), list[int](), 0
             self.starts[start].put(sim)

@@ -141,7 +141,7 @@ class Linearizations(Sequence[Linearization]):
         if isinstance(index, slice):
             return [self[k] for k in range(*index.indices(len(self)))]
         world = range(len(self))[index]
-        ids = tuple(element for own, _, element in self._degenerate if own == world)
+        ids = tuple(element for other, _, element in self._degenerate if other == world)
         return Linearization(
             self.A[world],
             self.B[world],

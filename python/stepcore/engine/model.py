@@ -229,7 +229,7 @@ class Model(checks.KnownNames):
         Raises ValueError for an unknown kind.
         """
         if checks.word("kind", kind) not in self._called:
-            nearest = checks.nearest(kind, self._called, listed=len(self._called))
+            nearest = checks.nearest(kind, self._called, limit=len(self._called))
             raise ValueError(f"kind: no elements are called {checks.quoted(kind)}{nearest}")
         return self._called[kind]
 

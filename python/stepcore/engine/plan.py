@@ -210,12 +210,12 @@ STAGES = ("files", "place", "detect", "solve", "commit")
 def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
     """Create the plan of a model; see `stepcore.plan`."""
     cost = StepCost(model, sim, time)
-    listed = [cost.priced(*each) for each in entries(model, cost.settings, cost.rows())]
+    priced = [cost.priced(*each) for each in entries(model, cost.settings, cost.rows())]
     source = model.scene._source
     return Plan(
         name=model.scene.name or "scene",
         settings=cost.settings,
-        entries=sorted(listed, key=lambda entry: STAGES.index(entry.stage)),
+        entries=sorted(priced, key=lambda entry: STAGES.index(entry.stage)),
         flops=cost.flops,
         stages=cost.stages,
         micros=cost.micros,
@@ -264,7 +264,7 @@ def entries(model: Model, settings: Settings, rows: Counter[str]) -> Iterator[Li
     parts = (listing.files, listing.engine, listing.sites, listing.unmet, listing.surfaces)
     for part in parts:
         # Work without elements in the scene is neither used nor left out.
-        yield from (listed for listed in part() if listed[0].count)
+        yield from (entry for entry in part() if entry[0].count)
 
 
 class _Listing:
@@ -291,10 +291,10 @@ class _Listing:
 
     def engine(self) -> Iterator[Listed]:
         """Yield the entries of the engine's plan, with names."""
-        listed = self.model.core.entries(self.settings)
+        records = self.model.core.entries(self.settings)
         # Contacts with friction, by the number of their rows.
-        ways = sum(_has_friction(entry[2]) for entry in listed)
-        for stage, kind, name, owner, elements, count, used, why, rows in listed:
+        ways = sum(_has_friction(entry[2]) for entry in records)
+        for stage, kind, name, owner, elements, count, used, why, rows in records:
             names = tuple(self._names(owner, elements))
             number = self.row_count[rows] if rows is not None else None
             stages = _first(OWN_STAGES, name) or () if used else ()

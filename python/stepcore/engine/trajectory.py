@@ -219,8 +219,8 @@ class Trajectory:
         if str(arrays.get("kind")) != KIND:
             raise ValueError(f"{shown}: is not a trajectory; `Trajectory.save` writes them")
         if str(arrays.get("version")) != str(VERSION):
-            what = f"version {checks.cut(str(arrays.get('version')), 80)} of a trajectory"
-            raise ValueError(f"{shown}: {what}; this stepcore reads version {VERSION}")
+            other = f"version {checks.cut(str(arrays.get('version')), 80)} of a trajectory"
+            raise ValueError(f"{shown}: {other}; this stepcore reads version {VERSION}")
         try:
             return cls._of(arrays)
         except (ValueError, TypeError, KeyError, OverflowError):
@@ -408,8 +408,8 @@ def record_run(
         values = {name: np.asarray(getattr(sim, name)) for name in ("time", *names)}
         arrays = {n: np.empty((steps + 1, *v.shape), dtype=v.dtype) for n, v in values.items()}
     except MemoryError:
-        what = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
-        raise ValueError(f"{what}; run shorter pieces, or record less") from None
+        request = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
+        raise ValueError(f"{request}; run shorter pieces, or record less") from None
     for name, value in values.items():
         arrays[name][0] = value
     residuals, stride, snapshots = Residuals(sim), max(1, steps // LOOKS), Taking(sim, steps)
@@ -582,13 +582,13 @@ def sample_request(
     }
 
 
-def recordable(record: Sequence[str], known: Sequence[str] = RECORDED) -> tuple[str, ...]:
+def recordable(record: Sequence[str], allowed: Sequence[str] = RECORDED) -> tuple[str, ...]:
     """Return the names as a tuple, after checking that each can be recorded."""
     names = [record] if isinstance(record, str) else checks.listed(record)
     if names is None or not all(isinstance(name, str) for name in names):
         raise ValueError(f'record = {checks.shown(record)}: must be names, such as ("qpos",)')
     for name in names:
-        if name not in known:
-            near = checks.nearest(name, known)
+        if name not in allowed:
+            near = checks.nearest(name, allowed)
             raise ValueError(f"record: {checks.quoted(name)} cannot be recorded{near}")
     return tuple(names)

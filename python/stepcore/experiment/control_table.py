@@ -155,9 +155,9 @@ class Controls:
             return None, count
         log = self.picked(starts).log
         assert log is not None
-        held = log.held(dt)
-        rows = log.rows if held else log.steps(0.0, dt, count)
-        return rows[None] if rows.ndim == 2 else rows, max(1, held)
+        repeats = log.held(dt)
+        rows = log.rows if repeats else log.steps(0.0, dt, count)
+        return rows[None] if rows.ndim == 2 else rows, max(1, repeats)
 
     def picked(self, starts: Sequence[int]) -> Controls:
         """Return the controls of some starts, which may be repeated."""
@@ -177,10 +177,10 @@ class Controls:
 class ControlTable(Log):
     """A log that is played as controls; see `Motion`."""
 
-    asked, can_follow = "ctrl", True
+    expected, can_follow = "ctrl", True
 
     def __init__(self, source: Any, name: str = "") -> None:
-        super().__init__(source, name or self.asked)
+        super().__init__(source, name or self.expected)
 
     def __repr__(self) -> str:
         return self.source
@@ -234,7 +234,7 @@ class ControlTable(Log):
     def log(
         self,
         model: Any,
-        held: np.ndarray,
+        key_ctrl: np.ndarray,
         period: float,
         linear: bool = False,
         sampled: bool = False,
@@ -242,15 +242,15 @@ class ControlTable(Log):
         """Return the controls over time.
 
         model: a Model, or an object that names actuators and their joints in the same way.
-        held: the controls of actuators without a column, (nu,). period: of rows without times [s].
-        linear: whether to interpolate the rows. sampled: whether rows that are held take effect at
+        key_ctrl: the controls of actuators without a column, (nu,). period: of rows without times
+        [s]. linear: whether to interpolate the rows. sampled: whether held rows take effect at
         the beginning of a period.
 
         Raises ValueError for a log that does not match the model's actuators.
         """
         if self.times is None and linear and self.changes:
             raise ValueError(f"{self.source}: has no times to interpolate between")
-        rows = self.controls(model, held)
+        rows = self.controls(model, key_ctrl)
         if self.times is None:
             return ControlLog(period * np.arange(len(rows)), rows)
         if sampled and not linear:
@@ -286,7 +286,7 @@ class PositionTable(ControlTable):
     replaced by servos, with the gains of the default motion "hold".
     """
 
-    asked, follows = "qpos", True
+    expected, follows = "qpos", True
 
     def period(self, dt: float) -> float | None:
         return None if self.times is not None else dt

@@ -130,10 +130,10 @@ class _Pilot:
         self.model, self.default, self.cost = model, default, cost
         self.longest = min(LONGEST, STEPS * dt)
         period = motion.period(dt) or dt * max(1, round(APART / dt))
-        whole = replace(motion, horizon=max(self.longest, period), starts=1)
+        extended = replace(motion, horizon=max(self.longest, period), starts=1)
         self.count = max(1, round(APART / period))
         self.every = self.count * period
-        self.schedule = replace(scheduled(whole, model, period), every=self.count)
+        self.schedule = replace(scheduled(extended, model, period), every=self.count)
         self.matter, self.size = Matter.of(model), scene_size(model.scene)
         self.driven, gravity = motion.control is not None, np.asarray(model.scene.gravity)
         self.up = gravity / max(np.linalg.norm(gravity), 1e-300)
@@ -146,8 +146,8 @@ class _Pilot:
         places, paid, failed = self._places(first)
         if not failed and self._ends(places):
             return Horizon(self.default)
-        whole, look = self.schedule.periods // self.count, max(1, round(LOOK / self.every))
-        most = min(whole, look * math.ceil(paid / self.every / look))
+        total, look = self.schedule.periods // self.count, max(1, round(LOOK / self.every))
+        most = min(total, look * math.ceil(paid / self.every / look))
         if not failed and first < most:
             places, paid, failed = self._places(most)
             # Later steps may cost more than the first ones.
@@ -165,7 +165,7 @@ class _Pilot:
             return Horizon(max(self.default, length))
         if length <= self.default + self.every / 2:
             return Horizon(self.default)
-        further = "; --horizon goes on further" if most < whole else ", the longest run"
+        further = "; --horizon goes on further" if most < total else ", the longest run"
         return Horizon(length, f"still moving at {seconds(length)}{further}")
 
     def _places(self, samples: int) -> tuple[np.ndarray, float, bool]:
@@ -223,7 +223,7 @@ class _Pilot:
     def _repeats(self, places: np.ndarray) -> bool:
         """Return whether every moving body is, for a whole period, where it was before."""
         way = np.linalg.norm(np.diff(places, axis=0), axis=2)
-        moves = [k for k, own in enumerate(way.T) if not self._still(own, len(places))]
+        moves = [k for k, moved in enumerate(way.T) if not self._still(moved, len(places))]
         back = places[::-1, moves]
         lags = np.arange(max(1, round(LOOK / self.every)), (len(places) - 1) // 2 + 1)
         if not (len(lags) and moves):
@@ -236,8 +236,8 @@ class _Pilot:
             last = (last - back[lags // 2] + back[lags + lags // 2]) / 2
         some = np.flatnonzero((np.linalg.norm(last, axis=2) <= ways).all(axis=1))
         return any(
-            self._alike(back[:lag] - back[lag : 2 * lag], lag, own)
-            for lag, own in zip(lags[some].tolist(), ways[some], strict=True)
+            self._alike(back[:lag] - back[lag : 2 * lag], lag, limit)
+            for lag, limit in zip(lags[some].tolist(), ways[some], strict=True)
         )
 
     def _alike(self, moved: np.ndarray, lag: int, ways: np.ndarray) -> bool:

@@ -175,14 +175,14 @@ def _of_file(path: str, name: str) -> Content:
 # --- columns --------------------------------------------------------------------------------------
 
 
-def _of_columns(name: str, given: Mapping[Any, Any]) -> Content:
+def _of_columns(name: str, columns: Mapping[Any, Any]) -> Content:
     """Return columns of the same length; a single number applies to all rows.
 
     Arrays "position", "velocity" and "effort" next to a list of names have a column for each name.
     """
     content = Content({})
-    names = next((list(map(str, given[key])) for key in NAMES if key in given), None)
-    for title, values in given.items():
+    names = next((list(map(str, columns[key])) for key in NAMES if key in columns), None)
+    for title, values in columns.items():
         array = _numbers(name, str(title), values, content)
         if str(title) in NAMES:
             continue
@@ -208,8 +208,8 @@ def _numbers(name: str, title: str, values: Any, content: Content) -> np.ndarray
     array = values if isinstance(values, np.ndarray) else _array(name, title, values)
     if array.dtype.kind in "Mm":
         content.units[title] = "s"
-        whole = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64)
-        return np.where(np.isnat(array), np.nan, 1e-9 * whole)
+        ticks = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64)
+        return np.where(np.isnat(array), np.nan, 1e-9 * ticks)
     if array.dtype.kind in "OUS" and array.ndim == 1:
         return np.array([*_cells(title, enumerate(array.tolist()), content)])
     if array.dtype.kind in "OUScV":
@@ -295,8 +295,8 @@ def _of_text(name: str, text: str) -> Content:
     lines = [(k, line.strip(" ")) for k, line in lines if line.strip()]
     body = [(k, line) for k, line in lines if not line.startswith(COMMENTS)]
     # Decimal commas are in fewer lines than the separator of cells: not in the names.
-    found = {mark: sum(mark in line for _, line in body) for mark in "\t;,"}
-    separator = max(found, key=lambda mark: found[mark]) if any(found.values()) else " "
+    counts = {mark: sum(mark in line for _, line in body) for mark in "\t;,"}
+    separator = max(counts, key=lambda mark: counts[mark]) if any(counts.values()) else " "
     rows = [(k, _split(line, separator)) for k, line in body]
     first = next((n for n, (_, cells) in enumerate(rows) if _is_data(cells)), len(rows))
     above, data = [cells for _, cells in rows[:first]], rows[first:]
@@ -335,8 +335,8 @@ def _of_rows(
     else:
         # The index that pandas writes has no name.
         content.columns.pop("", None)
-    told = zip(titles, units, strict=False)
-    content.units |= {title: unit for title, unit in told if plain(unit)}
+    pairs = zip(titles, units, strict=False)
+    content.units |= {title: unit for title, unit in pairs if plain(unit)}
     return content
 
 
@@ -350,8 +350,8 @@ def _split(line: str, separator: str) -> list[str]:
 def _is_data(cells: Sequence[str]) -> bool:
     """Return whether half of the cells or more are numbers, dates or empty, and not all empty."""
     there = [cell for cell in cells if cell.lower() not in MISSING]
-    known = sum(_is_number(cell) or _moment(cell) is not None for cell in there)
-    return known > 0 and 2 * (known + len(cells) - len(there)) >= len(cells)
+    count = sum(_is_number(cell) or _moment(cell) is not None for cell in there)
+    return count > 0 and 2 * (count + len(cells) - len(there)) >= len(cells)
 
 
 def _is_number(cell: str) -> bool:
@@ -380,7 +380,7 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
     lists of numbers alone. taken: the list to read, if one was chosen.
     """
     reader = need("mcap.reader", f"reading {checks.cut(path, 80)}", "mcap")
-    found: dict[str, list[tuple[int, dict[str, Any]]]] = {}
+    topics: dict[str, list[tuple[int, dict[str, Any]]]] = {}
     unread, begin, decoders = set(), 0, dict[int, Any]()
     try:
         with files.opened(path, "a log", sys.maxsize) as (file, _):
@@ -396,27 +396,27 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
                 if decode is None:
                     unread.add(f"{channel.topic} ({channel.message_encoding})")
                 elif row := _message(decode(message.data), taken):
-                    found.setdefault(channel.topic, []).append((message.log_time, row))
+                    topics.setdefault(channel.topic, []).append((message.log_time, row))
     except (OSError, ImportError):
         raise
     except Exception as error:  # mcap raises its errors, and errors of struct and json
         raise ValueError(f"{path}: {checks.one_line(error)}") from None
-    chosen = OWN if OWN in found else min(found, default="")
-    if len(found) > 1 and chosen != OWN:
+    chosen = OWN if OWN in topics else min(topics, default="")
+    if len(topics) > 1 and chosen != OWN:
         raise ValueError(
-            f"{path}: has numbers in {', '.join(sorted(found))}: choose one, as in log.mcap:/TOPIC"
+            f"{path}: has numbers in {', '.join(sorted(topics))}: choose one, as in log.mcap:/TOPIC"
         )
-    if not found:
+    if not topics:
         other = f"; not read: {', '.join(sorted(unread))}" if unread else ""
         raise ValueError(
             f"{path}: has no messages with numbers by name, or lists of numbers{other}"
         )
-    rows = [row for _, row in found[chosen]]
+    rows = [row for _, row in topics[chosen]]
     if any(row.keys() != rows[0].keys() for row in rows):
         raise ValueError(f"{path}: not all messages of {chosen} have the numbers of the first")
     content = _of_columns(path, {key: [row[key] for row in rows] for key in rows[0]})
     # Times count from the file's first message, so that topics can be compared.
-    content.columns["time"] = 1e-9 * np.array([at - begin for at, _ in found[chosen]], float)
+    content.columns["time"] = 1e-9 * np.array([at - begin for at, _ in topics[chosen]], float)
     content.units["time"] = "s"
     if chosen == OWN:
         content.columns |= {key: acting(key, content.columns[key]) for key in rows[0]}

@@ -151,10 +151,10 @@ class Moves:
         largest = float(np.abs(np.linalg.eigvals(inverse[np.ix_(dofs, dofs)] * inertia)).max())
         omega = min(OMEGA, SAMPLED / (2 * largest * LONGEST * model.settings.dt))
         load = resting(sim, dofs, self.kept)
-        for motor, own, force in zip(motors, inertia.tolist(), load.tolist(), strict=True):
+        for motor, effective, force in zip(motors, inertia.tolist(), load.tolist(), strict=True):
             # Several motors on a joint share its force.
             k, share = motor.index, 1 / dofs.count(motor.dof)
-            kp, kv = (gain * own * share / motor.gear**2 for gain in (omega**2, 2 * omega))
+            kp, kv = (gain * effective * share / motor.gear**2 for gain in (omega**2, 2 * omega))
             target = motor.gear * self.home.qpos[motor.qposadr]
             self.ctrl[k], self.lag[k] = target + force * share / motor.gear / kp, kv / kp
             yield Servo(model.actuator_names[k] or k, kp, kv, motor.forces)
@@ -260,10 +260,10 @@ class Moves:
         every = max(1, round(SAMPLE / dt))
         steps = every * max(1, round(horizon / (every * dt)))
         log = self.log(spans, rates, steps * dt, min(HELD, dt))
-        rows, held = Controls(log).rows(range(len(starts)), dt, steps)
+        rows, repeats = Controls(log).rows(range(len(starts)), dt, steps)
         record = ("qpos", "qvel", "act", "actuator_force")
         try:
-            ran = follow(self.driven, starts, steps, every, ctrl=rows, hold=held, record=record)
+            ran = follow(self.driven, starts, steps, every, ctrl=rows, hold=repeats, record=record)
         except (SimulationError, ValueError) as error:
             nothing = Seen(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
             return [replace(nothing, failure=one_line(error)) for _ in starts]
@@ -273,9 +273,9 @@ class Moves:
 
     def _seen(self, sim: Sim, ran: Followed, k: int, start: Start) -> Seen:
         """Measure a run: forces and speeds at its samples, contacts at some of them."""
-        model, made = self.model, np.isfinite(ran["qvel"][k]).all(axis=-1)
-        qpos, qvel, act, force = (ran[name][k][made] for name in ran.data)
-        times, bounds = ran.times[made], np.array([drive.bound for drive in self.drives])
+        model, finite = self.model, np.isfinite(ran["qvel"][k]).all(axis=-1)
+        qpos, qvel, act, force = (ran[name][k][finite] for name in ran.data)
+        times, bounds = ran.times[finite], np.array([drive.bound for drive in self.drives])
         bounds = np.where(np.isfinite(bounds) & (bounds > 0), bounds, np.inf)
         late = times > SHOCK if times[-1] > SHOCK else times > 0
         shares = np.abs(force[late]) / bounds
@@ -345,8 +345,8 @@ class Moves:
         def tried(some: Sequence[int]) -> dict[int, Seen]:
             """Return the trials of some starts, with their part of the move."""
             spans, rates = np.clip(part * ways, low, high)[some], (part * speeds)[some]
-            made = self.trials([starts[k] for k in some], spans, rates)
-            return dict(zip(some, made, strict=True))
+            runs = self.trials([starts[k] for k in some], spans, rates)
+            return dict(zip(some, runs, strict=True))
 
         for factor in FACTORS:
             if not todo:

@@ -38,7 +38,7 @@ from stepcore.engine.trajectory import OF_WORLDS, recordable
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import Controls, PositionTable
-from stepcore.experiment.default_motion import Asked, by_rule
+from stepcore.experiment.default_motion import MotionRequest, by_rule
 from stepcore.experiment.elements import Elements, Source, contact_force
 from stepcore.experiment.engines import Engine, Stepcore, Way, spread
 from stepcore.experiment.motion import Motion
@@ -46,9 +46,9 @@ from stepcore.experiment.schedule import (
     FINEST,
     HORIZON,
     Schedule,
-    given_controls,
     laid_out,
     near,
+    user_controls,
 )
 from stepcore.experiment.sizes import scene_size
 from stepcore.loading import find_asset, find_model, find_scene
@@ -796,11 +796,11 @@ def _scheduled(
 
     def drive(begin: Sequence[Start], periods: int) -> Controls:
         if motion.ctrl is not None:
-            return given_controls(motion, drives, held, period)
+            return user_controls(motion, drives, held, period)
         free = scene.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_CLAMPCTRL)
         clamped = scene.actuator_ctrllimited & (not free)
         ranges = np.where(clamped[:, None], scene.actuator_ctrlrange, (-np.inf, np.inf))
-        asked = Asked(first, held, begin, motion.seed, period, periods, True)
+        asked = MotionRequest(first, held, begin, motion.seed, period, periods, True)
         return by_rule(kind, "actuators", drives.called("actuator"), ranges, asked)
 
     dt = float(scene.opt.timestep)

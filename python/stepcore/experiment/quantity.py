@@ -75,7 +75,7 @@ class Quantity:
         match = re.fullmatch(r"(\w+)\((.+)\)", name)
         reduction, series = match.groups() if match else ("", name)
         if reduction and reduction not in REDUCTIONS:
-            near = checks.nearest(reduction, REDUCTIONS, listed=len(REDUCTIONS))
+            near = checks.nearest(reduction, REDUCTIONS, limit=len(REDUCTIONS))
             raise ValueError(f"quantity: no reduction is called {checks.quoted(reduction)}{near}")
         if reduction and series == MOTION:
             raise ValueError(f"quantity: {name}: the motion has no {reduction}; name an element")

@@ -25,7 +25,7 @@ from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import LONGEST, ControlLog, Controls, PositionTable
-from stepcore.experiment.default_motion import Asked, default_motion, followed
+from stepcore.experiment.default_motion import MotionRequest, default_motion, followed
 from stepcore.experiment.motion import Motion
 from stepcore.report import units
 from stepcore.report.units import seconds
@@ -179,14 +179,14 @@ def scheduled(
 
     Raises ValueError if the horizon is shorter than a period, or the run has too many steps.
     """
-    first, held = home(model, motion.key)
+    first, key_ctrl = home(model, motion.key)
     if motion.from_log and motion.table is not None:
         first = motion.table.start(model, first)
 
     def drive(begin: Sequence[Start], periods: int) -> Controls:
-        whole = motion.control_dt is not None
-        asked = Asked(first, held, begin, motion.seed, period, periods, whole)
-        return driving(motion, model, asked)
+        constant = motion.control_dt is not None
+        request = MotionRequest(first, key_ctrl, begin, motion.seed, period, periods, constant)
+        return driving(motion, model, request)
 
     slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
     moving = ~locked(model, first)
@@ -222,22 +222,22 @@ def laid_out(
     return Schedule(period, periods, every, begin, drive(begin, periods))
 
 
-def driving(motion: Motion, model: Model, asked: Asked) -> Controls:
+def driving(motion: Motion, model: Model, request: MotionRequest) -> Controls:
     """Return the controls of a motion: those that a user gave, or the controls of its kind."""
     if isinstance(motion.ctrl, PositionTable):
-        return followed(motion.ctrl, model, asked)
+        return followed(motion.ctrl, model, request)
     if motion.is_users:
-        return given_controls(motion, model, asked.held, asked.period)
-    return default_motion(model, motion.kind, asked)
+        return user_controls(motion, model, request.key_ctrl, request.period)
+    return default_motion(model, motion.kind, request)
 
 
-def given_controls(motion: Motion, model: Any, held: np.ndarray, period: float) -> Controls:
+def user_controls(motion: Motion, model: Any, key_ctrl: np.ndarray, period: float) -> Controls:
     """Return the function or the rows that a user gave; see `driving` and `ControlTable.log`."""
     if motion.table is None:
         return Controls(function=motion.control)
     # With a control period, held rows take effect at the beginning of each period.
     linear, sampled = motion.interpolation == "linear", motion.control_dt is not None
-    log = motion.table.log(model, held, period, linear, sampled)
+    log = motion.table.log(model, key_ctrl, period, linear, sampled)
     remarks = motion.table.clamped(model, log.rows) if isinstance(model, Model) else ()
     return Controls(log, remarks=remarks)
 
@@ -281,8 +281,8 @@ def default_horizon(period: float, horizon: float = 1.0) -> float:
     """Return the time nearest to `horizon` that is a whole number of sampling intervals [s]."""
     about = max(1, round(horizon / period))
     near = range(max(1, about - about // 20), about + about // 20 + 1)
-    whole = [n for n in near if n % _every(n) == 0]
-    return period * min(whole, key=lambda n: abs(n - about), default=about)
+    divisible = [n for n in near if n % _every(n) == 0]
+    return period * min(divisible, key=lambda n: abs(n - about), default=about)
 
 
 def _common(dts: Sequence[float], horizon: float) -> float:
@@ -328,8 +328,8 @@ def _every(periods: int) -> int:
 
     If possible, the samples fill the horizon.
     """
-    whole = [n for n in range(1, periods + 1) if periods % n == 0]
-    best = min(whole, key=lambda n: abs(math.log(periods / n / SAMPLES)))
+    divisors = [n for n in range(1, periods + 1) if periods % n == 0]
+    best = min(divisors, key=lambda n: abs(math.log(periods / n / SAMPLES)))
     near = max(1, round(periods / SAMPLES))
     return best if periods <= SAMPLES or 20 <= periods / best <= 3 * SAMPLES else near
 

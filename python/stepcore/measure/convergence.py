@@ -203,12 +203,12 @@ class Convergence(Result):
     @property
     def sentences(self) -> list[str]:
         """The verdict with both parts of the error, and what to increase."""
-        said = until_in_words(self.reference.growth.ends, self.horizon)
-        said += [self._diverging() if self.ending is None else self._verdict(self.ending)]
+        sentences = until_in_words(self.reference.growth.ends, self.horizon)
+        sentences += [self._diverging() if self.ending is None else self._verdict(self.ending)]
         if self.has_rows:
-            said.append(self._what_to_increase())
-        said += [finding.text for finding in self.findings]
-        return [sentence for sentence in said if sentence]
+            sentences.append(self._what_to_increase())
+        sentences += [finding.text for finding in self.findings]
+        return [sentence for sentence in sentences if sentence]
 
     def _verdict(self, ending: Ending) -> str:
         solver, starts = ending.solver, len(self.shipped.starts)
@@ -294,8 +294,8 @@ class Convergence(Result):
 
 def _error_at(work: float, trials: Sequence[Trial], least: float) -> float:
     """Return the error of trials at a work, interpolated on log axes; `least`: uncertainty."""
-    known = sorted((t.work, max(t.error, least)) for t in trials)
-    x, y = np.log(np.array(known).T)
+    points = sorted((t.work, max(t.error, least)) for t in trials)
+    x, y = np.log(np.array(points).T)
     return float(np.exp(np.interp(math.log(work), x, y)))
 
 
@@ -427,6 +427,6 @@ def _ending(study: Study, shipped: Trial, solved: Trial, truth: Truth) -> Ending
         moved = a.com[start, end, body] - a.com[start, first, body]
         speed = float(np.linalg.norm(moved) / max(times[end] - times[first], 1e-300))
     index = study.engine.matter.moving[body]
-    known = study.engine.known
-    name = study.model.element_name("body", index) if known else f"body {index}"
+    has_model = study.engine.known
+    name = study.model.element_name("body", index) if has_model else f"body {index}"
     return Ending(start, name, float(gap.max()), speed, float(over.max()))

@@ -128,13 +128,13 @@ def sweep(
         # In this process, batches run one after the other, and each uses all threads.
         workers = Workers(1, workers.executor, workers.progress)
 
-    def took(places: range, found: Sequence[list[Point]]) -> None:
+    def took(places: range, batches: Sequence[list[Point]]) -> None:
         """Keep the results of some shares of the points."""
-        for share, own in zip(shares[places.start : places.stop], found, strict=True):
-            for index, result in zip(share, own, strict=True):
+        for share, measured in zip(shares[places.start : places.stop], batches, strict=True):
+            for index, result in zip(share, measured, strict=True):
                 results[index] = result
             if kept is not None:
-                kept.keep([points[index] for index in share], own)
+                kept.keep([points[index] for index in share], measured)
 
     try:
         workers.each(job, [[points[k] for k in share] for share in shares], "sweep", took=took)
@@ -148,8 +148,8 @@ def _table(
     axes: Mapping[str, Any], points: Sequence[Point], results: Sequence[Point | None]
 ) -> Table:
     done = [(p, r) for p, r in zip(points, results, strict=True) if r is not None]
-    own = [name for _, result in done for name in result if name != "failure"]
-    columns = list(dict.fromkeys([*axes, *own]))
+    names = [name for _, result in done for name in result if name != "failure"]
+    columns = list(dict.fromkeys([*axes, *names]))
     if any("failure" in result for _, result in done):
         columns.append("failure")
     return Table((point | result for point, result in done), columns)
@@ -163,8 +163,8 @@ def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
             if name not in WHOLE:
                 find(model.scene, name)
         elif name not in fields:
-            said = f"settings have no {checks.quoted(name)}{checks.nearest(name, fields)}"
-            raise ValueError(f"grid[{checks.shown(name)}]: {said}")
+            reason = f"settings have no {checks.quoted(name)}{checks.nearest(name, fields)}"
+            raise ValueError(f"grid[{checks.shown(name)}]: {reason}")
 
 
 def _settings_and_values(point: Point) -> tuple[Point, Point]:
@@ -185,11 +185,11 @@ def at_point(source: Any, measure: Measure, point: Point) -> Point:
     try:
         if isinstance(source, Model):
             settings, values = _settings_and_values(point)
-            made = unwatched(Sim(source.with_values(values) if values else source, **settings))
+            world = unwatched(Sim(source.with_values(values) if values else source, **settings))
         else:
-            made = source(**point)
-            made = unwatched(Sim(made)) if isinstance(made, (Model, Scene)) else made
-        return _record(measure(made))
+            world = source(**point)
+            world = unwatched(Sim(world)) if isinstance(world, (Model, Scene)) else world
+        return _record(measure(world))
     except (ValueError, SimulationError) as error:
         return _failure(error)
 
@@ -272,18 +272,18 @@ class _Folder:
     def __init__(self, path: Any, source: Model | Callable[..., Any], measure: Any) -> None:
         folder = Path(files.path("folder", path))
         folder.mkdir(parents=True, exist_ok=True)
-        own = {"stepcore": version("stepcore"), "model": _named(source)}
-        own["measure"] = _named(measure)
+        identity = {"stepcore": version("stepcore"), "model": _named(source)}
+        identity["measure"] = _named(measure)
         kept, self.points = folder / "sweep.json", folder / "points.jsonl"
         if not kept.exists():
-            kept.write_text(json.dumps(own, indent=1) + "\n", encoding="utf-8")
+            kept.write_text(json.dumps(identity, indent=1) + "\n", encoding="utf-8")
         data = files.read(kept, "a sweep")
         try:
-            known = json.loads(data)
+            stored = json.loads(data)
         except (ValueError, RecursionError) as error:
             raise ValueError(f"{kept}: is damaged: {checks.one_line(error)}") from None
-        for name, value in own.items():
-            theirs = known.get(name) if isinstance(known, dict) else None
+        for name, value in identity.items():
+            theirs = stored.get(name) if isinstance(stored, dict) else None
             if theirs != value:
                 text = f"folder = {checks.shown(str(folder))}: holds a sweep of another {name}"
                 raise ValueError(f"{text} ({theirs}, not {value}): choose another folder")

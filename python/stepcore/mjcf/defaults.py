@@ -325,10 +325,10 @@ def inherited(chain: Chain, node: Node) -> ActuatorGains:
     handed = next((g for g in reversed(chain) if g.tag in (tag, "general")), ActuatorGains())
     if handed.tag == "general" and (from_law := LAWS[tag].from_law):
         handed = replace(handed, tag=tag, values=from_law(handed.law))
-    made = _SHORTCUTS[tag](handed, node)
+    actuator_gains = _SHORTCUTS[tag](handed, node)
     position = tag in ("position", "intvelocity")
     scale = _inheritrange(handed, node) if position else last.inheritrange
-    return replace(made, inheritrange=scale, damping=drag)
+    return replace(actuator_gains, inheritrange=scale, damping=drag)
 
 
 def _own(node: Node, *names: str) -> Values:

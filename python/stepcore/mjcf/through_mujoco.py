@@ -196,10 +196,10 @@ class Expansion:
             if node.values.get("name", root.attrs.get("model", "")) in bare:
                 _name_classes(root, f"{len(self.files)}.", self._classes)
             self._classes |= _classes(root)
-            own = Compiler(sections(root, "compiler"), os.path.abspath(path.parent), root.file)
-            size = _size(root, self._models(root, own, [*chain, str(path)]))
+            rules = Compiler(sections(root, "compiler"), os.path.abspath(path.parent), root.file)
+            size = _size(root, self._models(root, rules, [*chain, str(path)]))
             file = Path(self._folder, f"{len(self._made)}.xml")
-            file.write_text(_text(_lines(root, own)), encoding="utf-8")
+            file.write_text(_text(_lines(root, rules)), encoding="utf-8")
             rest = [node for tag in SECTIONS for node in inside(root, tag)]
             named = tuple(node.attrs["name"] for node in rest if node.attrs.get("name"))
             self._made[here] = Attached(root.attrs.get("model", ""), size, str(file), named)
@@ -342,8 +342,8 @@ def _left_out(root: Node, models: Mapping[str, Attached], expanded: Node) -> lis
             if not any(place.startswith(full) for place in names[max(at, 0) : at + 2]):
                 gone.append(name)
         if gone:
-            listed = cut(", ".join(gone), 200)
-            notes.append(f"{node.file}:{node.line}: <attach> leaves out {listed}")
+            shortened = cut(", ".join(gone), 200)
+            notes.append(f"{node.file}:{node.line}: <attach> leaves out {shortened}")
     return notes
 
 

@@ -133,12 +133,12 @@ def values_of(node: Node, spec: Spec) -> dict[str, object]:
     return result
 
 
-def seen_values(node: Node, known: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def seen_values(node: Node, values: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Return the attributes that views show of an element that only draws.
 
-    known: the attribute texts, completed from the default class. Raises MJCFError for a bad value.
+    values: the attribute texts, completed from the default class. Raises MJCFError for a bad value.
     """
-    spec, texts = SEEN[node.tag], node.values if known is None else known
+    spec, texts = SEEN[node.tag], node.values if values is None else values
     seen = {name: texts[name] for name in spec.attrs if name in texts}
     return values_of(Node(node.tag, seen, node.file, node.line), spec)
 
@@ -328,7 +328,7 @@ class Exclusions:
         for part in root.children:
             kept: list[Node] = []
             for node in part.children:
-                kinds = (gone.get(of, {}).get(name, "") for _, of, name in references(node))
+                kinds = (gone.get(target, {}).get(name, "") for _, target, name in references(node))
                 kind = "" if part.tag == "default" else next(filter(None, kinds), "")
                 removed |= bool(kind)
                 (self.nodes[kind] if kind else kept).append(node)
@@ -344,9 +344,9 @@ class Exclusions:
                 continue
             names = [f'<{n.tag}> "{n.attrs["name"]}"' for n in nodes if n.attrs.get("name")]
             more = f" and {len(nodes) - 5} more" if len(nodes) > 5 else ""
-            listed = f" ({', '.join(names[:5])}{more})" if names else ""
+            examples = f" ({', '.join(names[:5])}{more})" if names else ""
             where, does = f"{nodes[0].file}:{nodes[0].line}", effect(kind)
-            text = f"{where}: without {kind}: {len(nodes)} left out{listed}"
+            text = f"{where}: without {kind}: {len(nodes)} left out{examples}"
             notes.append(cut(text + (f": {does}" if does else ""), 400))
         return notes
 

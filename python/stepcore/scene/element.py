@@ -28,14 +28,14 @@ class FieldType:
     """The type of a field.
 
     check: converts an assigned value to the stored value, or raises.
-    given: the type of assigned values, for type checkers; "" for a reference.
+    annotation: the type of assigned values, for type checkers; "" for a reference.
     attribute: the notation of MJCF's attribute (`stepcore.mjcf.schema`); None if MJCF has none.
     read, write: convert the value of an MJCF attribute to the value of the field, and back.
     refers: the classes of elements that the field refers to.
     """
 
     check: checks.Check
-    given: str
+    annotation: str
     attribute: str | None = None
     read: Callable[[Any], Any] | None = None
     write: Callable[[Any], Any] | None = None

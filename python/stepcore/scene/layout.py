@@ -159,8 +159,8 @@ def called(scene: Scene, element: object) -> str:
         layout = Layout(scene)
         if getattr(element, "name", "") or kind not in LISTS or kind in ("mesh", "hfield"):
             return str(element)
-        listed = layout.elements(kind)
-        index = next((k for k, other in enumerate(listed) if other is element), len(listed))
+        elements = layout.elements(kind)
+        index = next((k for k, other in enumerate(elements) if other is element), len(elements))
         body = getattr(element, "body", None)
         whose = f" of {layout.body_called(body)}" if isinstance(body, Body) else ""
         return f"{kind} {index}{whose}"
@@ -171,6 +171,6 @@ def called(scene: Scene, element: object) -> str:
 
 def named(scene: Scene, error: checks.ElementError) -> checks.ElementError:
     """Return the error with the element named as the engine names it."""
-    again = checks.ElementError(called(scene, error.owner), error.text)
-    again.owner = error.owner
-    return again
+    renamed = checks.ElementError(called(scene, error.owner), error.text)
+    renamed.owner = error.owner
+    return renamed

@@ -216,11 +216,11 @@ def _check_size(shape: Geom | Site, count: int) -> None:
 
 def _check_geom(layout: Layout, geom: Geom) -> None:
     """Raise unless a geom's mesh and height field are in the scene and fit the geom's type."""
-    listed: tuple[tuple[str, Any, bool, bool], ...] = (
+    assets: tuple[tuple[str, Any, bool, bool], ...] = (
         ("mesh", geom.mesh, geom.type == "mesh", geom.type in ("plane", "hfield")),
         ("hfield", geom.hfield, geom.type == "hfield", geom.type != "hfield"),
     )
-    for field, asset, needed, barred in listed:
+    for field, asset, needed, barred in assets:
         if needed and asset is None:
             raise checks.ElementError(geom, f"a geom of type {geom.type} needs a {field}")
         if asset is None:

@@ -610,10 +610,10 @@ class Scene(checks.KnownNames):
                     if isinstance(element, Element):
                         belongs(element, self)
 
-    def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
-        given, own = (self._resolved(kind, part) for part in (fields, own))
+    def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **fixed: Any) -> E:
+        resolved, fixed = (self._resolved(kind, part) for part in (fields, fixed))
         with self._naming():
-            element = _make(kind, given, **own)
+            element = _make(kind, resolved, **fixed)
         return self._append(into, element)
 
     def _append(self, into: list[E], element: E) -> E:
@@ -760,12 +760,12 @@ def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
         raise checks.ElementError(geom, str(error)) from None
 
 
-def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
+def _make(kind: type[E], fields: Mapping[str, Any], **fixed: Any) -> E:
     rows = table(kind)
     for field in fields:
         if field not in rows:
             near = checks.nearest(field, rows)
             raise ValueError(f"a {kind.__name__.lower()} has no field {checks.quoted(field)}{near}")
-    if own.keys() & fields.keys():
-        return kind(**own, **fields)  # Raises a TypeError that names the repeated field.
-    return made(kind, {**own, **fields})
+    if fixed.keys() & fields.keys():
+        return kind(**fixed, **fields)  # Raises a TypeError that names the repeated field.
+    return made(kind, {**fixed, **fields})

@@ -331,8 +331,8 @@ class Robot:
                 raise joint.error("a floating joint needs the root link as its parent")
             body = self._body(self.links[name], joint, equality)
             if name == base:
-                own = name if name not in self.joints else f"{name}_free"
-                body.children.insert(0, _element("freejoint", self.links[name], name=own))
+                joint_name = name if name not in self.joints else f"{name}_free"
+                body.children.insert(0, _element("freejoint", self.links[name], name=joint_name))
             if name == root == "world":
                 # A root link named "world" is the world, which has no mass.
                 parent.children += [child for child in body.children if child.tag == "geom"]
@@ -516,9 +516,9 @@ def _written(numbers: Iterable[float]) -> str:
     return " ".join(map(repr, numbers))
 
 
-def _element(tag: str, of: Node, **attrs: str) -> Node:
-    """Return an MJCF element with the file and line of the URDF element `of`."""
-    return Node(tag, attrs, of.file, of.line)
+def _element(tag: str, source: Node, **attrs: str) -> Node:
+    """Return an MJCF element with the file and line of the URDF element `source`."""
+    return Node(tag, attrs, source.file, source.line)
 
 
 def _turn(node: Node) -> Vec:

@@ -46,17 +46,17 @@ class View:
     @property
     def outer_url(self) -> str:
         """The address for other machines, if `host` lets them in; otherwise ""."""
-        own = self._host
-        if own in EVERYWHERE:
-            own = socket.gethostname()
+        host = self._host
+        if host in EVERYWHERE:
+            host = socket.gethostname()
             with (
                 contextlib.suppress(OSError),
-                socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked,
+                socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe,
             ):
                 # Nothing is sent: the system only returns the address from which it would send.
-                asked.connect(("192.0.2.1", 9))
-                own = str(asked.getsockname()[0])
-        return "" if is_loopback(own) else self._url(own)
+                probe.connect(("192.0.2.1", 9))
+                host = str(probe.getsockname()[0])
+        return "" if is_loopback(host) else self._url(host)
 
     def _url(self, host: str) -> str:
         name = f"[{host}]" if ":" in host else host
@@ -146,8 +146,8 @@ def view(
         seen = several(runs, labels)
         return opened(view_runs(seen, host, port), wait)
     if not hasattr(runs, "view"):
-        what = "a Sim, a Scene, a Trajectory or a list of trajectories"
-        raise ValueError(f"runs = {checks.shown(runs)}: must be {what}")
+        kinds = "a Sim, a Scene, a Trajectory or a list of trajectories"
+        raise ValueError(f"runs = {checks.shown(runs)}: must be {kinds}")
     shown: View = runs.view(host=host, port=port, wait=wait)
     return shown
 

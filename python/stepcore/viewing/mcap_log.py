@@ -206,13 +206,13 @@ def _shapes(drawing: Drawing, body: int) -> dict[str, list[Json]]:
     lists: dict[str, list[Json]] = {}
     for shape in drawing.shapes:
         if shape.body == body and shape.shown:
-            kind, own = _primitive(shape, drawing.reach)
+            kind, primitive = _primitive(shape, drawing.reach)
             pose = {
                 "position": _named("xyz", shape.pos),
                 "orientation": _named("wxyz", shape.quat),
             }
             color = _named("rgba", shape.rgba)
-            lists.setdefault(kind, []).append({"pose": pose, "color": color, **own})
+            lists.setdefault(kind, []).append({"pose": pose, "color": color, **primitive})
     return lists
 
 

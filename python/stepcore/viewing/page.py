@@ -62,7 +62,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
         "SCRIPT": _own("page.js"),
     }
     # In one pass, so that the inserted texts are not searched.
-    return re.sub(r"\$([A-Z]+)\$", lambda found: parts[found[1]], _own("page.html"))
+    return re.sub(r"\$([A-Z]+)\$", lambda match: parts[match[1]], _own("page.html"))
 
 
 def save_page(runs: Sequence[Replayed], path: str | os.PathLike[str]) -> None:

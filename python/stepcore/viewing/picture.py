@@ -52,17 +52,17 @@ def picture(
     if path is not None:
         image = need("PIL.Image", "writing a picture", "video")
         _check_ending("picture", path, image.registered_extensions(), ".png, .jpg or alike")
-    own = type(sim)(sim.model)
-    own.restore(sim.state())
-    instant, drawing = instant_of(own), drawing_of(own.model, own)
+    copy = type(sim)(sim.model)
+    copy.restore(sim.state())
+    instant, drawing = instant_of(copy), drawing_of(copy.model, copy)
     camera = camera_of(drawing, instant, turn, lift, far)
-    made = Renderer(drawing, width, height)
+    renderer = Renderer(drawing, width, height)
     try:
         newtons = drawing.weight or instant.strongest
         marks = ropes(drawing, instant) + (loads(drawing, instant, newtons) if forces else [])
-        drawn: NDArray[np.uint8] = made.draw(instant, camera, marks)
+        drawn: NDArray[np.uint8] = renderer.draw(instant, camera, marks)
     finally:
-        made.close()
+        renderer.close()
     if path is not None:
         image.fromarray(drawn).save(path)
     return drawn
@@ -84,7 +84,7 @@ def save_video(
         if checks.whole(2, LARGEST)("save_video", field, value) % 2:
             raise checks.refuse("save_video", field, value, "an even number")
     drawing, time = run.drawing, run.time
-    made = Renderer(drawing, *size)
+    renderer = Renderer(drawing, *size)
     camera = following(drawing, run.instants[0])
     newtons = drawing.weight or run.strongest
     count = max(1, round((time[-1] - time[0]) / speed * fps) + 1)
@@ -95,16 +95,16 @@ def save_video(
             now = time[0] + k * speed / fps
             instant = run.instants[int(np.argmin(np.abs(time - now)))]
             marks = ropes(drawing, instant) + loads(drawing, instant, newtons)
-            drawn = made.draw(instant, camera(instant), marks)
+            drawn = renderer.draw(instant, camera(instant), marks)
             writer.send(np.ascontiguousarray(drawn))
     finally:
         writer.close()
-        made.close()
+        renderer.close()
 
 
 def _check_ending(
-    owner: str, path: str | os.PathLike[str], known: Collection[str], such: str
+    owner: str, path: str | os.PathLike[str], endings: Collection[str], such: str
 ) -> None:
     """Refuse a file that cannot be written, before seconds of drawing."""
-    if os.path.splitext(files.path("path", path))[1].lower() not in known:
+    if os.path.splitext(files.path("path", path))[1].lower() not in endings:
         raise checks.refuse(owner, "path", path, f"a name that ends in {such}")

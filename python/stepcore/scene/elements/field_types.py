@@ -64,10 +64,10 @@ def element(*kinds: str) -> FieldType:
     return FieldType(checks.element(*kinds), "", "", refers=kinds)
 
 
-def optional(held: FieldType) -> FieldType:
+def optional(inner: FieldType) -> FieldType:
     """Return the type that also allows None."""
-    given = held.given and f"{held.given} | None"
-    return replace(held, check=checks.optional(held.check), given=given)
+    annotation = inner.annotation and f"{inner.annotation} | None"
+    return replace(inner, check=checks.optional(inner.check), annotation=annotation)
 
 
 Text = Annotated[str, FieldType(checks.text, "str", "")]

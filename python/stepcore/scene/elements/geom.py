@@ -44,7 +44,7 @@ class Asset(Element):
 
 Vertices = Annotated[NDArray[Any], FieldType(checks.table(3), "ArrayLike")]
 Faces = Annotated[
-    NDArray[Any] | None, of.optional(FieldType(checks.table(3, whole=True), "ArrayLike"))
+    NDArray[Any] | None, of.optional(FieldType(checks.table(3, indices=True), "ArrayLike"))
 ]
 HullVertices = Annotated[int, FieldType(checks.most_vertices, "int", "int")]
 FilePath = Annotated[str, FieldType(checks.text, "str | os.PathLike[str]", "")]
