@@ -17,7 +17,7 @@ from commands import printed
 
 import stepcore as sc
 from stepcore.engine.trajectory import Trajectory
-from stepcore.viewing.frames import distance
+from stepcore.viewing.frames import rms_distance
 
 ROOT = Path(__file__).parents[1]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -59,7 +59,7 @@ def error(page: Path) -> None:
 def captioned(page: str) -> str:
     """The README with the numbers of this photograph in the text of its figure."""
     starts, converged, shipped = worst()
-    apart = distance(shipped._replayed(), converged._replayed())[-1]
+    apart = rms_distance(shipped._replayed(), converged._replayed())[-1]
     page = re.sub(r"second: \d+ mm apart", f"second: {1e3 * apart:.0f} mm apart", page)
     return re.sub(
         r"in the worst of \w+ starts\.", f"in the worst of {starts} starts.", page, count=1

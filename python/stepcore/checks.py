@@ -140,7 +140,7 @@ def number(value: object) -> float | None:
     return result if math.isfinite(result) else None
 
 
-def listed(value: object) -> list[Any] | None:
+def as_list(value: object) -> list[Any] | None:
     """Return the entries of a sequence or an array, or None for other values."""
     if isinstance(value, (str, bytes, dict, set)) or value is None:
         return None
@@ -210,9 +210,9 @@ def word(name: str, value: object) -> str:
     return value
 
 
-def several(name: str, value: object) -> list[Any]:
+def nonempty(name: str, value: object) -> list[Any]:
     """Return `value` as a non-empty list; raise ValueError otherwise, also for a string."""
-    entries = listed(value)
+    entries = as_list(value)
     if not entries:
         raise ValueError(f"{name} = {shown(value)}: must be a list of at least one value")
     return entries
@@ -255,7 +255,7 @@ def _flag(value: object) -> bool | None:
 flag = checked(_flag, "True or False")
 text = checked(lambda value: value if isinstance(value, str) else None, "a string")
 # Finite numbers, any number of them.
-numbers = checked(lambda value: all_numbers(listed(value)), "finite numbers")
+numbers = checked(lambda value: all_numbers(as_list(value)), "finite numbers")
 
 
 def real(low: float = -math.inf, above: float = -math.inf, high: float = math.inf) -> Check:
@@ -310,7 +310,7 @@ def vector(count: int, *, low: float = -math.inf, fill: tuple[float, ...] = ()) 
     limit += f" >= {low:g}" * (low > -math.inf)
 
     def convert(value: object) -> tuple[float, ...] | None:
-        entries = listed(value)
+        entries = as_list(value)
         result = all_numbers([value] if entries is None and fill else entries)
         if result is None or not least <= len(result) <= count or min(result, default=low) < low:
             return None
@@ -346,7 +346,7 @@ def pair(fits: Callable[[float, float], bool], limit: str) -> Check:
     """Return a check for two finite numbers that fit."""
 
     def convert(value: object) -> tuple[float, ...] | None:
-        entries = all_numbers(listed(value)) or ()
+        entries = all_numbers(as_list(value)) or ()
         return entries if len(entries) == 2 and fits(*entries) else None
 
     return checked(convert, limit)
@@ -423,7 +423,7 @@ def element(*kinds: str) -> Check:
 
 
 def _inertia(value: object) -> tuple[float, ...] | None:
-    result = all_numbers(listed(value)) or ()
+    result = all_numbers(as_list(value)) or ()
     fits = len(result) in (3, 6) and min(result[:3]) >= 0
     return result + (0.0,) * (6 - len(result)) if fits else None
 

@@ -27,7 +27,7 @@ LFS = b"version https://git-lfs.github.com/spec/"
 outputs: set[tuple[int, int]] = set()
 
 
-def path(name: str, value: object) -> str:
+def as_path(name: str, value: object) -> str:
     """Return `value` as the path of a file; raise ValueError if it is no path."""
     if isinstance(value, (str, bytes, os.PathLike)):
         try:
@@ -39,12 +39,12 @@ def path(name: str, value: object) -> str:
     raise ValueError(f"{name} = {checks.shown(value)}: must be a path")
 
 
-def read(path: str | os.PathLike[str], expected: str) -> bytes:
-    """Return the bytes of a regular file of at most `LARGEST` bytes; see `opened`.
+def read_file(path: str | os.PathLike[str], expected: str) -> bytes:
+    """Return the bytes of a regular file of at most `LARGEST` bytes; see `open_regular`.
 
     Raises ValueError for a Git LFS pointer, whose file was not fetched.
     """
-    with opened(path, expected) as (file, size):
+    with open_regular(path, expected) as (file, size):
         # At most the reported size: system files that block until an event report 0.
         data = file.read(size)
     if data.startswith(LFS):
@@ -57,7 +57,7 @@ def read(path: str | os.PathLike[str], expected: str) -> bytes:
 
 
 @contextmanager
-def opened(
+def open_regular(
     path: str | os.PathLike[str], expected: str, largest: int | None = None
 ) -> Iterator[tuple[BinaryIO, int]]:
     """Open a regular file, and give its size [bytes].
@@ -92,9 +92,9 @@ def arrays(path: str | os.PathLike[str], expected: str) -> dict[str, NDArray[Any
 
     Raises ValueError for a file that is neither or is damaged, for arrays of Python objects and for
     arrays that are together larger than `LARGEST`, which a small file can claim to hold; also the
-    errors of `read`.
+    errors of `read_file`.
     """
-    data = read(path, expected)
+    data = read_file(path, expected)
     try:
         if not zipfile.is_zipfile(io.BytesIO(data)):
             return {"": _array(data)}

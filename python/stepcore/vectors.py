@@ -17,7 +17,7 @@ VARIABLE = "STEPCORE_VECTORS"
 BASELINE = "baseline"
 
 
-def choose(path: list[str]) -> None:
+def select_module(path: list[str]) -> None:
     """Change `path`, so that `import stepcore._core` loads the widest module.
 
     path: the package's `__path__`.

@@ -13,7 +13,7 @@ import photograph
 
 import stepcore as sc
 from stepcore import gymnasium, jax, torch
-from stepcore.viewing.frames import distance
+from stepcore.viewing.frames import rms_distance
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -62,7 +62,7 @@ def test_the_figure_of_the_home_page_and_its_text_are_of_one_run():
     """The text has the starts and the last distance of the motions that the figure shows."""
     starts, converged, shipped = photograph.worst()
     page = photograph.captioned((ROOT / "README.md").read_text(encoding="utf-8"))
-    apart = distance(shipped._replayed(), converged._replayed())[-1]
+    apart = rms_distance(shipped._replayed(), converged._replayed())[-1]
     assert page.count(f"after one second: {1e3 * apart:.0f} mm apart") == 1
     assert page.count(f"in the worst of {starts} starts. `python docs_build") == 1
 

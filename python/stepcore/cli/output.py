@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from stepcore import files
-from stepcore.cli.terminal import Usage, put
+from stepcore.cli.terminal import Usage, print_above
 from stepcore.needs import installing
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
@@ -91,7 +91,7 @@ def deliver(result: Result, args: argparse.Namespace) -> None:
         (args.json, lambda: Path(args.json).write_text(result.to_json() + "\n", encoding="utf-8")),
     ]
     failed = attempted([write for write in writes if write[0] not in (None, "-")])
-    put(result.to_json() if args.json == "-" else result.text(full=args.all))
+    print_above(result.to_json() if args.json == "-" else result.text(full=args.all))
     for error in failed:
         raise error
 

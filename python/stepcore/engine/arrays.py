@@ -125,7 +125,7 @@ class State(bytes):
     last: bytes | None = None
 
 
-def kept(state: bytes, last: bytes | None) -> State:
+def snapshot_with(state: bytes, last: bytes | None) -> State:
     """Return a snapshot with the data of the last solve."""
     copy = State(state)
     copy.last = last

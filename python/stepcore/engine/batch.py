@@ -19,9 +19,9 @@ from stepcore.engine.arrays import (
     STATE,
     Floats,
     indices_of,
-    kept,
     numbers,
     snapshot,
+    snapshot_with,
 )
 from stepcore.engine.gradients import Gradients, X
 from stepcore.engine.linearization import Linearizations, LinearWorlds
@@ -417,7 +417,7 @@ class Batch(World):
             int(world): (float(self._reset_to[world]), int(steps[world]))
             for world in np.flatnonzero(~np.isnan(steps))
         }
-        return tuple(map(kept, self._core.state(clocks), self._core.last()))
+        return tuple(map(snapshot_with, self._core.state(clocks), self._core.last()))
 
     def restore(self, state: tuple[bytes, ...]) -> None:
         """Restore a snapshot from `state`; the motion then continues bit-identically.

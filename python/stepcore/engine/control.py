@@ -38,7 +38,7 @@ class ControlError(ValueError):
         )
 
 
-def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) -> Floats:
+def evaluate_control(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) -> Floats:
     """Return the result of a control function at the present state of a Sim, shape (nu,).
 
     Raises ControlError for anything but nu real numbers, for non-finite numbers at the beginning of
@@ -115,7 +115,7 @@ class _OneWorld:
 
 
 def batch_controls(function: Callable[[float, SomeWorld], ArrayLike], worlds: SomeWorld) -> Floats:
-    """Return the result of a function of many worlds, (n, nu); errors as of `controls`."""
+    """Return the result of a function of many worlds, (n, nu); errors as of `evaluate_control`."""
     time, shape = worlds.time, (len(worlds.qpos), worlds.model.nu)
     try:
         table = numbers("ctrl", function(time, worlds))
@@ -153,7 +153,7 @@ def not_finite(sim: World | Model, table: Floats) -> tuple[int, ...]:
     return () if finite.all() else tuple(int(k) for k in np.argwhere(~finite)[0])
 
 
-def fresh(function: Control) -> Control:
+def new_control(function: Control) -> Control:
     """Return the function for one run; a callable object is copied.
 
     The state that the object keeps between calls then belongs to that run. A plain function is

@@ -10,8 +10,8 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import INPUTS, STATE, Floats, refuse_late
-from stepcore.engine.control import ControlError, controls, fresh
-from stepcore.engine.norm import Matter, Tracks, apart, largest, rms
+from stepcore.engine.control import ControlError, evaluate_control, new_control
+from stepcore.engine.norm import Matter, Tracks, distances, largest, rms
 from stepcore.engine.run_settings import converged_settings
 from stepcore.scene.layout import Layout
 
@@ -177,7 +177,7 @@ class FinerRun:
     def _distances(self) -> Floats:
         """Return the distance of each moving body from its pose in the finer run [m]."""
         if self.far is None:
-            self.far = apart(self._poses(self.of), self._poses(self.sim), self.matter)[0, 0]
+            self.far = distances(self._poses(self.of), self._poses(self.sim), self.matter)[0, 0]
         return self.far
 
     def _poses(self, sim: Sim) -> Tracks:
@@ -199,14 +199,14 @@ class FinerRun:
         self._keep()
 
 
-def judged(sim: Any, names: Sequence[str]) -> tuple[str, ...]:
+def recorded_names(sim: Any, names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of quantities to record, including the error if it is measured."""
     errors = () if getattr(sim, "_finer", None) is None else ("error", "body_error")
     return tuple(dict.fromkeys((*names, *errors)))
 
 
 @contextmanager
-def driven(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
+def driven_finer(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
     """Control the finer run of a Sim, if there is one, by another copy of a control function.
 
     The yielded function has to be called at the beginning of each period, before the controls of
@@ -219,15 +219,15 @@ def driven(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
         return
     finer.meet()
     # Both calls read the finer run: the first run's readouts may differ at the same state.
-    first, second = (np.array(controls(fresh(control), finer.sim)) for _ in range(2))
+    first, second = (np.array(evaluate_control(new_control(control), finer.sim)) for _ in range(2))
     if not np.array_equal(first, second):
         raise ControlError.not_repeatable(control, "a finer run asked for the error bar")
-    controller = fresh(control)
+    controller = new_control(control)
 
     def period() -> None:
         finer.ctrl = None
         finer.meet()
-        finer.ctrl = np.array(controls(controller, finer.sim))
+        finer.ctrl = np.array(evaluate_control(controller, finer.sim))
 
     try:
         yield period

@@ -19,8 +19,8 @@ from stepcore.engine.control import (
     Control,
     ControlError,
     batch_controls,
-    fresh,
     is_batched,
+    new_control,
     not_finite,
 )
 from stepcore.engine.model import Model
@@ -273,7 +273,7 @@ class _Run:
         worlds._core.unwatch()
         for world, start in enumerate(self.starts):
             start.put(worlds, world)
-        control, done = fresh(self.control) if self.control else None, 0
+        control, done = new_control(self.control) if self.control else None, 0
         assert control is not None
         self.keep_all(0, worlds)
         while done < self.steps:
@@ -311,7 +311,7 @@ class _Run:
         """Run one start in a Sim."""
         sim = unwatched(Sim(self.model))
         self.starts[start].put(sim)
-        drive: Any = None if self.control is None else fresh(self.control)
+        drive: Any = None if self.control is None else new_control(self.control)
         if self.ctrl is not None:
             drive = self.ctrl[start % len(self.ctrl)]
         try:

@@ -368,7 +368,7 @@ def named_columns(model: Model, parameters: Sequence[str]) -> list[Column]:
 
     Raises ValueError for an unknown path.
     """
-    names = checks.listed(parameters) if not isinstance(parameters, str) else [parameters]
+    names = checks.as_list(parameters) if not isinstance(parameters, str) else [parameters]
     if names is None or not all(isinstance(name, str) for name in names):
         raise ValueError(f"parameters = {checks.shown(parameters)}: must be paths of values")
     by_label: dict[str, Column] = {}

@@ -125,7 +125,7 @@ class Replay:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a file for `stepcore.replay` and ``stepcore replay FILE``."""
-        Path(files.path("path", path)).write_bytes(self.to_json().encode() + b"\n")
+        Path(files.as_path("path", path)).write_bytes(self.to_json().encode() + b"\n")
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Replay:
@@ -136,8 +136,8 @@ class Replay:
         Raises a one-line ValueError for a file that is no replay file, was changed or has another
         version; FileNotFoundError for a missing file; IsADirectoryError for a folder.
         """
-        shown = checks.cut(files.path("path", path), 300)
-        text = files.read(path, "a replay file")
+        shown = checks.cut(files.as_path("path", path), 300)
+        text = files.read_file(path, "a replay file")
         try:
             data = json.loads(text)
         except (ValueError, RecursionError):

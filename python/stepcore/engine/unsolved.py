@@ -51,7 +51,7 @@ class Residuals:
     def sentence(self, settings: Settings) -> str:
         """Return a sentence on unsolved rows and a fix; "" if there are none."""
         residual = self.worst if settings.sweeps == "auto" else self.typical
-        return unsolved(settings, self.row, residual) if residual > self.large else ""
+        return unsolved_sentence(settings, self.row, residual) if residual > self.large else ""
 
 
 class BatchResiduals:
@@ -76,11 +76,11 @@ class BatchResiduals:
         if self.large[world] < IN_A_ROW:
             return ""
         self.warned = True
-        text = unsolved(batch.settings, _worst(batch.rows[world]), float(residual[world]))
+        text = unsolved_sentence(batch.settings, _worst(batch.rows[world]), float(residual[world]))
         return f"world {world}: {text}"
 
 
-def unsolved(settings: Settings, row: str, residual: float) -> str:
+def unsolved_sentence(settings: Settings, row: str, residual: float) -> str:
     """Return a sentence on rows that stay unsolved."""
     # Imported here because only the warning needs the units.
     from stepcore.report.units import speed

@@ -421,7 +421,7 @@ def _groups(groups: Sequence[int] | None) -> list[bool] | None:
     """Return, for each group of geoms, whether it can be hit; None for all."""
     if groups is None:
         return None
-    seen = checks.listed(groups) or [None]
+    seen = checks.as_list(groups) or [None]
     if any(isinstance(group, bool) or group not in range(6) for group in seen):
         raise checks.refuse("ray", "groups", groups, "integers from 0 to 5")
     return [group in seen for group in range(6)]

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.element import listed
+from stepcore.engine.element import name_list
 from stepcore.engine.features import Removal, without
 from stepcore.engine.model import Model
-from stepcore.mjcf.option import said, shortest
+from stepcore.mjcf.option import as_option, shortest
 from stepcore.report.settings import label
 from stepcore.report.units import metres, seconds, time
 from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS
@@ -175,7 +175,7 @@ class Change:
 
         Comments list the parts that MJCF cannot express.
         """
-        attributes, flags, rest = said(dict(self.settings))
+        attributes, flags, rest = as_option(dict(self.settings))
         lines = []
         if attributes or flags:
             inner = f"<flag {_attributes(flags)}/>" if flags else ""
@@ -251,10 +251,10 @@ def powered(model: Model) -> Model:
         return model
     called, why = model.called("joint"), list[str]()
     if bounded:
-        named = listed(called[k] for k in bounded)
+        named = name_list(called[k] for k in bounded)
         why.append(f"the joints whose effort is bounded: {named}")
     if ranged:
-        named = listed(called[k] for k in ranged)
+        named = name_list(called[k] for k in ranged)
         none = "no effort of theirs" if bounded else "no effort"
         why.append(f"joints with a range, without bounds, because the file bounds {none}: {named}")
     powered_model = with_motors(model, sorted(bounded + ranged))

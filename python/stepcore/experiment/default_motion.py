@@ -31,12 +31,12 @@ from typing import NamedTuple
 import numpy as np
 
 from stepcore.engine.actuator import MOTOR, OTHER, SERVO, VELOCITY_SERVO, actuators
-from stepcore.engine.element import listed
+from stepcore.engine.element import name_list
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.control_table import ControlLog, Controls, PositionTable
-from stepcore.experiment.moves import HELD, MOVE, REST, Chosen, Moves, moves_about, profile, resting
+from stepcore.experiment.moves import HELD, MOVE, REST, Chosen, Moves, moves_about, profile, support
 from stepcore.report.units import counted, metres, percent, radians, seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
@@ -94,7 +94,7 @@ def default_motion(model: Model, kind: str | None, request: MotionRequest) -> Co
     words = "; ".join(_said(moves, chosen, horizon))
     others = [_name(model, "actuator", drive.index) for drive in moves.of(OTHER)]
     remark = "actuators that are no servos, and no motors of a joint, keep their controls: "
-    remarks = (remark + listed(others),) if others else ()
+    remarks = (remark + name_list(others),) if others else ()
     return Controls(log, None, words, remarks, moves.servos)
 
 
@@ -245,7 +245,7 @@ def _sines_in_words(drives: str, names: Sequence[str], free: np.ndarray, ctrl: n
 # --- recorded positions ---------------------------------------------------------------------------
 
 
-def followed(table: PositionTable, model: Model, request: MotionRequest) -> Controls:
+def following_controls(table: PositionTable, model: Model, request: MotionRequest) -> Controls:
     """Return the controls that follow the positions; between rows they are interpolated.
 
     Servos that replace motors are made for the first pose.
@@ -274,7 +274,7 @@ def followed(table: PositionTable, model: Model, request: MotionRequest) -> Cont
             continue
         # The load in addition to the first pose's, which servos carry.
         sim.forward()
-        load = resting(sim, dofs, np.zeros((0, model.nv)))
+        load = support(sim, dofs, np.zeros((0, model.nv)))
         first = load if first is None else first
         for motor, more in zip(motors, load - first, strict=True):
             k, at = motor.index, motor.qposadr

@@ -14,12 +14,12 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.actuator import MOTOR, actuators
 from stepcore.engine.axes import axes_of
-from stepcore.engine.element import listed
+from stepcore.engine.element import name_list
 from stepcore.engine.model import Model
 from stepcore.engine.start import Start
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.change import with_motors
-from stepcore.experiment.log_files import TIMES, UNITS, content_of, parts_of, plain
+from stepcore.experiment.log_files import TIMES, UNITS, content_of, parts_of, plain_unit
 from stepcore.report.units import counted, seconds
 
 # The quantities that a log can have: their names in sentences, and their names in columns.
@@ -246,7 +246,7 @@ class Log:
 
     def _seconds(self, title: str, unit: str, values: np.ndarray) -> np.ndarray:
         """Return times in seconds; a missing unit is inferred."""
-        scale = TIMES.get(plain(unit))
+        scale = TIMES.get(plain_unit(unit))
         if scale is not None:
             return values * scale
         if unit:
@@ -334,7 +334,7 @@ class Log:
             without = [
                 name for name in placed.names.get("qpos", ()) if name not in placed.names["effort"]
             ]
-            placed.notes += [f"no torque of {listed(without)}"] if without else []
+            placed.notes += [f"no torque of {name_list(without)}"] if without else []
         if isinstance(model, Model):
             self._check_degrees(model, placed)
             self._unwrap(model, placed)
@@ -429,7 +429,7 @@ class Log:
         array, k, title_unit = place
         self._check_text(title)
         unit = self._content.units.get(title, title_unit)
-        scale, name = UNITS.get(plain(unit)), names.called(array, k)
+        scale, name = UNITS.get(plain_unit(unit)), names.called(array, k)
         where = f"{self.source}, column {title}"
         if scale is None:
             limit = "must be rad, deg, m, mm, N·m or N, or these per second"
@@ -500,7 +500,7 @@ class Log:
     def _check_degrees(self, model: Model, placed: Placed) -> None:
         """Refuse positions that are far beyond the range, or in another unit than velocities."""
         for joint, title, values in self._hinges(model, placed):
-            v, units = int(model.jnt_dofadr[joint]), {plain(unit) for _, unit in spellings(title)}
+            v, units = int(model.jnt_dofadr[joint]), {plain_unit(u) for _, u in spellings(title)}
             if (units - {""}) & UNITS.keys() or self._content.units.get(title):
                 continue
             most = float(np.nanmax(np.abs(values), initial=0.0))
@@ -553,7 +553,7 @@ class Log:
         drives = [] if follows else actuators(model)
         others = [d for d in drives if d.dof in placed.of("effort") and d.kind != MOTOR]
         if others and self.taken != "effort":
-            names = listed(model.called("actuator")[drive.index] for drive in others)
+            names = name_list(model.called("actuator")[drive.index] for drive in others)
             path = self.path or "log.csv"
             follow = f"; to follow the positions, --follow {path} (follow=)" * self.can_follow
             raise ValueError(
@@ -577,7 +577,7 @@ class Log:
             called += [model.called("actuator")[drive.index] for drive in others]
             quantity = "positions" if follows else "torques"
             driven_model.scene.notes.append(
-                f"motors were made for the {quantity} of {self.source}: {listed(called)}"
+                f"motors were made for the {quantity} of {self.source}: {name_list(called)}"
             )
         return driven_model
 
@@ -635,7 +635,7 @@ def spellings(title: str) -> Iterator[tuple[str, str]]:
         yield text, ""
         match = UNIT.fullmatch(text)
         unit = next(filter(None, match.groups()[1:]), "") if match else ""
-        if match and (plain(unit) in UNITS or text.endswith(("]", ")"))):
+        if match and (plain_unit(unit) in UNITS or text.endswith(("]", ")"))):
             yield match["name"], unit
         text = text.partition("/")[2]
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from stepcore import checks, files
-from stepcore.engine.trajectory import KIND, Trajectory, acting
+from stepcore.engine.trajectory import KIND, Trajectory, from_instant
 from stepcore.needs import need
 
 ENDINGS = (".csv", ".npz", ".npy", ".parquet", ".mcap")
@@ -122,7 +122,7 @@ def content_of(source: Any, name: str) -> Content:
     if isinstance(source, (str, os.PathLike)):
         return _of_file(os.fsdecode(source), name)
     if isinstance(source, Trajectory):
-        arrays = {key: acting(key, array) for key, array in source.data.items() if array.ndim == 2}
+        arrays = {key: from_instant(key, a) for key, a in source.data.items() if a.ndim == 2}
         return Content({"time": source.time, **arrays}, {"time": "s"})
     if isinstance(source, Mapping):
         return _of_columns(name, source)
@@ -152,12 +152,12 @@ def _of_file(path: str, name: str) -> Content:
         return _of_messages(file, topic, taken)
     if file.endswith(".csv"):
         try:
-            return _of_text(name, _decoded(files.read(file, TABLE)))
+            return _of_text(name, _decoded(files.read_file(file, TABLE)))
         except csv.Error as error:
             raise ValueError(f"{name}: is not {TABLE}: {checks.one_line(error)}") from None
     if file.endswith(".parquet"):
         parquet = need("pyarrow.parquet", f"reading {checks.cut(file, 80)}", "data")
-        data = files.read(file, TABLE)
+        data = files.read_file(file, TABLE)
         try:
             columns = parquet.read_table(io.BytesIO(data)).to_pydict()
         except (ValueError, TypeError, OSError) as error:
@@ -230,7 +230,7 @@ def _cells(title: str, cells: Iterable[tuple[int, Any]], content: Content) -> It
     """Yield the numbers of cells; cells: pairs of place and cell."""
     for place, cell in cells:
         try:
-            yield number(cell)
+            yield parse_number(cell)
         except ValueError:
             moment = _moment(cell)
             if moment is None:
@@ -240,7 +240,7 @@ def _cells(title: str, cells: Iterable[tuple[int, Any]], content: Content) -> It
             yield math.nan if moment is None else moment
 
 
-def number(cell: Any) -> float:
+def parse_number(cell: Any) -> float:
     """Return the number of a cell, with a decimal point or comma; NaN for an empty one.
 
     Raises ValueError for other texts.
@@ -336,7 +336,7 @@ def _of_rows(
         # The index that pandas writes has no name.
         content.columns.pop("", None)
     pairs = zip(titles, units, strict=False)
-    content.units |= {title: unit for title, unit in pairs if plain(unit)}
+    content.units |= {title: unit for title, unit in pairs if plain_unit(unit)}
     return content
 
 
@@ -356,16 +356,16 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 def _is_number(cell: str) -> bool:
     try:
-        return math.isfinite(number(cell))
+        return math.isfinite(parse_number(cell))
     except ValueError:
         return False
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    return 2 * sum(plain(cell) in UNITS for cell in cells) >= len(cells)
+    return 2 * sum(plain_unit(cell) in UNITS for cell in cells) >= len(cells)
 
 
-def plain(unit: str) -> str:
+def plain_unit(unit: str) -> str:
     """Return a unit in the form of the keys of `UNITS`."""
     return unit.strip("[]() ").lower()
 
@@ -383,7 +383,7 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
     topics: dict[str, list[tuple[int, dict[str, Any]]]] = {}
     unread, begin, decoders = set(), 0, dict[int, Any]()
     try:
-        with files.opened(path, "a log", sys.maxsize) as (file, _):
+        with files.open_regular(path, "a log", sys.maxsize) as (file, _):
             for _, _, message in reader.make_reader(file).iter_messages():
                 begin = message.log_time
                 break
@@ -419,7 +419,7 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
     content.columns["time"] = 1e-9 * np.array([at - begin for at, _ in topics[chosen]], float)
     content.units["time"] = "s"
     if chosen == OWN:
-        content.columns |= {key: acting(key, content.columns[key]) for key in rows[0]}
+        content.columns |= {key: from_instant(key, content.columns[key]) for key in rows[0]}
     return content
 
 

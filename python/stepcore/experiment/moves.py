@@ -22,7 +22,7 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
-from stepcore.engine.actuator import MOTOR, SERVO, VELOCITY_SERVO, Actuator, actuators, loads
+from stepcore.engine.actuator import MOTOR, SERVO, VELOCITY_SERVO, Actuator, actuators, hold_load
 from stepcore.engine.coordinates import Coordinates, rotated
 from stepcore.engine.follow import Followed, follow
 from stepcore.engine.model import Model
@@ -111,7 +111,7 @@ class Moves:
         driven = self.of(SERVO, VELOCITY_SERVO, MOTOR)
         self.joints = sorted({drive.joint for drive in driven if drive.joint is not None})
         self.others = [drive for drive in driven if drive.joint is None]
-        self.dofs, self.roots = model.jnt_dofadr[self.joints], roots(model, self.drives)
+        self.dofs, self.roots = model.jnt_dofadr[self.joints], driven_roots(model, self.drives)
         self.about = moves_about(model, self.drives)
         self.of_root = np.array([model.root(body) for body in model.geom_body.tolist()], int)
         self.kept = self._jacobian(home, touching(_put(Sim(model), home)))
@@ -150,7 +150,7 @@ class Moves:
         inertia = 1.0 / np.diag(inverse)[dofs]
         largest = float(np.abs(np.linalg.eigvals(inverse[np.ix_(dofs, dofs)] * inertia)).max())
         omega = min(OMEGA, SAMPLED / (2 * largest * LONGEST * model.settings.dt))
-        load = resting(sim, dofs, self.kept)
+        load = support(sim, dofs, self.kept)
         for motor, effective, force in zip(motors, inertia.tolist(), load.tolist(), strict=True):
             # Several motors on a joint share its force.
             k, share = motor.index, 1 / dofs.count(motor.dof)
@@ -397,7 +397,7 @@ class Chosen:
         return int((moved <= 1e-6).sum())
 
 
-def roots(model: Model, drives: Sequence[Actuator]) -> set[int]:
+def driven_roots(model: Model, drives: Sequence[Actuator]) -> set[int]:
     """Return the roots of the trees whose joints actuators drive."""
     joints = {drive.joint for drive in drives if drive.joint is not None}
     return {model.root(int(model.jnt_body[joint])) for joint in joints}
@@ -405,16 +405,16 @@ def roots(model: Model, drives: Sequence[Actuator]) -> set[int]:
 
 def moves_about(model: Model, drives: Sequence[Actuator]) -> bool:
     """Return whether the actuators are on a body that moves freely, or on undriven slides."""
-    driven, trees = {drive.joint for drive in drives}, roots(model, drives)
+    driven, trees = {drive.joint for drive in drives}, driven_roots(model, drives)
     return any(
         body in trees and model.jnt_type[joint] in ("free", "slide") and joint not in driven
         for joint, body in enumerate(model.jnt_body.tolist())
     )
 
 
-def resting(sim: Sim, dofs: Sequence[int], contacts: np.ndarray) -> np.ndarray:
+def support(sim: Sim, dofs: Sequence[int], contacts: np.ndarray) -> np.ndarray:
     """Return the force on each of some dofs that a Sim's pose needs at rest [N or N·m]."""
-    need = loads(sim)
+    need = hold_load(sim)
     if len(contacts):
         others = np.setdiff1d(np.arange(sim.model.nv), dofs)
         push = np.linalg.lstsq(contacts[:, others].T, need[others], rcond=1e-8)[0]

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.control import ControlError, controls
+from stepcore.engine.control import ControlError, evaluate_control
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter, Tracks
@@ -47,7 +47,7 @@ from stepcore.experiment.schedule import (
     HORIZON,
     Schedule,
     laid_out,
-    near,
+    random_start,
     user_controls,
 )
 from stepcore.experiment.sizes import scene_size
@@ -319,7 +319,7 @@ class MuJoCo(Engine):
             if function is not None:
                 shown.qpos, shown.qvel, shown.time = world.data.qpos, world.data.qvel, done * dt
                 shown.forward()
-                ctrl[:] = controls(function, shown)
+                ctrl[:] = evaluate_control(function, shown)
             elif rows is not None:
                 held = np.arange(done, done + len(ctrl)) // hold
                 ctrl[:] = rows[0, np.minimum(held, rows.shape[1] - 1)]
@@ -805,7 +805,7 @@ def _scheduled(
 
     dt = float(scene.opt.timestep)
     moving = scene.dof_damping * dt <= FINEST * scene.dof_M0
-    nearby = partial(near, coordinates, first, moving, _overlaps(scene), 1e-4)
+    nearby = partial(random_start, coordinates, first, moving, _overlaps(scene), 1e-4)
     return laid_out(motion, dt, first, nearby, drive, period, starts, horizon)
 
 

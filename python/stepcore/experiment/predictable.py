@@ -21,7 +21,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from stepcore.engine.norm import Matter, Tracks, apart
+from stepcore.engine.norm import Matter, Tracks, distances
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.schedule import Schedule
@@ -143,12 +143,12 @@ def _grown(runs: Tracks, times: np.ndarray, matter: Matter) -> Growth:
     for k in range(1, len(runs)):
         # A perturbed rotation moves bodies by other distances than the perturbation, so growth is
         # relative to the distance of the runs at the start.
-        away = apart(base, runs.some([k]), matter).max(axis=2)
+        away = distances(base, runs.some([k]), matter).max(axis=2)
         factor = np.maximum(factor, away[:, 1:] / np.maximum(away[:, :1], 1e-300))
     return Growth(times, factor, np.array([_end(times, factor[0])]), base.failure)
 
 
-def settled(
+def converged_growth(
     engine: Engine,
     changes: Iterable[Change],
     schedule: Schedule,
@@ -157,8 +157,8 @@ def settled(
     directions: int = 1,
     full: Growth | None = None,
 ) -> tuple[Growth, Change]:
-    """Measure the growth at shorter and shorter steps, as `settling` requests it."""
-    asking = settling(changes, schedule, len(starts), full)
+    """Measure the growth at shorter and shorter steps, as `growth_requests` requires."""
+    asking = growth_requests(changes, schedule, len(starts), full)
     request = next(asking)
     while True:
         try:
@@ -168,7 +168,7 @@ def settled(
             return grown, change
 
 
-def settling(
+def growth_requests(
     changes: Iterable[Change], schedule: Schedule, starts: int, full: Growth | None = None
 ) -> Asking[tuple[Growth, Change, bool]]:
     """Request the growth at shorter and shorter steps, until two agree on the ends of starts.

@@ -20,7 +20,7 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.control import ControlError
 from stepcore.engine.coordinates import rotated
-from stepcore.engine.norm import Matter, Tracks, apart, arc, largest, length, rms
+from stepcore.engine.norm import Matter, Tracks, arc, distances, largest, rms, vector_norm
 from stepcore.experiment.elements import PARTS, Elements, Source, path_in_words
 from stepcore.report import units
 
@@ -155,7 +155,7 @@ class Point(Column):
     def apart(self, a: Tracks, b: Tracks) -> np.ndarray:
         if self.axis is not None:
             return super().apart(a, b)
-        far = length(self.positions(a) - self.positions(b))
+        far = vector_norm(self.positions(a) - self.positions(b))
         turned = 0.0 if self.shares is not None else arc(a.quat, b.quat)[:, :, self.place]
         return np.asarray(np.hypot(far, self.radius * turned))
 
@@ -256,7 +256,7 @@ class Measure:
         A scalar of a run has one sample. The distance is infinite where a run has ended.
         """
         if self.quantity.is_motion:
-            return apart(a, b, self.matter)
+            return distances(a, b, self.matter)
         if self.quantity.function is not None:
             far = np.abs(self.numbers(a) - self.numbers(b))[:, None, None]
             return np.where(np.isnan(far), np.inf, far)

@@ -18,14 +18,14 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import SimulationError
-from stepcore.engine.control import Control, control_name, fresh
+from stepcore.engine.control import Control, control_name, new_control
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import LONGEST, ControlLog, Controls, PositionTable
-from stepcore.experiment.default_motion import MotionRequest, default_motion, followed
+from stepcore.experiment.default_motion import MotionRequest, default_motion, following_controls
 from stepcore.experiment.motion import Motion
 from stepcore.report import units
 from stepcore.report.units import seconds
@@ -124,7 +124,7 @@ class Schedule:
 
     def function(self) -> Control | None:
         """Return the control function of one run, or None."""
-        return None if self.control is None else fresh(self.control)
+        return None if self.control is None else new_control(self.control)
 
     def steps(self, dt: float) -> int:
         """Return the number of time steps in one control period; dt: [s]."""
@@ -190,7 +190,7 @@ def scheduled(
 
     slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
     moving = ~locked(model, first)
-    nearby = partial(near, Coordinates(model), first, moving, overlaps(model), slack)
+    nearby = partial(random_start, Coordinates(model), first, moving, overlap_of(model), slack)
     return laid_out(motion, model.settings.dt, first, nearby, drive, period, starts, horizon)
 
 
@@ -204,7 +204,7 @@ def laid_out(
     starts: int | None,
     horizon: float,
 ) -> Schedule:
-    """Return the schedule from a first start and random starts near it; see `near`.
+    """Return the schedule from a first start and random starts near it; see `random_start`.
 
     dt: the shipped time step [s]. drive: returns the controls from the starts and the number of
     periods. The rest is as in `scheduled`.
@@ -225,7 +225,7 @@ def laid_out(
 def driving(motion: Motion, model: Model, request: MotionRequest) -> Controls:
     """Return the controls of a motion: those that a user gave, or the controls of its kind."""
     if isinstance(motion.ctrl, PositionTable):
-        return followed(motion.ctrl, model, request)
+        return following_controls(motion.ctrl, model, request)
     if motion.is_users:
         return user_controls(motion, model, request.key_ctrl, request.period)
     return default_motion(model, motion.kind, request)
@@ -343,7 +343,7 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
     return Start(frame.qpos, frame.qvel, frame.act, mocap), frame.ctrl
 
 
-def near(
+def random_start(
     coordinates: Coordinates,
     home: Start,
     moving: np.ndarray,
@@ -387,7 +387,7 @@ def locked(model: Model, home: Start) -> np.ndarray:
     return stops > FINEST * np.diagonal(sim.mass_matrix())
 
 
-def overlaps(model: Model) -> Callable[[Start], float]:
+def overlap_of(model: Model) -> Callable[[Start], float]:
     """Return a function that measures the deepest overlap of a start's contacts [m]."""
     sim = Sim(model)
 

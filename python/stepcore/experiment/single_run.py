@@ -13,8 +13,8 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import SimulationError
-from stepcore.engine.control import Control, fresh
-from stepcore.engine.error_bar import judged
+from stepcore.engine.control import Control, new_control
+from stepcore.engine.error_bar import recorded_names
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.snapshots import Taking
@@ -67,7 +67,7 @@ class Push:
         if isinstance(push, Push):
             return push
         if not isinstance(push, str):
-            fields = checks.listed(push)
+            fields = checks.as_list(push)
             if fields is None or not 2 <= len(fields) <= 4:
                 limit = "(body, force, start, duration)"
                 raise ValueError(f"push = {checks.shown(push)}: must be {limit} or {PUSH_FORM}")
@@ -131,7 +131,7 @@ class Drive(NamedTuple):
 
     def fresh(self) -> Drive:
         """Return the same drive with a new copy of a control object."""
-        return self._replace(control=fresh(self.control)) if callable(self.control) else self
+        return self._replace(control=new_control(self.control)) if callable(self.control) else self
 
 
 def drive_of(sim: Sim, motion: Motion, horizon: float) -> Drive:
@@ -207,7 +207,7 @@ class SingleRun:
         record: Sequence[str] = (),
     ) -> None:
         self.sim, self.drive, self.pushes = sim, drive, pushes
-        self.record = ("time", *judged(sim, record)) if record else ()
+        self.record = ("time", *recorded_names(sim, record)) if record else ()
         self.bar = None if sim._finer is None else Bar()
         self.trajectory: Trajectory | None = None
         self.error: SimulationError | None = None

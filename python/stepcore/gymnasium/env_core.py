@@ -376,7 +376,7 @@ class WorldCamera:
         self._follows: Any = None
 
     def draw(self, world: Any, index: int | None) -> Picture:
-        from stepcore.viewing.camera import following, ropes
+        from stepcore.viewing.camera import following_camera, ropes
         from stepcore.viewing.drawing import drawing_of
         from stepcore.viewing.frames import poses_of
         from stepcore.viewing.renderers import Renderer
@@ -389,7 +389,7 @@ class WorldCamera:
             values = world._arrays[name]
             self._sim._arrays[name][...] = values if index is None else values[index]
         instant = poses_of(self._sim)
-        self._follows = self._follows or following(self._drawing, instant)
+        self._follows = self._follows or following_camera(self._drawing, instant)
         marks = ropes(self._drawing, instant)
         picture: Picture = self._renderer.draw(instant, self._follows(instant), marks)
         return picture

@@ -104,7 +104,7 @@ def sweep(
                          4   0.03974
     """
     checks.mapping("grid", grid, "names and their values")
-    axes = {str(name): checks.several(f"grid['{name}']", grid[name]) for name in grid}
+    axes = {str(name): checks.nonempty(f"grid['{name}']", grid[name]) for name in grid}
     checks.function("batch" if batch is True else "sim")("sweep", "measure", measure)
     workers = Workers.checked("sweep", threads, executor, progress)
     source: Any = make_or_model
@@ -270,14 +270,14 @@ class _Folder:
     """
 
     def __init__(self, path: Any, source: Model | Callable[..., Any], measure: Any) -> None:
-        folder = Path(files.path("folder", path))
+        folder = Path(files.as_path("folder", path))
         folder.mkdir(parents=True, exist_ok=True)
         identity = {"stepcore": version("stepcore"), "model": _named(source)}
         identity["measure"] = _named(measure)
         kept, self.points = folder / "sweep.json", folder / "points.jsonl"
         if not kept.exists():
             kept.write_text(json.dumps(identity, indent=1) + "\n", encoding="utf-8")
-        data = files.read(kept, "a sweep")
+        data = files.read_file(kept, "a sweep")
         try:
             stored = json.loads(data)
         except (ValueError, RecursionError) as error:
@@ -288,7 +288,8 @@ class _Folder:
                 text = f"folder = {checks.shown(str(folder))}: holds a sweep of another {name}"
                 raise ValueError(f"{text} ({theirs}, not {value}): choose another folder")
         self.done: dict[str, Point] = {}
-        lines = files.read(self.points, "a sweep").split(b"\n") if self.points.exists() else [b""]
+        data = files.read_file(self.points, "a sweep") if self.points.exists() else b""
+        lines = data.split(b"\n")
         for line in lines[:-1]:
             try:
                 point, result = json.loads(line)

@@ -19,11 +19,11 @@ from stepcore.mjcf.nodes import (
     Node,
     Refusals,
     effect,
-    inside,
     is_own_text,
+    section_nodes,
 )
 from stepcore.mjcf.schema import ROOT, SEEN, TAKEN_BACK, UNCHECKED, Spec
-from stepcore.scene.element import table
+from stepcore.scene.element import field_rows
 from stepcore.scene.elements import Actuator, Equality, Geom, Pair
 
 # Stricter than float(): no nan, inf, underscores or other spellings.
@@ -194,7 +194,7 @@ REFERENCES = {
     **{
         row.name: row.type.refers[0].lower()
         for kind in (Geom, Actuator, Equality, Pair)
-        for row in table(kind).values()
+        for row in field_rows(kind).values()
         if len(row.type.refers) == 1 and row.name != "feeds"
     },
     **{name: name for name in ("camera", "actuator", "sensor", "geom", "material", "texture")},
@@ -209,7 +209,7 @@ _ONE_KIND = ("tendon", "actuator", "sensor", "equality", "keyframe")
 _KEPT = ("compiler", "default", "worldbody", "asset", "size")
 
 
-def kind_of(node: Node) -> str:
+def removable_kind(node: Node) -> str:
     section, _, tag = node.path.partition("/")
     if section in _ONE_KIND or not tag:
         return section
@@ -303,7 +303,7 @@ class Exclusions:
                 self.nodes[kind].append(node)
 
     def begin(self, root: Node) -> None:
-        self._actuators = [id(node) for node in inside(root, "actuator")]
+        self._actuators = [id(node) for node in section_nodes(root, "actuator")]
 
     def follow(self, root: Node) -> None:
         """Remove all elements that refer, directly or indirectly, to a left-out element."""

@@ -105,7 +105,7 @@ class Report:
             mark=MARK,
             style=style,
             answer="\n".join(_prose(self.sentences)),
-            picture=picture(plot, self.title),
+            picture=inline_picture(plot, self.title),
             details=self._details(),
             script=script,
         )
@@ -119,7 +119,7 @@ class Report:
         return "\n".join([*setup, *tables, *notes])
 
 
-def picture(drawn: bytes, title: str) -> str:
+def inline_picture(drawn: bytes, title: str) -> str:
     """Return an SVG drawing as an inline image."""
     coded = base64.b64encode(drawn).decode("ascii")
     alt = html.escape(escapes.printable(title), quote=True)

@@ -143,7 +143,7 @@ def compact(value: float) -> str:
     return f"{digits}e{int(exponent)}"
 
 
-def unit_of(field: str, angular: bool) -> str:
+def kind_unit(field: str, angular: bool) -> str:
     """Return the unit of a joint's or an actuator's value; "" for a value without a unit."""
     return FIELDS.get(field, ("", ""))[not angular]
 
@@ -164,7 +164,7 @@ def time_of(text: str) -> float | None:
     return _in_units(text, TIMES)
 
 
-def length_of(text: str) -> float | None:
+def parse_length(text: str) -> float | None:
     """Parse a length [m] such as "0.01" or "1cm"; return None for other text."""
     return _in_units(text, (*LENGTHS, CENTIMETRES))
 

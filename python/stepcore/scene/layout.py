@@ -149,7 +149,7 @@ def _depth_first(bodies: list[Body]) -> list[Body]:
     return order
 
 
-def called(scene: Scene, element: object) -> str:
+def label_of(scene: Scene, element: object) -> str:
     """Return the engine's label of an element: "joint 3 of body 'leg'" without a name.
 
     The label of an element that is not yet in the scene has the index that it would get.
@@ -169,8 +169,8 @@ def called(scene: Scene, element: object) -> str:
         return str(element)
 
 
-def named(scene: Scene, error: checks.ElementError) -> checks.ElementError:
+def relabelled(scene: Scene, error: checks.ElementError) -> checks.ElementError:
     """Return the error with the element named as the engine names it."""
-    renamed = checks.ElementError(called(scene, error.owner), error.text)
+    renamed = checks.ElementError(label_of(scene, error.owner), error.text)
     renamed.owner = error.owner
     return renamed

@@ -32,13 +32,13 @@ LEAST = 1e-15
 _found: dict[bytes, list[list[float]]] = {}
 
 
-def fill(scene: Scene, data: dict[str, Any]) -> None:
+def fill_ranges(scene: Scene, data: dict[str, Any]) -> None:
     """Write the missing length ranges into the plain data of a scene.
 
     Raises ValueError, naming the actuator, if the simulation does not come to rest.
     """
     rules = scene.lengthrange
-    left = asked(scene)
+    left = missing_ranges(scene)
     if not left:
         return
     limits = {index: _limits(scene.actuators[index]) if rules.uselimit else None for index in left}
@@ -49,7 +49,7 @@ def fill(scene: Scene, data: dict[str, Any]) -> None:
         data["actuators"][index]["lengthrange"] = list(limits[index] or ())
 
 
-def asked(scene: Scene) -> list[int]:
+def missing_ranges(scene: Scene) -> list[int]:
     """Return the indices of the actuators whose range must be found."""
     rules, left = scene.lengthrange, []
     for index, actuator in enumerate(scene.actuators):

@@ -107,7 +107,7 @@ class Variation:
 
     scene: the scene to copy.
     paths: the paths of the values, as in `Model.with_values`.
-    body_mass: as in `value_paths.changed`.
+    body_mass: as in `value_paths.changed_scene`.
     """
 
     def __init__(self, scene: Scene, paths: Iterable[str], body_mass: Mapping[str, float]) -> None:
@@ -134,7 +134,7 @@ class Variation:
         kinds = {places.get(id(element)) for element, _ in self._initial}
         # Values of elements in other lists, and length ranges found by simulation, need all records
         # to be recomputed.
-        self._all_anew = None in kinds or bool(length_ranges.asked(self.scene))
+        self._all_anew = None in kinds or bool(length_ranges.missing_ranges(self.scene))
         self._places = sorted(place for place in kinds if place is not None)
         self._data: dict[str, Any] | None = None
 
@@ -153,7 +153,7 @@ class Variation:
             check(self._layout)
         if self._all_anew or self._data is None:
             self._data = plain(self._layout)
-            length_ranges.fill(self.scene, self._data)
+            length_ranges.fill_ranges(self.scene, self._data)
             return self._data
         lists = {kind: list(self._data[kind]) for kind, _ in self._places}
         for kind, index in self._places:

@@ -103,7 +103,7 @@ def replayed(snapshots: Snapshots, label: str = "") -> Replayed:
     return Replayed(drawing, instants, label)
 
 
-def distance(run: Replayed, other: Replayed) -> NDArray[np.float64]:
+def rms_distance(run: Replayed, other: Replayed) -> NDArray[np.float64]:
     """Return the RMS distance of the moving bodies of two runs, at the instants of the first [m].
 
     The distance is NaN before the other run begins and after it ends.

@@ -16,7 +16,7 @@ from typing import Any
 
 from stepcore import checks
 from stepcore.needs import need
-from stepcore.viewing.frames import Replayed, distance
+from stepcore.viewing.frames import Replayed, rms_distance
 from stepcore.viewing.guard import Guard, is_loopback
 from stepcore.viewing.panel import Panel, RunPanel, SimPanel
 
@@ -143,8 +143,8 @@ def view(
     >>> opened.close()  # doctest: +SKIP
     """
     if isinstance(runs, (list, tuple)):
-        seen = several(runs, labels)
-        return opened(view_runs(seen, host, port), wait)
+        seen = labelled_runs(runs, labels)
+        return announced(view_runs(seen, host, port), wait)
     if not hasattr(runs, "view"):
         kinds = "a Sim, a Scene, a Trajectory or a list of trajectories"
         raise ValueError(f"runs = {checks.shown(runs)}: must be {kinds}")
@@ -152,18 +152,18 @@ def view(
     return shown
 
 
-def several(runs: Sequence[Any], labels: Sequence[str] = ()) -> list[Replayed]:
+def labelled_runs(runs: Sequence[Any], labels: Sequence[str] = ()) -> list[Replayed]:
     """Return trajectories for a common drawing, with their labels."""
     if not runs or not all(hasattr(run, "_replayed") for run in runs):
         raise ValueError(f"runs = {checks.shown(runs)}: must be a list of trajectories")
     names = [*labels, *(f"run {k + 1}" for k in range(len(labels), len(runs)))]
     seen = [run._replayed(name) for run, name in zip(runs, names, strict=False)]
     for other in seen[1:]:
-        distance(seen[0], other)
+        rms_distance(seen[0], other)
     return seen
 
 
-def opened(view: View, wait: bool | None) -> View:
+def announced(view: View, wait: bool | None) -> View:
     """Print the address of the view and, outside of a prompt, wait until it ends."""
     prompt = hasattr(sys, "ps1") or "ipykernel" in sys.modules
     waits = wait or (wait is None and not prompt)

@@ -14,7 +14,7 @@ from stepcore.needs import need
 MOST = 1000
 
 
-def shown(value: Any, geoms: int, world: Callable[[], Any]) -> str | None:
+def html_picture(value: Any, geoms: int, world: Callable[[], Any]) -> str | None:
     """Return `repr(value)` over a picture of the Sim that `world` makes, as HTML.
 
     Returns None, so that only the words are shown, for more than `MOST` geoms, for a scene that

@@ -18,7 +18,7 @@ from stepcore.needs import need
 from stepcore.report.plot.style import TINTS, VIEW
 from stepcore.report.units import metres
 from stepcore.viewing.drawing import ARROW, drawing_of
-from stepcore.viewing.frames import Instant, Replayed, distance, instant_of, poses_of
+from stepcore.viewing.frames import Instant, Replayed, instant_of, poses_of, rms_distance
 from stepcore.viewing.stage import Stage
 
 SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
@@ -321,7 +321,7 @@ class RunPanel(Panel):
             style = "margin:0 0.65em;font-size:0.8em"
             self.legend = server.gui.add_html(f'<div style="{style}">{"<br>".join(lines)}</div>')
         super().__init__(server, Stage(server, [run.drawing for run in runs]))
-        self.gaps = [1000 * distance(runs[0], run) for run in runs[1:]]
+        self.gaps = [1000 * rms_distance(runs[0], run) for run in runs[1:]]
         self.times = [run.time for run in runs]
         self.begin, self.end = float(self.times[0][0]), max(float(t[-1]) for t in self.times)
         self.now = self.begin

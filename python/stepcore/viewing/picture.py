@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stepcore import checks, files
 from stepcore.needs import need
-from stepcore.viewing.camera import LARGEST, camera_of, following, loads, ropes
+from stepcore.viewing.camera import LARGEST, camera_of, following_camera, force_marks, ropes
 from stepcore.viewing.drawing import drawing_of
 from stepcore.viewing.frames import Replayed, instant_of
 from stepcore.viewing.renderers import Renderer
@@ -59,7 +59,7 @@ def picture(
     renderer = Renderer(drawing, width, height)
     try:
         newtons = drawing.weight or instant.strongest
-        marks = ropes(drawing, instant) + (loads(drawing, instant, newtons) if forces else [])
+        marks = ropes(drawing, instant) + (force_marks(drawing, instant, newtons) if forces else [])
         drawn: NDArray[np.uint8] = renderer.draw(instant, camera, marks)
     finally:
         renderer.close()
@@ -85,7 +85,7 @@ def save_video(
             raise checks.refuse("save_video", field, value, "an even number")
     drawing, time = run.drawing, run.time
     renderer = Renderer(drawing, *size)
-    camera = following(drawing, run.instants[0])
+    camera = following_camera(drawing, run.instants[0])
     newtons = drawing.weight or run.strongest
     count = max(1, round((time[-1] - time[0]) / speed * fps) + 1)
     writer = ffmpeg.write_frames(os.fspath(path), size, fps=fps, macro_block_size=2)
@@ -94,7 +94,7 @@ def save_video(
         for k in range(count):
             now = time[0] + k * speed / fps
             instant = run.instants[int(np.argmin(np.abs(time - now)))]
-            marks = ropes(drawing, instant) + loads(drawing, instant, newtons)
+            marks = ropes(drawing, instant) + force_marks(drawing, instant, newtons)
             drawn = renderer.draw(instant, camera(instant), marks)
             writer.send(np.ascontiguousarray(drawn))
     finally:
@@ -106,5 +106,5 @@ def _check_ending(
     owner: str, path: str | os.PathLike[str], endings: Collection[str], such: str
 ) -> None:
     """Refuse a file that cannot be written, before seconds of drawing."""
-    if os.path.splitext(files.path("path", path))[1].lower() not in endings:
+    if os.path.splitext(files.as_path("path", path))[1].lower() not in endings:
         raise checks.refuse(owner, "path", path, f"a name that ends in {such}")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.engine.actuator import Actuator, actuators, loads
+from stepcore.engine.actuator import Actuator, actuators, hold_load
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.element import Element
@@ -507,7 +507,7 @@ def _balance(scene: Described) -> Iterator[Finding]:
         least, most = np.minimum(least, each), np.maximum(most, each)
     sim.ctrl = scene.ctrl
     sim.forward()
-    need, carried = loads(sim), np.array(sim.constraint_force) != 0
+    need, carried = hold_load(sim), np.array(sim.constraint_force) != 0
     up, free = -np.asarray(model.scene.gravity, float), free_bodies(model)
     for joint, kind in enumerate(model.jnt_type):
         dof, body = int(model.jnt_dofadr[joint]), int(model.jnt_body[joint])

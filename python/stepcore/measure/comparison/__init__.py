@@ -11,7 +11,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.model import Model
-from stepcore.engine.norm import Matter, Tracks, apart, rms
+from stepcore.engine.norm import Matter, Tracks, distances, rms
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.change import Change, Servo
 from stepcore.experiment.choose import greedy
@@ -196,7 +196,7 @@ class _Comparing:
         """Return the distance of two motions in the worst start [m]; inf if one fails."""
         if a.failure or b.failure:
             return math.inf
-        return float(rms(apart(a, b, self.study.engine.matter), self.scored).max(initial=0.0))
+        return float(rms(distances(a, b, self.study.engine.matter), self.scored).max(initial=0.0))
 
     def _converge(self) -> None:
         """Measure the integration errors, and the distance of the converged motions."""

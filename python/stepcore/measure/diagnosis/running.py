@@ -27,7 +27,7 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.arrays import Floats
-from stepcore.engine.control import Control, ControlError, controls, fresh
+from stepcore.engine.control import Control, ControlError, evaluate_control, new_control
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.element import Element
 from stepcore.engine.follow import Followed, follow
@@ -329,7 +329,7 @@ class Motions:
         start.put(sim)
         rows, _ = self.schedule.controls.rows([0], self.model.settings.dt, 1)
         if self.users is not None:
-            sim.ctrl = controls(fresh(self.users), sim)
+            sim.ctrl = evaluate_control(new_control(self.users), sim)
         elif rows is not None:
             sim.ctrl[:] = rows[0, 0]
         return State.of("the start", 0.0, (sim.qpos, sim.qvel, sim.ctrl, sim.act))

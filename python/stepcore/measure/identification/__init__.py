@@ -26,7 +26,7 @@ from stepcore.measure.identification.doubts import (
     gap_findings,
     horizon_findings,
     log_findings,
-    predictable,
+    predictable_times,
     spare,
 )
 from stepcore.measure.identification.log import (
@@ -36,11 +36,11 @@ from stepcore.measure.identification.log import (
     driven,
     is_delay,
     late_entries,
-    opened,
+    open_logs,
     read_log,
-    within,
+    usable,
 )
-from stepcore.measure.identification.misfit import FINER, Quality, beyond, misfits, missing, refines
+from stepcore.measure.identification.misfit import FINER, Quality, beyond, lacking, misfits, refines
 from stepcore.measure.identification.predictions import Predictions
 from stepcore.measure.identification.readings import check_smooth
 from stepcore.measure.identification.result import LIMITS, Curve, Identification
@@ -132,7 +132,7 @@ def identify(
     90.0
     """
     workers = Workers.checked("identify", threads, None, progress)
-    logs = opened(logs)
+    logs = open_logs(logs)
     initial = driven(Change(precision="f64").of(find_model(model)), logs)
     if any(actuator.delay > 0 for actuator in initial.scene.actuators):
         limit = 'without delays of actuators: make these 0, and "delay" a parameter'
@@ -150,7 +150,7 @@ def identify(
     def fitted(length: float | None, values: Sequence[float] = start) -> Identification:
         """Fit the logs in pieces of a length [s], beginning with these values."""
         parts = data if length is None else [p for log in data for p in log.cut(compiled, length)]
-        read = [within(compiled, part, bounds) for part in parts]
+        read = [usable(compiled, part, bounds) for part in parts]
         fit = Predictions(compiled, read, list(bounds), threads=workers.threads)
         check_smooth(compiled, {p.entry for p in fit.parts if p.array == "sensordata"})
         first = fit.predicted(np.append(start, np.zeros(fit.free)))
@@ -256,7 +256,7 @@ def _from_pieces(
         for log in logs:
             spacing = log.duration / max(1, len(log.measured["qpos"].times) - 1)
             parts += log.cut(model, rows * spacing)
-        some = [within(model, part, bounds) for part in parts[:: math.ceil(len(parts) / PIECES)]]
+        some = [usable(model, part, bounds) for part in parts[:: math.ceil(len(parts) / PIECES)]]
         fit = Predictions(model, some, list(bounds), threads=workers.threads)
         x = Search(fit, bounds, values, workers, min(most, PIECES)).x
         # A quantity that is seldom measured may be in no piece.
@@ -282,7 +282,7 @@ def _bounds(
         raise ValueError(f"parameters = {checks.shown(parameters)}: must be {limit}")
     bounds, guess = dict[str, tuple[float, float]](), dict[str, float]()
     for path, value_range in parameters.items():
-        pair = checks.listed(value_range) or ()
+        pair = checks.as_list(value_range) or ()
         low, high = (checks.number(x) for x in pair) if len(pair) == 2 else (None, None)
         if low is None or high is None or not low < high:
             raise ValueError(f"parameters[{checks.shown(path)}]: must be a range (low, high)")
@@ -424,7 +424,7 @@ def _result(
 ) -> Identification:
     """Return the result of a search. first: the predictions with the first guess."""
     fit, x, after = search.fit, search.x, search.fit.predicted(search.x)
-    ends, finer = predictable(fit, x), np.full(len(after), np.nan)
+    ends, finer = predictable_times(fit, x), np.full(len(after), np.nan)
     low, high = np.array(list(search.bounds.values())).T
     with limit.stage("the error of the time step"):
         finer = fit.predicted(x, FINER)
@@ -443,7 +443,7 @@ def _result(
             with limit.stage("a run with shorter steps"):
                 refined = refines(fit, misfit, finer, moved)
         with limit.stage("the value that would explain the residual"):
-            lacks = missing(fit, x, search.jacobian, shorter if refined else None, misfit)
+            lacks = lacking(fit, x, search.jacobian, shorter if refined else None, misfit)
     quality = Quality(misfit, lacks, rest, refined)
     if quality.verdict in ("bad", "few"):
         half = np.full(len(half), np.inf)

@@ -272,7 +272,7 @@ def gap_findings(logs: Sequence[MeasuredLog]) -> list[Finding]:
     return findings
 
 
-def predictable(fit: Predictions, x: np.ndarray) -> list[float]:
+def predictable_times(fit: Predictions, x: np.ndarray) -> list[float]:
     """Return the time until which each log can be predicted [s]; inf if to its end.
 
     It is the time at which an error of the first positions has grown a thousand times, as in

@@ -12,7 +12,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.coordinates import Coordinates
-from stepcore.engine.element import listed
+from stepcore.engine.element import name_list
 from stepcore.engine.model import Model
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.control_table import ControlLog
@@ -97,7 +97,7 @@ class MeasuredLog:
         return [self.between(0.0, ends[0]), *pieces]
 
 
-def opened(logs: Any) -> list[Any]:
+def open_logs(logs: Any) -> list[Any]:
     """Return the sources of each log for `read_log`, each with its array or ""."""
     alone = isinstance(logs, (Trajectory, Mapping, str, os.PathLike, Log))
     several = [logs] if alone or hasattr(logs, "columns") else [*logs]
@@ -149,7 +149,7 @@ def read_log(model: Model, log: Any, name: str, linear: bool = False) -> Measure
     if "qpos" not in series or not np.isfinite(series["qpos"].values).any():
         raise ValueError(f"{name}: has no positions: name columns such as joint.position")
     if model.nu and "ctrl" not in series:
-        raise ValueError(f"{name}: ctrl is missing of {listed(model.called('actuator'))}")
+        raise ValueError(f"{name}: ctrl is missing of {name_list(model.called('actuator'))}")
     origin = series["qpos"].times[0]
     moved = {key: Series(times - origin, values) for key, (times, values) in series.items()}
     controls = moved.pop("ctrl", Series(np.zeros(1), np.zeros((1, model.nu))))
@@ -205,7 +205,7 @@ def late_entries(model: Model, label: str) -> tuple[str, Sequence[int]]:
     return name, range(widths[name])
 
 
-def within(
+def usable(
     model: Model, log: MeasuredLog, bounds: Mapping[str, tuple[float, float]]
 ) -> MeasuredLog:
     """Return a log without the rows that may be from before its first state or after its end, for

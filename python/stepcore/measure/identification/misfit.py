@@ -221,7 +221,7 @@ class Quality:
         return "bad" if worst.unexplained > worst.noise else "unexplained"
 
 
-def missing(
+def lacking(
     fit: Predictions,
     x: np.ndarray,
     slopes: np.ndarray,

@@ -21,8 +21,8 @@ from stepcore.report.plot.style import (
     legend,
     log_ticks,
     new_figure,
-    say,
     stacked,
+    write_centred,
 )
 from stepcore.report.units import joules, seconds
 
@@ -283,7 +283,7 @@ def convergence(result: Convergence) -> Any:
     if solved.error > 0 and not solved.failure:
         axes.axhline(solved.error, color="black", lw=1.2, ls="--", label="converged forces")
     if not axes.lines:
-        say(axes, "all of these runs fail")
+        write_centred(axes, "all of these runs fail")
         return figure
     axes.set_xscale("log")
     axes.set_yscale("log")

@@ -78,7 +78,7 @@ RAY_DATA = ("dist", "dir", "origin", "point", "normal", "depth")
 
 
 def _words(owner: object, field: str, value: object) -> tuple[str, ...]:
-    words = value.split() if isinstance(value, str) else checks.listed(value)
+    words = value.split() if isinstance(value, str) else checks.as_list(value)
     allowed = dict.fromkeys((*CONTACT_DATA, *RAY_DATA))
     if words is None or not all(isinstance(word, str) and word in allowed for word in words):
         raise checks.refuse(owner, field, value, f"words of {', '.join(allowed)}")
