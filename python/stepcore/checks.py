@@ -20,9 +20,9 @@ from stepcore import escapes
 Check = Callable[[Any, str, Any], Any]
 
 # Below this length a direction or a quaternion has no meaning (MuJoCo's threshold).
-TINY = 1e-14
+TINY_LENGTH = 1e-14
 # Largest length of an error text, for any file or argument [characters].
-LONGEST = 1000
+LONGEST_TEXT = 1000
 # Largest length of a name, and of a word or path, in an error [characters].
 LONGEST_NAME, LONGEST_WORD = 80, 300
 
@@ -32,7 +32,7 @@ def shown(value: object, width: int = 80) -> str:
     return cut(" ".join(repr(value).split()), width)
 
 
-def cut(text: str, width: int = LONGEST) -> str:
+def cut(text: str, width: int = LONGEST_TEXT) -> str:
     """Return the text, escaped for one line and cut to `width` characters."""
     text = escapes.escaped(text[: width + 1])
     return text if len(text) <= width else text[: width - 1] + "…"
@@ -43,7 +43,7 @@ _WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def brief(text: str) -> str:
-    """Return the text of an error without the middle of long names, at most `LONGEST` characters.
+    """Return an error text without the middle of long names, at most `LONGEST_TEXT` characters.
 
     Names come first in an error, so names are shortened before the text is cut. Every error about a
     file or an element passes through this function.
@@ -326,7 +326,7 @@ def unit(count: int) -> Check:
     def check(owner: Any, field: str, value: object) -> tuple[float, ...]:
         entries: tuple[float, ...] = check_numbers(owner, field, value)
         norm = math.hypot(*entries)
-        if not TINY < norm < math.inf:
+        if not TINY_LENGTH < norm < math.inf:
             raise refuse(owner, field, value, f"{count} finite numbers, not all zero")
         # A unit vector stays bit-identical, so that writing and reading a scene is exact.
         if abs(norm - 1.0) <= 1e-15:

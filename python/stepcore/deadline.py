@@ -45,10 +45,8 @@ SECONDS = {
     "tune": 60.0,
     "identify": 60.0,
 }
-# The time in which an answer is completed from the runs made, after the deadline or Ctrl-C [s]; and
-# after a deadline its largest share of the time, so that `seconds` holds within 20 % even though
-# work ends only at its next check.
-CLOSING, CLOSING_SHARE = 3.0, 0.15
+# The time in which an answer is completed from the runs made, after the deadline or Ctrl-C [s].
+CLOSING = 3.0
 # The shares of the time at which a search ends, and at which the test of its choice ends.
 SEARCHED, PROVEN = 0.7, 0.9
 
@@ -87,7 +85,8 @@ class Deadline:
         self._end: float = self.begun + self.seconds
         self._stop: threading.Event = threading.Event() if outer is None else outer._stop
         # The time at which the last answer must be complete, of this or an outer measurement.
-        self._last = self._end + min(CLOSING, CLOSING_SHARE * self.seconds)
+        # With 15 %, `seconds` holds within 20 %, even though work ends only at its next check.
+        self._last = self._end + min(CLOSING, 0.15 * self.seconds)
         self._closing = False
         self._news = self._said = ""
         self._told = -math.inf

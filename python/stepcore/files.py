@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from stepcore import checks
 
 # Largest file [bytes]. No model or replay is larger, and a larger file could fill the memory.
-LARGEST = 2**28
+LARGEST_FILE = 2**28
 
 # How a pointer of Git LFS begins.
 LFS = b"version https://git-lfs.github.com/spec/"
@@ -40,7 +40,7 @@ def as_path(name: str, value: object) -> str:
 
 
 def read_file(path: str | os.PathLike[str], expected: str) -> bytes:
-    """Return the bytes of a regular file of at most `LARGEST` bytes; see `open_regular`.
+    """Return the bytes of a regular file of at most `LARGEST_FILE` bytes; see `open_regular`.
 
     Raises ValueError for a Git LFS pointer, whose file was not fetched.
     """
@@ -63,13 +63,13 @@ def open_regular(
     """Open a regular file, and give its size [bytes].
 
     expected: the expected kind of file in errors, such as "an MJCF file". largest: the largest size
-        [bytes]; None: `LARGEST`.
+        [bytes]; None: `LARGEST_FILE`.
 
     Raises FileNotFoundError, IsADirectoryError, and ValueError for a device, a pipe or a socket
     (none is opened), for a file that is too large and for a file that cannot be read. The text is
     one line that names the file.
     """
-    name, most = os.fsdecode(path), LARGEST if largest is None else largest
+    name, most = os.fsdecode(path), LARGEST_FILE if largest is None else largest
     called = checks.cut(checks.without_middle(name))
     if "\0" in name:
         raise ValueError(f"{checks.shown(name)}: cannot be read: no file has a NUL in its name")
@@ -91,8 +91,8 @@ def arrays(path: str | os.PathLike[str], expected: str) -> dict[str, NDArray[Any
     """Return the arrays of an .npz file by name, or the array of an .npy file under "".
 
     Raises ValueError for a file that is neither or is damaged, for arrays of Python objects and for
-    arrays that are together larger than `LARGEST`, which a small file can claim to hold; also the
-    errors of `read_file`.
+    arrays that are together larger than `LARGEST_FILE`, which a small file can claim to hold; also
+    the errors of `read_file`.
     """
     data = read_file(path, expected)
     try:
@@ -102,8 +102,8 @@ def arrays(path: str | os.PathLike[str], expected: str) -> dict[str, NDArray[Any
             members = archive.infolist()
             if {m.compress_type for m in members} - {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
                 raise ValueError("its arrays are compressed as numpy does not")
-            if sum(member.file_size for member in members) > LARGEST:
-                raise ValueError(f"has arrays of more than {LARGEST // 2**20} MiB")
+            if sum(member.file_size for member in members) > LARGEST_FILE:
+                raise ValueError(f"has arrays of more than {LARGEST_FILE // 2**20} MiB")
             return {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
     except (ValueError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         name = checks.cut(checks.without_middle(os.fsdecode(path)))

@@ -48,7 +48,7 @@ def test_a_file_beyond_the_limit_is_refused(monkeypatch, tmp_path):
     path = tmp_path / "large.xml"
     path.write_text(BODY)
     assert sc.load(path).bodies
-    monkeypatch.setattr(files, "LARGEST", len(BODY) - 1)
+    monkeypatch.setattr(files, "LARGEST_FILE", len(BODY) - 1)
     with pytest.raises(ValueError, match="MiB"):
         sc.load(path)
 

@@ -22,12 +22,7 @@ if TYPE_CHECKING:
 # The finer run: a fraction of the accuracy, or of the time step. In a first-order method its error
 # is this fraction of the run's error and the distance is the rest; in a higher-order method the
 # distance is nearly the whole error.
-ACCURACY, STEP = 1 / 10, 4
-# The runs have diverged if the distance of a body exceeds the first fraction of the scene's
-# lengths, and agree again below the second: diverged runs can meet by chance.
-PARTED, TOGETHER = 0.1, 0.001
-# The longest time between two comparisons [s].
-LOOK = 0.05
+ACCURACY, DT_RATIO = 1 / 10, 4
 
 
 class ErrorBar(NamedTuple):
@@ -58,11 +53,14 @@ class FinerRun:
         self.sim._core.unwatch()
         self.steps = round(model.settings.dt / finer.dt)
         # The smallest ratio of distance to error.
-        self.seen = 1 - (1 / STEP if sim.settings.accuracy is None else ACCURACY)
-        self.block = max(1, round(LOOK / model.settings.dt))
+        self.seen = 1 - (1 / DT_RATIO if sim.settings.accuracy is None else ACCURACY)
+        # The runs are compared at least every 50 ms.
+        self.block = max(1, round(0.05 / model.settings.dt))
         self.matter = Matter.of(model)
         reach = longest(model, self.matter)
-        self.parted, self.together = PARTED * reach, TOGETHER * reach
+        # Runs diverge if a body's distance exceeds a tenth of the scene's lengths, and agree again
+        # below a thousandth: diverged runs can meet by chance.
+        self.parted, self.together = 0.1 * reach, 0.001 * reach
         self.until = np.inf
         # State of the first run at the last common time, None before; and the inputs of both runs.
         self.state: list[bytes] | None = None
@@ -243,7 +241,7 @@ def finer_settings(settings: Settings) -> Settings:
         except ValueError:
             limit = "ten times the least one, for the finer run of an error bar"
             raise ValueError(f"accuracy = {accuracy:g}: must be at least {limit}") from None
-    return converged_settings(settings, dt=settings.dt / STEP, sleep=False, ledger=False)
+    return converged_settings(settings, dt=settings.dt / DT_RATIO, sleep=False, ledger=False)
 
 
 def longest(model: Model, matter: Matter) -> float:

@@ -43,7 +43,7 @@ DEAR = "the accuracy takes more evaluations of the forces than the run may"
 # The number of batches kept for a call with the same model, settings and number of starts: a search
 # uses a few settings repeatedly. Ten steps of eight half_cheetahs take 54 µs with a kept batch, and
 # 196 µs with a new one.
-KEPT = 4
+MOST_BATCHES = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,4 +388,4 @@ def _kept_batch(key: _Key) -> _Kept:
 def _keep_batch(key: _Key, kept: _Kept) -> None:
     with _lock:
         _batches.append((key, kept))
-        del _batches[:-KEPT]
+        del _batches[:-MOST_BATCHES]

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # The model is compiled at these multiples of a fraction of a value around it. The derivative of
 # 1/p³ then has a relative error of 2e-12, and of 1e-12 from rounding.
 AROUND = (-2, -1, 1, 2)
-SHARE = 2.0**-11
+SPACING = 2.0**-11
 # Impedances are clamped at 0.0001 and 0.9999; the models around a value must be inside.
 CLAMPED = 0.00011
 ENTRY = re.compile(r"(.*)\[(\d+)\]")
@@ -337,7 +337,7 @@ class Column:
     def apart(self) -> float:
         """The distance between the values around the model's value."""
         near = min(self.value, 1.0 - self.value) if self.clamped else abs(self.value)
-        return near * SHARE
+        return near * SPACING
 
     def check(self) -> None:
         """Raise ValueError for a number by which no step is differentiated."""

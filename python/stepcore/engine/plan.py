@@ -30,8 +30,6 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
-# The number of entries in a table without --all.
-PRINTED = 9
 LEGEND = (
     "flops: floating-point operations of the entry's own stage, or those saved by removing the "
     "entry. They do not add up, because some work serves several entries."
@@ -146,7 +144,7 @@ class Plan(Result):
 
     def tables(self, full: bool) -> list[Table]:
         """Return tables of used and omitted work; `full`: all entries and elements."""
-        printed = len(self.entries) if full else PRINTED
+        printed = len(self.entries) if full else 9
         does = _table(self.used, "Computed in a step", printed, lambda entry: entry.flops or 0.0)
         less = LESS * any(str(row.get("flops")).startswith("-") for row in does)
         does.legend = f"{does.legend} {LEGEND}{less}".strip()
@@ -384,7 +382,7 @@ def _entry(
 
 
 # The number of steps of a timing; timings are interleaved with timings of the complete model.
-STEPS = 20
+TIMED_STEPS = 20
 
 
 class StepCost:
@@ -445,7 +443,7 @@ class StepCost:
             for sim, times in zip(sims, spent, strict=True):
                 self._place(sim)
                 begin = perf_counter()
-                sim.step(STEPS)
-                times.append((perf_counter() - begin) / STEPS)
+                sim.step(TIMED_STEPS)
+                times.append((perf_counter() - begin) / TIMED_STEPS)
         self.whole.restore(self.state)
         return [1e6 * float(np.median(times)) for times in spent]

@@ -29,10 +29,10 @@ from stepcore.report.units import counted
 
 # The longest time step that is tried by default, in shipped steps. A period that follows from a log
 # has at least this many of the model's steps.
-LONGEST = 4
+MOST_DT = 4
 # A row takes effect at the beginning of a step if it is this close to it, in steps: rounding of
 # the times of a file.
-ROUNDING = 1e-6
+TIME_EPS = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class ControlLog:
         start: when the first step begins [s]. dt: the time step [s].
         """
         edges = start + dt * np.arange(count + 1)
-        first, last = self._row(edges[:-1] + ROUNDING * dt), self._row(edges[1:] - ROUNDING * dt)
+        first, last = self._row(edges[:-1] + TIME_EPS * dt), self._row(edges[1:] - TIME_EPS * dt)
         values: np.ndarray = self._within(first, (edges[:-1] + edges[1:]) / 2)
         across = last > first
         if across.any():
@@ -65,7 +65,7 @@ class ControlLog:
 
     def slopes(self, start: float, dt: float, count: int) -> np.ndarray:
         """Return the derivatives of `steps` by a decreasing `start`, shape (…, count, nu)."""
-        edges = start + dt * (np.arange(count + 1) - ROUNDING)
+        edges = start + dt * (np.arange(count + 1) - TIME_EPS)
         slopes: np.ndarray = np.diff(self._within(self._row(edges), edges), axis=-2) / dt
         return slopes
 
@@ -80,7 +80,7 @@ class ControlLog:
     def ends_on(self, period: float) -> bool:
         """Return whether rows are held, and change only at the ends of periods; period: [s]."""
         count = self.times / period
-        return not self.linear and bool(np.all(np.abs(count - np.round(count)) <= ROUNDING))
+        return not self.linear and bool(np.all(np.abs(count - np.round(count)) <= TIME_EPS))
 
     def _row(self, times: np.ndarray) -> np.ndarray:
         return np.maximum(np.searchsorted(self.times, times, side="right") - 1, 0)
@@ -218,7 +218,7 @@ class ControlTable(Log):
         """Return the control period [s], or None if the rows do not determine one; dt: [s].
 
         Rows without times have a period of dt. Equally spaced rows have a period that divides the
-        spacing, so that steps can end on the times of rows: the shortest one of at least `LONGEST`
+        spacing, so that steps can end on the times of rows: the shortest one of at least `MOST_DT`
         steps of dt, so that longer steps can be tried.
         Other rows follow their times whatever the period; see `ControlLog`.
         """
@@ -229,7 +229,7 @@ class ControlTable(Log):
             return None
         steps = round(gap / dt)
         parts = [steps // k for k in range(1, steps + 1) if steps % k == 0]
-        return min((n for n in parts if n >= LONGEST), default=0) * dt or None
+        return min((n for n in parts if n >= MOST_DT), default=0) * dt or None
 
     def log(
         self,

@@ -36,7 +36,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.control_table import ControlLog, Controls, PositionTable
-from stepcore.experiment.moves import HELD, MOVE, REST, Chosen, Moves, moves_about, profile, support
+from stepcore.experiment.moves import HELD, MOVE, WAIT, Chosen, Moves, moves_about, profile, support
 from stepcore.report.units import counted, metres, percent, radians, seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
@@ -114,7 +114,7 @@ def _said(moves: Moves, chosen: Chosen, horizon: float) -> Iterator[str]:
     far, motors = _far(moves, chosen), bool(moves.servos)
     if far:
         who = "a PD controller drives the joints" if motors else "servos move"
-        back = " and back" * (horizon > MOVE + REST)
+        back = " and back" * (horizon > MOVE + WAIT)
         how = f"point to point over {seconds(MOVE)} {far}{back} (minimum jerk)"
         yield f"test motion: {who} {how}"
     else:

@@ -41,8 +41,6 @@ CLOCK = re.compile(r"[%_]*(time|t|stamp|time_?stamp|seconds|elapsed)_*", re.IGNO
 # This many rows this far apart [s] have times in another unit: 2 Hz does not resolve the motion of
 # a robot, and slower schedules that a person writes have fewer rows.
 SLOW, MANY = 0.5, 20
-# The share of intervals above which longer ones are no gaps: the rows come at irregular times.
-IRREGULAR = 0.25
 # Positions of a hinge without limits beyond this many radians, nearly two turns, may be degrees.
 TURNS = 10.0
 
@@ -349,7 +347,7 @@ class Log:
         usual = float(np.median(apart))
         missing = np.round(apart / usual) - 1
         rows, longest = int(missing.sum()), int(apart.argmax())
-        if not rows or np.mean(missing > 0) > IRREGULAR:
+        if not rows or np.mean(missing > 0) > 0.25:
             return []
         at = seconds(float(self.times[longest]))
         gap = f"the longest gap is {seconds(float(apart[longest]))}, at {at}"

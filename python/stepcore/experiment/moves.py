@@ -29,23 +29,19 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change, Servo
-from stepcore.experiment.control_table import LONGEST, ControlLog, Controls
+from stepcore.experiment.control_table import MOST_DT, ControlLog, Controls
 
 # The duration of a move, and the duration of the rest after it [s].
-MOVE, REST = 0.8, 0.2
+MOVE, WAIT = 0.8, 0.2
 # The longest time for which a target is held [s]. In 8 ms, a pose that moves at 1 rad/s would jump
 # by 8 mrad, to which a stiff servo responds with its whole force.
 HELD = 1e-3
-# The largest move of a joint: this share of its range, and at most this [rad], [m]. A base on
-# contacts moves as far as a fifth of that permits (Go2's joints by 0.26 rad; without it by 0.34).
-SHARE, TURN, SLIDE, BASE = 0.1, 0.5, 0.05, 0.2
-# The largest bandwidth of the servos made here [rad/s], and the largest 2 ω μ T.
-OMEGA, SAMPLED = 30.0, 0.7
-# The largest force, as a share of the range that holding the start leaves; the largest share of a
-# run in which an actuator is saturated (Panda's light wrist: 4 %, at the speed of a start).
-LEFT, FULL = 0.5, 0.05
+# The largest move of a joint: this share of its range, and at most this [rad], [m].
+RANGE_SHARE, MAX_TURN, MAX_SLIDE = 0.1, 0.5, 0.05
+# The largest force, as a share of the range that holding the start leaves.
+FORCE_SHARE = 0.5
 # The parts of a move that are tried, also in the opposite direction, before the start is held.
-FACTORS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 0.125, -0.125)
+MOVE_PARTS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 0.125, -0.125)
 # Speeds and forces before this time [s] do not count: the start may jump to its servos' targets, or
 # out of an overlap. Contacts are examined at this interval.
 SHOCK = 0.1
@@ -61,7 +57,7 @@ def profile(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     times: since the beginning [s].
     """
-    turn, within = np.divmod(times, MOVE + REST)
+    turn, within = np.divmod(times, MOVE + WAIT)
     x = np.minimum(within / MOVE, 1.0)
     way = x**3 * (10 + x * (6 * x - 15))
     rate = 30 * x**2 * (1 - x) ** 2 / MOVE
@@ -119,7 +115,7 @@ class Moves:
         self.servos = tuple(self._servos())
         self.driven = Change(servos=self.servos).of(model)
         still = np.zeros((1, model.nu))
-        (self.held,) = self.trials([home], still, still, 2 * (MOVE + REST))
+        (self.held,) = self.trials([home], still, still, 2 * (MOVE + WAIT))
         if self.held.fell is None and self.held.end is not None:
             self.kept = self._jacobian(self.held.end, self.held.points)
 
@@ -149,7 +145,8 @@ class Moves:
         inverse = np.linalg.inv(sim.mass_matrix())
         inertia = 1.0 / np.diag(inverse)[dofs]
         largest = float(np.abs(np.linalg.eigvals(inverse[np.ix_(dofs, dofs)] * inertia)).max())
-        omega = min(OMEGA, SAMPLED / (2 * largest * LONGEST * model.settings.dt))
+        # At most 30 rad/s, and at most 2 ω μ T = 0.7.
+        omega = min(30.0, 0.7 / (2 * largest * MOST_DT * model.settings.dt))
         load = support(sim, dofs, self.kept)
         for motor, effective, force in zip(motors, inertia.tolist(), load.tolist(), strict=True):
             # Several motors on a joint share its force.
@@ -176,12 +173,14 @@ class Moves:
         """Draw a random change of the pose, (nv,), of the joints that actuators drive."""
         model, q = self.model, self.home.qpos[self.model.jnt_qposadr[self.joints]]
         low, high = model.jnt_range[self.joints].reshape(-1, 2).T
-        far = [TURN if model.jnt_type[joint] == "hinge" else SLIDE for joint in self.joints]
+        far = [MAX_TURN if model.jnt_type[joint] == "hinge" else MAX_SLIDE for joint in self.joints]
         weights = np.zeros(model.nv)
         for kind, _, v, _ in self.coordinates.joints if len(self.kept) else ():
             if kind == "free":
-                weights[v : v + 6] = np.repeat((SLIDE, BASE * TURN), 3)
-        weights[self.dofs] = np.minimum(far, SHARE * (high - low))
+                # A base on contacts turns by at most a fifth as much as a joint (Go2's joints then
+                # move by 0.26 rad; without this limit by 0.34).
+                weights[v : v + 6] = np.repeat((MAX_SLIDE, 0.2 * MAX_TURN), 3)
+        weights[self.dofs] = np.minimum(far, RANGE_SHARE * (high - low))
         change = rng.uniform(0.5, 1.0, model.nv) * rng.choice([-1.0, 1.0], model.nv) * weights
         low, high = np.minimum(q, low), np.maximum(q, high)
         kept = self._keeping(change, weights, rng) if len(self.kept) else None
@@ -225,7 +224,7 @@ class Moves:
         ways = after - self.lengths(self.home.qpos)
         for drive in self.others:
             wide = np.ptp(drive.ctrlrange) * (drive.gain / drive.kp if drive.kp else math.inf)
-            ways[drive.index] = share * (SHARE * wide if math.isfinite(wide) else SLIDE)
+            ways[drive.index] = share * (RANGE_SHARE * wide if math.isfinite(wide) else MAX_SLIDE)
         spans, rates = np.zeros(self.model.nu), np.zeros(self.model.nu)
         for drive in self.of(SERVO, VELOCITY_SERVO, MOTOR):
             k = drive.index
@@ -253,7 +252,7 @@ class Moves:
         starts: Sequence[Start],
         spans: np.ndarray,
         rates: np.ndarray,
-        horizon: float = MOVE + REST,
+        horizon: float = MOVE + WAIT,
     ) -> list[Seen]:
         """Run moves from some starts under the model's settings, all at once; see `log`."""
         model, dt = self.model, self.model.settings.dt
@@ -348,7 +347,7 @@ class Moves:
             runs = self.trials([starts[k] for k in some], spans, rates)
             return dict(zip(some, runs, strict=True))
 
-        for factor in FACTORS:
+        for factor in MOVE_PARTS:
             if not todo:
                 break
             part[todo] = factor
@@ -369,8 +368,9 @@ class Moves:
 
     def _trouble(self, seen: Seen, alone: Seen) -> bool:
         """Return whether a move demands too much; alone: the trial without it."""
-        over = (seen.force > alone.force + LEFT * (1 - alone.force)) | (
-            seen.full > alone.full + FULL
+        over = (seen.force > alone.force + FORCE_SHARE * (1 - alone.force)) | (
+            # Panda's light wrist is saturated in 4 % of a run, at the speed of a start.
+            seen.full > alone.full + 0.05
         )
         met = seen.met - alone.met - self.held.met
         left = self.about and bool(alone.ends_on - seen.ends_on)

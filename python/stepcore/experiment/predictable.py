@@ -27,10 +27,8 @@ from stepcore.experiment.engines import Engine
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.units import counted, seconds
 
-# The common shift of all runs, relative to the scene's size or in radians.
-ASIDE = 1e-6
 # The time between samples is at most this [s].
-APART = 0.02
+SAMPLE_TIME = 0.02
 # The growth above which a motion counts as unpredictable.
 GROWTH = 1e3
 # Two motions agree on the end of a start to this share of the time; closely to a quarter of it.
@@ -114,11 +112,12 @@ def growths(
     """Measure the growth from each start over its schedule; all runs are made together."""
     schedule = max(schedules, key=lambda entry: entry.periods)
     # Samples are at most 20 ms apart, and include the schedule's.
-    most = max(1, int(APART / schedule.period + 1e-9))
+    most = max(1, int(SAMPLE_TIME / schedule.period + 1e-9))
     every = max(n for n in range(1, schedule.every + 1) if schedule.every % n == 0 and n <= most)
     sampled = dataclasses.replace(schedule, every=every)
     moved, rng, count = engine.coordinates, np.random.default_rng(0), len(starts)
-    aside = ASIDE * moved.drawn(rng, size, 1.0)
+    # The common shift of all runs, relative to the scene's size or in radians.
+    aside = 1e-6 * moved.drawn(rng, size, 1.0)
     nudges = [np.zeros(moved.nv)]
     nudges += [
         engine.nearby * moved.scaled(rng.choice([-1.0, 1.0], moved.nv), size, 1.0)

@@ -24,21 +24,19 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.control_table import LONGEST, ControlLog, Controls, PositionTable
+from stepcore.experiment.control_table import MOST_DT, ControlLog, Controls, PositionTable
 from stepcore.experiment.default_motion import MotionRequest, default_motion, following_controls
 from stepcore.experiment.motion import Motion
 from stepcore.report import units
 from stepcore.report.units import seconds
 
 # Default time steps, relative to the shipped step.
-FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, LONGEST)
+FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, MOST_DT)
 # The approximate number of samples.
 SAMPLES = 50
 # The default horizon, approximately [s], and the default number of starts.
 HORIZON, STARTS = 1.0, 8
-# The largest distance of random starts from the keyframe: small relative to a robot, large relative
-# to the motion in one step.
-SHIFT, TURN = 1e-3, 1e-2  # [m], [rad]
+# The largest velocity of random starts.
 SPEED, SPIN = 0.05, 0.1  # [m/s], [rad/s]
 # The most steps in a control period, relative to the shipped ones. A joint that damping stops
 # within the shortest of them is locked, and starts at rest: the base of gymnasium_robotics' fetch
@@ -362,7 +360,8 @@ def random_start(
     allowed = max(0.0, overlap(home)) + slack
     tried = []
     for _ in range(64):
-        step = coordinates.drawn(rng, SHIFT, TURN)
+        # 1 mm and 10 mrad: small relative to a robot, large relative to the motion in one step.
+        step = coordinates.drawn(rng, 1e-3, 1e-2)
         rate = np.where(moving, coordinates.drawn(rng, SPEED, SPIN), 0.0)
         moved = coordinates.inside(coordinates.moved(home.qpos, step))
         start = dataclasses.replace(home, qpos=moved, qvel=home.qvel + rate)

@@ -365,10 +365,10 @@ class WorldCamera:
 
     def __init__(self, owner: str, width: int, height: int) -> None:
         # Imported here because the import takes as long as drawing, and few environments draw.
-        from stepcore.viewing.camera import LARGEST
+        from stepcore.viewing.camera import LARGEST_SIDE
 
         for name, size in (("width", width), ("height", height)):
-            checks.whole(2, LARGEST)(owner, name, size)
+            checks.whole(2, LARGEST_SIDE)(owner, name, size)
         self.width, self.height = width, height
         self._sim: Sim | None = None
         self._renderer: Any = None

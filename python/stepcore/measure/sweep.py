@@ -35,7 +35,7 @@ Point = dict[str, Any]
 Measure = Callable[[Any], Any]
 
 # The largest number of points in one batch on an executor.
-SHARE = 256
+MAX_POINTS = 256
 
 
 def sweep(
@@ -123,7 +123,7 @@ def sweep(
     job: Any = partial(_one_by_one, source, measure)
     if batch:
         here = workers.executor is None
-        shares = _alike(points, [index for (index,) in shares], len(points) if here else SHARE)
+        shares = _alike(points, [index for (index,) in shares], len(points) if here else MAX_POINTS)
         job = partial(_together, source, measure, workers.threads if here else 1)
         # In this process, batches run one after the other, and each uses all threads.
         workers = Workers(1, workers.executor, workers.progress)

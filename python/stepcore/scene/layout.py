@@ -121,7 +121,7 @@ class Layout:
                 start = at + (3 if joint.type == "free" else 0)
                 quat = result[start : start + 4]
                 norm = math.hypot(*quat)
-                if norm < checks.TINY:
+                if norm < checks.TINY_LENGTH:
                     quat = [1.0, 0.0, 0.0, 0.0]
                 elif abs(norm - 1) > 1e-15:
                     quat = [x / norm for x in quat]

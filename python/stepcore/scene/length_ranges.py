@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Effects that MuJoCo leaves out of the simulation.
 OFF = ("contact", "spring", "damper", "gravity", "frictionloss", "sensor")
 # MuJoCo's lower bound of norms.
-LEAST = 1e-15
+LEAST_NORM = 1e-15
 # A cache of ranges, by a hash of the simulated scene.
 _found: dict[bytes, list[list[float]]] = {}
 
@@ -139,10 +139,10 @@ def _extremes(
         length = batch.readout("actuator_length")[world, pulled]
         arms = model.element_force("actuator", ctrl, act, arrays["qpos"], arrays["qvel"])
         gained = np.linalg.solve(batch.readout("mass_matrix"), arms[..., None])[..., 0]
-        force = arms * (way / np.maximum(LEAST, np.linalg.norm(gained, axis=1, keepdims=True)))
+        force = arms * (way / np.maximum(LEAST_NORM, np.linalg.norm(gained, axis=1, keepdims=True)))
         if rules.maxforce > 0:
             size = np.linalg.norm(force, axis=1, keepdims=True)
-            force *= np.minimum(1.0, rules.maxforce / np.maximum(LEAST, size))
+            force *= np.minimum(1.0, rules.maxforce / np.maximum(LEAST_NORM, size))
         arrays["qfrc_applied"][...] = force
         try:
             batch.step(1)

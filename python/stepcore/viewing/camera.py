@@ -17,7 +17,7 @@ from stepcore.viewing.frames import Instant
 # The angle of view from top to bottom [degrees].
 ANGLE = 40.0
 # The largest picture, in points.
-LARGEST = 8192
+LARGEST_SIDE = 8192
 
 
 @dataclass(frozen=True)

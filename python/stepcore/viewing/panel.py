@@ -25,9 +25,9 @@ SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×"
 # The curves of energy, and the prefix of their names.
 ENERGIES = {"kinetic": "", "potential": "Δ ", "total": "Δ "}
 # The states that a live view can go back to, sixty a second of motion.
-KEPT = 3000
+KEPT_STATES = 3000
 # The longest time for which the page waits for steps or for new curves [s].
-PAUSE = 0.2
+LONGEST_WAIT = 0.2
 
 
 def _plot(
@@ -92,7 +92,7 @@ class Panel(ABC):
 
         more: further plots, each with its values, (curves, times).
         """
-        if self.playing and monotonic() - self.sent < PAUSE:
+        if self.playing and monotonic() - self.sent < LONGEST_WAIT:
             return
         self.sent = monotonic()
         time = np.array([instant.time for instant in instants])
@@ -262,7 +262,7 @@ class SimPanel(Panel):
         for _ in range(count):
             self.step()
             # The view still responds if the scene runs slower than real time.
-            if self.failed or monotonic() - begin > PAUSE:
+            if self.failed or monotonic() - begin > LONGEST_WAIT:
                 self.owed = 0.0
                 return
 
@@ -284,7 +284,7 @@ class SimPanel(Panel):
         if self.sim.time - self.times[-1] >= 1 / 60 - 1e-9:
             self.states.append(self.sim.state())
             self.times.append(self.sim.time)
-            del self.states[:-KEPT], self.times[:-KEPT]
+            del self.states[:-KEPT_STATES], self.times[:-KEPT_STATES]
 
     def draw(self) -> None:
         try:
@@ -303,7 +303,7 @@ class SimPanel(Panel):
         if at == len(self.past) or self.past[at].time > now:
             self.past.insert(at, self.instant)
         self._draw_curves(self.past[: at + 1])
-        del self.past[:-KEPT]
+        del self.past[:-KEPT_STATES]
         if self.playing:
             self.back.value = 1.0
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stepcore import checks, files
 from stepcore.needs import need
-from stepcore.viewing.camera import LARGEST, camera_of, following_camera, force_marks, ropes
+from stepcore.viewing.camera import LARGEST_SIDE, camera_of, following_camera, force_marks, ropes
 from stepcore.viewing.drawing import drawing_of
 from stepcore.viewing.frames import Replayed, instant_of
 from stepcore.viewing.renderers import Renderer
@@ -81,7 +81,7 @@ def save_video(
     _check_ending("save_video", path, ENDINGS, " or ".join(ENDINGS))
     ffmpeg = need("imageio_ffmpeg", "a video", "video")
     for field, value in zip(("width", "height"), size, strict=True):
-        if checks.whole(2, LARGEST)("save_video", field, value) % 2:
+        if checks.whole(2, LARGEST_SIDE)("save_video", field, value) % 2:
             raise checks.refuse("save_video", field, value, "an even number")
     drawing, time = run.drawing, run.time
     renderer = Renderer(drawing, *size)

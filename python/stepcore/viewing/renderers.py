@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from stepcore import checks
 from stepcore.needs import need
 from stepcore.report.plot.style import SKY, rgb
-from stepcore.viewing.camera import ANGLE, LARGEST, Camera, Mark
+from stepcore.viewing.camera import ANGLE, LARGEST_SIDE, Camera, Mark
 from stepcore.viewing.drawing import Drawing, Shape
 from stepcore.viewing.frames import Instant
 
-# The direction in which the sun of a picture shines.
-SUN = (0.3, 0.4, -1.0)
 ADVICE = (
     "On Debian and Ubuntu `apt-get install libegl1 libgl1-mesa-dri` brings a renderer that needs "
     "no graphics card; a page (`save_html`) needs none of this"
@@ -37,7 +35,7 @@ class Renderer:
 
     def __init__(self, drawing: Drawing, width: int, height: int) -> None:
         for field, value in (("width", width), ("height", height)):
-            checks.whole(2, LARGEST)("picture", field, value)
+            checks.whole(2, LARGEST_SIDE)("picture", field, value)
         mujoco = need("mujoco", "MuJoCo's renderer", "video")
         self.mujoco, self.drawing = mujoco, drawing
         self.model = self._model(width, height)
@@ -75,7 +73,7 @@ class Renderer:
         ]
         spec.worldbody.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            dir=SUN,
+            dir=(0.3, 0.4, -1.0),
             diffuse=[0.4] * 3,
             castshadow=False,
         )

@@ -20,7 +20,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.horizon import LONGEST, STEPS
+from stepcore.experiment.horizon import LONGEST_RUN, PILOT_STEPS
 from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.finding import (
@@ -441,7 +441,7 @@ def _overpowered(scene: Described) -> Iterator[Finding]:
         qpos, ctrl = np.array(scene.start.qpos), np.zeros((1, 1, other.nu))
         # A control without a range exceeds any force range.
         qpos[of.qposadr], ctrl[0, 0, k] = end, np.clip(control, -1e6, 1e6)
-        steps = max(1, min(round(HORIZON / other.settings.dt), STEPS))
+        steps = max(1, min(round(HORIZON / other.settings.dt), PILOT_STEPS))
         return followed(other, dataclasses.replace(scene.start, qpos=qpos), steps, ctrl=ctrl)
 
     remedy = dataclasses.replace(limit_remedy(model, of.joint, beyond[k]), again=again)
@@ -604,7 +604,7 @@ def _damped(scene: Described, joint: int, servos: list[Actuator]) -> Remedy:
 
     def again(other: Model) -> Recording:
         """Hold the controls of the start until the joint should rest."""
-        steps = min(round(LONGEST / other.settings.dt), STEPS)
+        steps = min(round(LONGEST_RUN / other.settings.dt), PILOT_STEPS)
         return followed(other, scene.start, steps, ctrl=scene.ctrl[None, None])
 
     def turns(run: Recording) -> float:

@@ -22,12 +22,8 @@ from stepcore.report.units import seconds
 from stepcore.report.units import times as times_said
 
 DEGREES = 180 / np.pi
-# A ratio matches the ratio of two units if their relative deviation is below this.
-NEAR = 0.2
-# A position jumps if it changes this many times more than by its velocity, and than usual.
-JUMP = 10.0
 # Scaling by a ratio of units must reduce a prediction's error to at most this share.
-BETTER = 0.5
+ERROR_SHARE = 0.5
 RATIOS = {
     DEGREES: "degrees",
     1 / DEGREES: "degrees in the model",
@@ -43,7 +39,7 @@ SCALES = {
 # Correlation above which two columns belong together, as a right or wrong pair.
 SIGN = 0.9
 # Estimates whose correlation is above this cannot be distinguished.
-ALIKE = 0.99
+CORRELATED = 0.99
 # Directions whose singular value is below this share of the largest are not observable.
 WEAK = 1e-6
 
@@ -103,12 +99,13 @@ def _velocity_doubts(
     for k, joint in enumerate(joints):
         moved, most = np.abs(rates[:, k] * np.diff(times)), np.abs(speeds[:, k]).max()
         usual = np.median(moved[moved > 0]) if moved.any() else np.inf
-        if most > 0 and moved.max() > JUMP * max(usual, most * np.diff(times).max()):
+        # A position jumps if it changes ten times more than by its velocity, and than usual.
+        if most > 0 and moved.max() > 10 * max(usual, most * np.diff(times).max()):
             at = f"{moved.max():.3g} within a row at {seconds(middle[int(moved.argmax())])}"
             yield "jump", [joint], f"its position jumps by {at}", "leave cells empty that are wrong"
             continue
         # Rows whose spacing is too large for the motion show nothing.
-        if alike[k, k] <= math.sqrt(BETTER):
+        if alike[k, k] <= math.sqrt(ERROR_SHARE):
             continue
         ratio = float(alike[k, k] * lengths[k, k] / (speeds[:, k] @ speeds[:, k]))
         for unit, cure in SCALES[model.jnt_type[joint]].items():
@@ -236,7 +233,7 @@ def _disordered(alike: np.ndarray, name: str, other: str) -> Iterator[tuple[str,
 
 
 def _near(ratio: float, unit: float) -> bool:
-    return abs(ratio / unit - 1) < NEAR
+    return abs(ratio / unit - 1) < 0.2
 
 
 def fit_findings(fit: Predictions, predicted: np.ndarray) -> list[Finding]:
@@ -253,7 +250,7 @@ def fit_findings(fit: Predictions, predicted: np.ndarray) -> list[Finding]:
         ratio = float(values @ model / (model @ model))
         left, before = (np.sum((values - factor * model) ** 2) for factor in (ratio, 1.0))
         word = next((word for unit, word in RATIOS.items() if _near(ratio, unit)), None)
-        if word is not None and left < BETTER**2 * before:
+        if word is not None and left < ERROR_SHARE**2 * before:
             problem = f"{label}: measured {times_said(ratio)} the prediction"
             cure = f"it looks like another unit, {word}"
             findings.append(Finding("units", "error", problem, cure, (), ratio))
@@ -353,14 +350,14 @@ def certainty(
         related = np.nan_to_num(covariance / np.outer(spread, spread))
     np.fill_diagonal(related, 1.0)
     # A component of this size in a weak direction corresponds to a correlation of ALIKE.
-    ways = np.abs(turns[weak][:, :count]) > math.sqrt(1 - ALIKE)
+    ways = np.abs(turns[weak][:, :count]) > math.sqrt(1 - CORRELATED)
     sets = (tuple(labels[int(k)] for k in np.flatnonzero(way)) for way in ways if way.any())
     alike = list(dict.fromkeys(sets))
     for i in range(count):
         for k in range(i):
             pair = (labels[k], labels[i])
             covered = any(set(pair) <= set(names) for names in alike)
-            if abs(related[i, k]) > ALIKE and not covered:
+            if abs(related[i, k]) > CORRELATED and not covered:
                 alike.append(pair)
     return Certainty(np.where(unknown, np.inf, spread), related, alike, inverse)
 

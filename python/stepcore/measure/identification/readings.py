@@ -14,7 +14,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch, unwatched
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
-from stepcore.engine.parameters import AROUND, SHARE, Column, models_around
+from stepcore.engine.parameters import AROUND, SPACING, Column, models_around
 from stepcore.engine.run_settings import converged_settings
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
@@ -70,7 +70,7 @@ class Readings:
         for k, column in enumerate(by):
             way, push = ways[..., k], pushes[..., k]
             size = np.abs(np.concatenate([way, push], axis=1)).max(axis=1)
-            apart = np.full(self.count, column.apart if column else SHARE)
+            apart = np.full(self.count, column.apart if column else SPACING)
             apart /= 1.0 if column else np.where(size > 0, size, 1.0)
             much = (apart[:, None] * AROUND).reshape(-1, 1)
             change, drive = (much * np.repeat(part, len(AROUND), axis=0) for part in (way, push))

@@ -25,7 +25,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
-from stepcore.engine.unsolved import FEWEST as SAMPLES
+from stepcore.engine.unsolved import FEWEST_LOOKS as SAMPLES
 from stepcore.engine.unsolved import Residuals
 from stepcore.executors import checkpoint
 from stepcore.experiment.schedule import Schedule

@@ -196,7 +196,7 @@ class Geom(Element):
     friction: Annotated[of.Friction, "1, m and m"] = of.FRICTION
     margin: Annotated[of.Real, "m"] = 0.0
     gap: Annotated[of.NonNegative, "m"] = 0.0
-    surfacevel: Annotated[of.SurfaceVel, "m/s and rad/s"] = of.STILL
+    surfacevel: Annotated[of.SurfaceVel, "m/s and rad/s"] = of.ZERO_VELOCITY
     adhesion: Annotated[of.NonNegative, "N"] = 0.0
     solmix: of.NonNegative = 1.0
     solref: of.SolRef = of.SOLREF
