@@ -70,7 +70,11 @@ def watched(model, schedule, start=0):
     dt = model.settings.dt
     rows, hold = schedule.rows([start], dt)
     ran = follow(
-        *(schedule.on(model), [schedule.starts[start]], schedule.periods * schedule.steps(dt)),
+        *(
+            schedule.driven_model(model),
+            [schedule.starts[start]],
+            schedule.periods * schedule.steps(dt),
+        ),
         ctrl=rows,
         hold=hold,
         record=("qpos", "actuator_force", "overlap"),

@@ -197,7 +197,7 @@ def _inputs(args: argparse.Namespace, model: Model) -> tuple[Motion, list[Push]]
     try:
         pushes = [Push.of(text) for text in args.push]
         for push in pushes:
-            push.on(model)
+            push.body_index(model)
     except ValueError as error:
         raise Usage(f"--{one_line(error)}") from None
     return motion, pushes
@@ -293,5 +293,5 @@ def _live(args: Any, sim: Sim) -> None:
     sim.reset(key=0 if key is None and sim.model.keys else key)
     if args.ctrl is not None:
         table = control_table(controls_of(args.ctrl, sim.model))
-        sim.ctrl = table.log(sim.model, np.array(sim.ctrl), sim.settings.dt).rows[0]
+        sim.ctrl = table.control_log(sim.model, np.array(sim.ctrl), sim.settings.dt).rows[0]
     sim.view(host=args.host, port=args.port, wait=True)

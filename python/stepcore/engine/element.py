@@ -160,7 +160,7 @@ class Elements(tuple[Element, ...]):
     __slots__ = ()
 
     @property
-    def several(self) -> bool:
+    def is_plural(self) -> bool:
         """Whether the name is a plural, which needs a plural verb."""
         return len(self) > 1 or self == (INERTIAL,)
 

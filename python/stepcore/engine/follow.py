@@ -139,7 +139,7 @@ def follow(
     checkpoint()
     free = probe is None and bool(run.steps)
     if control is None and free and sampled(run.names, model.settings):
-        run.whole(threads)
+        run.run_all(threads)
     elif is_batched(control) and free and model.settings.accuracy is None:
         run.together(threads)
     else:
@@ -205,7 +205,7 @@ class _Run:
             raise ValueError(f"ctrl{list(where)} = {table[where]}: must be finite")
         return table
 
-    def keep(self, start: int, sample: int, sim: Sim) -> None:
+    def record(self, start: int, sample: int, sim: Sim) -> None:
         """Record a sample of a run, and end the run if a body is beyond the bound."""
         values = {name: np.asarray(getattr(sim, name)) for name in self.names}
         if self.probe is not None:
@@ -234,7 +234,7 @@ class _Run:
             for values in self.data.values():
                 values[start, error.step // self.every + 1 :] = np.nan
 
-    def whole(self, threads: int) -> None:
+    def run_all(self, threads: int) -> None:
         """Run all starts in one call of the engine."""
         key = (self.model.core, self.model.settings, len(self.starts), threads)
         kept = core, arrays, initial = _kept_batch(key)
@@ -321,7 +321,7 @@ class _Run:
                     self.end(start, _failure(DEAR, done, sim.time, start))
                     break
                 if done % self.every == 0:
-                    self.keep(start, done // self.every, sim)
+                    self.record(start, done // self.every, sim)
                 if start in self.failures:
                     break
         except SimulationError as error:

@@ -69,7 +69,7 @@ class ControlLog:
         slopes: np.ndarray = np.diff(self._within(self._row(edges), edges), axis=-2) / dt
         return slopes
 
-    def held(self, dt: float) -> int:
+    def steps_per_row(self, dt: float) -> int:
         """Return the number of steps of dt [s] for which each row is held; 0 if it is not whole."""
         gaps = np.diff(self.times)
         if self.linear or not len(gaps):
@@ -155,7 +155,7 @@ class Controls:
             return None, count
         log = self.picked(starts).log
         assert log is not None
-        repeats = log.held(dt)
+        repeats = log.steps_per_row(dt)
         rows = log.rows if repeats else log.steps(0.0, dt, count)
         return rows[None] if rows.ndim == 2 else rows, max(1, repeats)
 
@@ -191,7 +191,7 @@ class ControlTable(Log):
         return np.column_stack([*self.columns.values()])
 
     @property
-    def changes(self) -> bool:
+    def varies(self) -> bool:
         """Whether any two rows differ."""
         return bool(np.any(self.rows != self.rows[:1]))
 
@@ -206,7 +206,7 @@ class ControlTable(Log):
         """The value of the option --ctrl; a placeholder for rows of Python that change."""
         if self.path is not None:
             return self.path
-        return "FILE.npy" if self.changes else self._first(",")
+        return "FILE.npy" if self.varies else self._first(",")
 
     def _first(self, separator: str) -> str:
         values = [f"{value:g}" for value in self.rows[0]]
@@ -231,7 +231,7 @@ class ControlTable(Log):
         parts = [steps // k for k in range(1, steps + 1) if steps % k == 0]
         return min((n for n in parts if n >= MOST_DT), default=0) * dt or None
 
-    def log(
+    def control_log(
         self,
         model: Any,
         key_ctrl: np.ndarray,
@@ -248,7 +248,7 @@ class ControlTable(Log):
 
         Raises ValueError for a log that does not match the model's actuators.
         """
-        if self.times is None and linear and self.changes:
+        if self.times is None and linear and self.varies:
             raise ValueError(f"{self.source}: has no times to interpolate between")
         rows = self.controls(model, key_ctrl)
         if self.times is None:
@@ -260,7 +260,7 @@ class ControlTable(Log):
             return ControlLog(periods, rows[index])
         return ControlLog(self.times, rows, linear)
 
-    def clamped(self, model: Model, rows: np.ndarray) -> tuple[str, ...]:
+    def clamping(self, model: Model, rows: np.ndarray) -> tuple[str, ...]:
         """Return a remark on controls beyond their ctrlrange, if any; rows: (n, nu)."""
         low, high = model.actuator_ctrlrange.T
         if not model.scene.features.clampctrl or not len(rows):

@@ -92,7 +92,7 @@ def horizon_of(
             lasts += f", of which {seconds(length)} are run; --horizon sets more"
         return Horizon(length, lasts)
     if table is not None:
-        tried = not table.changes
+        tried = not table.varies
     else:
         tried = motion.control is not None or (motion.kind or kind_of(model)) in ("fall", "hold")
     if not tried or dt > CHECK_TIME or longest <= default:
@@ -192,7 +192,7 @@ class _Pilot:
         flips = np.sum(quat[1:] * quat[:-1], axis=2) < 0
         quat[1:][np.logical_xor.accumulate(flips, axis=0)] *= -1
         turned = 2 * self.matter.gyration[:, None] * quat
-        sim, flops = unwatched(Sim(self.schedule.on(self.model))), []
+        sim, flops = unwatched(Sim(self.schedule.driven_model(self.model))), []
         for k in spread(ran["qpos"][0, :good]):
             for name in states:
                 getattr(sim, name)[:] = ran[name][0, k]

@@ -183,7 +183,7 @@ class Motion:
         """
         if self.control_dt is not None or self.control is not None:
             return self.control_dt or dt
-        if self.table is None or not self.table.changes:
+        if self.table is None or not self.table.varies:
             return None
         linear = self.table.times is not None and self.interpolation == "linear"
         return None if linear else self.table.period(dt)

@@ -83,7 +83,7 @@ def drive_in_words(model: Model, motion: Motion, drive: str, sampled: str) -> st
     if motion.control is not None:
         return f"{drives} driven by {control_name(motion.control)}, sampled {sampled}"
     if (table := motion.table) is not None:
-        if not table.changes:
+        if not table.varies:
             return f"{drives} hold {table.constants}"
         source = "the controls given" if table.source == "ctrl" else table.source
         verb = "follow the positions of" if motion.follow is not None else "driven by"

@@ -107,7 +107,7 @@ class Schedule:
         """The change that the controls need in the model: servos that replace its motors."""
         return Change(servos=self.controls.servos)
 
-    def on(self, model: Model) -> Model:
+    def driven_model(self, model: Model) -> Model:
         """Return the model that the controls drive: with the servos that they need."""
         if not self.controls.servos:
             return model
@@ -235,8 +235,8 @@ def user_controls(motion: Motion, model: Any, key_ctrl: np.ndarray, period: floa
         return Controls(function=motion.control)
     # With a control period, held rows take effect at the beginning of each period.
     linear, sampled = motion.interpolation == "linear", motion.control_dt is not None
-    log = motion.table.log(model, key_ctrl, period, linear, sampled)
-    remarks = motion.table.clamped(model, log.rows) if isinstance(model, Model) else ()
+    log = motion.table.control_log(model, key_ctrl, period, linear, sampled)
+    remarks = motion.table.clamping(model, log.rows) if isinstance(model, Model) else ()
     return Controls(log, remarks=remarks)
 
 

@@ -84,7 +84,7 @@ class Push:
             raise ValueError(f"push {push}: its times must be >= 0 s")
         return cls(body, (x, y, z), *times)
 
-    def on(self, model: Model) -> int:
+    def body_index(self, model: Model) -> int:
         """Return the index of the body in a model.
 
         Raises ValueError for an unknown body and for the world.
@@ -219,7 +219,7 @@ class SingleRun:
         sim, dt = self.sim, self.sim.settings.dt
         hold = round(self.drive.period / dt) if self.drive.period else 1
         applied = np.array(sim.xfrc_applied)
-        spans = [(push.on(sim.model), push.force, push.span(dt)) for push in self.pushes]
+        spans = [(push.body_index(sim.model), push.force, push.span(dt)) for push in self.pushes]
         edges = {edge for *_, span in spans for edge in (span.start, span.stop)}
         every = max(1, steps // READINGS)
         often = [every, max(1, steps // 100), *([math.gcd(*edges) or steps] if edges else [])]

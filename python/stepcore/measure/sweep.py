@@ -134,7 +134,7 @@ def sweep(
             for index, result in zip(share, measured, strict=True):
                 results[index] = result
             if kept is not None:
-                kept.keep([points[index] for index in share], measured)
+                kept.store([points[index] for index in share], measured)
 
     try:
         workers.each(job, [[points[k] for k in share] for share in shares], "sweep", took=took)
@@ -307,7 +307,7 @@ class _Folder:
         kept = self.done.get(_key(point))
         return None if kept is None else dict(kept)
 
-    def keep(self, points: Sequence[Point], results: Sequence[Point]) -> None:
+    def store(self, points: Sequence[Point], results: Sequence[Point]) -> None:
         """Write results to the folder; see `_written` for those that it cannot keep."""
         lines = list[str]()
         for point, result in zip(points, results, strict=True):

@@ -157,7 +157,7 @@ def leave_out_visual_geoms(world: WorldReader) -> None:
         drags = geom.fluidshape != "none" and (scene.density > 0 or scene.viscosity > 0)
         if shape.collides or drags or id(geom) in sensed or weighs(world, shape):
             continue
-        scene.ignored.append(shape.node.listed("only draws: no collisions, no mass"))
+        scene.ignored.append(shape.node.ignored_line("only draws: no collisions, no mass"))
         if geom.mesh is not None or geom.hfield is not None:
             gone.add(id(geom))
     _remove(world, gone)

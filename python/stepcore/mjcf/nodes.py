@@ -145,7 +145,7 @@ class Node:
         file = self.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
         return self.attrs.get("name", file.rpartition(".")[0] or file)
 
-    def listed(self, why: str) -> str:
+    def ignored_line(self, why: str) -> str:
         """Return the line about this element for `Scene.ignored`."""
         name = self.attrs.get("name", "")
         label = f'<{self.tag}> "{name}"' if name else f"<{self.tag}>"

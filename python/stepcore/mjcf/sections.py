@@ -388,7 +388,7 @@ def sensor(world: WorldReader, node: Node) -> None:
         return
     why = _not_computed(world, node)
     if why:
-        world.scene.ignored.append(node.listed(f"only senses; {why}"))
+        world.scene.ignored.append(node.ignored_line(f"only senses; {why}"))
         return
     fields = class_fields(Sensor, values)
     if node.tag == "user":
@@ -452,7 +452,7 @@ def _ends(world: WorldReader, node: Node) -> dict[str, Any]:
         body = kind in ("body", "xbody")
         if node.tag == "user" and not body and kind not in TYPES["user"][0]:
             why = f"read, but not what it is attached to: the {kind}"
-            world.scene.ignored.append(node.listed(f"{why} {values['objname']}"))
+            world.scene.ignored.append(node.ignored_line(f"{why} {values['objname']}"))
             continue
         put(field, "body" if body else kind, f"{prefix}name", kind if body else "")
     return ends

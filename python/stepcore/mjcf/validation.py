@@ -98,7 +98,7 @@ def _strip(node: Node, spec: Spec) -> list[str]:
     unknown = [name for name in node.attrs if name not in spec.attrs]
     for name in unknown:
         del node.attrs[name]
-    return [node.listed(f"{name} does nothing in {node.tag}") for name in unknown]
+    return [node.ignored_line(f"{name} does nothing in {node.tag}") for name in unknown]
 
 
 def _read(node: Node, spec: Spec, parent: Node, above: str, ignored: list[str]) -> None:
@@ -110,7 +110,7 @@ def _read(node: Node, spec: Spec, parent: Node, above: str, ignored: list[str]) 
     if spec.role == "unbuilt":
         raise node.unbuilt(f"<{node.tag}> in <{parent.tag}>")
     if spec.role and spec.role != above and not is_own_text(node):
-        ignored.append(node.listed(WHY[spec.role]))
+        ignored.append(node.ignored_line(WHY[spec.role]))
 
 
 def values_of(node: Node, spec: Spec) -> dict[str, object]:

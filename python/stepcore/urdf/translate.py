@@ -111,7 +111,7 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
                 refusals.add(child.error(f"unknown element <{child.tag}> in <{node.tag}>{near}"))
             else:
                 why = "only draws" if child.tag in DRAWS else "says nothing about the motion"
-                ignored.append(child.listed(why))
+                ignored.append(child.ignored_line(why))
         for tag in spec.once:
             same = [child for child in kept if child.tag == tag]
             if len(same) > 1:
@@ -137,7 +137,7 @@ def _drop_attributes(node: Node, spec: Spec) -> list[str]:
     foreign = [name for name in extra if name in far or name in FOREIGN]
     for name in foreign:
         del node.attrs[name]
-    return [node.listed(f"{name} is no attribute of URDF") for name in foreign]
+    return [node.ignored_line(f"{name} is no attribute of URDF") for name in foreign]
 
 
 def file_path(node: Node, directory: str | None, extended: bool) -> str:

@@ -275,7 +275,7 @@ class Motions:
             start,
             replace(start, qpos=moved.moved(start.qpos, nudge), qvel=start.qvel + push),
         )
-        self.driven, self.users = schedule.on(model), schedule.control
+        self.driven, self.users = schedule.driven_model(model), schedule.control
         # Motors that the default motion drives as servos.
         self.ours = frozenset(
             model.index("actuator", servo.actuator) for servo in schedule.controls.servos

@@ -149,7 +149,7 @@ def identify(
 
     def fitted(length: float | None, values: Sequence[float] = start) -> Identification:
         """Fit the logs in pieces of a length [s], beginning with these values."""
-        parts = data if length is None else [p for log in data for p in log.cut(compiled, length)]
+        parts = data if length is None else [p for log in data for p in log.split(compiled, length)]
         read = [usable(compiled, part, bounds) for part in parts]
         fit = Predictions(compiled, read, list(bounds), threads=workers.threads)
         check_smooth(compiled, {p.entry for p in fit.parts if p.array == "sensordata"})
@@ -255,7 +255,7 @@ def _from_pieces(
         parts = list[MeasuredLog]()
         for log in logs:
             spacing = log.duration / max(1, len(log.measured["qpos"].times) - 1)
-            parts += log.cut(model, rows * spacing)
+            parts += log.split(model, rows * spacing)
         some = [usable(model, part, bounds) for part in parts[:: math.ceil(len(parts) / PIECES)]]
         fit = Predictions(model, some, list(bounds), threads=workers.threads)
         x = Search(fit, bounds, values, workers, min(most, PIECES)).x

@@ -81,7 +81,7 @@ class MeasuredLog:
         finite = np.isfinite(qpos)
         return times[finite[:, finite.any(axis=0)].all(axis=1)]
 
-    def cut(self, model: Model, length: float) -> list[MeasuredLog]:
+    def split(self, model: Model, length: float) -> list[MeasuredLog]:
         """Return pieces of a length [s], each starting at one of `begins`.
 
         Raises ValueError if there is none.

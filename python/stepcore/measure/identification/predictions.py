@@ -111,7 +111,7 @@ class Predictions:
     def predicted(self, x: np.ndarray, finer: int = 1) -> np.ndarray:
         """Return the predictions of all parts. finer: the number of steps that replace one."""
         runs = self.runs(x) if finer == 1 else self._made(x, finer)
-        return np.concatenate([runs[part.log].shown(part) for part in self.parts])
+        return np.concatenate([runs[part.log].predictions(part) for part in self.parts])
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """Return prediction minus measurement for all measured numbers, in units of the scales."""
@@ -130,7 +130,7 @@ class Predictions:
         """Return the derivative of the residuals with respect to x."""
         runs, count, nv, parts = self.runs(x), len(self.labels), self.base.nv, []
         for part in self.parts:
-            slopes, place = runs[part.log].moved(part), count + 2 * nv * part.log
+            slopes, place = runs[part.log].derivatives(part), count + 2 * nv * part.log
             rows = np.zeros((len(slopes), count + self.free))
             rows[:, :count], rows[:, place : place + 2 * nv] = slopes[:, :count], slopes[:, count:]
             parts.append(rows)
@@ -215,11 +215,11 @@ class Run:
         values: np.ndarray = rows[before] + share * (rows[after] - rows[before])
         return values
 
-    def shown(self, part: Part) -> np.ndarray:
+    def predictions(self, part: Part) -> np.ndarray:
         """Return the predictions of a part, shape (T,)."""
         return self._interpolated(self._table(part.array)[:, part.entry], part)
 
-    def moved(self, part: Part) -> np.ndarray:
+    def derivatives(self, part: Part) -> np.ndarray:
         """Return the derivatives of the predictions of a part, shape (T, parameters + 2 nv)."""
         slopes = self._interpolated(self._moved(part.array)[:, part.entry], part)
         if part.late:

@@ -70,7 +70,7 @@ class Readings:
         for k, column in enumerate(by):
             way, push = ways[..., k], pushes[..., k]
             size = np.abs(np.concatenate([way, push], axis=1)).max(axis=1)
-            apart = np.full(self.count, column.apart if column else SPACING)
+            apart = np.full(self.count, column.spacing if column else SPACING)
             apart /= 1.0 if column else np.where(size > 0, size, 1.0)
             much = (apart[:, None] * AROUND).reshape(-1, 1)
             change, drive = (much * np.repeat(part, len(AROUND), axis=0) for part in (way, push))

@@ -764,7 +764,7 @@ class Trade(Result):
         if self.engine != "stepcore" or self.model is None:
             raise ValueError("the motions of MuJoCo's settings are not kept: run them in MuJoCo")
         schedule = self.schedule
-        sim = Sim(schedule.on(change.of(self.model)))
+        sim = Sim(schedule.driven_model(change.of(self.model)))
         schedule.starts[start].put(sim)
         control: Any = schedule.function()
         held = schedule.period
