@@ -39,7 +39,7 @@ def as_path(name: str, value: object) -> str:
     raise ValueError(f"{name} = {checks.shown(value)}: must be a path")
 
 
-def read_file(path: str | os.PathLike[str], expected: str) -> bytes:
+def contents(path: str | os.PathLike[str], expected: str) -> bytes:
     """Return the bytes of a regular file of at most `LARGEST_FILE` bytes; see `open_regular`.
 
     Raises ValueError for a Git LFS pointer, whose file was not fetched.
@@ -92,9 +92,9 @@ def arrays(path: str | os.PathLike[str], expected: str) -> dict[str, NDArray[Any
 
     Raises ValueError for a file that is neither or is damaged, for arrays of Python objects and for
     arrays that are together larger than `LARGEST_FILE`, which a small file can claim to hold; also
-    the errors of `read_file`.
+    the errors of `contents`.
     """
-    data = read_file(path, expected)
+    data = contents(path, expected)
     try:
         if not zipfile.is_zipfile(io.BytesIO(data)):
             return {"": _array(data)}

@@ -170,7 +170,7 @@ def test_a_file_that_grows_is_read_as_far_as_it_said(tmp_path, monkeypatch):
             self.st_dev, self.st_ino = whole.st_dev, whole.st_ino
 
     monkeypatch.setattr(os, "fstat", lambda number: Shorter(status(number)))
-    assert files.read_file(path, "a model") == BODY.encode()
+    assert files.contents(path, "a model") == BODY.encode()
 
 
 def test_pointers_of_git_lfs_are_told(tmp_path):

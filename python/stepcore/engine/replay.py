@@ -137,7 +137,7 @@ class Replay:
         version; FileNotFoundError for a missing file; IsADirectoryError for a folder.
         """
         shown = checks.cut(files.as_path("path", path), 300)
-        text = files.read_file(path, "a replay file")
+        text = files.contents(path, "a replay file")
         try:
             data = json.loads(text)
         except (ValueError, RecursionError):

@@ -152,12 +152,12 @@ def _of_file(path: str, name: str) -> Content:
         return _of_messages(file, topic, taken)
     if file.endswith(".csv"):
         try:
-            return _of_text(name, _decoded(files.read_file(file, TABLE)))
+            return _of_text(name, _decoded(files.contents(file, TABLE)))
         except csv.Error as error:
             raise ValueError(f"{name}: is not {TABLE}: {checks.one_line(error)}") from None
     if file.endswith(".parquet"):
         parquet = need("pyarrow.parquet", f"reading {checks.cut(file, 80)}", "data")
-        data = files.read_file(file, TABLE)
+        data = files.contents(file, TABLE)
         try:
             columns = parquet.read_table(io.BytesIO(data)).to_pydict()
         except (ValueError, TypeError, OSError) as error:

@@ -277,7 +277,7 @@ class _Folder:
         kept, self.points = folder / "sweep.json", folder / "points.jsonl"
         if not kept.exists():
             kept.write_text(json.dumps(identity, indent=1) + "\n", encoding="utf-8")
-        data = files.read_file(kept, "a sweep")
+        data = files.contents(kept, "a sweep")
         try:
             stored = json.loads(data)
         except (ValueError, RecursionError) as error:
@@ -288,7 +288,7 @@ class _Folder:
                 text = f"folder = {checks.shown(str(folder))}: holds a sweep of another {name}"
                 raise ValueError(f"{text} ({theirs}, not {value}): choose another folder")
         self.done: dict[str, Point] = {}
-        data = files.read_file(self.points, "a sweep") if self.points.exists() else b""
+        data = files.contents(self.points, "a sweep") if self.points.exists() else b""
         lines = data.split(b"\n")
         for line in lines[:-1]:
             try:

@@ -192,7 +192,7 @@ def _mean_colour(path: str) -> Vec:
     """Return the mean colour of an image file; raise ValueError if it is invalid or too large."""
     from PIL import Image, ImageStat
 
-    data = files.read_file(path, "an image")
+    data = files.contents(path, "an image")
     try:
         with warnings.catch_warnings():
             # Pillow only warns of oversized images; treat the warning as an error.

@@ -418,7 +418,7 @@ def effect(kind: str) -> str:
 
 def read_main(shown: str) -> bytes:
     try:
-        return files.read_file(shown, "an MJCF or URDF file")
+        return files.contents(shown, "an MJCF or URDF file")
     except ValueError as error:
         raise MJCFError(shown, 1, str(error)) from None
 
@@ -426,7 +426,7 @@ def read_main(shown: str) -> bytes:
 def read_named(node: Node, shown: str) -> Node:
     """Parse the XML file that an element names; read errors name the line of the element."""
     try:
-        data = files.read_file(shown, "an MJCF or URDF file")
+        data = files.contents(shown, "an MJCF or URDF file")
     except FileNotFoundError as error:
         raise node.missing(error) from None
     except (IsADirectoryError, ValueError) as error:

@@ -43,7 +43,7 @@ from stepcore.mjcf.through_mujoco import Expansion, first_to_expand
 from stepcore.mjcf.validation import REFERENCES, Exclusions, validate
 from stepcore.scene import gc_pause
 from stepcore.scene.layout import LISTS, Layout, relabelled
-from stepcore.scene.records import check
+from stepcore.scene.records import check_scene
 from stepcore.urdf import translate
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ def finish(world: WorldReader, chosen: bool | None) -> None:
         world.refusals.at(node, partial(option.read_own_text, scene))
     world.refusals.raise_all()
     # The check comes last, because nothing may change after it.
-    check(Layout(scene))
+    check_scene(Layout(scene))
 
 
 def _check_references(world: WorldReader) -> None:

@@ -44,7 +44,7 @@ from stepcore.scene.elements.sensor import ENDS, OF_GAP, TYPED
 from stepcore.scene.elements.tendon import STOPS, stop_parts
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import SIZES, Layout
-from stepcore.scene.records import check
+from stepcore.scene.records import check_scene
 
 if TYPE_CHECKING:
     from stepcore.mjcf.nodes import Source
@@ -164,7 +164,7 @@ GENERAL = {"actearly": (), "actrange": ("intvelocity",)}
 def written(scene: Scene) -> str:
     """Return the scene as an MJCF text; see `Scene.to_mjcf`."""
     layout = Layout(scene)
-    check(layout)
+    check_scene(layout)
     world = scene.world
     if world.name != "world" or world.mass is not None:
         raise ValueError(f"{world}: the world of an MJCF file is called world and has no mass")

@@ -64,7 +64,7 @@ def read_mesh(path: str | os.PathLike[str], content_type: str = "") -> Surface:
     if kind not in MESHES.values():
         endings = ", ".join("." + each for each in MESHES.values())
         raise _refused(name, f"the name of a mesh file ends with {endings}")
-    data = files.read_file(name, "a mesh file")
+    data = files.contents(name, "a mesh file")
     if kind == "dae" and importlib.util.find_spec("collada") is None:
         raise _refused(name, f"COLLADA files need pycollada: {installing('dae')}")
     try:
@@ -85,7 +85,7 @@ def read_hfield(path: str | os.PathLike[str], content_type: str = "") -> NDArray
     """
     name = os.fsdecode(path)
     kind = _known("height field", name, content_type, HFIELDS)
-    data = files.read_file(name, "a height field")
+    data = files.contents(name, "a height field")
     image = kind == "png" if kind else name.lower().endswith(".png")
     if image and importlib.util.find_spec("PIL") is None:
         raise _refused(name, f"heights of an image need pillow: {installing('view')}")

@@ -150,7 +150,7 @@ class Variation:
         self.scene.mass_rules.__dict__.update(self._rules)
         assign(self.scene, values, self._body_mass)
         if checked:
-            check(self._layout)
+            check_scene(self._layout)
         if self._all_anew or self._data is None:
             self._data = plain(self._layout)
             length_ranges.fill_ranges(self.scene, self._data)
@@ -173,7 +173,7 @@ SIZE_WORDS = {
 }
 
 
-def check(layout: Layout) -> None:
+def check_scene(layout: Layout) -> None:
     """Raise ValueError, naming the element, if fields or elements contradict each other."""
     scene = layout.scene
     world = layout.bodies[0]

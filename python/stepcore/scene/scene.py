@@ -37,7 +37,7 @@ from stepcore.scene.elements import (
 from stepcore.scene.elements.sensor import OBJECTS
 from stepcore.scene.layout import LISTS, Layout, relabelled
 from stepcore.scene.names import Names
-from stepcore.scene.records import check, essence, plain
+from stepcore.scene.records import check_scene, essence, plain
 from stepcore.signatures import takes_settings
 
 if TYPE_CHECKING:
@@ -658,7 +658,7 @@ class Scene(checks.KnownNames):
         joint, a plane on a moving body, a key of the wrong length, a name used twice.
         """
         layout = Layout(self)
-        check(layout)
+        check_scene(layout)
         data = plain(layout)
         length_ranges.fill_ranges(self, data)
         return data
