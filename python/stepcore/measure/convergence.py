@@ -31,6 +31,7 @@ __all__ = ["Convergence", "converge"]
 
 # Time steps relative to the shipped one, and numbers of sweeps relative to the shipped number.
 DT_RATIOS, SWEEP_RATIOS = (4, 2, 1, 1 / 2, 1 / 4, 1 / 8), (4, 16)
+STARTS = 3  # by default; the command's help reads it
 # Distances below this share of the scene's size do not make a motion under-solved: iterative
 # solvers stop at tolerances that leave as much. Errors that differ by less than the factor count as
 # equal.
@@ -335,7 +336,7 @@ def converge(
     if motion.control_dt is not None and not divides(shipped.dt, motion.control_dt):
         limit = f"must be a whole number of steps of {shipped.dt:g} s"
         raise ValueError(f"control_dt = {motion.control_dt:g}: {limit}")
-    starts = motion.starts or 3
+    starts = motion.starts or STARTS
     motion = dataclasses.replace(motion, starts=starts)
     motion, far = settled_motion(setup.engine, motion, starts, EFFORT)
     period = motion.period(shipped.dt) or often(DT_RATIOS[0] * shipped.dt, shipped.dt, far.length)
